@@ -1,0 +1,150 @@
+"""The arm: what the drawing says, how it is measured, what is known about it. Plain data, in millimetres and radians.
+
+Joints and links are counted from 1 for people (`Effect.joint`, names) and from 0 in arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from identification.errors import InputError
+
+Array = NDArray[np.float64]
+MAX_LINKS = 12
+
+
+def readonly(values: ArrayLike, *shape: int) -> Array:
+    """A float copy of `values` that cannot be written to, of the given shape if one is given."""
+    array = np.array(values, dtype=float)
+    if shape:
+        array = array.reshape(shape)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """Loads of an arm that moves in a vertical plane; gravity torques need it."""
+
+    acceleration: Array  # (2,) [m/s^2] in the base frame
+    link_masses: Array  # (n,) [kg]
+    center_of_mass: Array  # (n,) fraction of the link from its joint
+    payload: float = 0.0  # [kg] at the tip
+
+
+@dataclass(frozen=True)
+class WorkspaceBox:
+    """The tip stays inside `x` and `y` [mm]."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class KeepOutCircle:
+    """Every link stays outside the circle [mm]."""
+
+    center: tuple[float, float]
+    radius: float
+
+
+@dataclass(frozen=True)
+class LineOfSight:
+    """The tracker sees the tip: inside its cone, nothing of the arm between."""
+
+    tracker: tuple[float, float]  # [mm]
+    half_angle: float  # [rad]
+    toward: tuple[float, float]  # [mm] a point on the cone's axis
+
+
+Constraint = WorkspaceBox | KeepOutCircle | LineOfSight
+
+
+@dataclass(frozen=True)
+class EffectSpec:
+    """An effect that is part of the arm's model. `values` are known and stay fixed; the others are estimated."""
+
+    name: str
+    joint: int | None = None  # from 1
+    values: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))  # parameter -> value, API units
+
+    @property
+    def key(self) -> str:
+        """`name` or `name:joint`, as it stands in reports."""
+        return self.name if self.joint is None else f"{self.name}:{self.joint}"
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What an identification found; written by `armcal identify --out`."""
+
+    length_errors: Array  # (n,) [mm]
+    joint_offsets: Array  # (n,) [rad]
+    effects: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))  # "effect:joint.parameter"
+    parameter_names: tuple[str, ...] = ()  # order of the covariance
+    covariance: Array | None = None  # (p, p), API units
+    provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A planar arm of n links.
+
+    Parameters
+    ----------
+    lengths : (n,) nominal link lengths [mm]
+    lower, upper : (n,) joint limits [rad]; left out: -pi..pi
+    sigma : standard deviation of one measured coordinate [mm]; None: estimated from the data
+    """
+
+    lengths: Array
+    lower: Array = None  # type: ignore[assignment]
+    upper: Array = None  # type: ignore[assignment]
+    sigma: float | None = None
+    name: str = "arm"
+    gravity: Gravity | None = None
+    constraints: tuple[Constraint, ...] = ()
+    effects: tuple[EffectSpec, ...] = ()
+    calibration: Calibration | None = None
+
+    def __post_init__(self) -> None:
+        lengths = readonly(self.lengths, -1)
+        n = lengths.size
+        if not 1 <= n <= MAX_LINKS:
+            raise InputError(f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
+        _require(bool(np.all(np.isfinite(lengths) & (lengths > 0))), f"links_mm: {lengths.tolist()}, allowed: lengths > 0")
+        lower = readonly(np.full(n, -np.pi) if self.lower is None else self.lower, -1)
+        upper = readonly(np.full(n, np.pi) if self.upper is None else self.upper, -1)
+        for name, limits in (("lower", lower), ("upper", upper)):
+            _require(limits.size == n, f"joint_limits_deg.{name}: {limits.size} values for {n} links, allowed: {n}")
+            _require(bool(np.all(np.isfinite(limits))), f"joint_limits_deg.{name}: values must be finite")
+        for j in np.flatnonzero(lower >= upper):
+            low, high = np.degrees(lower[j]), np.degrees(upper[j])
+            raise InputError(f"joint_limits_deg: joint {j + 1} has lower {low:g} >= upper {high:g}, allowed: lower < upper")
+        if self.sigma is not None:
+            _require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
+        keys = [effect.key for effect in self.effects]
+        for key in keys:
+            _require(keys.count(key) == 1, f"effects: {key} is given {keys.count(key)} times, allowed: once")
+        for field_name, value in (("lengths", lengths), ("lower", lower), ("upper", upper)):
+            object.__setattr__(self, field_name, value)
+
+    @property
+    def links(self) -> int:
+        """n, the number of links (and joints)."""
+        return int(self.lengths.size)
+
+    def with_effects(self, *effects: EffectSpec) -> Arm:
+        """The same arm with these effects instead of its own."""
+        return replace(self, effects=tuple(effects))
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise InputError(message)

@@ -1,0 +1,25 @@
+"""How a search or a fit ended. Every member is its own sentence, saying what to do next."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Status(Enum):
+    """Outcome of an iterative job; `name` goes into JSON, `value` is shown to people."""
+
+    bound_reached = "The upper bound is reached: no plan with this many runs can be better."
+    starts_finished = "All starts are used up; more starts (--starts) or time (--seconds) might find a better plan."
+    time_limit = "The time budget ended; the best plan so far is returned. Raise --seconds to search on."
+    interrupted = "Stopped by the user (Ctrl-C); the best plan so far is returned."
+    analytic = "Constructed from theory, without a search."
+    converged = "Converged to a stationary point."
+    almost_solved = "Stopped near a solution at reduced accuracy; look at the gap before relying on it."
+    iteration_limit = "The iteration limit was reached before convergence; look at the residuals."
+    solver_failed = "The solver failed; its result is not used."
+    infeasible = "No feasible point was found."
+
+    @property
+    def succeeded(self) -> bool:
+        """True if a usable result exists (it may still be improvable)."""
+        return self not in (Status.solver_failed, Status.infeasible)
