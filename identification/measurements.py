@@ -1,0 +1,117 @@
+"""Measured postures: what was commanded, what was measured, and under which conditions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arm import Array, readonly
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a posture is measured under, one row per posture. None: the neutral value.
+
+    payload : (m,) [kg], None: the arm's own payload
+    temperature : (m,) [K] deviation from the mean temperature, None: 0
+    time : (m,) position in the session, -0.5..0.5, None: 0
+    directions : (m, n) sign of the last motion of each joint, +1 or -1, None: +1
+    """
+
+    payload: Array | None = None
+    temperature: Array | None = None
+    time: Array | None = None
+    directions: Array | None = None
+
+    def table(self, m: int, n: int, payload: float) -> Array:
+        """(m, 3 + n) columns payload [kg], temperature [K], time, directions, with the neutral values filled in."""
+        table = np.empty((m, 3 + n))
+        table[:, 0] = payload if self.payload is None else self.payload
+        table[:, 1] = 0.0 if self.temperature is None else self.temperature
+        table[:, 2] = 0.0 if self.time is None else self.time
+        table[:, 3:] = 1.0 if self.directions is None else self.directions
+        return table
+
+    def rows(self, index: Any) -> Conditions:
+        """The conditions of some rows (any numpy index)."""
+        pick = {name: value[index] for name, value in vars(self).items() if value is not None}
+        return replace(self, **pick)
+
+
+def session_time(order: Array) -> Array:
+    """`order` or time stamps scaled to -0.5..0.5 over the session (GAP.md); 0 if all are equal."""
+    low, high = float(np.min(order)), float(np.max(order))
+    return (order - low) / (high - low) - 0.5 if high > low else np.zeros_like(order)
+
+
+def directions_from_order(postures: Array, order: Array | None = None) -> Array:
+    """(m, n) sign of the change from the posture measured before; first row +1, no change: as before (GAP.md)."""
+    sequence = np.arange(len(postures)) if order is None else np.argsort(order, kind="stable")
+    signs = np.sign(np.diff(postures[sequence], axis=0))
+    directions = np.ones_like(postures)
+    last = np.ones(postures.shape[1])
+    for row, sign in zip(sequence[1:], signs, strict=True):
+        last = np.where(sign == 0.0, last, sign)
+        directions[row] = last
+    return directions
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """m measured postures of an n-link arm, in the order of the file.
+
+    postures : (m, n) commanded joint angles [rad]
+    positions : (m, 2) measured tip positions [mm]
+    order : (m,) order or time stamps; rows in order if the file has none
+    sigma : (m,) standard deviation per row and axis [mm], None: not given per row
+    repeats : (m,) equal numbers mark repeats of one posture, None: not given
+    given : names of the optional columns that the data really has
+    """
+
+    postures: Array
+    positions: Array
+    order: Array | None = None
+    payload: Array | None = None
+    temperature: Array | None = None  # [deg C] as measured
+    directions: Array | None = None
+    sigma: Array | None = None
+    repeats: NDArray[np.int64] | None = None
+    provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        for name in ("postures", "positions", "order", "payload", "temperature", "directions", "sigma"):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, readonly(value))
+
+    def __len__(self) -> int:
+        return len(self.postures)
+
+    @property
+    def links(self) -> int:
+        """n, the number of joints measured."""
+        return int(self.postures.shape[1])
+
+    @property
+    def given(self) -> frozenset[str]:
+        """Names of the optional columns the data has: payload, temperature, directions, order, sigma, repeats."""
+        names = ("order", "payload", "temperature", "directions", "sigma", "repeats")
+        return frozenset(name for name in names if getattr(self, name) is not None)
+
+    @property
+    def conditions(self) -> Conditions:
+        """Conditions for the model: time and directions follow from the order where they are not given."""
+        order = np.arange(len(self), dtype=float) if self.order is None else self.order
+        directions = directions_from_order(self.postures, self.order) if self.directions is None else self.directions
+        temperature = None if self.temperature is None else self.temperature - np.mean(self.temperature)
+        return Conditions(self.payload, temperature, session_time(order), directions)
+
+    def rows(self, index: Any) -> Self:
+        """Some of the rows (any numpy index); conditions that depend on all rows are fixed first."""
+        names = ("postures", "positions", "order", "payload", "temperature", "directions", "sigma", "repeats")
+        frozen = replace(self, directions=self.conditions.directions)
+        return replace(frozen, **{n: getattr(frozen, n)[index] for n in names if getattr(frozen, n) is not None})
