@@ -118,7 +118,9 @@ class Arm:
         n = lengths.size
         if not 1 <= n <= MAX_LINKS:
             raise InputError(f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
-        _require(bool(np.all(np.isfinite(lengths) & (lengths > 0))), f"links_mm: {lengths.tolist()}, allowed: lengths > 0")
+        _require(
+            bool(np.all(np.isfinite(lengths) & (lengths > 0))), f"links_mm: {lengths.tolist()}, allowed: lengths > 0"
+        )
         lower = readonly(np.full(n, -np.pi) if self.lower is None else self.lower, -1)
         upper = readonly(np.full(n, np.pi) if self.upper is None else self.upper, -1)
         for name, limits in (("lower", lower), ("upper", upper)):
@@ -126,7 +128,9 @@ class Arm:
             _require(bool(np.all(np.isfinite(limits))), f"joint_limits_deg.{name}: values must be finite")
         for j in np.flatnonzero(lower >= upper):
             low, high = np.degrees(lower[j]), np.degrees(upper[j])
-            raise InputError(f"joint_limits_deg: joint {j + 1} has lower {low:g} >= upper {high:g}, allowed: lower < upper")
+            raise InputError(
+                f"joint_limits_deg: joint {j + 1} has lower {low:g} >= upper {high:g}, allowed: lower < upper"
+            )
         if self.sigma is not None:
             _require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
         keys = [effect.key for effect in self.effects]

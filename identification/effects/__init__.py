@@ -1,0 +1,69 @@
+"""The effect library: every physical effect is one class in one place (GAP.md's table).
+
+A user's own effect is a subclass of `Effect` under the decorator `register`, or is found through the entry-point group
+`armcal.effects` of an installed package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import entry_points
+from types import MappingProxyType
+
+import numpy as np
+
+from identification.arm import Array, EffectSpec
+from identification.effects import aliases, instrument, joint, link, mounting  # noqa: F401  (they register themselves)
+from identification.effects.base import _LIBRARY, Chain, Effect, Parameter, known_values, register
+from identification.errors import InputError, nearest
+
+__all__ = ["Chain", "Effect", "Parameter", "build", "known_values", "library", "register"]
+
+
+@cache
+def _load_entry_points() -> None:
+    for point in entry_points(group="armcal.effects"):
+        register(point.load())
+
+
+def library() -> Mapping[str, type[Effect]]:
+    """Name -> class of every effect known, the user's own included."""
+    _load_entry_points()
+    return MappingProxyType(_LIBRARY)
+
+
+def build(spec: EffectSpec, links: int, lengths: Array | None = None) -> Effect:
+    """The effect that an arm file's `[[effects]]` entry asks for.
+
+    Raises `InputError` for an unknown name, a joint that is missing, not allowed or out of range, an unknown parameter.
+    """
+    if spec.name not in library():
+        raise InputError(f"effects: unknown name {spec.name!r}, {nearest(spec.name, library())}")
+    cls = library()[spec.name]
+    _check_joint(cls, spec, links)
+    chosen = {name: _check_setting(cls, name, spec) for name in cls.settings}
+    effect = cls(np.ones(links) if lengths is None else lengths, spec.joint, chosen)
+    allowed = {p.short for p in effect.parameters} | set(cls.settings)
+    for short in spec.values:
+        if short not in allowed:
+            raise InputError(f"effects: {spec.key} has no parameter {short!r}, {nearest(short, allowed)}")
+    return effect
+
+
+def _check_joint(cls: type[Effect], spec: EffectSpec, links: int) -> None:
+    if spec.joint is None and cls.per_joint == "required":
+        raise InputError(f"effects: {spec.name} needs a joint, allowed: {cls.first_joint} to {links}")
+    if spec.joint is not None and cls.per_joint == "none":
+        raise InputError(f"effects: {spec.name} is of the whole arm, joint = {spec.joint} is not allowed")
+    if spec.joint is not None and not cls.first_joint <= spec.joint <= links:
+        raise InputError(f"effects: {spec.name} at joint {spec.joint}, allowed: {cls.first_joint} to {links}")
+
+
+def _check_setting(cls: type[Effect], name: str, spec: EffectSpec) -> int:
+    low, high = cls.settings[name]
+    value = spec.values.get(name)
+    if value is None or value != int(value) or not low <= value <= high:
+        found = "is missing" if value is None else f"= {value:g}"
+        raise InputError(f"effects: {spec.key}: {name} {found}, allowed: a whole number {low} to {high}")
+    return int(value)

@@ -1,0 +1,52 @@
+"""Effects that no measurement of the tip can tell from the base parameters. They are listed, never named."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from identification.effects.base import Chain, Effect, Parameter, register
+
+
+@register
+class MeasurementScale(Effect):
+    """The instrument's unit is wrong by a factor: p (1 + s)."""
+
+    name = "measurement_scale"
+    summary = "instrument scale is wrong"
+    alias = "a common factor of all link lengths"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("s", "1", scale=self.reach),)
+
+    def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX:
+        return values[0] * position
+
+
+@register
+class ToolOffset(Effect):
+    """The measured target is not at the tip: (x, y) in the frame of the last link."""
+
+    name = "tool_offset"
+    summary = "target not at the tip"
+    alias = "the length and the joint offset of the last link"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return tuple(self.parameter(short, "mm", scale=1.0) for short in ("x", "y"))
+
+    def tool(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return values
+
+
+@register
+class BaseRotation(Effect):
+    """The base is turned against the frame of the measurements."""
+
+    name = "base_rotation"
+    summary = "base turned against the measurements"
+    alias = "the offset of joint 1"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("angle", "rad", scale=float(self.lengths[0])),)
+
+    def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return values[0]

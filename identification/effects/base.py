@@ -1,0 +1,243 @@
+"""What an effect is: a name, parameters with units, and a formula at one place of the chain.
+
+    commanded joint angle -> real joint angle -> links -> position in the base -> measured position
+
+An effect overrides the hook of its place; the model adds up what the hooks return (`identification.model`).
+A new effect is one class: see `register`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from math import inf
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import casadi as ca
+import numpy as np
+
+from identification.arm import Array, EffectSpec, Gravity
+from identification.errors import InputError
+
+# unit in the API -> (unit in files and tables, factor to it, suffix of the key in an arm file)
+FILE_UNITS: Mapping[str, tuple[str, float, str]] = MappingProxyType(
+    {
+        "mm": ("mm", 1.0, "_mm"),
+        "rad": ("deg", 180.0 / np.pi, "_deg"),
+        "1": ("1", 1.0, ""),
+        "rad/(N m)": ("rad/(N m)", 1.0, "_rad_per_N_m"),
+        "1/(N m^2)": ("1/(N m^2)", 1.0, "_per_N_m2"),
+        "1/K": ("1/K", 1.0, "_per_K"),
+        "mm/session": ("mm/session", 1.0, "_mm"),
+        "rad/session": ("deg/session", 180.0 / np.pi, "_deg"),
+    }
+)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that an identification can estimate.
+
+    name : as it stands in reports, `length_error:1` or `EFFECT[:joint].PARAMETER`
+    unit : of the Python API (millimetres, radians); `file_unit` is what people read
+    lower, upper : physical bounds, API unit
+    scale : length [mm] that one unit moves the tip by, in order of magnitude; criteria that are not invariant to units
+        divide by it (lengths 1, angles of joint j the length of link j)
+    """
+
+    name: str
+    unit: str
+    lower: float = -inf
+    upper: float = inf
+    scale: float = 1.0
+
+    @property
+    def short(self) -> str:
+        """The name inside its effect: `a` of `encoder_eccentricity:2.a`."""
+        return self.name.rpartition(".")[2]
+
+    @property
+    def file_unit(self) -> str:
+        """Unit in files, tables and JSON."""
+        return FILE_UNITS[self.unit][0]
+
+    @property
+    def to_file(self) -> float:
+        """Factor from the API unit to `file_unit`."""
+        return FILE_UNITS[self.unit][1]
+
+    @property
+    def toml_key(self) -> str:
+        """Key in an arm file: `a_deg`."""
+        return self.short + FILE_UNITS[self.unit][2]
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The symbols that effects may use, for one posture. All CasADi SX; lengths in mm, angles in rad."""
+
+    lengths: Array  # (n,) nominal link lengths [mm]
+    gravity: Gravity | None
+    q: ca.SX  # (n,) commanded joint angles [rad]
+    payload: ca.SX  # [kg]
+    temperature: ca.SX  # [K] above the mean
+    time: ca.SX  # -0.5..0.5 over the session
+    directions: ca.SX  # (n,) +1 or -1
+
+    @property
+    def links(self) -> int:
+        """n, the number of links."""
+        return int(self.lengths.size)
+
+    @cached_property
+    def orientations(self) -> ca.SX:
+        """(n,) nominal absolute link orientations theta_j = q_1 + ... + q_j [rad]."""
+        return ca.cumsum(self.q)
+
+    @cached_property
+    def loads(self) -> list[tuple[ca.SX, int, float | None]]:
+        """(mass [kg], link index, fraction along that link) of every mass; the payload sits at the tip."""
+        gravity = self._gravity()
+        masses = [(ca.SX(m), k, float(gravity.center_of_mass[k])) for k, m in enumerate(gravity.link_masses)]
+        return [*masses, (self.payload, self.links - 1, 1.0)]  # type: ignore[list-item]
+
+    def load_moment(self, link: int, fraction: float, beyond: int) -> ca.SX:
+        """Moment [N m] of all loads on links >= `beyond` about the point at `fraction` of `link`, nominal pose."""
+        ax, ay = (float(a) for a in self._gravity().acceleration)
+        pivot = self._point(link, fraction)
+        moment = ca.SX(0)
+        for mass, k, at in self.loads:
+            if k >= beyond:
+                arm = self._point(k, at or 0.0) - pivot
+                moment += mass * (arm[0] * ay - arm[1] * ax)
+        return moment
+
+    def load_force(self, beyond: int) -> ca.SX:
+        """(2,) force [N] of all loads on links >= `beyond`."""
+        total = sum((mass for mass, k, _ in self.loads if k >= beyond), ca.SX(0))
+        return total * ca.DM(self._gravity().acceleration)
+
+    @cached_property
+    def torques(self) -> ca.SX:
+        """(n,) gravity torque tau_j about joint j [N m] at the nominal pose (GAP.md)."""
+        return ca.vertcat(*(self.load_moment(j, 0.0, beyond=j) for j in range(self.links)))
+
+    def _gravity(self) -> Gravity:
+        if self.gravity is None:
+            raise InputError("gravity: this effect needs gravity torques, add a [gravity] table to the arm file")
+        return self.gravity
+
+    def _point(self, link: int, fraction: float) -> ca.SX:
+        """(2,) point at `fraction` of a link [m], nominal pose."""
+        point = ca.SX.zeros(2)
+        for k in range(link + 1):
+            length = self.lengths[k] * (fraction if k == link else 1.0) / 1000.0
+            point += length * ca.vertcat(ca.cos(self.orientations[k]), ca.sin(self.orientations[k]))
+        return point
+
+
+class Effect:
+    """Base class of all effects. Subclasses set the class variables and override one hook.
+
+    name : as in the arm file;  summary : one line for people
+    per_joint : `required`, `optional` or `none`: whether the effect is said of one joint
+    needs : what the arm or the data must have: gravity, directions, temperature, time
+    family : effects of one family are rivals for the same physical cause (`diagnose` merges them when it must)
+    settings : whole numbers that are chosen, not estimated, with their range
+    alias : why no measurement of the tip can tell this effect from the base parameters, or None
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    per_joint: ClassVar[str] = "none"
+    first_joint: ClassVar[int] = 1
+    needs: ClassVar[frozenset[str]] = frozenset()
+    family: ClassVar[str] = ""
+    settings: ClassVar[Mapping[str, tuple[int, int]]] = MappingProxyType({})
+    alias: ClassVar[str | None] = None
+
+    def __init__(self, lengths: Array, joint: int | None = None, chosen: Mapping[str, int] | None = None) -> None:
+        self.lengths = lengths
+        self.joint = joint
+        self.chosen = dict(chosen or {})
+        self.parameters: tuple[Parameter, ...] = self.define()
+
+    @property
+    def key(self) -> str:
+        """`name` or `name:joint`."""
+        return self.name if self.joint is None else f"{self.name}:{self.joint}"
+
+    def parameter(self, short: str, unit: str, *, scale: float, lower: float = -inf, upper: float = inf) -> Parameter:
+        """A parameter of this effect, with its full name."""
+        return Parameter(f"{self.key}.{short}", unit, lower, upper, scale)
+
+    @property
+    def link_length(self) -> float:
+        """Length of the link behind this effect's joint [mm]."""
+        return float(self.lengths[self._index()])
+
+    @property
+    def reach(self) -> float:
+        """Length of the stretched arm [mm]."""
+        return float(np.sum(self.lengths))
+
+    def _index(self) -> int:
+        if self.joint is None:
+            raise InputError(f"effects: {self.name} needs a joint, allowed: 1 to {len(self.lengths)}")
+        return self.joint - 1
+
+    def at_joint(self, angle: ca.SX, chain: Chain) -> ca.SX:
+        """(n,) zeros but for `angle` at this effect's joint."""
+        angles = ca.SX.zeros(chain.links)
+        angles[self._index()] = angle
+        return angles
+
+    # -- what a subclass defines ------------------------------------------------------------------------------------
+    def define(self) -> tuple[Parameter, ...]:
+        """The parameters, in the order in which the hooks receive them."""
+        raise NotImplementedError
+
+    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX | float:
+        """(n,) what is added to the commanded joint angles [rad]."""
+        return 0.0
+
+    def extensions(self, chain: Chain, values: ca.SX, lengths: ca.SX) -> ca.SX | float:
+        """(n,) what is added to the link lengths [mm]."""
+        return 0.0
+
+    def bending(self, chain: Chain, values: ca.SX) -> tuple[ca.SX | float, ca.SX | float]:
+        """(n,) deflection of each link's tip to its left [mm] and (n,) slope there [rad]."""
+        return 0.0, 0.0
+
+    def tool(self, chain: Chain, values: ca.SX) -> ca.SX | float:
+        """(2,) offset of the measured point in the frame of the last link [mm]."""
+        return 0.0
+
+    def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX | float:
+        """Rotation of the arm about its base [rad]."""
+        return 0.0
+
+    def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX | float:
+        """(2,) shift of the base [mm]."""
+        return 0.0
+
+    def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX | float:
+        """(2,) what the instrument adds to the true position [mm]."""
+        return 0.0
+
+
+_LIBRARY: dict[str, type[Effect]] = {}
+
+
+def register(cls: type[Effect]) -> type[Effect]:
+    """Class decorator that makes an effect known by its name, everywhere."""
+    _LIBRARY[cls.name] = cls
+    return cls
+
+
+def known_values(effect: Effect, spec: EffectSpec) -> dict[str, float]:
+    """Full parameter name -> value for the parameters that the arm file fixes."""
+    by_short: dict[str, Any] = {p.short: p for p in effect.parameters}
+    return {by_short[short].name: float(value) for short, value in spec.values.items() if short in by_short}

@@ -1,0 +1,23 @@
+"""Effects of the measuring instrument."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from identification.effects.base import Effect, Parameter, register
+
+
+@register
+class AxesSkew(Effect):
+    """Unequal scales and axes that are not square: p + (a + ib) conj(p), p = x + iy."""
+
+    name = "axes_skew"
+    summary = "instrument axes of unequal scale or not square"
+    family = "axes_skew"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return tuple(self.parameter(short, "1", scale=self.reach) for short in ("a", "b"))
+
+    def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX:
+        x, y = position[0], position[1]
+        return ca.vertcat(values[0] * x + values[1] * y, values[1] * x - values[0] * y)

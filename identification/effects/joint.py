@@ -1,0 +1,156 @@
+"""Effects between the commanded and the real joint angle."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+import casadi as ca
+
+from identification.effects.base import Chain, Effect, Parameter, register
+
+NOMINAL_TORQUE = 100.0  # [N m] order of magnitude, for the scale of compliance parameters only
+
+
+@register
+class JointCompliance(Effect):
+    """Joints wind up under gravity torque: q_j + c_j tau_j, c_j >= 0."""
+
+    name = "joint_compliance"
+    summary = "joint winds up under gravity torque"
+    per_joint = "optional"
+    needs = frozenset({"gravity"})
+    family = "gravity"
+
+    def define(self) -> tuple[Parameter, ...]:
+        if self.joint is not None:
+            return (self._compliance("c", self.link_length),)
+        return tuple(self._compliance(f"c{j}", length) for j, length in enumerate(self.lengths, start=1))
+
+    def _compliance(self, short: str, length: float) -> Parameter:
+        return self.parameter(short, "rad/(N m)", scale=float(length) * NOMINAL_TORQUE, lower=0.0)
+
+    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+        if self.joint is None:
+            return values * chain.torques
+        return self.at_joint(values[0] * chain.torques[self.joint - 1], chain)
+
+
+class _Harmonic(Effect):
+    """a cos(k q_j) + b sin(k q_j) at one joint."""
+
+    per_joint = "required"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return tuple(self.parameter(short, "rad", scale=self.link_length) for short in ("a", "b"))
+
+    def order(self) -> int:
+        """k, periods per turn."""
+        raise NotImplementedError
+
+    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+        angle = self.order() * chain.q[self._index()]
+        return self.at_joint(values[0] * ca.cos(angle) + values[1] * ca.sin(angle), chain)
+
+
+@register
+class EncoderEccentricity(_Harmonic):
+    """The encoder disc is off centre: a cos q_j + b sin q_j."""
+
+    name = "encoder_eccentricity"
+    summary = "encoder disc off centre, once per turn"
+    family = "encoder_eccentricity"
+
+    def order(self) -> int:
+        return 1
+
+
+@register
+class EncoderSecondHarmonic(_Harmonic):
+    """The encoder disc is tilted or oval: a cos 2 q_j + b sin 2 q_j."""
+
+    name = "encoder_second_harmonic"
+    summary = "encoder disc tilted or oval, twice per turn"
+    family = "encoder_second_harmonic"
+
+    def order(self) -> int:
+        return 2
+
+
+@register
+class TransmissionRipple(_Harmonic):
+    """Gear teeth or flex-spline error: a cos k q_j + b sin k q_j with a whole k from 3 to 64."""
+
+    name = "transmission_ripple"
+    summary = "gear ripple, k times per turn"
+    family = "transmission_ripple"
+    settings = MappingProxyType({"k": (3, 64)})
+
+    def order(self) -> int:
+        return self.chosen["k"]
+
+
+@register
+class GearRatio(Effect):
+    """The gear ratio in the controller is wrong: e q_j."""
+
+    name = "gear_ratio"
+    summary = "gear ratio in the controller is wrong"
+    per_joint = "required"
+    family = "gear_ratio"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("e", "1", scale=self.link_length),)
+
+    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return self.at_joint(values[0] * chain.q[self._index()], chain)
+
+
+@register
+class JointCoupling(Effect):
+    """Moving joint j-1 turns joint j a little (belt or wrist coupling): c q_(j-1)."""
+
+    name = "joint_coupling"
+    summary = "the joint before turns this one a little"
+    per_joint = "required"
+    first_joint = 2
+    family = "joint_coupling"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("c", "1", scale=self.link_length),)
+
+    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return self.at_joint(values[0] * chain.q[self._index() - 1], chain)
+
+
+@register
+class Backlash(Effect):
+    """Play in the gear, resolved by the direction of approach s_j = +1/-1: b s_j."""
+
+    name = "backlash"
+    summary = "gear play, by direction of approach"
+    per_joint = "required"
+    needs = frozenset({"directions"})
+    family = "backlash"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("b", "rad", scale=self.link_length),)
+
+    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return self.at_joint(values[0] * chain.directions[self._index()], chain)
+
+
+@register
+class GravityBacklash(Effect):
+    """Play in the gear, pushed to one side by gravity: b sign(tau_j), b >= 0."""
+
+    name = "gravity_backlash"
+    summary = "gear play, pushed to one side by gravity"
+    per_joint = "required"
+    needs = frozenset({"gravity"})
+    family = "gravity"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("b", "rad", scale=self.link_length, lower=0.0),)
+
+    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return self.at_joint(values[0] * ca.sign(chain.torques[self._index()]), chain)

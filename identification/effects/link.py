@@ -1,0 +1,60 @@
+"""Effects that change the shape of the links."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from identification.effects.base import Chain, Effect, Parameter, register
+
+
+@register
+class LinkBending(Effect):
+    """Links bend as cantilever beams of one stiffness EI under the loads beyond their tips.
+
+    For a link of length L with transverse force F and moment M at its tip (Euler-Bernoulli):
+    deflection F L^3 / 3EI + M L^2 / 2EI, slope F L^2 / 2EI + M L / EI. The link's own mass is not a load beyond it.
+    """
+
+    name = "link_bending"
+    summary = "links bend under the loads beyond them"
+    needs = frozenset({"gravity"})
+    family = "gravity"
+
+    def define(self) -> tuple[Parameter, ...]:
+        # one unit of 1/(EI) under some 100 N at the end of links of some length: L^3 / 3 [m^3] * 100 N * 1000 mm/m
+        scale = float(sum((length / 1000.0) ** 3 for length in self.lengths)) / 3.0 * 1e5
+        return (self.parameter("flexibility", "1/(N m^2)", scale=scale, lower=0.0),)
+
+    def bending(self, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
+        deflections, slopes = [], []
+        for j in range(chain.links):
+            length = float(chain.lengths[j]) / 1000.0  # [m]
+            theta = chain.orientations[j]
+            pull = chain.load_force(beyond=j + 1) + self._payload_on_last(chain, j)
+            force = -ca.sin(theta) * pull[0] + ca.cos(theta) * pull[1]  # [N] to the left of the link
+            moment = chain.load_moment(j, 1.0, beyond=j + 1)  # [N m]
+            deflections.append((force * length**3 / 3.0 + moment * length**2 / 2.0) * 1000.0)
+            slopes.append(force * length**2 / 2.0 + moment * length)
+        return values[0] * ca.vertcat(*deflections), values[0] * ca.vertcat(*slopes)
+
+    def _payload_on_last(self, chain: Chain, link: int) -> ca.SX:
+        """(2,) the payload hangs on the tip of the last link, so it is beyond that link too; its moment there is 0."""
+        if link < chain.links - 1:
+            return ca.SX.zeros(2)
+        return chain.payload * ca.DM(chain._gravity().acceleration)
+
+
+@register
+class ThermalGrowth(Effect):
+    """Links grow with temperature: l_j (1 + a (T - T_mean))."""
+
+    name = "thermal_growth"
+    summary = "links grow with temperature"
+    needs = frozenset({"temperature"})
+    family = "thermal_growth"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("a", "1/K", scale=self.reach),)
+
+    def extensions(self, chain: Chain, values: ca.SX, lengths: ca.SX) -> ca.SX:
+        return lengths * values[0] * chain.temperature

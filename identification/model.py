@@ -1,0 +1,203 @@
+"""The model of an arm with its effects: position of the tip and exact Jacobian, written once in CasADi.
+
+    position = sum_j (l_j + dl_j) exp(i (theta_j + dtheta_j)),   dtheta_j = dq_1 + ... + dq_j        (paper, eq. 1)
+
+Parameters are the length errors dl_j [mm], the joint offsets dq_j [rad] and those of the effects. The derivative by
+the ORIENTATION offset dtheta_k touches link k only (eq. 8); by the joint offset dq_k it sums over links k..n, which is
+what eq. 4 prints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identification.arm import Arm, Array
+from identification.effects import Chain, Effect, Parameter, build, known_values
+from identification.errors import InputError, nearest
+from identification.measurements import Conditions
+from identification.tape import vectorise
+
+DIMENSION = 2  # measured coordinates per posture
+
+
+@dataclass(frozen=True)
+class Model:
+    """Arm and effects as a function of p parameters.
+
+    known : parameter name -> value [mm, rad] of parameters that are not estimated, besides those that the arm's own
+        effects fix
+    """
+
+    arm: Arm
+    known: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        names = [p.name for p in self.all_parameters]
+        for name in self.known or {}:
+            if name not in names:
+                raise InputError(f"parameter: unknown name {name!r}, {nearest(name, names)}")
+
+    # -- parameters ------------------------------------------------------------------------------------------------
+    @cached_property
+    def effects(self) -> tuple[Effect, ...]:
+        """The arm's effects, ready for the chain."""
+        return tuple(build(spec, self.arm.links, self.arm.lengths) for spec in self.arm.effects)
+
+    @cached_property
+    def all_parameters(self) -> tuple[Parameter, ...]:
+        """Every parameter, estimated or known: length errors, joint offsets, then those of the effects."""
+        lengths = [Parameter(f"length_error:{j + 1}", "mm") for j in range(self.arm.links)]
+        offsets = [Parameter(f"joint_offset:{j + 1}", "rad", scale=float(l)) for j, l in enumerate(self.arm.lengths)]
+        return (*lengths, *offsets, *(p for effect in self.effects for p in effect.parameters))
+
+    @cached_property
+    def fixed(self) -> Mapping[str, float]:
+        """Name -> value of the parameters that are known."""
+        values = dict(self.known or {})
+        for effect, spec in zip(self.effects, self.arm.effects, strict=True):
+            values |= known_values(effect, spec)
+        return values
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """(p) the parameters that are estimated, in the order of every parameter vector."""
+        return tuple(p for p in self.all_parameters if p.name not in self.fixed)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(p) names of the estimated parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def dimension(self) -> int:
+        """d, measured coordinates per posture."""
+        return DIMENSION
+
+    @cached_property
+    def scales(self) -> Array:
+        """(p,) length per unit of each parameter [mm/unit]; column k of the Jacobian divided by it is about one."""
+        return np.array([p.scale for p in self.parameters])
+
+    @cached_property
+    def values(self) -> Array:
+        """(p,) best known values: the calibration's where the arm has one, else zero."""
+        calibrated = self._calibrated()
+        return np.array([calibrated.get(p.name, 0.0) for p in self.parameters])
+
+    def _calibrated(self) -> dict[str, float]:
+        calibration = self.arm.calibration
+        if calibration is None:
+            return {}
+        lengths = {f"length_error:{j + 1}": float(v) for j, v in enumerate(calibration.length_errors)}
+        offsets = {f"joint_offset:{j + 1}": float(v) for j, v in enumerate(calibration.joint_offsets)}
+        return lengths | offsets | dict(calibration.effects)
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What the effects need of arm and data: gravity, directions, temperature, time."""
+        return frozenset().union(*(effect.needs for effect in self.effects))
+
+    @property
+    def linear_in_links(self) -> bool:
+        """True if the tip is a complex linear function of l_j exp(i dtheta_j): nothing known, at most a base offset."""
+        return not self.fixed and all(effect.name == "base_offset" for effect in self.effects)
+
+    # -- symbols ---------------------------------------------------------------------------------------------------
+    @cached_property
+    def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """SX of postures q (n), conditions c (3+n, see `Conditions.table`), parameters (p) and position (2)."""
+        n = self.arm.links
+        q, c, p = ca.SX.sym("q", n), ca.SX.sym("c", 3 + n), ca.SX.sym("p", len(self.parameters))
+        chain = Chain(self.arm.lengths, self.arm.gravity, q, c[0], c[1], c[2], c[3:])
+        slot = {parameter.name: p[k] for k, parameter in enumerate(self.parameters)}
+        everything = ca.vertcat(*(slot.get(a.name, self.fixed.get(a.name, 0.0)) for a in self.all_parameters))
+        return q, c, p, self._tip(chain, everything)
+
+    def _tip(self, chain: Chain, values: ca.SX) -> ca.SX:
+        """The chain of GAP.md: joint -> link -> mounting -> instrument, effects added where they sit."""
+        n = chain.links
+        parts, start = [], 2 * n
+        for effect in self.effects:
+            parts.append((effect, values[start : start + len(effect.parameters)]))
+            start += len(effect.parameters)
+        angles = chain.q + values[n : 2 * n] + sum(e.joint_angles(chain, v) for e, v in parts)
+        lengths = chain.lengths + values[:n]
+        lengths += sum(e.extensions(chain, v, lengths) for e, v in parts)
+        bent = [e.bending(chain, v) for e, v in parts]
+        deflections = ca.SX.zeros(n) + sum(b[0] for b in bent)
+        slopes = ca.SX.zeros(n) + sum(b[1] for b in bent)
+        theta, tip = ca.SX(0), ca.SX.zeros(2)
+        for j in range(n):
+            theta += angles[j]
+            tip += rotate(theta, ca.vertcat(lengths[j], deflections[j]))
+            theta += slopes[j]
+        tip += rotate(theta, ca.SX.zeros(2) + sum(e.tool(chain, v) for e, v in parts))
+        turn = sum(e.base_rotation(chain, v) for e, v in parts)
+        tip = rotate(turn, tip) + sum(e.base_translation(chain, v) for e, v in parts)
+        return tip + sum(e.instrument(tip, v) for e, v in parts)
+
+    @cached_property
+    def position_function(self) -> ca.Function:
+        """CasADi (q, c, p) -> position (2) [mm]."""
+        q, c, p, position = self.symbols
+        return ca.Function("position", [q, c, p], [position], ["q", "c", "p"], ["position"])
+
+    @cached_property
+    def jacobian_function(self) -> ca.Function:
+        """CasADi (q, c, p) -> position (2) [mm] and its exact derivative by the parameters (2, p)."""
+        q, c, p, position = self.symbols
+        outputs = ca.cse([position, ca.jacobian(position, p)])
+        return ca.Function("jacobian", [q, c, p], outputs, ["q", "c", "p"], ["position", "jacobian"])
+
+    @cached_property
+    def _position(self) -> Callable[..., tuple[np.ndarray, ...]]:
+        return vectorise(self.position_function)
+
+    @cached_property
+    def _jacobian(self) -> Callable[..., tuple[np.ndarray, ...]]:
+        return vectorise(self.jacobian_function)
+
+    # -- batches ---------------------------------------------------------------------------------------------------
+    def position(
+        self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
+    ) -> Array:
+        """(m, 2) tip positions [mm] at (m, n) postures [rad]; (K, m, 2) for (K, p) parameter sets."""
+        return self._position(*self._arguments(postures, parameters, conditions))[0][..., 0]
+
+    def jacobian(
+        self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
+    ) -> Array:
+        """(m, 2, p) exact derivative of the positions by the parameters; (K, m, 2, p) for (K, p) parameter sets."""
+        return self.linearise(postures, parameters, conditions)[1]
+
+    def linearise(
+        self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
+    ) -> tuple[Array, Array]:
+        """Positions (..., m, 2) and Jacobians (..., m, 2, p) in one pass."""
+        position, jacobian = self._jacobian(*self._arguments(postures, parameters, conditions))
+        return position[..., 0], jacobian
+
+    def _arguments(
+        self, postures: ArrayLike, parameters: ArrayLike | None, conditions: Conditions | None
+    ) -> tuple[Array, Array, Array]:
+        q = np.atleast_2d(np.asarray(postures, dtype=float))
+        if q.ndim != 2 or q.shape[1] != self.arm.links:
+            raise InputError(f"postures: shape {np.shape(postures)}, allowed: (m, {self.arm.links})")
+        p = self.values if parameters is None else np.asarray(parameters, dtype=float)
+        if p.shape[-1:] != (len(self.parameters),):
+            raise InputError(f"parameters: shape {p.shape}, allowed: (..., {len(self.parameters)})")
+        payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
+        table = (conditions or Conditions()).table(len(q), self.arm.links, payload)
+        return q, table, p[..., None, :]
+
+
+def rotate(angle: ca.SX | float, vector: ca.SX) -> ca.SX:
+    """(2,) vector turned by an angle [rad]."""
+    cosine, sine = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1])
