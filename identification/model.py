@@ -183,6 +183,12 @@ class Model:
         position, jacobian = self._jacobian(*self._arguments(postures, parameters, conditions))
         return position[..., 0], jacobian
 
+    @property
+    def neutral_conditions(self) -> Array:
+        """(3+n,) conditions of a posture about which nothing is said: the arm's payload, mean temperature, approach +1."""
+        payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
+        return Conditions().table(1, self.arm.links, payload)[0]
+
     def _arguments(
         self, postures: ArrayLike, parameters: ArrayLike | None, conditions: Conditions | None
     ) -> tuple[Array, Array, Array]:
@@ -192,8 +198,7 @@ class Model:
         p = self.values if parameters is None else np.asarray(parameters, dtype=float)
         if p.shape[-1:] != (len(self.parameters),):
             raise InputError(f"parameters: shape {p.shape}, allowed: (..., {len(self.parameters)})")
-        payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
-        table = (conditions or Conditions()).table(len(q), self.arm.links, payload)
+        table = (conditions or Conditions()).table(len(q), self.arm.links, float(self.neutral_conditions[0]))
         return q, table, p[..., None, :]
 
 

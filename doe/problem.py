@@ -1,0 +1,136 @@
+"""The design problem: exactly the mathematical ingredients, frozen. Solving it is somebody else's job (`doe.solvers`).
+
+`doe` knows a model only as names, scales, a dimension d, and Jacobians (m, d, p): nothing here assumes a plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from doe.criteria import Criterion, D
+from identification.arm import Array, readonly
+from identification.errors import InputError
+from identification.information import information_matrix
+from identification.model import Model
+
+
+class InformationModel(Protocol):
+    """All that design needs of a model: `identification.model.Model` has it, a spatial arm would too."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def scales(self) -> Array: ...
+    @property
+    def dimension(self) -> int: ...
+    @property
+    def values(self) -> Array: ...
+    @property
+    def neutral_conditions(self) -> Array: ...
+    @property
+    def jacobian_function(self) -> ca.Function: ...
+    def jacobian(self, postures: ArrayLike, parameters: Any = None, conditions: Any = None) -> Array: ...
+
+
+@dataclass(frozen=True)
+class DesignProblem:
+    """Choose postures within the limits and constraints that maximise the criterion of the information per run.
+
+    model : gives Jacobians;  lower, upper : (n,) joint limits [rad]
+    constraints : each with a numeric `margin(postures) -> (m, k)` and a symbolic one, satisfied where >= 0
+    kept : (k, n) postures already measured, which count in the information, or None
+    """
+
+    model: InformationModel
+    lower: Array
+    upper: Array
+    criterion: Criterion = field(default_factory=D)
+    constraints: Sequence[Any] = ()
+    kept: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper"):
+            object.__setattr__(self, name, readonly(getattr(self, name), -1))
+        if not np.all(self.lower < self.upper):
+            raise InputError("joint limits: lower >= upper, allowed: lower < upper for every joint")
+
+    @classmethod
+    def of(cls, model: Model, **changes: Any) -> DesignProblem:
+        """The problem of an arm's model within the arm's own joint limits."""
+        return cls(model, model.arm.lower, model.arm.upper, **changes)
+
+    @property
+    def joints(self) -> int:
+        """n, joints of a posture."""
+        return int(self.lower.size)
+
+    @property
+    def parameters(self) -> int:
+        """p, parameters to identify."""
+        return len(self.model.names)
+
+    @property
+    def fewest_runs(self) -> int:
+        """The smallest number of runs with as many equations as unknowns: m d >= p."""
+        missing = self.parameters - (0 if self.kept is None else self.model.dimension * len(self.kept))
+        return max(1, -(-missing // self.model.dimension))
+
+    def blocks(self, postures: ArrayLike) -> Array:
+        """(m, d, p) dimensionless sensitivities B: the Jacobian's columns divided by the parameters' scales."""
+        return self.model.jacobian(postures) / self.model.scales
+
+    def information(self, postures: ArrayLike, weights: Array | None = None) -> Array:
+        """(p, p) information per run M' = S (sum_i w_i J_i^T J_i) S; the mean over runs without weights.
+
+        Postures already measured (`kept`) count as runs; weights are the shares of the new runs only.
+        """
+        m = len(np.atleast_2d(postures))
+        shares = np.full(m, 1.0 / m) if weights is None else weights
+        new = information_matrix(self.blocks(postures), shares)
+        if self.kept is None:
+            return new
+        k = len(self.kept)
+        return (m * new + information_matrix(self.blocks(self.kept))) / (m + k)
+
+    def objective(self, postures: ArrayLike, weights: Array | None = None) -> float:
+        """Criterion value of a plan (to maximise); -inf if its information matrix is singular."""
+        return float(self.criterion.value(self.information(postures, weights)))
+
+    def clip(self, postures: ArrayLike) -> Array:
+        """Postures moved into the joint limits (solvers exceed bounds by about 1e-8)."""
+        return np.clip(np.asarray(postures, dtype=float), self.lower, self.upper)
+
+    @cached_property
+    def block_function(self) -> ca.Function:
+        """CasADi q -> B (d, p) at neutral conditions and the model's best known parameter values."""
+        q = ca.SX.sym("q", self.joints)
+        arguments = (ca.DM(self.model.neutral_conditions), ca.DM(self.model.values))
+        jacobian = self.model.jacobian_function(q, *arguments)[1]
+        return ca.Function("block", [q], [jacobian @ ca.diag(ca.DM(1.0 / self.model.scales))], ["q"], ["block"])
+
+    @cached_property
+    def active_joints(self) -> tuple[int, ...]:
+        """Joints (from 0) that change B^T B; the others, such as q_1 of the base model, are free for other ends."""
+        generator = np.random.default_rng(0)
+        base = generator.uniform(self.lower, self.upper, (16, self.joints))
+        before = information_of_each(self.blocks(base))
+        active = []
+        for joint in range(self.joints):
+            moved = base.copy()
+            moved[:, joint] = generator.uniform(self.lower[joint], self.upper[joint], 16)
+            change = np.abs(information_of_each(self.blocks(moved)) - before).max()
+            if change > 1e-9 * np.abs(before).max():
+                active.append(joint)
+        return tuple(active)
+
+
+def information_of_each(blocks: Array) -> Array:
+    """(m, p, p) B_i^T B_i of every posture by itself."""
+    return np.swapaxes(blocks, -1, -2) @ blocks
