@@ -1,0 +1,141 @@
+"""What all verbs share: the common options, one-line errors, JSON or tables, progress on standard error."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import click
+
+from identification.errors import ArmcalError
+from identification.progress import Progress, silent
+
+FILE = click.Path(path_type=Path)
+out_option = click.option("--out", type=FILE, metavar="FILE", help="Write the result to this file.")
+force_option = click.option("--force", is_flag=True, help="Overwrite an existing file.")
+
+
+@dataclass
+class Answer:
+    """What a verb found: `data` for --json, `shown` (rich renderables or strings) for people."""
+
+    data: dict[str, Any]
+    shown: list[Any] = field(default_factory=list)
+    exit_code: int = 0
+
+
+@dataclass(frozen=True)
+class Session:
+    """The common options of one call."""
+
+    as_json: bool
+    quiet: bool
+    seed: int
+
+    @contextmanager
+    def progress(self, title: str) -> Iterator[Progress]:
+        """A progress bar on standard error, shown when the work takes longer than half a second."""
+        if self.quiet or not sys.stderr.isatty():
+            yield silent
+            return
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
+
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(title, total=None, visible=False)
+            started = time.monotonic()
+
+            def report(done: float, total: float | None, message: str) -> None:
+                visible = time.monotonic() - started > 0.5
+                bar.update(task, completed=done, total=total, description=f"{title}: {message}", visible=visible)
+
+            yield report
+
+
+def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
+    """Turn `function(session, **options) -> Answer` into a click command of its module's name.
+
+    Adds --json, --seed, --quiet and the example; errors become one line on standard error and an exit code.
+    """
+
+    def decorate(function: Callable[..., Answer]) -> click.Command:
+        @wraps(function)
+        def run(as_json: bool, quiet: bool, seed: int, **options: Any) -> None:
+            session = Session(as_json, quiet, seed)
+            with _warnings_as_lines(quiet):
+                answer = _guarded(function, session, options)
+            _print(answer, as_json)
+            sys.exit(answer.exit_code)
+
+        run = click.option("--quiet", is_flag=True, help="No progress and no warnings on standard error.")(run)
+        run = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed.")(run)
+        run = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")(run)
+        name = function.__module__.rpartition(".")[2]
+        return click.command(name, epilog=f"Example:  {example}")(run)
+
+    return decorate
+
+
+def _guarded(function: Callable[..., Answer], session: Session, options: dict[str, Any]) -> Answer:
+    try:
+        return function(session, **options)
+    except ArmcalError as error:
+        click.echo(f"armcal: {error}", err=True)
+        sys.exit(error.exit_code)
+    except (KeyboardInterrupt, click.Abort):
+        click.echo("armcal: stopped by Ctrl-C, nothing was written", err=True)
+        sys.exit(1)
+
+
+@contextmanager
+def _warnings_as_lines(quiet: bool) -> Iterator[None]:
+    """Warnings to standard error, one line each, each once."""
+    seen: set[str] = set()
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        text = str(message)
+        if text not in seen and not quiet:
+            click.echo(f"armcal: warning: {text}", err=True)
+        seen.add(text)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = show
+        yield
+
+
+def _print(answer: Answer, as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps(plain(answer.data), allow_nan=False))
+        return
+    from rich.console import Console
+
+    width = None if sys.stdout.isatty() else 110  # a pipe or a file is not 80 characters wide
+    console = Console(width=width, highlight=False)
+    for part in answer.shown:
+        console.print(part)
+
+
+def plain(value: Any) -> Any:
+    """JSON types only: arrays to lists, paths to text, what is not a finite number to null."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value) if isinstance(value, Path) else value

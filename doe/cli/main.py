@@ -1,0 +1,35 @@
+"""The group of verbs. Importing this imports no solver, so that `armcal --help` answers at once."""
+
+from __future__ import annotations
+
+import click
+
+from doe.cli import demo, design, identify, score, simulate
+from identification.errors import nearest
+
+
+class Verbs(click.Group):
+    """A group that suggests the nearest verb for an unknown one."""
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        """As in click, with a suggestion."""
+        if args and not args[0].startswith("-") and args[0] not in self.commands:
+            ctx.fail(f"unknown verb {args[0]!r}, {nearest(args[0], self.commands)}")
+        return super().resolve_command(ctx, args)
+
+
+@click.group(
+    cls=Verbs,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    epilog="Every verb takes --json, --seed and --quiet, and `armcal VERB --help` shows an example.",
+)
+@click.version_option(package_name="armcal", prog_name="armcal")
+def main() -> None:
+    """Certified experiment design and calibration for robot arms.
+
+    Which postures to measure, what the measurements say about the arm, and which physical effect is missing.
+    """
+
+
+for module in (demo, design, score, simulate, identify):
+    main.add_command(module.command)

@@ -1,0 +1,138 @@
+"""Pictures of plans, certificates and residuals (matplotlib figures; the caller shows or saves them)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from doe.certificate import sensitivity
+from doe.problem import DesignProblem
+from identification.arm import Arm, Array, KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.estimation import Identification
+
+BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
+
+
+def plan_figure(arm: Arm, postures: Array) -> Figure:
+    """The postures as stick figures in the plane, and every joint's angles within its limits."""
+    figure = Figure(figsize=(10.0, 4.6), layout="constrained")
+    plane, joints = figure.subplots(1, 2, width_ratios=[1.0, 1.1])
+    draw_arm(plane, arm, postures)
+    draw_constraints(plane, arm)
+    degrees = np.degrees(postures)
+    for j in range(arm.links):
+        low, high = np.degrees([arm.lower[j], arm.upper[j]])
+        joints.plot([low, high], [j, j], color=LIMIT, lw=6, alpha=0.35, solid_capstyle="butt")
+        joints.scatter(degrees[:, j], np.full(len(degrees), j), c=run_colors(len(degrees)), s=26, zorder=3, lw=0)
+    joints.set(yticks=range(arm.links), yticklabels=[f"$q_{j + 1}$" for j in range(arm.links)], xlabel="angle [deg]")
+    joints.set_title("angles within the joint limits, light to dark in order of measurement", fontsize=9)
+    joints.invert_yaxis()
+    return figure
+
+
+def run_colors(m: int) -> Array:
+    """(m, 4) colours from the first run (light) to the last (dark)."""
+    from matplotlib import colormaps
+
+    return np.asarray(colormaps["viridis_r"](np.linspace(0.1, 1.0, m)))
+
+
+def draw_arm(axes: Axes, arm: Arm, postures: Array) -> None:
+    """Stick figures of the nominal arm."""
+    theta = np.cumsum(postures, axis=1)
+    steps = arm.lengths[None, :, None] * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
+    points = np.concatenate([np.zeros((len(postures), 1, 2)), np.cumsum(steps, axis=1)], axis=1)
+    for line, color in zip(points, run_colors(len(postures)), strict=True):
+        axes.plot(line[:, 0], line[:, 1], color=color, lw=1.2, alpha=0.75)
+        axes.plot(*line[-1], "o", color=color, ms=4)
+    axes.plot(0, 0, "ks", ms=6)
+    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+    axes.set_title(f"{len(postures)} postures", fontsize=9)
+
+
+def draw_constraints(axes: Axes, arm: Arm) -> None:
+    """Workspace boxes, keep-out circles and the tracker's cone."""
+    from matplotlib.patches import Circle, Rectangle
+
+    for constraint in arm.constraints:
+        if isinstance(constraint, WorkspaceBox):
+            (x0, x1), (y0, y1) = constraint.x, constraint.y
+            axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=LIMIT, ls="--"))
+        elif isinstance(constraint, KeepOutCircle):
+            axes.add_patch(Circle(constraint.center, constraint.radius, fc=BEFORE, alpha=0.25))
+        elif isinstance(constraint, LineOfSight):
+            tracker, toward = np.array(constraint.tracker), np.array(constraint.toward)
+            axis = np.arctan2(*(toward - tracker)[::-1])
+            length = float(np.hypot(*(toward - tracker))) * 1.3
+            for angle in (axis - constraint.half_angle, axis + constraint.half_angle):
+                end = tracker + length * np.array([np.cos(angle), np.sin(angle)])
+                axes.plot(*np.stack([tracker, end], axis=1), color=LIMIT, ls=":")
+            axes.plot(*tracker, "k^", ms=7)
+
+
+def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4096) -> Figure:
+    """The equivalence theorem seen along each joint: the largest d(q) at each angle, which must not exceed p.
+
+    For every active joint the angle is held at 61 values while the other joints take `samples` quasi-random values and
+    their limits; the line is the largest d found. A plan is optimal where the line touches p and never crosses it.
+    """
+    active = problem.active_joints
+    figure = Figure(figsize=(10.0, 2.9), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(1, len(active), sharey=True))
+    information = problem.information(postures)
+    others = spread(problem, samples)
+    at_plan = sensitivity(problem, information, postures)
+    for axis, joint in zip(axes, active, strict=True):
+        angles = np.linspace(problem.lower[joint], problem.upper[joint], 61)
+        axis.plot(np.degrees(angles), [_largest(problem, information, others, joint, a) for a in angles], color=AFTER)
+        axis.plot(np.degrees(postures[:, joint]), at_plan, ".", color="k", ms=5)
+        axis.axhline(problem.parameters, color=BEFORE, lw=1, ls="--")
+        axis.set(xlabel=f"$q_{joint + 1}$ [deg]", ylim=(0, None))
+    axes[0].set_ylabel("largest d(q), dashed: p")
+    return figure
+
+
+def spread(problem: DesignProblem, samples: int) -> Array:
+    """(s, n) postures over the limits: a fixed random cloud, and the corners of the active joints' box."""
+    generator = np.random.default_rng(0)
+    cloud = generator.uniform(problem.lower, problem.upper, (samples, problem.joints))
+    choices = generator.integers(0, 2, (min(samples, 2 ** len(problem.active_joints) * 4), problem.joints))
+    return np.concatenate([cloud, np.where(choices == 1, problem.upper, problem.lower)])
+
+
+def _largest(problem: DesignProblem, information: Array, others: Array, joint: int, angle: float) -> float:
+    held = others.copy()
+    held[:, joint] = angle
+    return float(sensitivity(problem, information, held).max())
+
+
+def residual_figure(arm: Arm, postures: Array, positions: Array, found: Identification) -> Figure:
+    """Residuals before and after, over the workspace (arrows, enlarged) and against each joint."""
+    before, after = found.residuals_before, found.residuals_after
+    figure = Figure(figsize=(10.0, 6.2), layout="constrained")
+    top, bottom = figure.subfigures(2, 1, height_ratios=[1.3, 1.0])
+    for axis, residuals, color, name in zip(
+        top.subplots(1, 2, sharex=True, sharey=True), (before, after), (BEFORE, AFTER), ("before", "after"), strict=True
+    ):
+        _arrows(axis, arm, positions, residuals, color, name)
+    strips = np.atleast_1d(bottom.subplots(1, arm.links, sharey=True))
+    for j, axis in enumerate(strips):
+        for residuals, color in ((before, BEFORE), (after, AFTER)):
+            axis.plot(np.degrees(postures[:, j]), np.hypot(*residuals.T), ".", color=color, ms=4, alpha=0.7)
+        axis.set(xlabel=f"$q_{j + 1}$ [deg]", yscale="log")
+    strips[0].set_ylabel("residual [mm]")
+    return figure
+
+
+def _arrows(axis: Axes, arm: Arm, positions: Array, residuals: Array, color: str, name: str) -> None:
+    size = float(np.hypot(*residuals.T).max()) or 1.0
+    scale = 0.12 * float(arm.lengths.sum()) / size  # the largest arrow is an eighth of the reach
+    style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004, "color": color}
+    axis.quiver(*positions.T, *(residuals * scale).T, **style)
+    axis.plot(0, 0, "ks", ms=5)
+    axis.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+    rms = np.sqrt(np.mean(np.sum(residuals**2, axis=1)))
+    axis.set_title(f"{name}: RMS {rms:.4g} mm, arrows x {scale:.0f}", fontsize=9)

@@ -1,0 +1,107 @@
+"""Results as tables for a terminal (rich)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from doe.result import Design
+from identification.arm import Arm
+from identification.estimation import Identification
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A figure for a table; a dash for what cannot be given."""
+    return "-" if value is None or not np.isfinite(value) else f"{value:.{digits}f}"
+
+
+def plan_table(design: Design, most: int = 24) -> Table:
+    """The postures in degrees, one row per run; long plans are cut, the file has them all."""
+    table = Table(title="Plan", title_justify="left")
+    table.add_column("run", justify="right")
+    for joint in range(design.plan.links):
+        table.add_column(f"q{joint + 1} [deg]", justify="right")
+    for run, posture in enumerate(np.degrees(design.plan.postures[:most]), start=1):
+        table.add_row(str(run), *(f"{angle:.3f}" for angle in posture))
+    if len(design.plan) > most:
+        table.caption = f"first {most} of {len(design.plan)} runs; --out writes all"
+    return table
+
+
+def accuracy_table(arm: Arm, data: dict[str, Any]) -> Table:
+    """Expected standard deviations per link."""
+    sigma = "per mm of measurement noise" if arm.sigma is None else f"sigma = {arm.sigma:g} mm"
+    table = Table(title=f"Expected standard deviations ({sigma})", title_justify="left")
+    table.add_column("link", justify="right")
+    for heading in ("length [mm]", "orientation [deg]", "joint offset [deg]"):
+        table.add_column(heading, justify="right")
+    deviations = [data["std"][key] for key in ("length_mm", "orientation_deg", "joint_offset_deg")]
+    if any(d is None for d in deviations):
+        return table
+    for j, row in enumerate(zip(*deviations, strict=True), start=1):
+        table.add_row(str(j), *(number(v, 5) for v in row))
+    return table
+
+
+def verdict_table(data: dict[str, Any], sentence: str) -> Table:
+    """Value, bound, efficiency: what a person reads first."""
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    bound = data["bound"]
+    table.add_row("criterion", f"{data['criterion']}, {data['runs']} runs, {data['links']} links")
+    table.add_row("log det M'", number(data["log_det"], 7))
+    table.add_row("upper bound", f"{number(bound['value'], 7)} ({bound['source']})" if bound else "-")
+    table.add_row("efficiency", number(data["efficiency"], 6))
+    table.add_row("certified optimal", "yes" if data["certified_optimal"] else "not proven")
+    table.add_row("Table I residual", number(data["table_1_max_residual"], 6))
+    if data["solver"]:
+        table.add_row("solver", f"{data['solver']}, {data['starts']} starts, {data['seconds']:.2f} s")
+    table.add_row("status", sentence)
+    return table
+
+
+def design_tables(arm: Arm, design: Design) -> list[Any]:
+    """Everything about a plan, verdict first."""
+    data = design.to_json()
+    return [verdict_table(data, design.status.value), plan_table(design), accuracy_table(arm, data)]
+
+
+def identification_tables(found: Identification) -> list[Any]:
+    """Everything about a fit, verdict first."""
+    data = found.to_json()
+    verdict = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    verdict.add_row("method", f"{data['method']}: {found.status.value}")
+    verdict.add_row("RMS", f"{number(data['rms_before_mm'])} -> {number(data['rms_after_mm'])} mm")
+    verdict.add_row("largest", f"{number(data['max_before_mm'])} -> {number(data['max_after_mm'])} mm")
+    verdict.add_row("sigma", f"{number(data['sigma_mm'], 5)} mm per axis, {data['dof']} degrees of freedom")
+    if data["p_value"] is not None:
+        verdict.add_row("chi2", f"{data['chi2']:.2f}, p = {data['p_value']:.3g}")
+    shown: list[Any] = [verdict, parameter_table(data)]
+    if data["not_identifiable"]:
+        shown.append("These cannot be told apart by this plan; measure other postures or fix one of each:")
+        shown.extend(f"  {combination}" for combination in data["not_identifiable"])
+    return shown
+
+
+def parameter_table(data: dict[str, Any]) -> Table:
+    """Parameters with 95 % intervals, in file units."""
+    table = Table(title="Parameters", title_justify="left")
+    table.add_column("name")
+    for heading in ("value", "std", "low 95 %", "high 95 %"):
+        table.add_column(heading, justify="right")
+    table.add_column("unit")
+    for row in data["parameters"]:
+        figures = [significant(row[key], row["std"]) for key in ("value", "std", "low_95", "high_95")]
+        table.add_row(row["name"], *figures, row["unit"])
+    return table
+
+
+def significant(value: float | None, std: float | None) -> str:
+    """As many digits as the standard deviation deserves (three of its own)."""
+    if value is None:
+        return "-"
+    if not std:
+        return f"{value:.5g}"
+    digits = int(np.clip(2 - np.floor(np.log10(abs(std))), 0, 12))
+    return f"{value:.{digits}f}" if abs(value) < 1e6 else f"{value:.5g}"

@@ -1,0 +1,130 @@
+"""The house: imports go down only, files stay readable, no other visible top-level name, CI runs the README."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# layer of every module or package; a deeper name overrides its package
+LAYERS = {
+    "identification.errors": 0,
+    "identification.status": 0,
+    "identification.progress": 0,
+    "identification.files": 1,
+    "identification.table": 1,
+    "identification.arm": 1,
+    "identification.arm_schema": 2,  # reads arm files; validates the effects named there
+    "identification.arm_writer": 2,
+    "identification.arm_file": 2,
+    "identification.effects": 2,
+    "identification.measurements": 2,
+    "identification.measurement_file": 2,
+    "identification.tape": 3,
+    "identification.model": 3,
+    "identification.information": 4,
+    "identification.simulate": 4,
+    "identification.estimation": 5,
+    "identification.compensate": 6,
+    "identification.gap": 6,
+    "doe.criteria": 11,
+    "doe.plan": 11,
+    "doe.plan_file": 11,
+    "doe.executors": 11,
+    "doe.problem": 12,
+    "doe.constraints": 12,
+    "doe.candidates": 12,
+    "doe.bound": 13,
+    "doe.certificate": 13,
+    "doe.closed_form": 13,
+    "doe.rounding": 13,
+    "doe.result": 13,
+    "doe.solvers": 14,
+    "doe.discriminate": 15,
+    "doe.advise": 15,
+    "doe.augment": 15,
+    "doe.report": 16,
+    "doe.compare": 16,
+    "doe.study": 16,
+    "doe.cli": 17,
+}
+
+
+def layer(module: str) -> int | None:
+    """Layer of a module by its longest known prefix; None for other people's modules."""
+    if module.split(".")[0] not in ("doe", "identification"):
+        return None
+    parts = module.split(".")
+    for length in range(len(parts), 0, -1):
+        if (name := ".".join(parts[:length])) in LAYERS:
+            return LAYERS[name]
+    return -1 if module in ("doe", "identification") else pytest.fail(f"{module} has no layer in {Path(__file__).name}")
+
+
+def imported(source: str, module: str) -> set[str]:
+    """Modules that a source imports, deferred imports too, relative ones resolved; `from package import module` too."""
+    names = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join([*module.split(".")[: -node.level], node.module or ""]) if node.level else node.module
+            names.add(base.rstrip("."))
+            candidates = {f"{base}.{alias.name}" for alias in node.names}
+            names |= {name for name in candidates if (ROOT / name.replace(".", "/")).with_suffix(".py").exists()}
+    return names
+
+
+def modules() -> list[Path]:
+    return sorted([*ROOT.glob("doe/**/*.py"), *ROOT.glob("identification/**/*.py")])
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_go_down_only(path: Path) -> None:
+    name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    own = layer(name)
+    for target in imported(path.read_text(), name):
+        other = layer(target)
+        assert other is None or other <= own, f"{name} (layer {own}) imports {target} (layer {other})"
+
+
+def test_layer_test_sees_an_upward_import() -> None:
+    source = "def f():\n    from doe.solvers import solve\n"
+    assert {layer(name) for name in imported(source, "identification.model")} == {14}
+
+
+def test_no_other_visible_name_at_the_top() -> None:
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    visible = {line.split("/")[0] for line in listed.splitlines() if not line.startswith(".")}
+    assert visible <= {"pyproject.toml", "doe", "identification", "tests", "notebooks", "README.md"}
+
+
+def test_ci_runs_the_command_of_the_readme() -> None:
+    readme = (ROOT / "README.md").read_text()
+    block = readme.split("<!-- tests -->")[1].split("<!-- /tests -->")[0]
+    assert "pytest" in block
+    assert "<!-- tests -->" in (ROOT / ".ci/run").read_text()
+
+
+def test_help_imports_no_solver() -> None:
+    code = (
+        "import sys\nfrom doe.cli.main import main\n"
+        "try: main(['--help'])\nexcept SystemExit: pass\n"
+        "heavy = {'numpy', 'casadi', 'cvxpy', 'clarabel', 'scipy', 'polars', 'matplotlib', 'pydantic', 'rich'}\n"
+        "sys.exit(str(sorted(heavy & set(sys.modules))) if heavy & set(sys.modules) else 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "demo" in done.stdout
+
+
+@pytest.mark.parametrize("tool", [["ruff", "check"], ["ruff", "format", "--check"], ["mypy"]], ids=" ".join)
+def test_code_is_clean(tool: list[str]) -> None:
+    targets = [] if tool[0] == "mypy" else ["doe", "identification", "tests"]
+    done = subprocess.run([sys.executable, "-m", *tool, *targets], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
