@@ -1,0 +1,123 @@
+"""Reading and writing files: whole or not at all, and every complaint says which file, where, and what is allowed."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import secrets
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from identification.errors import InputError
+
+PathLike = str | os.PathLike[str]
+
+
+def read_bytes(path: PathLike) -> bytes:
+    """The whole file. Raises `InputError` for a missing file, a directory, an unreadable or an empty file."""
+    try:
+        content = Path(path).read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file, allowed: the name of an existing file") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a directory, allowed: a file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}), allowed: a readable file") from None
+    if not content.strip():
+        raise InputError(f"{path}: the file is empty")
+    return content
+
+
+def decode(path: PathLike, content: bytes) -> str:
+    """`content` of `path` as text, line ends kept, a byte-order mark dropped; raises `InputError` if not UTF-8."""
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        found = f"byte 0x{content[error.start]:02x} on line {line}"
+        raise InputError(f"{path}: not a text file in UTF-8: found {found}, allowed: UTF-8") from None
+
+
+def read_text(path: PathLike) -> str:
+    """The text of a UTF-8 file; raises `InputError` as `read_bytes` and `decode` do."""
+    return decode(path, read_bytes(path))
+
+
+def read_toml(path: PathLike) -> dict[str, Any]:
+    """The tables of a TOML file. Raises `InputError` as `read_text` does; a syntax error has line and column."""
+    text = read_text(path)
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not valid TOML: {reason}, allowed: TOML 1.0") from None
+    except RecursionError:
+        raise InputError(f"{path}: not valid TOML: nested too deeply") from None
+
+
+def file_hash(path: PathLike) -> str:
+    """SHA-256 of the file, in hexadecimal digits."""
+    return hashlib.sha256(read_bytes(path)).hexdigest()
+
+
+def write_whole(path: PathLike, content: str | bytes, force: bool = False) -> None:
+    """Writes the file whole or not at all.
+
+    Raises `InputError` if the file exists and `force` is false, or its folder is missing or not writable.
+    """
+    write_together({path: content}, force)
+
+
+def write_together(contents: Mapping[PathLike, str | bytes], force: bool = False) -> None:
+    """Writes all files or none: every one is complete beside its target before the first target is touched.
+
+    Raises `InputError` as `write_whole` does.
+    """
+    targets = {_checked_target(path, force): content for path, content in contents.items()}
+    staged: list[tuple[Path, Path]] = []
+    try:
+        for target, content in targets.items():
+            temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
+            staged.append((temporary, target))
+            _write_new(temporary, content, mode_of=target)
+        for temporary, target in staged:
+            os.replace(temporary, target)
+    except OSError as error:
+        raise InputError(f"{staged[-1][1]}: cannot be written ({error.strerror})") from None
+    finally:
+        for temporary, _ in staged:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+
+
+def check_writable(path: PathLike, force: bool = False) -> None:
+    """Raises the `InputError` of `write_whole` before long work starts rather than after it."""
+    _checked_target(path, force)
+
+
+def _checked_target(path: PathLike, force: bool) -> Path:
+    target = Path(path).resolve()  # a link stays a link: its target is replaced
+    if not target.parent.is_dir():
+        raise InputError(
+            f"{path}: there is no folder {str(Path(path).parent)!r}, allowed: a file in an existing folder"
+        )
+    if target.is_dir():
+        raise InputError(f"{path}: is a directory, allowed: a file name")
+    if target.exists() and not target.is_file():
+        raise InputError(f"{path}: is not a regular file, allowed: a new file name")
+    if target.exists() and not force:
+        raise InputError(f"{path}: the file exists, allowed: a new file name, or --force to replace it")
+    return target
+
+
+def _write_new(path: Path, content: str | bytes, mode_of: Path) -> None:
+    data = content.encode() if isinstance(content, str) else content
+    with open(path, "xb") as stream:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())  # so that a crash leaves the old file or the new one, not an empty one
+    if mode_of.exists():
+        path.chmod(mode_of.stat().st_mode & 0o777)
