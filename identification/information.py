@@ -1,10 +1,22 @@
-"""The information matrix and what follows from it before any data exist (paper, eq. 16-19, corrected)."""
+"""The information matrix, and what a plan can tell before any data exist (paper, eq. 16-19, corrected).
+
+All rank decisions are made on columns that are scaled twice: by `Model.scales` (so that one is a millimetre at the tip)
+and to unit length, so that no choice of units can make a parameter look lost or found.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from identification.arm import Array
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arm import Array, readonly
+
+RANK_TOLERANCE = 1e-9  # singular values of columns of unit length below this share of the largest are zero
+SHOWN = 0.02  # coefficients below this share of the largest are not shown, and such differences from 1 neither
+TOUCHED = 1e-3  # a parameter with less than this in every lost direction is estimable
 
 
 def information_matrix(jacobian: Array, weights: Array | None = None) -> Array:
@@ -25,3 +37,160 @@ def orientation_transform(names: tuple[str, ...]) -> Array:
     for row in range(len(offsets)):
         transform[row, offsets[: row + 1]] = 1.0
     return transform
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Singular value decomposition of a Jacobian whose columns are scaled to unit length.
+
+    lengths : (p,) what each column was divided by, 1 for a column that is zero
+    values : (p,) singular values, largest first
+    directions : (p, p) orthonormal columns, in the scaled parameters lengths * parameters
+    rank : number of singular values that count
+    """
+
+    lengths: Array
+    values: Array
+    directions: Array
+    rank: int
+
+    @property
+    def kept(self) -> Array:
+        """(p, rank) directions that the data tell."""
+        return self.directions[:, : self.rank]
+
+    @property
+    def lost(self) -> Array:
+        """(p, p - rank) orthonormal basis of what the data do not tell."""
+        return self.directions[:, self.rank :]
+
+    @property
+    def covariance(self) -> Array:
+        """(p, p) (J^T J)^-1 on the kept directions, zero on the lost ones: the pseudo-inverse in scaled parameters."""
+        root = self.kept / self.values[: self.rank] / self.lengths[:, None]
+        return root @ root.T
+
+
+def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE) -> Spectrum:
+    """Decomposes a Jacobian (m, d, p) or (rows, p), whose rows may carry weights.
+
+    scales : (p,) `Model.scales` [mm/unit]; a column of less than `RANK_TOLERANCE` times the longest, so scaled, is zero
+    tolerance : singular values below this share of the largest do not count
+    """
+    p = jacobian.shape[-1]
+    triangle = np.linalg.qr(jacobian.reshape(-1, p), mode="r")
+    sizes = np.linalg.norm(triangle, axis=0)
+    empty = sizes / scales <= RANK_TOLERANCE * np.max(sizes / scales, initial=np.finfo(float).tiny)
+    lengths = np.where(empty, scales, sizes)
+    _, found, rows = np.linalg.svd(np.where(empty, 0.0, triangle / lengths), full_matrices=True)
+    values = np.zeros(p)
+    values[: found.size] = found
+    rank = int(np.sum(values > tolerance * values[0])) if p else 0
+    return Spectrum(lengths, values, rows.T, rank)
+
+
+def covariance(jacobian: Array, scales: Array, sigma: float = 1.0, tolerance: float = RANK_TOLERANCE) -> Array:
+    """(p, p) sigma^2 (sum J^T J)^-1 (eq. 17), never inverting what the data do not tell: see `Spectrum.covariance`."""
+    return sigma**2 * spectrum(jacobian, scales, tolerance).covariance
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What a plan tells about p parameters.
+
+    rank : number of combinations that are told
+    identifiable : (p,) True where the parameter itself is told
+    null_space : (p, p - rank) sparse basis of what is not told, in `scales` * parameters [mm], largest entry 1
+    combinations : the basis in words, see `describe`
+    """
+
+    rank: int
+    identifiable: NDArray[np.bool_]
+    null_space: Array
+    combinations: tuple[str, ...]
+
+
+def identifiability(
+    jacobian: Array, names: Sequence[str], scales: Array, tolerance: float = RANK_TOLERANCE
+) -> Identifiability:
+    """Rank of a Jacobian (m, d, p), and the combinations of parameters that it cannot tell apart."""
+    return identifiability_of(spectrum(jacobian, scales, tolerance), names, scales)
+
+
+def identifiability_of(found: Spectrum, names: Sequence[str], scales: Array) -> Identifiability:
+    """`identifiability` of a Jacobian that is decomposed already."""
+    told = np.linalg.norm(found.lost, axis=1) <= TOUCHED
+    told.setflags(write=False)
+    basis = sparse_basis(found.lost) / found.lengths[:, None] * scales[:, None]
+    basis /= np.max(np.abs(basis), axis=0, initial=np.finfo(float).tiny)
+    return Identifiability(found.rank, told, readonly(basis), tuple(describe(v, names) for v in basis.T))
+
+
+def describe(direction: Array, names: Sequence[str]) -> str:
+    """A direction of the null space in words: `joint_offset:1 + base_rotation.angle`.
+
+    The last parameter named acts exactly as the sum of the others does (its Jacobian column is that combination of
+    theirs, each in mm at the tip), so only what they make together is told. Coefficients near 1 are left out.
+    """
+    shown = np.flatnonzero(np.abs(direction) > SHOWN * np.max(np.abs(direction)))
+    coefficients = direction[shown] / np.max(np.abs(direction))
+    coefficients[-1] *= -1.0 if shown.size > 1 else 1.0
+    coefficients *= np.sign(coefficients[0])
+    words = ""
+    for coefficient, k in zip(coefficients, shown, strict=True):
+        size = abs(coefficient)
+        factor = "" if abs(size - 1.0) <= SHOWN else f"{size:.2g} "
+        words += (" + " if coefficient > 0.0 else " - ") + factor + names[k]
+    return words[3:]
+
+
+def sparse_basis(orthonormal: Array) -> Array:
+    """(p, k) sparse vectors that span the columns of an orthonormal (p, k).
+
+    For every parameter the vector of least sum |v| with a one there (a linear program, whose vertices are sparse);
+    then the sparsest independent ones. The reduced echelon form completes them where they do not span.
+    """
+    p, k = orthonormal.shape
+    if k == 0:
+        return np.zeros((p, 0))
+    from scipy.linalg import qr  # deferred: only plans that lose something pay for the import
+
+    _, _, pivots = qr(orthonormal.T, pivoting=True, mode="economic")
+    echelon = orthonormal @ np.linalg.inv(orthonormal[pivots[:k]])
+    touched = np.flatnonzero(np.linalg.norm(orthonormal, axis=1) > TOUCHED)
+    candidates = [_sparsest(orthonormal, i) for i in touched] + list(echelon.T)
+    chosen = _independent([v / np.max(np.abs(v)) for v in candidates if v is not None], k)
+    return np.array(sorted(chosen, key=lambda v: tuple(np.flatnonzero(np.abs(v) > TOUCHED)))).T
+
+
+def _sparsest(orthonormal: Array, one: int) -> Array | None:
+    """The vector v of least sum |v| in the span with v[one] = 1: variables are coefficients z and bounds t >= |N z|."""
+    from scipy.optimize import linprog
+
+    p, k = orthonormal.shape
+    identity = np.eye(p)
+    above = np.block([[orthonormal, -identity], [-orthonormal, -identity]])
+    result = linprog(
+        np.r_[np.zeros(k), np.ones(p)],
+        A_ub=above,
+        b_ub=np.zeros(2 * p),
+        A_eq=np.r_[orthonormal[one], np.zeros(p)][None],
+        b_eq=[1.0],
+        bounds=[(None, None)] * k + [(0.0, None)] * p,
+        method="highs-ds",
+    )
+    return orthonormal @ result.x[:k] if result.status == 0 else None
+
+
+def _independent(vectors: list[Array], k: int) -> list[Array]:
+    """The first k independent vectors, fewest parameters first (greedy: the independent sets are a matroid)."""
+    ordered = sorted(vectors, key=lambda v: (int(np.sum(np.abs(v) > TOUCHED)), float(np.sum(np.abs(v)))))
+    chosen: list[Array] = []
+    for vector in ordered:
+        clean = np.where(np.abs(vector) > 1e-9, vector, 0.0)
+        trial = np.array([v / np.linalg.norm(v) for v in (*chosen, clean)])
+        if np.linalg.svd(trial, compute_uv=False)[-1] > 1e-6:
+            chosen.append(clean)
+        if len(chosen) == k:
+            break
+    return chosen
