@@ -1,0 +1,48 @@
+"""`armcal demo`: the whole loop, on files that are left for the user to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from doe.cli.common import FILE, Answer, Session, force_option, verb
+
+
+@verb("armcal demo --out my-demo")
+@click.option("--out", type=FILE, metavar="DIR", help="Directory for the files; left out: the next free armcal-demo.")
+@force_option
+def command(session: Session, out: Path | None, force: bool) -> Answer:
+    """The whole loop on the paper's 4-link arm, from a plan to the missing effect, and a report.html."""
+    from doe.demo import run_demo
+    from doe.report.demo_page import demo_data, demo_page, demo_tables
+    from identification.files import write_whole
+
+    directory = next_free(Path("armcal-demo")) if out is None else out
+    make_directory(directory, force)
+    with session.progress("demo") as progress:
+        demo = run_demo(directory, session.seed, progress)
+        write_whole(directory / "report.html", demo_page(demo), force=True)
+    return Answer(demo_data(demo, directory), demo_tables(demo, directory))
+
+
+def next_free(path: Path) -> Path:
+    """`path`, or `path-2`, `path-3`, ... : the first that does not exist."""
+    number, free = 2, path
+    while free.exists():
+        free, number = path.with_name(f"{path.name}-{number}"), number + 1
+    return free
+
+
+def make_directory(directory: Path, force: bool) -> None:
+    """Create the directory; one with files in it needs --force."""
+    from identification.errors import InputError
+
+    if directory.is_file():
+        raise InputError(f"{directory}: is a file, allowed: a directory")
+    if directory.exists() and any(directory.iterdir()) and not force:
+        raise InputError(f"{directory}: exists and is not empty, allowed: a new directory, or --force")
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{directory}: cannot be created ({error.strerror}), allowed: a writable place") from None
