@@ -1,0 +1,102 @@
+"""Every bad input of the contract: exit 2, one line that says where, what and what is allowed; no output file."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.doe.cli.conftest import ARM, Folder
+
+HEADER = "q1_deg,q2_deg,q3_deg,q4_deg,x_mm,y_mm\n"
+
+
+def refused(folder: Folder, words: list[str], *expected: str) -> None:
+    done = folder.armcal(*words)
+    assert done.code == 2, (done.code, done.out, done.err)
+    lines = [line for line in done.err.splitlines() if not line.startswith("armcal: warning:")]
+    assert len(lines) == 1, done.err
+    for text in expected:
+        assert text in lines[0], lines[0]
+    assert done.out == ""
+    assert not (folder.path / "out.file").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("-120.0, -100.0, -90.0]", "120.0, -100.0, -90.0]", ("joint 2", "120", "lower < upper")),
+        ("upper = [180.0, 120.0, 60.0, 90.0]", "upper = [180.0, 120.0, 60.0]", ("upper", "3", "4")),
+        ("180.0, 120.0, 100.0]", "-180.0, 120.0, 100.0]", ("links_mm", "-180", "> 0")),
+        ("sigma_mm = 0.1", "sigma_mm = 0.0", ("sigma_mm", "0", "> 0")),
+        ("sigma_mm = 0.1", "sigma_mm = nan", ("sigma_mm", "nan")),
+        ("sigma_mm", "sigma_m", ("sigma_m", "did you mean 'sigma_mm'?")),
+        ("links_mm", "link_mm", ("link_mm", "links_mm")),
+        ("links_mm = [", "links_mm = [[", ("line",)),
+    ],
+)
+def test_arm_file(folder: Folder, old: str, new: str, expected: tuple[str, ...]) -> None:
+    assert old in ARM
+    folder.write("arm.toml", ARM.replace(old, new, 1))
+    refused(folder, ["design", "arm.toml", "--runs", "8", "--out", "out.file"], "arm.toml", *expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", ("empty",)),
+        (HEADER, ("no rows",)),
+        (HEADER + "0,0,0,0,660,0\n1,2,3,4,nan,5\n", ("x_mm", "nan", "row 2")),
+        (HEADER + "0,0,0,0,660,0\n1,2,three,4,5,5\n", ("q3_deg", "three", "row 2")),
+        (HEADER.replace(",y_mm", "") + "0,0,0,0,660\n", ("y_mm",)),
+        (HEADER.replace("q4_deg,", "") + "0,0,0,660,0\n", ("q4_deg",)),
+        (HEADER + "0,0,0,0,660,0\n" * 3, ("2 m", "6", "8", "m >= 4")),
+    ],
+)
+def test_measurements(folder: Folder, text: str, expected: tuple[str, ...]) -> None:
+    folder.write("data.csv", text)
+    refused(folder, ["identify", "arm.toml", "data.csv", "--out", "out.file"], *expected)
+
+
+def test_fewer_runs_than_links(folder: Folder) -> None:
+    refused(folder, ["design", "arm.toml", "--runs", "3", "--out", "out.file"], "runs", "3", "4")
+
+
+def test_effect_without_its_data(folder: Folder) -> None:
+    folder.simulated()
+    folder.write("arm.toml", ARM + '\n[[effects]]\nname = "thermal_growth"\n')
+    refused(folder, ["identify", "arm.toml", "data.csv"], "thermal_growth", "temperature_C")
+    folder.write("arm.toml", ARM + '\n[[effects]]\nname = "joint_compliance"\n')
+    refused(folder, ["identify", "arm.toml", "data.csv"], "joint_compliance", "[gravity]")
+
+
+def test_unknown_names(folder: Folder) -> None:
+    folder.simulated()
+    refused(folder, ["design", "arm.toml", "--runs", "8", "--solver", "ipotp"], "ipotp", "ipopt")
+    refused(folder, ["identify", "arm.toml", "data.csv", "--method", "linaer"], "linaer", "linear")
+    folder.write("arm.toml", ARM + '\n[[effects]]\nname = "base_ofset"\n')
+    refused(folder, ["identify", "arm.toml", "data.csv"], "base_ofset", "did you mean 'base_offset'?")
+
+
+def test_missing_file_and_existing_output(folder: Folder) -> None:
+    refused(folder, ["design", "nowhere.toml", "--runs", "8"], "nowhere.toml")
+    folder.write("plan2.csv", "mine")
+    refused(folder, ["design", "arm.toml", "--runs", "8", "--out", "plan2.csv"], "plan2.csv", "--force")
+    assert folder.read("plan2.csv") == "mine"
+
+
+def test_radians_in_a_degree_column_warn(folder: Folder) -> None:
+    import polars as pl
+
+    folder.simulated()
+    frame = pl.read_csv("data.csv")
+    frame.with_columns(pl.col(f"q{j}_deg").radians() for j in range(1, 5)).write_csv("radians.csv")
+    done = folder.armcal("identify", "arm.toml", "radians.csv")
+    assert "radians" in done.err
+    frame.with_columns(pl.col("x_mm") / 1000, pl.col("y_mm") / 1000).write_csv("metres.csv")
+    done = folder.armcal("identify", "arm.toml", "metres.csv")
+    assert "metres" in done.err
+
+
+def test_unknown_verb(folder: Folder) -> None:
+    done = folder.armcal("desing")
+    assert done.code == 2
+    assert "did you mean 'design'?" in done.err

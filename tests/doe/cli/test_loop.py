@@ -1,0 +1,80 @@
+"""The loop of commands as a user's script runs it, with the JSON keys of the contract."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.doe.cli.conftest import ARM, Folder
+
+DESIGN_KEYS = {
+    "criterion", "runs", "links", "log_det", "bound", "efficiency", "certified_optimal", "postures_deg",
+    "table_1_max_residual", "std", "solver", "status", "starts", "seconds",
+}  # fmt: skip
+IDENTIFY_KEYS = {
+    "parameters", "not_identifiable", "sigma_mm", "chi2", "dof", "p_value", "rms_before_mm", "rms_after_mm",
+    "max_before_mm", "max_after_mm", "method",
+}  # fmt: skip
+
+
+def test_design_reaches_the_bound_and_writes_the_plan(folder: Folder) -> None:
+    done = folder.armcal("design", "arm.toml", "--runs", "8", "--json", "--out", "plan8.csv")
+    assert done.code == 0, done.err
+    assert set(done.data) >= DESIGN_KEYS
+    # THEORY.md section 4: 4 sum_(j>=2) log sin(min(Delta_j / 2, 90 deg)), Delta = 240, 160, 180 deg
+    assert done.data["bound"]["value"] == pytest.approx(4 * np.log(np.sin(np.radians(80.0))), abs=1e-12)
+    assert done.data["certified_optimal"] is True
+    postures = np.array(done.data["postures_deg"])
+    assert postures.shape == (8, 4)
+    assert np.all(postures >= [-180, -120, -100, -90])
+    assert np.all(postures <= [180, 120, 60, 90])
+    header, *rows = folder.read("plan8.csv").splitlines()
+    assert header == "run,q1_deg,q2_deg,q3_deg,q4_deg"
+    written = np.array([[float(cell) for cell in row.split(",")[1:]] for row in rows])
+    np.testing.assert_allclose(written, postures, atol=1e-9)
+    scored = folder.armcal("score", "arm.toml", "plan8.csv", "--json").data
+    assert scored["log_det"] == pytest.approx(done.data["log_det"], abs=1e-9)
+
+
+def test_simulate_identify_round(folder: Folder) -> None:
+    folder.simulated()
+    done = folder.armcal("identify", "arm.toml", "data.csv", "--json", "--out", "calibrated.toml")
+    assert done.code == 0, done.err
+    assert set(done.data) >= IDENTIFY_KEYS
+    truth = [1.5, -0.6, -0.4, 0.7, 0.5, -0.5, 0.7, -0.3]
+    for parameter, true in zip(done.data["parameters"], truth, strict=True):
+        assert abs(parameter["value"] - true) < 5 * parameter["std"]  # a 5-sigma event has probability 6e-7
+        assert parameter["low_95"] < parameter["value"] < parameter["high_95"]
+    again = folder.armcal("identify", "calibrated.toml", "data.csv", "--json")
+    assert again.data["rms_before_mm"] == pytest.approx(done.data["rms_after_mm"], abs=1e-9)
+    for one, two in zip(again.data["parameters"], done.data["parameters"], strict=True):
+        assert one["value"] == pytest.approx(two["value"], abs=1e-7)
+
+
+def test_same_seed_same_data(folder: Folder) -> None:
+    folder.simulated()
+    first = folder.read("data.csv")
+    words = ["simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "data.csv", "--force"]
+    folder.armcal(*words)
+    assert folder.read("data.csv") == first
+    folder.armcal(*words, "--seed", "1")
+    assert folder.read("data.csv") != first
+
+
+def test_not_identifiable_is_named_and_exits_1(folder: Folder) -> None:
+    folder.simulated()
+    folder.write("arm.toml", ARM + '\n[[effects]]\nname = "base_rotation"\n')
+    done = folder.armcal("identify", "arm.toml", "data.csv", "--json")
+    assert done.code == 1
+    assert any("joint_offset:1" in c and "base_rotation" in c for c in done.data["not_identifiable"])
+    for parameter in done.data["parameters"]:
+        assert parameter["std"] is None or parameter["std"] < 10.0
+
+
+def test_tables_for_people(folder: Folder) -> None:
+    folder.simulated()
+    done = folder.armcal("identify", "arm.toml", "data.csv")
+    assert "length_error:1" in done.out
+    assert "RMS" in done.out
+    shown = folder.armcal("score", "arm.toml", "plan.csv")
+    assert "efficiency" in shown.out
