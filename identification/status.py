@@ -17,6 +17,7 @@ class Status(Enum):
     almost_solved = "Stopped near a solution at reduced accuracy; look at the gap before relying on it."
     iteration_limit = "The iteration limit was reached before convergence; look at the residuals."
     solver_failed = "The solver failed; its result is not used."
+    not_identifiable = "Some parameters cannot be told apart; the others hold. Measure more varied postures, or fix one."
     infeasible = "No feasible point was found."
 
     @property

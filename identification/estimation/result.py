@@ -1,0 +1,222 @@
+"""What an identification found, with its uncertainty."""
+
+from __future__ import annotations
+
+import html
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, ndtri, stdtrit
+
+from identification.arm import Arm, Array, Calibration, readonly
+from identification.information import orientation_transform
+from identification.model import Model
+from identification.status import Status
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """Estimated parameters of a model, in the order of `model.parameters` and in API units [mm, rad].
+
+    parameters : (p,) estimates; where not everything is told, those nearest to the nominal arm
+    covariance : (p, p) sigma^2 (sum J^T W J)^-1 (eq. 17), zero along what is not told; NaN if sigma is unknown and no
+        equation is left over to estimate it
+    identifiable : (p,) True where the parameter itself is told by the data
+    not_identifiable : what cannot be told apart, in words
+    sigma : standard deviation of one coordinate [mm] (with sigma per row: their root mean square; with relative
+        weights: of a row of weight one); None if it is unknown
+    sigma_known : given beforehand, or else estimated as sqrt(weighted sum of squares / dof)
+    chi2 : weighted sum of squares in units of sigma^2, None if sigma was not known
+    dof : 2 m equations minus the number of combinations told
+    residuals_before, residuals_after : (m, 2) measured minus computed [mm], with the arm as it was and as identified
+    """
+
+    model: Model
+    parameters: Array
+    covariance: Array
+    identifiable: NDArray[np.bool_]
+    not_identifiable: tuple[str, ...]
+    sigma: float | None
+    sigma_known: bool
+    chi2: float | None
+    dof: int
+    residuals_before: Array
+    residuals_after: Array
+    method: str
+    status: Status
+    iterations: int = 1
+    provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        for name in ("parameters", "covariance", "residuals_before", "residuals_after"):
+            object.__setattr__(self, name, readonly(getattr(self, name)))
+        self.identifiable.setflags(write=False)
+
+    # -- parameters and their uncertainty --------------------------------------------------------------------------
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(p) names of the parameters."""
+        return self.model.names
+
+    @cached_property
+    def std(self) -> Array:
+        """(p,) standard deviations; NaN where a parameter is not told."""
+        return readonly(np.where(self.identifiable, np.sqrt(np.diag(self.covariance)), np.nan))
+
+    @cached_property
+    def intervals(self) -> Array:
+        """(p, 2) 95 % confidence limits, cut at the physical bounds; NaN where a parameter is not told.
+
+        Normal quantile where sigma is known, Student's t with `dof` where it is estimated from the same residuals.
+        """
+        limits = self.parameters[:, None] + self.quantile * self.std[:, None] * np.array([-1.0, 1.0])
+        for k, parameter in enumerate(self.model.parameters):
+            limits[k] = np.clip(limits[k], parameter.lower, parameter.upper)
+        return readonly(limits)
+
+    @property
+    def quantile(self) -> float:
+        """Half the width of a 95 % interval in standard deviations; NaN if nothing is left to estimate sigma."""
+        if self.sigma_known:
+            return float(ndtri(0.975))
+        return float(stdtrit(self.dof, 0.975)) if self.dof > 0 else float("nan")
+
+    @property
+    def p_value(self) -> float | None:
+        """Probability of a chi2 at least this large if model and sigma are right; None if sigma was not known."""
+        return None if self.chi2 is None or self.dof == 0 else float(chdtrc(self.dof, self.chi2))
+
+    @cached_property
+    def _everything(self) -> dict[str, float]:
+        """Name -> value of every parameter, the known ones included."""
+        return dict(self.model.fixed) | dict(zip(self.names, self.parameters.tolist(), strict=True))
+
+    @cached_property
+    def length_errors(self) -> Array:
+        """(n,) dl_j [mm]."""
+        return readonly([self._everything[f"length_error:{j + 1}"] for j in range(self.model.arm.links)])
+
+    @cached_property
+    def joint_offsets(self) -> Array:
+        """(n,) dq_j [rad]."""
+        return readonly([self._everything[f"joint_offset:{j + 1}"] for j in range(self.model.arm.links)])
+
+    @cached_property
+    def orientation_offsets(self) -> Array:
+        """(n,) dtheta_j = dq_1 + ... + dq_j [rad]."""
+        return readonly(np.cumsum(self.joint_offsets))
+
+    @cached_property
+    def joint_offset_std(self) -> Array:
+        """(n,) standard deviations of dq_j [rad]; zero where known, NaN where not told."""
+        std = dict(zip(self.names, self.std.tolist(), strict=True))
+        return readonly([std.get(f"joint_offset:{j + 1}", 0.0) for j in range(self.model.arm.links)])
+
+    @cached_property
+    def orientation_std(self) -> Array:
+        """(n,) standard deviations of dtheta_j [rad], the paper's sigma_q (eq. 25); NaN where an offset is not told."""
+        every = tuple(p.name for p in self.model.all_parameters)
+        transform = orientation_transform(every)[:, [every.index(name) for name in self.names]]
+        variance = np.einsum("jk,kl,jl->j", transform, self.covariance, transform)
+        told = np.all((transform == 0.0) | self.identifiable, axis=1)
+        return readonly(np.where(told, np.sqrt(np.maximum(variance, 0.0)), np.nan))
+
+    # -- quality of the fit ----------------------------------------------------------------------------------------
+    @property
+    def rms_before(self) -> float:
+        """Root mean square over rows of the distance sqrt(dx^2 + dy^2) [mm], arm as it was."""
+        return _rms(self.residuals_before)
+
+    @property
+    def rms_after(self) -> float:
+        """Root mean square over rows of the distance [mm], arm as identified."""
+        return _rms(self.residuals_after)
+
+    @property
+    def max_before(self) -> float:
+        """Largest distance over rows [mm], arm as it was."""
+        return float(np.max(np.linalg.norm(self.residuals_before, axis=1)))
+
+    @property
+    def max_after(self) -> float:
+        """Largest distance over rows [mm], arm as identified."""
+        return float(np.max(np.linalg.norm(self.residuals_after, axis=1)))
+
+    # -- onward ----------------------------------------------------------------------------------------------------
+    def calibration(self) -> Calibration:
+        """What an arm file keeps of this. Where not everything is told, the values nearest to the nominal arm."""
+        effects = {name: v for name, v in self._everything.items() if "." in name}
+        cov = self.covariance if np.all(np.isfinite(self.covariance)) else None
+        figures = {k: v for k, v in self.to_json().items() if v is not None and k not in ("parameters", "p_value")}
+        provenance = MappingProxyType({**self.provenance, **figures})
+        return Calibration(
+            self.length_errors, self.joint_offsets, MappingProxyType(effects), self.names, cov, provenance
+        )
+
+    def calibrated_arm(self) -> Arm:
+        """The arm with this calibration in it."""
+        return replace(self.model.arm, calibration=self.calibration())
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of CONTRACT.md for `identify`: file units, null for what cannot be given."""
+        rows = zip(self.model.parameters, self.identifiable, self.parameters, self.std, self.intervals, strict=True)
+        return {
+            "parameters": [
+                {
+                    "name": parameter.name,
+                    "unit": parameter.file_unit,
+                    "value": _number(value * parameter.to_file) if told else None,
+                    "std": _number(std * parameter.to_file),
+                    "low_95": _number(limits[0] * parameter.to_file),
+                    "high_95": _number(limits[1] * parameter.to_file),
+                }
+                for parameter, told, value, std, limits in rows
+            ],
+            "not_identifiable": list(self.not_identifiable),
+            "sigma_mm": self.sigma,
+            "chi2": self.chi2,
+            "dof": self.dof,
+            "p_value": self.p_value,
+            "rms_before_mm": self.rms_before,
+            "rms_after_mm": self.rms_after,
+            "max_before_mm": self.max_before,
+            "max_after_mm": self.max_after,
+            "method": self.method,
+        }
+
+    def __str__(self) -> str:
+        lines = [f"{'parameter':<32} {'value':>12} {'std':>10} {'95 % low':>12} {'95 % high':>12}  unit"]
+        for row in self.to_json()["parameters"]:
+            cells = [_cell(row[key], width) for key, width in zip(_COLUMNS, (12, 10, 12, 12), strict=True)]
+            lines.append(f"{row['name']:<32} {' '.join(cells)}  {row['unit']}")
+        lines += [f"cannot be told apart: {combination}" for combination in self.not_identifiable]
+        sigma = "unknown" if self.sigma is None else f"{self.sigma:.4g} mm ({'given' if self.sigma_known else 'estimated'})"
+        chi2 = "" if self.p_value is None else f", chi2 {self.chi2:.4g}, p-value {self.p_value:.3g}"
+        lines.append(f"sigma {sigma}, {self.dof} degrees of freedom{chi2}")
+        lines.append(f"RMS {self.rms_before:.4g} -> {self.rms_after:.4g} mm, max {self.max_before:.4g} -> {self.max_after:.4g} mm")
+        lines.append(f"{self.method}: {self.status.value}")
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
+
+
+_COLUMNS = ("value", "std", "low_95", "high_95")
+
+
+def _cell(value: float | None, width: int) -> str:
+    return f"{'-' if value is None else format(value, '.6g'):>{width}}"
+
+
+def _rms(residuals: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
