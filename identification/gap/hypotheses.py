@@ -1,0 +1,200 @@
+"""What could be missing: every effect of the library that this arm and these data can show, with its columns.
+
+A hypothesis is one effect at one joint (or of the whole arm). Effects with a whole-number setting (the order k of a
+gear ripple) are scanned: each value is a hypothesis, and together they weigh as much as one unscanned effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+
+import casadi as ca
+import numpy as np
+
+from identification.arm import Arm, Array, EffectSpec
+from identification.effects import Chain, Effect, build, library
+from identification.gap.whitening import Rows
+from identification.model import Model
+
+JOINT_HOOK = "joint_angles"
+HOOKS = ("extensions", "bending", "tool", "base_rotation", "base_translation", "instrument")
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One effect that might be missing.
+
+    weight : prior weight; 1 for an effect, 1/K for each of the K settings that are scanned
+    """
+
+    effect: Effect
+    spec: EffectSpec
+    weight: float = 1.0
+
+    @property
+    def key(self) -> str:
+        """Name in reports: `name` or `name:joint`."""
+        return self.spec.key
+
+    @property
+    def label(self) -> str:
+        """The key with the scanned setting: `transmission_ripple:2[k=6]`."""
+        settings = ",".join(f"{name}={value:g}" for name, value in self.spec.values.items())
+        return f"{self.key}[{settings}]" if settings else self.key
+
+    @property
+    def family(self) -> str:
+        """The class in which it is merged with its look-alikes."""
+        return self.effect.family or self.effect.name
+
+    @property
+    def size(self) -> int:
+        """d, number of parameters."""
+        return len(self.effect.parameters)
+
+    @property
+    def one_sided(self) -> bool:
+        """True for one parameter that physics keeps from being negative."""
+        return self.size == 1 and self.effect.parameters[0].lower == 0.0
+
+    @property
+    def bounded(self) -> bool:
+        """True if physics bounds a parameter."""
+        return any(np.isfinite(p.lower) or np.isfinite(p.upper) for p in self.effect.parameters)
+
+
+@dataclass(frozen=True)
+class HypothesisSet:
+    """All hypotheses for an arm, and why the other effects of the library are left out.
+
+    skipped : effect key -> reason
+    aliases : effect name -> what it cannot be told from, for effects that no measurement of the tip can show
+    """
+
+    arm: Arm
+    members: tuple[Hypothesis, ...]
+    skipped: Mapping[str, str]
+    aliases: Mapping[str, str]
+
+    @cached_property
+    def wide(self) -> Model:
+        """The arm with its own effects and all unscanned hypotheses at once."""
+        return Model(self.arm.with_effects(*self.arm.effects, *(h.spec for h in self.unscanned)))
+
+    @cached_property
+    def base(self) -> Model:
+        """The arm as it is modelled now."""
+        return Model(self.arm)
+
+    @cached_property
+    def unscanned(self) -> tuple[Hypothesis, ...]:
+        """Hypotheses without a scanned setting."""
+        return tuple(h for h in self.members if not h.spec.values)
+
+    @cached_property
+    def scanned(self) -> tuple[Hypothesis, ...]:
+        """Hypotheses with a setting; they act on joint angles."""
+        return tuple(h for h in self.members if h.spec.values)
+
+    @cached_property
+    def _slots(self) -> dict[str, int]:
+        return {name: k for k, name in enumerate(self.wide.names)}
+
+    @cached_property
+    def _scan(self) -> Model | None:
+        return _angle_model(self.arm, tuple(h.effect for h in self.scanned)) if self.scanned else None
+
+    def columns(self, rows: Rows, values: Mapping[str, float]) -> list[Array]:
+        """Per member, (m, 2, d) derivative of the position by its parameters, at these parameter values (others 0)."""
+        parameters = np.array([values.get(name, 0.0) for name in self.wide.names])
+        jacobian = self.wide.jacobian(rows.postures, parameters, rows.conditions)
+        plain = iter(self._unscanned_columns(jacobian))
+        scanned = iter(self._scanned_columns(jacobian, rows))
+        return [next(scanned if h.spec.values else plain) for h in self.members]
+
+    def _unscanned_columns(self, jacobian: Array) -> Iterator[Array]:
+        for hypothesis in self.unscanned:
+            yield jacobian[:, :, [self._slots[p.name] for p in hypothesis.effect.parameters]]
+
+    def _scanned_columns(self, jacobian: Array, rows: Rows) -> Iterator[Array]:
+        if not self.scanned:
+            return
+        n = self.arm.links
+        by_joint = jacobian[:, :, n : 2 * n]  # the joint offsets' columns: what one rad at a joint does to the tip
+        slopes = _evaluate_angles(self._scan, rows, self.arm)
+        start = 0
+        for hypothesis in self.scanned:
+            joint = hypothesis.effect._index()
+            part = slopes[:, start : start + hypothesis.size]  # (m, d)
+            yield by_joint[:, :, joint, None] * part[:, None, :]
+            start += hypothesis.size
+
+
+def _angle_model(arm: Arm, effects: tuple[Effect, ...]) -> ca.Function:
+    """CasADi (q, c) -> per effect and parameter, the derivative of its own joint's angle."""
+    n = arm.links
+    q, c = ca.SX.sym("q", n), ca.SX.sym("c", 3 + n)
+    chain = Chain(arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3:])
+    slopes = []
+    for effect in effects:
+        v = ca.SX.sym("v", len(effect.parameters))
+        angle = effect.joint_angles(chain, v)[effect._index()]
+        slopes.append(ca.substitute(ca.jacobian(angle, v), v, ca.SX.zeros(v.numel())).T)
+    return ca.Function("slopes", [q, c], [ca.cse(ca.densify(ca.vertcat(*slopes)))])
+
+
+def _evaluate_angles(function: ca.Function, rows: Rows, arm: Arm) -> Array:
+    payload = 0.0 if arm.gravity is None else arm.gravity.payload
+    table = rows.conditions.table(len(rows), arm.links, payload)
+    from identification.tape import vectorise
+
+    return vectorise(function)(rows.postures, table)[0][..., 0]
+
+
+def hypotheses(arm: Arm, given: frozenset[str]) -> HypothesisSet:
+    """Every effect that arm and data can show.
+
+    given : what the data have beyond time and directions (which follow from the order): `temperature`
+    """
+    available = {"time", "directions"} | ({"gravity"} if arm.gravity is not None else set()) | (given & {"temperature"})
+    own = {spec.key for spec in arm.effects}
+    members: list[Hypothesis] = []
+    skipped: dict[str, str] = {}
+    aliases: dict[str, str] = {}
+    for name, cls in library().items():
+        if cls.alias is not None:
+            aliases[name] = cls.alias
+            continue
+        if not hasattr(cls, "joint_angles"):
+            continue
+        missing = sorted(cls.needs - available)
+        if missing:
+            skipped[name] = f"needs {', '.join(missing)}"
+            continue
+        for joint in _joints(cls, arm.links):
+            spec = EffectSpec(name, joint)
+            if spec.key in own:
+                skipped[spec.key] = "already in the arm's model"
+                continue
+            members += _with_settings(cls, spec, arm)
+    return HypothesisSet(arm, tuple(members), skipped, aliases)
+
+
+def _joints(cls: type[Effect], links: int) -> list[int | None]:
+    each: list[int | None] = list(range(cls.first_joint, links + 1))
+    return {"none": [None], "required": each, "optional": [None, *each]}[cls.per_joint]
+
+
+def _with_settings(cls: type[Effect], spec: EffectSpec, arm: Arm) -> list[Hypothesis]:
+    if not cls.settings:
+        return [Hypothesis(build(spec, arm.links, arm.lengths), spec)]
+    ranges = [range(low, high + 1) for low, high in cls.settings.values()]
+    found = []
+    for chosen in product(*ranges):
+        setting = replace(spec, values=dict(zip(cls.settings, map(float, chosen), strict=True)))
+        found.append(build(setting, arm.links, arm.lengths))
+    weight = 1.0 / len(found)
+    return [Hypothesis(e, replace(spec, values={k: float(v) for k, v in e.chosen.items()}), weight) for e in found]

@@ -1,0 +1,188 @@
+"""Which effects: BIC inside the gate, forward, swap and backward, with nonlinear refits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identification.gap.fit import Fit, fit, links_start
+from identification.gap.gate import Gate, gate
+from identification.gap.hypotheses import Hypothesis, HypothesisSet
+from identification.gap.linear import Dictionary, dictionary
+from identification.gap.whitening import Rows
+from identification.model import Model
+
+MOST = 4  # effects at once
+ALPHA_FIRST, ALPHA_NEXT = 0.04, 0.01
+MARGIN = 8.0  # linear BIC within which rivals are refitted
+REFITS = 6
+WINDOW = 6.0  # Delta BIC of the ambiguity set
+Choice = tuple[Hypothesis, ...]
+
+
+@dataclass
+class Search:
+    """Fits of sets of effects to the same rows, kept so that none is made twice."""
+
+    hypotheses: HypothesisSet
+    rows: Rows
+    fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+
+    def fit(self, chosen: Choice) -> Fit:
+        """The base model with these effects added, refitted."""
+        key = frozenset(h.label for h in chosen)
+        if key not in self.fits:
+            arm = self.hypotheses.arm
+            model = Model(arm.with_effects(*arm.effects, *(h.spec for h in chosen)))
+            start = links_start(model, self.rows) if not chosen else dict(self.fit(()).by_name)
+            self.fits[key] = fit(model, self.rows, start)
+        return self.fits[key]
+
+    def bic(self, chosen: Choice) -> float:
+        """N log(RSS / N) + p log N - 2 log(prior weight); the scan of a setting costs the logarithm of its length."""
+        found = self.fit(chosen)
+        n = len(found.residual)
+        prior = -2.0 * sum(np.log(h.weight) for h in chosen)
+        return float(n * np.log(found.squares / n) + len(found.values) * np.log(n) + prior)
+
+    def rivals(self, chosen: Choice) -> tuple[list[Hypothesis], Dictionary]:
+        """Hypotheses that can still be added to a set, projected off its fit."""
+        found = self.fit(chosen)
+        used = {h.key for h in chosen}
+        columns = self.hypotheses.columns(self.rows, found.by_name)
+        pairs = [
+            (h, self.rows.whiten(c))
+            for h, c in zip(self.hypotheses.members, columns, strict=True)
+            if h.key not in used and h.size < found.freedom
+        ]
+        members = [h for h, _ in pairs]
+        full = dictionary(
+            found.jacobian,
+            [c for _, c in pairs],
+            np.array([h.one_sided for h in members], dtype=bool),
+            np.array([h.weight for h in members]),
+        )
+        return visible(members, full)
+
+
+def visible(members: list[Hypothesis], full: Dictionary) -> tuple[list[Hypothesis], Dictionary]:
+    """Only the hypotheses of which something survives projection."""
+    keep = np.flatnonzero(full.sizes > 0)
+    if len(keep) == len(members):
+        return members, full
+    picked = Dictionary(
+        full.model_basis, full.bases, full.starts[keep], full.sizes[keep], full.shares[keep], full.one_sided[keep], full.weights[keep]
+    )
+    return [members[k] for k in keep], picked
+
+
+def bic_change(falls: np.ndarray, against: Dictionary, n: int, squares: float) -> np.ndarray:
+    """(H,) change of BIC when each hypothesis is added, from the linear fit's falls of the sum of squares (H,)."""
+    left = np.maximum(1.0 - falls / squares, 1e-12)
+    return n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights)
+
+
+
+
+@dataclass(frozen=True)
+class Test:
+    """One pass of the gate over all hypotheses that could be added to a set."""
+
+    members: list[Hypothesis]
+    gate: Gate
+    change: np.ndarray  # (H,) linear change of BIC
+
+
+@dataclass(frozen=True)
+class Selection:
+    """chosen : the best set, empty if the gate stayed shut;  rivals : all sets within `window` of its BIC, best first
+    first : the gate's test of the base model;  last : that of the chosen set
+    """
+
+    chosen: Choice
+    rivals: tuple[tuple[Choice, float], ...]
+    first: Test
+    last: Test
+
+
+def test_additions(search: Search, chosen: Choice, draws: int, generator: np.random.Generator) -> Test:
+    """Gate and linear BIC of every hypothesis that could be added."""
+    found = search.fit(chosen)
+    members, against = search.rivals(chosen)
+    tested = gate(found.residual, against, draws, generator)
+    return Test(members, tested, bic_change(tested.falls, against, len(found.residual), found.squares))
+
+
+def best_of(search: Search, chosen: Choice, members: list[Hypothesis], change: np.ndarray) -> Choice | None:
+    """The set with the one hypothesis added that has the lowest BIC; the best few by linear BIC are refitted."""
+    order = np.argsort(change, kind="stable")[:REFITS]
+    near = [k for k in order if np.isfinite(change[k]) and change[k] <= change[order[0]] + MARGIN]
+    return min(((*chosen, members[k]) for k in near), key=search.bic, default=None)
+
+
+def select(search: Search, draws: int, generator: np.random.Generator) -> Selection:
+    """Forward inside the gate, swap after every addition, backward at the end."""
+    chosen: Choice = ()
+    first = tested = test_additions(search, chosen, draws, generator)
+    while len(chosen) < MOST:
+        level = ALPHA_NEXT if chosen else ALPHA_FIRST
+        longer = best_of(search, chosen, tested.members, np.where(tested.gate.adjusted <= level, tested.change, np.inf))
+        if longer is None or search.bic(longer) >= search.bic(chosen):
+            break
+        chosen = swapped(search, longer)
+        tested = test_additions(search, chosen, draws, generator)
+    shorter = backward(search, chosen)
+    if len(shorter) < len(chosen):
+        chosen, tested = shorter, test_additions(search, shorter, draws, generator)
+    return Selection(chosen, neighbours(search, chosen), first, tested)
+
+
+def exchanges(search: Search, chosen: Choice) -> list[Choice]:
+    """Sets in which one member is replaced by one of its best rivals."""
+    found = []
+    for k in range(len(chosen)):
+        rest = chosen[:k] + chosen[k + 1 :]
+        members, against = search.rivals(rest)
+        without = search.fit(rest)
+        falls = against.reductions(without.residual[:, None])[:, 0]
+        change = bic_change(falls, against, len(without.residual), without.squares)
+        for index in np.argsort(change, kind="stable")[:REFITS]:
+            if change[index] <= change.min() + MARGIN + WINDOW:
+                found.append((*rest, members[index]))
+    return found
+
+
+def swapped(search: Search, chosen: Choice) -> Choice:
+    """The best set that single exchanges lead to."""
+    for _ in range(MOST):
+        if len(chosen) < 2:
+            return chosen
+        best = min(exchanges(search, chosen), key=search.bic, default=chosen)
+        if search.bic(best) >= search.bic(chosen) - 1e-9:
+            return chosen
+        chosen = best
+    return chosen
+
+
+def backward(search: Search, chosen: Choice) -> Choice:
+    """Drop members as long as BIC falls."""
+    while len(chosen) > 1:
+        best = min((chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))), key=search.bic)
+        if search.bic(best) >= search.bic(chosen):
+            break
+        chosen = best
+    return chosen
+
+
+def neighbours(search: Search, chosen: Choice) -> tuple[tuple[Choice, float], ...]:
+    """Sets of the same length within `WINDOW` of the best BIC, one per set of names, best first."""
+    if not chosen:
+        return ()
+    best = search.bic(chosen)
+    found: dict[frozenset[str], tuple[Choice, float]] = {}
+    for option in sorted([chosen, *exchanges(search, chosen)], key=search.bic):
+        delta = search.bic(option) - best
+        if delta <= WINDOW:
+            found.setdefault(frozenset(h.key for h in option), (option, delta))
+    return tuple(found.values())

@@ -1,0 +1,77 @@
+"""The rows that are tested, and the transformation that makes their noise white.
+
+Only relative sizes of sigma matter here: every test divides by a scale estimated from the residuals, since a sigma
+from a data sheet that is 1.5 times too small would always raise the alarm (GAP.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arm import Array
+from identification.measurements import Conditions, Measurements
+
+
+@dataclass(frozen=True)
+class Rows:
+    """m measured postures with everything that follows from the whole session fixed, so that rows can be left out.
+
+    spread : (m, 2, 2) symmetric square root of the relative covariance of a row, None: the same for all
+    correlation : lag-1 correlation of the noise from one row to the next measured
+    """
+
+    postures: Array
+    positions: Array
+    conditions: Conditions
+    order: Array
+    spread: Array | None = None
+    correlation: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.postures)
+
+    @classmethod
+    def of(cls, measurements: Measurements) -> Rows:
+        """The rows of a data set; a sigma per row becomes a relative weight."""
+        m = len(measurements)
+        order = np.arange(m, dtype=float) if measurements.order is None else measurements.order
+        spread = None
+        if measurements.sigma is not None:
+            relative = measurements.sigma / np.exp(np.mean(np.log(measurements.sigma)))
+            spread = relative[:, None, None] * np.eye(2)
+        return cls(measurements.postures, measurements.positions, measurements.conditions, order, spread)
+
+    def pick(self, index: Any) -> Rows:
+        """Some of the rows."""
+        spread = None if self.spread is None else self.spread[index]
+        return replace(
+            self,
+            postures=self.postures[index],
+            positions=self.positions[index],
+            conditions=self.conditions.rows(index),
+            order=self.order[index],
+            spread=spread,
+        )
+
+    @property
+    def sequence(self) -> NDArray[np.int64]:
+        """(m,) row numbers in the order of measurement."""
+        return np.argsort(self.order, kind="stable")
+
+    def whiten(self, values: Array) -> Array:
+        """(2m, ...) of (m, 2, ...): unit covariance up to a common factor; linear, so it serves residuals and columns."""
+        if self.spread is not None:
+            values = np.linalg.solve(self.spread, values.reshape(len(self), 2, -1)).reshape(values.shape)
+        if self.correlation:
+            rho = self.correlation
+            sequence = self.sequence
+            changed = values.copy()
+            # exact for a first-order autoregression: each row less what the row before predicts of it
+            before, after = values[sequence[:-1]], values[sequence[1:]]
+            changed[sequence[1:]] = (after - rho * before) / np.sqrt(1.0 - rho**2)
+            values = changed
+        return values.reshape(2 * len(self), *values.shape[2:])

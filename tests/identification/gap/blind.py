@@ -1,0 +1,307 @@
+"""A second implementation of the arm and its effects, written from GAP.md's table in plain numpy.
+
+The blind study simulates the truth with this file; diagnosis fits with `identification.model`. Nothing here imports
+the model. Positions are complex numbers x + iy in millimetres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+G = 9.81
+
+
+@dataclass
+class Truth:
+    """The real arm: what is drawn, what is hidden."""
+
+    lengths: np.ndarray  # (n,) nominal [mm]
+    masses: np.ndarray  # (n,) [kg]
+    center: np.ndarray  # (n,) fraction
+    payload: float  # [kg]
+    lower: np.ndarray
+    upper: np.ndarray
+    sigma: float
+    length_errors: np.ndarray
+    joint_offsets: np.ndarray
+    effects: list[tuple[str, int | None, dict]] = field(default_factory=list)
+
+    @property
+    def n(self) -> int:
+        return len(self.lengths)
+
+
+@dataclass
+class Session:
+    """What a row was measured under."""
+
+    q: np.ndarray  # (m, n)
+    t: np.ndarray  # (m,) -0.5..0.5
+    warm: np.ndarray  # (m,) temperature less its mean
+    s: np.ndarray  # (m, n) directions
+    payload: np.ndarray  # (m,)
+
+
+def random_truth(rng: np.random.Generator, n: int | None = None, limits: str = "full") -> Truth:
+    n = int(rng.integers(2, 7)) if n is None else n
+    lengths = np.round(rng.uniform(80.0, 400.0, n))
+    if limits == "full":
+        lower, upper = np.full(n, -np.pi), np.full(n, np.pi)
+    else:
+        span = np.concatenate([[2 * np.pi], rng.uniform(np.radians(120), np.radians(300), n - 1)])
+        middle = rng.uniform(-0.5, 0.5, n)
+        lower, upper = middle - span / 2, middle + span / 2
+    return Truth(
+        lengths=lengths,
+        masses=lengths / 100.0 * rng.uniform(1.0, 5.0, n),
+        center=np.full(n, 0.5),
+        payload=float(rng.uniform(1.0, 12.0)),
+        lower=lower,
+        upper=upper,
+        sigma=float(rng.choice([0.02, 0.05, 0.1, 0.2])),
+        length_errors=rng.normal(0.0, 1.0, n),
+        joint_offsets=rng.normal(0.0, 0.008, n),
+    )
+
+
+def session(truth: Truth, q: np.ndarray, rng: np.random.Generator) -> Session:
+    m = len(q)
+    change = np.sign(np.diff(q, axis=0))
+    s = np.vstack([np.ones(truth.n), change])
+    for i in range(1, m):
+        s[i] = np.where(s[i] == 0, s[i - 1], s[i])
+    walk = 20.0 + 3.0 * np.sin(np.arange(m) / m * 2.5 * np.pi + rng.uniform(0, 6.3)) + rng.normal(0, 1.0, m)
+    return Session(q, np.arange(m) / (m - 1) - 0.5, walk - walk.mean(), s, np.full(m, truth.payload))
+
+
+def joints_xy(lengths_m: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """(m, n+1) nominal positions of the joints and the tip [m]."""
+    steps = lengths_m * np.exp(1j * theta)
+    return np.hstack([np.zeros((len(theta), 1)), np.cumsum(steps, axis=1)])
+
+
+def torques(truth: Truth, run: Session) -> np.ndarray:
+    """(m, n) gravity torque about each joint [N m]: weight times horizontal distance, downwards."""
+    theta = np.cumsum(run.q, axis=1)
+    points = joints_xy(truth.lengths / 1000.0, theta)
+    n = truth.n
+    centers = points[:, :n] + truth.center * (points[:, 1:] - points[:, :n])
+    tau = np.zeros(run.q.shape)
+    for j in range(n):
+        for k in range(j, n):
+            tau[:, j] -= G * truth.masses[k] * (centers[:, k] - points[:, j]).real
+        tau[:, j] -= G * run.payload * (points[:, n] - points[:, j]).real
+    return tau
+
+
+def bending(truth: Truth, run: Session) -> tuple[np.ndarray, np.ndarray]:
+    """(m, n) deflection [mm] and slope [rad] of each link's tip per unit 1/(EI)."""
+    theta = np.cumsum(run.q, axis=1)
+    n = truth.n
+    points = joints_xy(truth.lengths / 1000.0, theta)
+    centers = points[:, :n] + truth.center * (points[:, 1:] - points[:, :n])
+    deflection, slope = np.zeros(theta.shape), np.zeros(theta.shape)
+    for j in range(n):
+        L = truth.lengths[j] / 1000.0
+        weight = truth.masses[j + 1 :].sum() + run.payload
+        F = -G * weight * np.cos(theta[:, j])
+        M = -G * run.payload * (points[:, n] - points[:, j + 1]).real
+        for k in range(j + 1, n):
+            M = M - G * truth.masses[k] * (centers[:, k] - points[:, j + 1]).real
+        deflection[:, j] = 1000.0 * (F * L**3 / 3 + M * L**2 / 2)
+        slope[:, j] = F * L**2 / 2 + M * L
+    return deflection, slope
+
+
+def angle_error(truth: Truth, run: Session, name: str, j: int | None, v: dict) -> np.ndarray:
+    """(m, n) what an effect adds to the joint angles."""
+    out = np.zeros(run.q.shape)
+    if name == "joint_compliance" and j is None:
+        return np.asarray(v["c"]) * torques(truth, run)
+    if j is None:
+        return out
+    q = run.q[:, j - 1]
+    if name == "joint_compliance":
+        out[:, j - 1] = v["c"] * torques(truth, run)[:, j - 1]
+    elif name in ("encoder_eccentricity", "encoder_second_harmonic", "transmission_ripple", "free_ripple"):
+        k = {"encoder_eccentricity": 1, "encoder_second_harmonic": 2}.get(name) or v["k"]
+        out[:, j - 1] = v["a"] * np.cos(k * q) + v["b"] * np.sin(k * q)
+    elif name == "gear_ratio":
+        out[:, j - 1] = v["e"] * q
+    elif name == "joint_coupling":
+        out[:, j - 1] = v["c"] * run.q[:, j - 2]
+    elif name == "backlash":
+        out[:, j - 1] = v["b"] * run.s[:, j - 1]
+    elif name == "gravity_backlash":
+        out[:, j - 1] = v["b"] * np.sign(torques(truth, run)[:, j - 1])
+    # outside the library
+    elif name == "bump":
+        out[:, j - 1] = v["h"] * np.exp(-0.5 * (np.angle(np.exp(1j * (q - v["at"]))) / v["width"]) ** 2)
+    elif name == "cubic":
+        out[:, j - 1] = v["c"] * q**3
+    elif name == "cable_pull":  # a cable along the arm pulls joint j harder the more joint j and its neighbour wind it
+        other = run.q[:, j] if j < truth.n else run.q[:, j - 2]
+        out[:, j - 1] = v["c"] * q * other
+    return out
+
+
+def position(truth: Truth, run: Session) -> np.ndarray:
+    """(m,) complex true positions."""
+    q = run.q + truth.joint_offsets
+    lengths = (truth.lengths + truth.length_errors) * np.ones(q.shape)
+    deflection, slope = np.zeros(q.shape), np.zeros(q.shape)
+    for name, j, v in truth.effects:
+        q = q + angle_error(truth, run, name, j, v)
+        if name == "thermal_growth":
+            lengths = lengths + lengths * v["a"] * run.warm[:, None]
+        if name == "link_bending":
+            d, s = bending(truth, run)
+            deflection, slope = deflection + v["f"] * d, slope + v["f"] * s
+    theta = np.cumsum(q, axis=1)
+    before = np.cumsum(slope, axis=1) - slope
+    p = np.sum((lengths + 1j * deflection) * np.exp(1j * (theta + before)), axis=1)
+    for name, _, v in truth.effects:
+        if name == "base_rotation_drift":
+            p = p * np.exp(1j * v["w"] * run.t)
+    for name, _, v in truth.effects:
+        if name == "base_offset":
+            p = p + v["x"] + 1j * v["y"]
+        elif name == "base_drift":
+            p = p + (v["x"] + 1j * v["y"]) * run.t
+        elif name == "step_drift":
+            p = p + (v["x"] + 1j * v["y"]) * (run.t > v["at"])
+    for name, _, v in truth.effects:
+        if name == "axes_skew":
+            p = p + (v["a"] + 1j * v["b"]) * np.conj(p)
+        elif name == "barrel":  # outside the library: the instrument is bent in a corner of the workspace
+            reach = truth.lengths.sum()
+            p = p + (v["x"] + 1j * v["y"]) * (np.abs(p) / reach) ** 2 * (p.real / reach)
+    return p
+
+
+def directions_of(name: str, n: int, rng: np.random.Generator) -> dict:
+    """A random direction in an effect's parameter space; scaled afterwards."""
+    phase = rng.uniform(0, 2 * np.pi)
+    pair = (np.cos(phase), np.sin(phase))
+    if name in ("encoder_eccentricity", "encoder_second_harmonic", "axes_skew"):
+        return dict(zip("ab", pair, strict=True))
+    if name == "transmission_ripple":
+        return dict(zip("ab", pair, strict=True)) | {"k": int(rng.integers(3, 65))}
+    if name == "free_ripple":
+        k = rng.uniform(65, 120) if rng.random() < 0.5 else int(rng.integers(3, 60)) + 0.5
+        return dict(zip("ab", pair, strict=True)) | {"k": k}
+    if name in ("base_offset", "base_drift", "barrel"):
+        return dict(zip("xy", pair, strict=True))
+    if name == "step_drift":
+        return dict(zip("xy", pair, strict=True)) | {"at": rng.uniform(-0.3, 0.3)}
+    sign = rng.choice([-1.0, 1.0])
+    return {
+        "joint_compliance": {"c": 1.0},
+        "joint_compliance*": {"c": rng.uniform(0.5, 1.5, n)},
+        "gear_ratio": {"e": sign},
+        "joint_coupling": {"c": sign},
+        "backlash": {"b": sign},
+        "gravity_backlash": {"b": 1.0},
+        "link_bending": {"f": 1.0},
+        "thermal_growth": {"a": sign},
+        "base_rotation_drift": {"w": sign},
+        "bump": {"h": sign, "at": rng.uniform(-2.0, 2.0), "width": rng.uniform(0.3, 0.6)},
+        "cubic": {"c": sign},
+        "cable_pull": {"c": sign},
+    }[name]
+
+
+def scaled(values: dict, factor: float) -> dict:
+    """The amplitudes times a factor; k, at and width are shapes and stay."""
+    return {name: (v if name in ("k", "at", "width") else v * factor) for name, v in values.items()}
+
+
+LIBRARY_JOINT = (
+    "joint_compliance",
+    "encoder_eccentricity",
+    "encoder_second_harmonic",
+    "transmission_ripple",
+    "gear_ratio",
+    "joint_coupling",
+    "backlash",
+    "gravity_backlash",
+)
+LIBRARY_WHOLE = (
+    "joint_compliance*",
+    "link_bending",
+    "thermal_growth",
+    "base_offset",
+    "base_drift",
+    "base_rotation_drift",
+    "axes_skew",
+)
+OUTSIDE = ("free_ripple", "bump", "cubic", "cable_pull", "step_drift")
+
+
+def column(truth: Truth, run: Session, effect: tuple[str, int | None, dict]) -> np.ndarray:
+    """(2m,) derivative of the position by the amplitude of an effect."""
+    from dataclasses import replace
+
+    name, j, v = effect
+    h = 1e-6
+    up = position(replace(truth, effects=[(name, j, scaled(v, h))]), run)
+    down = position(replace(truth, effects=[(name, j, scaled(v, -h))]), run)
+    d = (up - down) / (2 * h)
+    return np.column_stack([d.real, d.imag]).ravel()
+
+
+def base_jacobian(truth: Truth, run: Session) -> np.ndarray:
+    """(2m, 2n) derivative by u_j = l_j exp(i dtheta_j), real and imaginary parts: the base model is linear in them."""
+    z = np.exp(1j * np.cumsum(run.q, axis=1))
+    both = np.hstack([z, 1j * z])
+    return np.stack([both.real, both.imag], axis=1).reshape(2 * len(z), -1)
+
+
+def off(columns: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    return vector - columns @ np.linalg.lstsq(columns, vector, rcond=1e-10)[0]
+
+
+def sized(truth: Truth, run: Session, name: str, j: int | None, lam: float, rng: np.random.Generator, others=None):
+    """The effect with amplitude such that |column off the base Jacobian (and `others`)| = lam sigma; None if unseen."""
+    v = directions_of(name, truth.n, rng)
+    real = "joint_compliance" if name == "joint_compliance*" else name
+    d = column(truth, run, (real, j, v))
+    seen = np.linalg.norm(off(base_jacobian(truth, run) if others is None else others, d))
+    if seen < 0.02 * np.linalg.norm(d):
+        return None
+    return real, j, scaled(v, lam * truth.sigma / seen)
+
+
+def random_effect(truth: Truth, run: Session, lam: float, rng: np.random.Generator, name: str | None = None):
+    """One effect of the library, its type at random, then its joint."""
+    while True:
+        pick = name or str(rng.choice(LIBRARY_JOINT + LIBRARY_WHOLE))
+        j = None if pick in LIBRARY_WHOLE else int(rng.integers(2 if pick == "joint_coupling" else 1, truth.n + 1))
+        found = sized(truth, run, pick, j, lam, rng)
+        if found is not None:
+            return found
+
+
+def key(effect: tuple[str, int | None, dict]) -> str:
+    return effect[0] if effect[1] is None else f"{effect[0]}:{effect[1]}"
+
+
+def noise(truth: Truth, run: Session, rng: np.random.Generator, kind: str = "white") -> np.ndarray:
+    """(m,) complex noise."""
+    m = len(run.q)
+    e = rng.standard_normal((m, 2)) @ np.array([1, 1j]) * truth.sigma
+    p = position(truth, run)
+    reach = truth.lengths.sum()
+    if kind == "joint":  # joint 1 shakes: perpendicular to the reach and proportional to it
+        e = e + 1j * p / reach * rng.standard_normal(m) * truth.sigma * 3
+    elif kind == "reach":
+        e = e * (0.5 + 1.5 * np.abs(p) / reach)
+    elif kind == "outliers":
+        worst = rng.choice(m, 3, replace=False)
+        e[worst] += 15 * truth.sigma * np.exp(2j * np.pi * rng.random(3))
+    elif kind == "serial":
+        for i in range(1, m):
+            e[i] = 0.7 * e[i - 1] + np.sqrt(1 - 0.49) * e[i]
+    return e
