@@ -39,7 +39,7 @@ from identification.files import PathLike, read_toml
 from identification.toml_text import Plain, append_tables, replace_table
 
 if TYPE_CHECKING:
-    from identification.effects import Effect
+    from identification.effects import Effect, Parameter
 
 DEGREES = 180.0 / np.pi
 
@@ -106,6 +106,7 @@ def with_effects(text: str, specs: Iterable[EffectSpec]) -> str:
     Values of the specs (API units) are written in file units, and so become known. Comments and order of the text stay.
     Raises `InputError` for effects that the arm cannot have.
     """
+    text = text.removeprefix("\ufeff")
     before = tomllib.loads(text)
     there = {EffectSpec(entry["name"], entry.get("joint")).key for entry in before.get("effects", ())}
     new = [_effect_table(spec, len(before["links_mm"])) for spec in specs if spec.key not in there]
@@ -118,6 +119,7 @@ def with_calibration(text: str, calibration: Calibration) -> str:
     Effects with estimated values must stand under `[[effects]]` of the text: see `with_effects`. Raises `InputError`
     for a calibration of another number of links, or of effects the text does not have.
     """
+    text = text.removeprefix("\ufeff")
     before = tomllib.loads(text)
     file = check({key: value for key, value in before.items() if key != "calibration"})
     tables = _calibration_table(calibration, file_names(len(file.links_mm), effects_of(file)))
@@ -175,10 +177,15 @@ def _effect(table: EffectTable, place: str, links: int) -> tuple[EffectSpec, Eff
             raise InputError(f"{place}.{key}: unknown key of {table.name}, {hint}")
         parameter = parameters[key]
         values[parameter.short] = value / parameter.to_file
-        if not parameter.lower <= values[parameter.short] <= parameter.upper:
-            low, high = parameter.lower * parameter.to_file, parameter.upper * parameter.to_file
-            raise InputError(f"{place}.{key}: found {value:g}, allowed: {low:g} to {high:g}")
+        _require_bounds(f"{place}.{key}", value, parameter)
     return EffectSpec(table.name, table.joint, MappingProxyType(values)), effect
+
+
+def _require_bounds(key: str, value: float, parameter: Parameter) -> None:
+    low, high = parameter.lower * parameter.to_file, parameter.upper * parameter.to_file
+    if not low <= value <= high:
+        allowed = f">= {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
+        raise InputError(f"{key}: found {value:g}, allowed: a number {allowed}")
 
 
 @dataclass(frozen=True)

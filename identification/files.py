@@ -93,9 +93,10 @@ def write_together(contents: Mapping[PathLike, str | bytes], force: bool = False
                 temporary.unlink(missing_ok=True)
 
 
-def check_writable(path: PathLike, force: bool = False) -> None:
-    """Raises the `InputError` of `write_whole` before long work starts rather than after it."""
-    _checked_target(path, force)
+def check_writable(path: PathLike | None, force: bool = False) -> None:
+    """Raises the `InputError` of `write_whole` before long work starts rather than after it. None: nothing to write."""
+    if path is not None:
+        _checked_target(path, force)
 
 
 def _checked_target(path: PathLike, force: bool) -> Path:

@@ -21,6 +21,7 @@ def append_tables(text: str, key: str, entries: list[Plain]) -> str:
     if isinstance(existing, AoT):
         trivia = _pop_trailing(existing[-1])
         for entry in entries:
+            _extend(existing[-1], [Whitespace("\n")])
             existing.append(_table(entry))
         _extend(existing[-1], trivia)
     elif existing is not None:  # key = [{...}], in one line
