@@ -18,9 +18,9 @@ LAYERS = {
     "identification.progress": 0,
     "identification.files": 1,
     "identification.table": 1,
+    "identification.toml_text": 1,
     "identification.arm": 1,
     "identification.arm_schema": 2,  # reads arm files; validates the effects named there
-    "identification.arm_writer": 2,
     "identification.arm_file": 2,
     "identification.effects": 2,
     "identification.measurements": 2,

@@ -101,7 +101,7 @@ class Chain:
         """(mass [kg], link index, fraction along that link) of every mass; the payload sits at the tip."""
         gravity = self._gravity()
         masses = [(ca.SX(m), k, float(gravity.center_of_mass[k])) for k, m in enumerate(gravity.link_masses)]
-        return [*masses, (self.payload, self.links - 1, 1.0)]  # type: ignore[list-item]
+        return [*masses, (self.payload, self.links - 1, 1.0)]
 
     def load_moment(self, link: int, fraction: float, beyond: int) -> ca.SX:
         """Moment [N m] of all loads on links >= `beyond` about the point at `fraction` of `link`, nominal pose."""
