@@ -137,7 +137,7 @@ def describe(direction: Array, names: Sequence[str]) -> str:
     coefficients[-1] *= -1.0 if shown.size > 1 else 1.0
     coefficients *= np.sign(coefficients[0])
     words = ""
-    for coefficient, k in zip(coefficients, shown, strict=True):
+    for coefficient, k in zip(coefficients, shown.tolist(), strict=True):
         size = abs(coefficient)
         factor = "" if abs(size - 1.0) <= SHOWN else f"{size:.2g} "
         words += (" + " if coefficient > 0.0 else " - ") + factor + names[k]
@@ -158,7 +158,7 @@ def sparse_basis(orthonormal: Array) -> Array:
     _, _, pivots = qr(orthonormal.T, pivoting=True, mode="economic")
     echelon = orthonormal @ np.linalg.inv(orthonormal[pivots[:k]])
     touched = np.flatnonzero(np.linalg.norm(orthonormal, axis=1) > TOUCHED)
-    candidates = [_sparsest(orthonormal, i) for i in touched] + list(echelon.T)
+    candidates = [_sparsest(orthonormal, i) for i in touched.tolist()] + list(echelon.T)
     chosen = _independent([v / np.max(np.abs(v)) for v in candidates if v is not None], k)
     return np.array(sorted(chosen, key=lambda v: tuple(np.flatnonzero(np.abs(v) > TOUCHED)))).T
 

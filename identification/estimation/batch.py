@@ -16,13 +16,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arm import Array, readonly
+from identification.arm import Array
 from identification.errors import InputError, JobError
 from identification.estimation.estimate import check, weighting
-from identification.estimation.gauss_newton import GRADIENT_TOLERANCE
 from identification.estimation.individual import individual
 from identification.estimation.linear import as_complex, design, parameters_of
-from identification.estimation.problem import Problem
+from identification.estimation.problem import GRADIENT_TOLERANCE, ROUNDING, Problem
 from identification.information import identifiability_of, information_matrix, spectrum
 from identification.measurements import Measurements
 from identification.model import DIMENSION, Model
@@ -134,7 +133,7 @@ def _linear_solver(problem: Problem) -> Callable[[Array], tuple[Array, Array]]:
 def _iterated(problem: Problem, measured: Array) -> BatchFit:
     count, m, _ = measured.shape
     parameters, rss, converged = _starts(problem, measured), np.empty(count), np.zeros(count, dtype=bool)
-    shared = _Shared(problem, np.mean(parameters, axis=0))
+    shared = _Shared(problem, np.mean(parameters, axis=0) if count else problem.start)
     for part in _chunks(count, m):
         _shared_steps(problem, shared, measured[part], parameters[part], rss[part], converged[part])
     rest = np.flatnonzero(~converged)
@@ -194,18 +193,18 @@ def _shared_steps(
     lower, upper = problem.bounds
     active = np.arange(len(measured))
     data = np.ascontiguousarray(np.moveaxis(measured, -1, 0))
-    floor = 1e-13 * np.sqrt(np.sum(data**2 * problem.weights, axis=(0, 2)))
+    rounding = ROUNDING * np.sqrt(np.sum(data**2 * problem.weights, axis=(0, 2)))
     x, last = parameters.copy(), np.full(len(measured), np.inf)
     for _ in range(SHARED_STEPS):
         gradient, cost = shared.gradient(data, x)
         size = np.max(np.abs(gradient), axis=1)
         inside = np.all((x >= lower) & (x <= upper), axis=1)
-        done = (size <= GRADIENT_TOLERANCE * np.sqrt(cost) + floor) & inside
+        done = (size <= GRADIENT_TOLERANCE * np.sqrt(cost) + rounding) & inside
         finished = active[done]
         parameters[finished], rss[finished], converged[finished] = x[done], cost[done], True
         going = ~done & (size <= CONTRACTION * last)
         if not going.any():
             return
         x = x[going] + gradient[going] @ shared.inverse
-        active, last, floor = active[going], size[going], floor[going]
+        active, last, rounding = active[going], size[going], rounding[going]
         data = data if going.all() else np.ascontiguousarray(data[:, going])

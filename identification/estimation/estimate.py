@@ -48,7 +48,8 @@ def estimate(
         for every other model) or `paper_steps`
     sigma : standard deviation of one coordinate [mm], one number or (m,); "estimated": from the residuals, whatever
         the data say. Left out: the data's sigma per row, else the arm's, else estimated
-    weights : (m,) relative weights >= 0 of the rows, on top of sigma: a row of weight 3 counts as three rows would
+    weights : (m,) relative weights >= 0 of the rows, on top of sigma: the variance of row i is sigma^2 / weights_i, so
+        a row of weight 3 moves the estimates as three equal rows would; rows of weight 0 are left out
 
     A plan that cannot tell everything is no error: what it does tell is estimated, the rest is named in
     `not_identifiable`, and `status` says so. Raises `InputError` for data that do not fit the model, `JobError` if the
@@ -82,7 +83,9 @@ def check(model: Model, measurements: Measurements) -> None:
         if "temperature" in effect.needs and measurements.temperature is None:
             raise InputError(f"effects: {effect.key} needs the column temperature_C, the measurements have none")
         if "gravity" in effect.needs and model.arm.gravity is None:
-            raise InputError(f"effects: {effect.key} needs gravity torques, allowed: an arm file with a [gravity] table")
+            raise InputError(
+                f"effects: {effect.key} needs gravity torques, allowed: an arm file with a [gravity] table"
+            )
     if DIMENSION * m < p:
         found = f"{DIMENSION} m = {DIMENSION * m} < p = {p}"
         raise InputError(f"measurements: fewer equations than unknowns: {found}, allowed: m >= {-(-p // DIMENSION)}")

@@ -2,7 +2,8 @@
 
 Each step solves min |E s - r|^2 + damping |s|^2 over the columns E of the exact CasADi Jacobian, scaled to unit
 length, by a singular value decomposition of its triangle. Undamped unless a step fails to descend. Parameters on a
-bound that the gradient presses against are held (active set); what a step takes beyond a bound is cut off there.
+bound that the gradient or the step presses against are held (active set; without the step's, a cut step need not
+descend); what a step takes beyond a bound from inside is cut off there.
 """
 
 from __future__ import annotations
@@ -14,12 +15,11 @@ from numpy.typing import NDArray
 
 from identification.arm import Array
 from identification.estimation.linear import linear
-from identification.estimation.problem import Fit, Problem
+from identification.estimation.problem import GRADIENT_TOLERANCE, Fit, Problem
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.status import Status
 
-GRADIENT_TOLERANCE = 1e-9  # stationary: no column of the Jacobian has a cosine with the residuals above this
 MAX_ITERATIONS = 100
 MAX_DAMPING = 1e12
 
@@ -48,24 +48,38 @@ class Step(NamedTuple):
 def gauss_newton(problem: Problem) -> Fit:
     """A stationary point of the weighted sum of squares, from the best start at hand (see `starts`)."""
     candidates = starts(problem)
-    costs = [float(np.sum(problem.residuals(x) ** 2)) for x in candidates]
+    costs = [_cost(problem, x) for x in candidates]
     x, cost, damping = candidates[int(np.argmin(costs))], min(costs), 0.0
     for iteration in range(MAX_ITERATIONS):
         residuals, jacobian = problem.linearise(x)
-        step = linearised(problem, x, residuals, jacobian)
-        threshold = GRADIENT_TOLERANCE * float(np.linalg.norm(residuals)) + problem.noise_floor
-        if step.stationary(threshold):
+        norm = float(np.linalg.norm(residuals))
+        held = pressed(problem, x, jacobian.T @ residuals)
+        step = linearised(problem, held, residuals, jacobian)
+        if step.stationary(GRADIENT_TOLERANCE * norm + problem.rounding):
             return Fit(x, Status.converged, iteration)
-        while True:
-            trial = np.clip(step.move(x, damping), *problem.bounds)
-            trial_cost = float(np.sum(problem.residuals(trial) ** 2))
-            if trial_cost <= cost * (1.0 + 1e-13):  # rounding may hide the descent of the last steps
-                break
-            damping = max(10.0 * damping, 1e-4)
-            if damping > MAX_DAMPING:
-                return Fit(x, Status.almost_solved, iteration)
-        x, cost, damping = trial, trial_cost, damping / 10.0 if damping > 1e-6 else 0.0
+        while np.any(out := outward(problem, x, step.move(x, damping))):
+            held |= out
+            step = linearised(problem, held, residuals, jacobian)
+        allowance = 2.0 * norm * problem.rounding  # rounding may hide the descent of the last steps
+        x, cost, damping = descend(problem, step, x, cost + allowance, damping)
+        if damping > MAX_DAMPING:
+            return Fit(x, Status.almost_solved, iteration)
     return Fit(x, Status.iteration_limit, MAX_ITERATIONS)
+
+
+def descend(problem: Problem, step: Step, x: Array, limit: float, damping: float) -> tuple[Array, float, float]:
+    """The first point with a cost up to `limit`, under more and more damping; its cost, and the next damping."""
+    while damping <= MAX_DAMPING:
+        trial = np.clip(step.move(x, damping), *problem.bounds)
+        cost = _cost(problem, trial)
+        if cost <= limit:
+            return trial, cost, damping / 10.0 if damping > 1e-6 else 0.0
+        damping = max(10.0 * damping, 1e-4)
+    return x, limit, damping
+
+
+def _cost(problem: Problem, x: Array) -> float:
+    return float(np.sum(problem.residuals(x) ** 2))
 
 
 def starts(problem: Problem) -> list[Array]:
@@ -83,16 +97,25 @@ def starts(problem: Problem) -> list[Array]:
     return candidates
 
 
-def linearised(problem: Problem, x: Array, residuals: Array, jacobian: Array) -> Step:
-    """The decomposed problem over the parameters that are free to move."""
+def pressed(problem: Problem, x: Array, descent: Array) -> NDArray[np.bool_]:
+    """(p,) True for parameters on a bound that the direction of descent presses against."""
     lower, upper = problem.bounds
-    descent = jacobian.T @ residuals
-    held = ((x <= lower) & (descent < 0.0)) | ((x >= upper) & (descent > 0.0))
+    return ((x <= lower) & (descent < 0.0)) | ((x >= upper) & (descent > 0.0))
+
+
+def outward(problem: Problem, x: Array, moved: Array) -> NDArray[np.bool_]:
+    """(p,) True for parameters on a bound that the step would leave on the wrong side."""
+    lower, upper = problem.bounds
+    return ((x <= lower) & (moved < lower)) | ((x >= upper) & (moved > upper))
+
+
+def linearised(problem: Problem, held: NDArray[np.bool_], residuals: Array, jacobian: Array) -> Step:
+    """The decomposed problem over the parameters that are free to move."""
     sizes = np.linalg.norm(jacobian, axis=0) / problem.model.scales
     free = np.flatnonzero(~held & (sizes > 1e-9 * sizes.max()))
     lengths = sizes[free] * problem.model.scales[free]
     # the triangle of [E, r] holds all that the step needs; rows can be millions, columns are few
-    triangle = np.linalg.qr(np.column_stack([jacobian[:, free] / lengths, residuals]), mode="r")
+    triangle: Array = np.linalg.qr(np.column_stack([jacobian[:, free] / lengths, residuals]), mode="r")  # type: ignore
     left, values, right = np.linalg.svd(triangle[:, :-1], full_matrices=False)
     kept = values > problem.tolerance * np.max(values, initial=0.0)
     return Step(free, lengths, values[kept], right[kept].T, left.T[kept] @ triangle[:, -1])

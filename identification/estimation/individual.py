@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arm import Array
-from identification.estimation.gauss_newton import GRADIENT_TOLERANCE, MAX_DAMPING, MAX_ITERATIONS
-from identification.estimation.problem import Problem
+from identification.estimation.gauss_newton import MAX_DAMPING, MAX_ITERATIONS
+from identification.estimation.problem import GRADIENT_TOLERANCE, ROUNDING, Problem
 
 RIDGE = 1e-14  # keeps the factorisation alive when a bound leaves a singular rest
 
@@ -23,23 +23,24 @@ def individual(problem: Problem, measured: Array, starts: Array) -> tuple[Array,
     cost = _cost(problem, measured, x)
     converged = np.zeros(len(x), dtype=bool)
     damping = np.zeros(len(x))
-    floor = 1e-13 * np.sqrt(np.einsum("kmd,m->k", measured**2, problem.weights))
+    rounding = ROUNDING * np.sqrt(np.einsum("kmd,m->k", measured**2, problem.weights))
     active = np.arange(len(x))
     for _ in range(2 * MAX_ITERATIONS):
         normal, gradient, lengths = _normal_equations(problem, measured[active], x[active])
         held = ((x[active] <= lower) & (gradient < 0.0)) | ((x[active] >= upper) & (gradient > 0.0))
         gradient = np.where(held, 0.0, gradient)
-        small = GRADIENT_TOLERANCE * np.sqrt(cost[active]) + floor[active]
+        small = GRADIENT_TOLERANCE * np.sqrt(cost[active]) + rounding[active]
         done = np.max(np.abs(gradient), axis=1) <= small
         converged[active[done]] = True
         going = ~done & (damping[active] <= MAX_DAMPING)
         active = active[going]
         if active.size == 0:
             break
-        step = _step(normal[going], gradient[going], held[going], damping[active]) / lengths[going]
-        trial = np.clip(x[active] + step, lower, upper)
+        blocked = (x[active] <= lower) * -1 + (x[active] >= upper)
+        step = _step_inside(normal[going], gradient[going], held[going], damping[active], blocked)
+        trial = np.clip(x[active] + step / lengths[going], lower, upper)
         trial_cost = _cost(problem, measured[active], trial)
-        better = trial_cost <= cost[active] * (1.0 + 1e-13)
+        better = trial_cost <= cost[active] + 2.0 * np.sqrt(cost[active]) * rounding[active]
         x[active[better]], cost[active[better]] = trial[better], trial_cost[better]
         relaxed = np.where(damping[active] > 1e-6, damping[active] / 10.0, 0.0)
         damping[active] = np.where(better, relaxed, np.maximum(10.0 * damping[active], 1e-4))
@@ -64,6 +65,19 @@ def _normal_equations(problem: Problem, measured: Array, parameters: Array) -> t
     return across @ rows, (across @ residuals[:, :, None])[:, :, 0], lengths
 
 
+def _step_inside(
+    normal: Array, gradient: Array, held: NDArray[np.bool_], damping: Array, blocked: NDArray[np.int_]
+) -> Array:
+    """`_step`, holding also what it would push over a bound: blocked (k, p) is -1 on a lower, +1 on an upper bound."""
+    held = held.copy()
+    step = _step(normal, gradient, held, damping)
+    while np.any(out := (step * blocked > 0.0) & ~held):
+        again = np.any(out, axis=1)
+        held |= out
+        step[again] = _step(normal[again], gradient[again], held[again], damping[again])
+    return step
+
+
 def _step(normal: Array, gradient: Array, held: NDArray[np.bool_], damping: Array) -> Array:
     """(k, p) solution of (E^T E + damping) s = E^T r over the parameters that are not held, zero for those that are."""
     p = gradient.shape[1]
@@ -71,4 +85,4 @@ def _step(normal: Array, gradient: Array, held: NDArray[np.bool_], damping: Arra
     matrix = np.where(free[:, :, None] & free[:, None, :], normal, 0.0)
     diagonal = np.arange(p)
     matrix[:, diagonal, diagonal] += np.where(held, 1.0, damping[:, None] + RIDGE)
-    return np.linalg.solve(matrix, gradient[:, :, None])[:, :, 0]
+    return np.linalg.solve(matrix, np.where(held, 0.0, gradient)[:, :, None])[:, :, 0]

@@ -1,8 +1,8 @@
 """The paper's iteration (Section III, Steps 1-5): the linearised solution of eq. 11, repeated.
 
 Step 1 starts at zero errors, Step 2 computes positions, Step 3 solves eq. 11 for the residuals, Step 4 corrects the
-model, Step 5 repeats. Nothing damps it and it knows no bounds. A change of coordinates does not change the iteration, so
-orientation offsets (the paper's) and joint offsets (ours) take the same steps.
+model, Step 5 repeats. Nothing damps it and it knows no bounds. A linear change of coordinates does not change the
+iteration, so orientation offsets (the paper's) and joint offsets (ours) take the same steps.
 """
 
 from __future__ import annotations

@@ -14,6 +14,9 @@ from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.status import Status
 
+ROUNDING = 1e-14  # of a coordinate, after a chain of some ten operations
+GRADIENT_TOLERANCE = 1e-9  # stationary: no column of the Jacobian has a cosine with the residuals above this
+
 
 class Fit(NamedTuple):
     """What a method returns: parameters (p,) in API units, and how it ended."""
@@ -62,9 +65,9 @@ class Problem:
         return np.clip(self.model.values, *self.bounds)
 
     @cached_property
-    def noise_floor(self) -> float:
-        """Weighted residuals below this norm are rounding errors of the measured coordinates."""
-        return 1e-13 * float(np.linalg.norm(self.root_weights * self.measurements.positions))
+    def rounding(self) -> float:
+        """Norm of the weighted residuals that rounding errors of coordinates of this size make."""
+        return ROUNDING * float(np.linalg.norm(self.root_weights * self.measurements.positions))
 
     def residuals(self, parameters: Array) -> Array:
         """(2m,) weighted, measured minus computed."""

@@ -194,10 +194,13 @@ class Identification:
             cells = [_cell(row[key], width) for key, width in zip(_COLUMNS, (12, 10, 12, 12), strict=True)]
             lines.append(f"{row['name']:<32} {' '.join(cells)}  {row['unit']}")
         lines += [f"cannot be told apart: {combination}" for combination in self.not_identifiable]
-        sigma = "unknown" if self.sigma is None else f"{self.sigma:.4g} mm ({'given' if self.sigma_known else 'estimated'})"
+        sigma = (
+            "unknown" if self.sigma is None else f"{self.sigma:.4g} mm ({'given' if self.sigma_known else 'estimated'})"
+        )
         chi2 = "" if self.p_value is None else f", chi2 {self.chi2:.4g}, p-value {self.p_value:.3g}"
         lines.append(f"sigma {sigma}, {self.dof} degrees of freedom{chi2}")
-        lines.append(f"RMS {self.rms_before:.4g} -> {self.rms_after:.4g} mm, max {self.max_before:.4g} -> {self.max_after:.4g} mm")
+        lines.append(f"RMS {self.rms_before:.4g} -> {self.rms_after:.4g} mm")
+        lines.append(f"max {self.max_before:.4g} -> {self.max_after:.4g} mm")
         lines.append(f"{self.method}: {self.status.value}")
         return "\n".join(lines)
 
