@@ -67,7 +67,7 @@ class Demo:
 
     def gap(self, found: Identification) -> float:
         """RMS distance [mm] between a fitted model and the fresh measurements."""
-        predicted = found.model.position(self.fresh.postures, found.values, self.fresh.conditions)
+        predicted = found.model.position(self.fresh.postures, found.parameters, self.fresh.conditions)
         return rms(predicted - self.fresh.positions)
 
 

@@ -1,0 +1,97 @@
+"""How many measurements? Efficiency and expected accuracy against the number of runs.
+
+The number matters more than the solver: 10 runs can be worse than 8 (THEORY.md section 4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from doe.problem import DesignProblem
+from doe.result import Design
+from doe.solvers import solve
+from identification.errors import InputError
+from identification.progress import Progress, silent
+
+
+@dataclass(frozen=True)
+class Advice:
+    """The best plan found for every number of runs asked for.
+
+    designs : in the order of `runs`
+    target : wanted standard deviation of the link lengths [mm], or None
+    """
+
+    designs: tuple[Design, ...]
+    target: float | None = None
+
+    @property
+    def runs(self) -> tuple[int, ...]:
+        """The numbers of runs."""
+        return tuple(len(design.plan) for design in self.designs)
+
+    def accuracy(self, design: Design) -> float | None:
+        """Largest expected standard deviation of a link length [mm]; None without sigma."""
+        return None if design.deviations is None else float(design.deviations.length.max())
+
+    @property
+    def smallest(self) -> Design | None:
+        """The plan with the fewest runs that reaches the target; None if none does (or there is no target)."""
+        if self.target is None:
+            return None
+        reached = (d for d in self.designs if (std := self.accuracy(d)) is not None and std <= self.target)
+        return min(reached, key=lambda d: len(d.plan), default=None)
+
+    def good_value(self, share: float = 0.999) -> tuple[int, ...]:
+        """Numbers of runs whose plan wastes less than one in a thousand: efficiency at least `share`."""
+        return tuple(len(d.plan) for d in self.designs if d.efficiency is not None and d.efficiency >= share)
+
+    def to_json(self) -> dict[str, Any]:
+        """One row per number of runs, and the smallest number for the target."""
+        smallest = self.smallest
+        return {
+            "rows": [self._row(design) for design in self.designs],
+            "target_mm": self.target,
+            "smallest_runs": None if smallest is None else len(smallest.plan),
+        }
+
+    def _row(self, design: Design) -> dict[str, Any]:
+        data = design.to_json()
+        keys = ("runs", "log_det", "bound", "efficiency", "certified_optimal", "std", "status")
+        return {key: data[key] for key in keys} | {"largest_length_std_mm": self.accuracy(design)}
+
+
+def advise(
+    problem: DesignProblem,
+    runs: Sequence[int],
+    *,
+    target: float | None = None,
+    seed: int = 0,
+    seconds_each: float | None = None,
+    progress: Progress = silent,
+) -> Advice:
+    """Design a plan for every number of runs; stop early only by Ctrl-C, which keeps what is there.
+
+    target : wanted largest standard deviation of a link length [mm]; needs the arm's sigma
+    Raises `InputError` for numbers of runs below the fewest possible, or a target without sigma.
+    """
+    fewest = problem.fewest_runs
+    if not runs or min(runs) < fewest:
+        raise InputError(f"runs: {min(runs, default=None)}, allowed: >= {fewest} ({problem.parameters} unknowns)")
+    if target is not None and getattr(getattr(problem.model, "arm", None), "sigma", None) is None:
+        raise InputError("target_mm: the arm file has no sigma_mm, allowed: a [measurement] table with sigma_mm")
+    if target is not None and not (np.isfinite(target) and target > 0.0):
+        raise InputError(f"target_mm: {target}, allowed: > 0")
+    designs: list[Design] = []
+    try:
+        for done, m in enumerate(runs):
+            progress(done, len(runs), f"{m} runs")
+            designs.append(solve(problem, m, seed=seed, seconds=seconds_each))
+    except KeyboardInterrupt:
+        if not designs:
+            raise
+    return Advice(tuple(designs), target)
