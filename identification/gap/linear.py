@@ -52,6 +52,20 @@ class Dictionary:
         """Degrees of freedom the fitted model leaves."""
         return len(self.model_basis) - self.model_basis.shape[1]
 
+    def subset(self, keep: NDArray[np.int64]) -> Dictionary:
+        """Only some of the hypotheses."""
+        columns = np.concatenate([np.arange(self.starts[k], self.starts[k] + self.sizes[k]) for k in keep] or [[]])
+        widths = self.sizes[keep]
+        return Dictionary(
+            self.model_basis,
+            np.ascontiguousarray(self.bases[:, columns.astype(np.int64)]),
+            np.cumsum(widths) - widths,
+            widths,
+            self.shares[keep],
+            self.one_sided[keep],
+            self.weights[keep],
+        )
+
     def reductions(self, residuals: Array) -> Array:
         """(H, B) fall of the sum of squares for residuals (N, B) orthogonal to the model; 0 for the forbidden sign."""
         if len(self) == 0:
@@ -110,7 +124,7 @@ def dictionary(jacobian: Array, columns: list[Array], one_sided: NDArray[np.bool
     stacked = stacked / np.where(norms > 0.0, norms, 1.0)
     projected = stacked - q @ (q.T @ stacked)
     projected -= q @ (q.T @ projected)
-    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64) if len(sizes) else sizes
+    starts = np.cumsum(sizes) - sizes
     kept: list[tuple[int, Array]] = []
     shares = np.zeros(len(sizes))
     for size in np.unique(sizes):
@@ -127,6 +141,6 @@ def dictionary(jacobian: Array, columns: list[Array], one_sided: NDArray[np.bool
     kept.sort(key=lambda pair: pair[0])
     bases = [block for _, block in kept]
     widths = np.array([b.shape[1] for b in bases], dtype=np.int64)
-    begin = np.concatenate([[0], np.cumsum(widths)[:-1]]).astype(np.int64) if len(widths) else widths
+    begin = np.cumsum(widths) - widths
     whole = np.hstack(bases) if bases else np.zeros((len(q), 0))
     return Dictionary(q, whole, begin, widths, shares, one_sided, weights)

@@ -69,12 +69,7 @@ class Search:
 def visible(members: list[Hypothesis], full: Dictionary) -> tuple[list[Hypothesis], Dictionary]:
     """Only the hypotheses of which something survives projection."""
     keep = np.flatnonzero(full.sizes > 0)
-    if len(keep) == len(members):
-        return members, full
-    picked = Dictionary(
-        full.model_basis, full.bases, full.starts[keep], full.sizes[keep], full.shares[keep], full.one_sided[keep], full.weights[keep]
-    )
-    return [members[k] for k in keep], picked
+    return [members[k] for k in keep], full.subset(keep)
 
 
 def bic_change(falls: np.ndarray, against: Dictionary, n: int, squares: float) -> np.ndarray:

@@ -1,0 +1,99 @@
+"""General shapes that no effect of the library has, by place: what an unknown effect may look like.
+
+An unknown effect at a joint is some function of that joint (or of its neighbours), acting through the joint's lever
+arm; one in time is a step, a bend or a wave of the base; one in the workspace is a smooth warp or a local dent of the
+measured positions. Each atom is one such shape with few columns; a place is said to hold an unknown effect when the
+best of its atoms explains what is left, after correction for all atoms of all places.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.arm import Array
+from identification.gap.fit import Fit
+from identification.gap.whitening import Rows
+
+FREE_ORDERS = np.arange(0.5, 160.5, 0.5)  # periods per turn, whole or not
+SMOOTH_ORDERS = np.arange(1, 6)
+CENTRES = 16
+WIDTHS = (0.2, 0.4, 0.8)  # rad
+STEPS = 40
+
+
+@dataclass(frozen=True)
+class Atom:
+    """place : `joint:j`, `time`, `workspace`;  shape : for people;  columns : (m, 2, d)"""
+
+    place: str
+    shape: str
+    columns: Array
+
+
+def atoms(found: Fit, rows: Rows) -> list[Atom]:
+    """All atoms at a fitted model."""
+    position, jacobian = found.model.linearise(rows.postures, found.values, rows.conditions)
+    n = rows.postures.shape[1]
+    listed: list[Atom] = []
+    for j in range(n):
+        lever = jacobian[:, :, n + j]
+        for shape, values in _joint_shapes(rows.postures, j):
+            listed.append(Atom(f"joint:{j + 1}", shape, lever[:, :, None] * values[:, None, :]))
+    time = rows.conditions.time
+    if time is not None and np.ptp(time) > 0.0:
+        listed += _time_atoms(time, position)
+    return listed + _workspace_atoms(position)
+
+
+def _joint_shapes(postures: Array, j: int) -> list[tuple[str, Array]]:
+    q = postures[:, j]
+    shapes = [(f"wave of {k:g} per turn", np.column_stack([np.cos(k * q), np.sin(k * q)])) for k in FREE_ORDERS]
+    centres = np.quantile(q, (np.arange(CENTRES) + 0.5) / CENTRES)
+    for centre in centres:
+        gap = np.angle(np.exp(1j * (q - centre)))
+        shapes += [(f"bump at {np.degrees(centre):.0f} deg", _column(np.exp(-0.5 * (gap / w) ** 2))) for w in WIDTHS]
+        shapes.append((f"step at {np.degrees(centre):.0f} deg", _column(np.sign(q - centre))))
+        shapes.append((f"bend at {np.degrees(centre):.0f} deg", _column(np.maximum(q - centre, 0.0))))
+    shapes += [(f"power {k}", _column(q**k)) for k in (2, 3)]
+    shapes.append(("powers 1 to 3", np.column_stack([q, q**2, q**3])))
+    smooth = np.concatenate([[np.cos(k * q), np.sin(k * q)] for k in SMOOTH_ORDERS]).T
+    shapes.append(("smooth function", smooth))
+    for k in range(postures.shape[1]):
+        if k != j:
+            other = postures[:, k]
+            shapes.append((f"product with joint {k + 1}", _column(q * other)))
+            shapes.append((f"wave of joint {k + 1}", np.column_stack([np.cos(other), np.sin(other)])))
+    return shapes
+
+
+def _column(values: Array) -> Array:
+    return values[:, None]
+
+
+def _time_atoms(time: Array, position: Array) -> list[Atom]:
+    turn = np.column_stack([-position[:, 1], position[:, 0]])
+    edges = np.quantile(time, np.linspace(0.0, 1.0, min(STEPS, len(time) - 1) + 1)[1:-1])
+    shapes = [(f"step at {edge:+.2f}", np.greater(time, edge) * 1.0) for edge in edges]
+    shapes += [(f"power {k}", time**k) for k in (2, 3)]
+    listed = []
+    for shape, values in shapes:
+        listed.append(Atom("time", shape, values[:, None, None] * np.eye(2)))
+        listed.append(Atom("time", f"rotation {shape}", (values[:, None] * turn)[:, :, None]))
+    for k in (1, 2, 3):
+        waves = np.stack([np.cos(2 * np.pi * k * time), np.sin(2 * np.pi * k * time)], axis=1)
+        columns = (np.eye(2)[None, :, :, None] * waves[:, None, None, :]).reshape(len(time), 2, 4)
+        listed.append(Atom("time", f"wave of {k} per session", columns))
+    return listed
+
+
+def _workspace_atoms(position: Array) -> list[Atom]:
+    x, y = (position / np.sqrt(np.mean(position**2))).T
+    shapes = [(f"x^{a} y^{b}", x**a * y**b) for a in range(4) for b in range(4) if 2 <= a + b <= 3]
+    for cx in (-1.5, -0.75, 0.0, 0.75, 1.5):
+        for cy in (-1.5, -0.75, 0.0, 0.75, 1.5):
+            dent = np.exp(-0.5 * ((x - cx) ** 2 + (y - cy) ** 2) / 0.5**2)
+            if np.sum(dent > 0.3) >= 3:
+                shapes.append((f"dent near ({cx:g}, {cy:g}) rms reach", dent))
+    return [Atom("workspace", shape, values[:, None, None] * np.eye(2)) for shape, values in shapes]

@@ -1,0 +1,185 @@
+"""What the scatter does: outliers, noise that is larger at some postures, noise that remembers the row before.
+
+Effects of the mean are `select`'s business. Here the residuals of a fitted model are screened, and a noise model is
+returned under which they are white, so that the tests of the mean can be repeated without being fooled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arm import Array
+from identification.gap.fit import Fit
+from identification.gap.linear import basis
+from identification.gap.whitening import Rows
+
+OUTLIER = 6.0  # robust standard deviations of a posture's residual
+MOST_OUTLIERS = 0.15  # share of the rows; more is structure, not outliers
+LEVEL = 0.01  # of each finding, after Holm's correction
+DRAWS = 999
+GRID = np.geomspace(0.05, 50.0, 31)  # noise variance of the finding relative to the common one
+
+
+@dataclass(frozen=True)
+class Finding:
+    """name : `joint_noise:j`, `reach_noise`, `time_noise`, `serial_correlation`, `repeats`;  p : Holm-adjusted
+    size : ratio of the extra to the common variance (at the mean posture), or the correlation
+    """
+
+    name: str
+    p: float
+    size: float
+
+    def __str__(self) -> str:
+        what = "lag-1 correlation" if self.name == "serial_correlation" else "relative variance"
+        return f"{self.name} ({what} {self.size:.2g}, p = {self.p:.2g})"
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """The findings, and the rows with a noise model that takes care of them."""
+
+    findings: tuple[Finding, ...]
+    rows: Rows
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the findings."""
+        return tuple(f.name for f in self.findings)
+
+
+def outliers(predicted: Array, jacobian: Array, everything: Rows) -> NDArray[np.bool_]:
+    """(m,) rows whose residual no model of this kind can explain.
+
+    The worst row is taken out and the linearised model refitted, until none stands out by more than `OUTLIER` robust
+    standard deviations (median of the studentised squared residuals, chi-square with 2 degrees of freedom).
+
+    predicted : (m, 2) positions of the fitted model for all rows;  jacobian : (m, 2, p)
+    """
+    plain = replace(everything, correlation=0.0)
+    residual = plain.whiten(everything.positions - predicted).reshape(-1, 2)
+    columns = plain.whiten(jacobian)
+    kept = np.ones(len(everything), dtype=bool)
+    for _ in range(int(MOST_OUTLIERS * len(kept)) + 1):
+        squares = studentised(residual, columns, kept)
+        worst = int(np.argmax(np.where(kept, squares, -1.0)))
+        if squares[worst] <= OUTLIER**2:
+            return ~kept
+        kept[worst] = False
+    return np.zeros(len(kept), dtype=bool)
+
+
+def studentised(residual: Array, columns: Array, kept: NDArray[np.bool_]) -> Array:
+    """(m,) squared residual of each posture in units of its own covariance and of the robust scale of the kept rows."""
+    blocks = columns.reshape(len(kept), 2, -1)
+    q = basis(blocks[kept].reshape(-1, columns.shape[1])).reshape(int(kept.sum()), 2, -1)
+    inside = residual[kept].reshape(-1)
+    flat = q.reshape(len(inside), -1)
+    left = (inside - flat @ (flat.T @ inside)).reshape(-1, 2)
+    rest = np.eye(2) - q @ q.transpose(0, 2, 1) + 1e-6 * np.eye(2)
+    squares = np.zeros(len(kept))
+    squares[kept] = np.einsum("mi,mi->m", left, np.linalg.solve(rest, left[..., None])[..., 0])
+    return np.asarray(squares / max(np.median(squares[kept]) / (2.0 * np.log(2.0)), 1e-300))
+
+
+def screen(found: Fit, rows: Rows, generator: np.random.Generator) -> Scatter:
+    """Test the residuals of a fitted model for structure in their scatter.
+
+    Every statistic is a quadratic form of the residuals; its distribution under white Gaussian noise is drawn with the
+    same projection off the Jacobian, so it is exact whatever the degrees of freedom.
+
+    rows : with the relative sigma of the data only (no noise model yet)
+    """
+    position, jacobian = found.model.linearise(rows.postures, found.values, rows.conditions)
+    residual, columns = rows.whiten(rows.positions - position), rows.whiten(jacobian)
+    q = basis(columns)
+    drawn = generator.standard_normal((len(residual), DRAWS))
+    sample = np.column_stack([residual, drawn])
+    sample -= q @ (q.T @ sample)
+    sample /= np.sqrt(np.square(sample).mean(axis=0))
+    forms = variance_forms(rows, position, jacobian)
+    values = {name: _quadratic(form, sample) for name, form in forms.items()}
+    values["time_noise"] = np.abs(values["time_noise"])
+    values["serial_correlation"] = lag_one(sample, rows)
+    p = {name: (1.0 + np.sum(v[1:] >= v[0])) / (DRAWS + 1.0) for name, v in values.items()}
+    return _noise_model(p, values, forms, sample, rows)
+
+
+def variance_forms(rows: Rows, position: Array, jacobian: Array) -> dict[str, Array]:
+    """Finding -> (m, 2, 2) shape of the extra covariance, of mean trace 2.
+
+    Joint noise moves the tip along the joint's column of the Jacobian, by its lever arm; reach noise grows with the
+    distance from the base; time noise with the time in the session.
+    """
+    n = rows.postures.shape[1]
+    forms = {}
+    for j in range(n):
+        lever = jacobian[:, :, n + j]
+        forms[f"joint_noise:{j + 1}"] = lever[:, :, None] * lever[:, None, :]
+    forms["reach_noise"] = np.sum(position**2, axis=1)[:, None, None] * np.eye(2)
+    time = rows.conditions.time if rows.conditions.time is not None else np.zeros(len(rows))
+    forms["time_noise"] = (time - time.min() + 1e-9)[:, None, None] * np.eye(2)
+    return {name: form * (2.0 * len(form) / np.einsum("mii->", form)) for name, form in forms.items()}
+
+
+def _quadratic(form: Array, sample: Array) -> Array:
+    """(B,) sum_i e_i^T (W_i - mean) e_i."""
+    e = sample.reshape(len(form), 2, -1)
+    return np.asarray(np.einsum("mib,mij,mjb->b", e, form - np.eye(2), e, optimize=True))
+
+
+def lag_one(sample: Array, rows: Rows) -> Array:
+    """(B,) lag-1 correlation of the residuals in the order of measurement."""
+    e = sample.reshape(len(rows), 2, -1)[rows.sequence]
+    return np.asarray(np.sum(e[1:] * e[:-1], axis=(0, 1)) / np.sum(e * e, axis=(0, 1)))
+
+
+def _noise_model(p: dict[str, float], values: dict[str, Array], forms: dict[str, Array], sample: Array, rows: Rows) -> Scatter:
+    """Holm's correction; the strongest of the variance findings is kept (they are rivals), and serial correlation."""
+    adjusted = holm(p)
+    findings = []
+    variance = [name for name in forms if adjusted[name] <= LEVEL]
+    if variance:
+        # standardised, so that findings with the smallest p-value the draws can give are still told apart
+        strength = {n: (values[n][0] - values[n][1:].mean()) / values[n][1:].std() for n in variance}
+        name = max(variance, key=lambda n: strength[n])
+        falling = name == "time_noise" and _quadratic(forms[name], sample[:, :1])[0] < 0.0
+        form = 2.0 * np.eye(2) - forms[name] if falling else forms[name]
+        ratio, spread = _variance_ratio(form, sample[:, 0])
+        findings.append(Finding(name, adjusted[name], ratio))
+        own = np.eye(2) if rows.spread is None else rows.spread
+        rows = replace(rows, spread=own @ spread)
+    if adjusted["serial_correlation"] <= LEVEL:
+        raw = values["serial_correlation"]
+        rho = float(np.clip(raw[0] - raw[1:].mean(), 0.0, 0.95))  # the projection makes white noise look alternating
+        findings.append(Finding("serial_correlation", adjusted["serial_correlation"], rho))
+        rows = replace(rows, correlation=rho)
+    return Scatter(tuple(findings), rows)
+
+
+def _variance_ratio(form: Array, residual: Array) -> tuple[float, Array]:
+    """Profile likelihood of the variance ratio g in I + g W over a grid, and the square root of the best."""
+    e = residual.reshape(-1, 2)
+    best = (np.inf, 0.0, np.eye(2))
+    values, vectors = np.linalg.eigh(form)
+    turned = np.einsum("mij,mi->mj", vectors, e)
+    for g in GRID:
+        variances = 1.0 + g * np.maximum(values, 0.0)
+        cost = e.size * np.log(np.mean(turned**2 / variances)) + np.log(variances).sum()
+        if cost < best[0]:
+            root = vectors * np.sqrt(variances)[:, None, :] @ vectors.transpose(0, 2, 1)
+            best = (cost, float(g), root)
+    return best[1], best[2]
+
+
+def holm(p: dict[str, float]) -> dict[str, float]:
+    """Holm's step-down adjusted p-values."""
+    adjusted: dict[str, float] = {}
+    running = 0.0
+    for rank, name in enumerate(sorted(p, key=lambda k: p[k])):
+        running = max(running, min(1.0, (len(p) - rank) * p[name]))
+        adjusted[name] = running
+    return adjusted

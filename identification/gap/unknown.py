@@ -1,0 +1,109 @@
+"""Is something left that no effect of the library explains, and where does it sit?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.arm import Array
+from identification.gap.atoms import Atom, atoms
+from identification.gap.linear import Dictionary, dictionary
+from identification.gap.select import Choice, Search
+
+LEVEL = 0.01
+DRAWS = 299
+ODDS = 8.0  # BIC that an unknown shape must gain on effects of the library that it would replace
+PLACES = {"base_drift": "time", "base_rotation_drift": "time", "axes_skew": "workspace"}
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """p : adjusted for all shapes at all places;  place : `joint:j`, `time`, `workspace`, or None if nothing is left
+    shape : the shape that fits best, for people;  chosen : effects of the library that stay named beside it
+    """
+
+    p: float
+    place: str | None
+    shape: str | None
+    chosen: Choice
+
+
+@dataclass(frozen=True)
+class _Shapes:
+    """The atoms projected off a fit, with their falls of the sum of squares."""
+
+    listed: list[Atom]
+    against: Dictionary
+    falls: Array
+    bic: Array  # (atoms,) of the fit with the atom added
+    smallest: float  # weighted p-value
+
+
+def look(search: Search, chosen: Choice, generator: np.random.Generator) -> Unknown:
+    """General block test after the last accepted effect, then the place by BIC."""
+    after = _shapes(search, chosen)
+    p = _adjusted(search, chosen, after, generator)
+    best = search.bic(chosen)
+    options = [(float(s.bic[k]), chosen_without, s.listed[k]) for chosen_without, s, k in _options(search, chosen, after)]
+    value, kept, atom = min(options, key=lambda option: option[0])
+    if p <= LEVEL:
+        return Unknown(p, atom.place, atom.shape, kept)
+    replacing = [o for o in options if len(o[1]) < len(chosen) and o[0] < best - ODDS]
+    if replacing:
+        value, kept, atom = min(replacing, key=lambda option: option[0])
+        return Unknown(p, atom.place, atom.shape, kept)
+    return Unknown(p, None, None, chosen)
+
+
+def _options(search: Search, chosen: Choice, after: _Shapes) -> list[tuple[Choice, _Shapes, int]]:
+    """An atom added to the chosen set, or put in the place of some of its members."""
+    found = [(chosen, after, int(np.argmin(after.bic)))]
+    for rest in _reduced(chosen):
+        shapes = _shapes(search, rest)
+        found.append((rest, shapes, int(np.argmin(shapes.bic))))
+    return found
+
+
+def _reduced(chosen: Choice) -> list[Choice]:
+    """The set without one member, without all members at one place, and the empty set."""
+    sets = [chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))]
+    for place in {place_of(h.key) for h in chosen}:
+        sets.append(tuple(h for h in chosen if place_of(h.key) != place))
+    unique = {frozenset(h.label for h in s): s for s in [*sets, *([()] if chosen else [])]}
+    return list(unique.values())
+
+
+def place_of(key: str) -> str:
+    """Where an effect of the library would be looked for, were it unknown."""
+    name, _, joint = key.partition(":")
+    return f"joint:{joint}" if joint else PLACES.get(name, name)
+
+
+def _shapes(search: Search, chosen: Choice) -> _Shapes:
+    found = search.fit(chosen)
+    listed = atoms(found, search.rows)
+    listed = [a for a in listed if a.columns.shape[2] < found.freedom - 1]
+    places = [a.place for a in listed]
+    counts = {place: places.count(place) for place in set(places)}
+    weights = np.array([1.0 / (counts[place] * len(counts)) for place in places])
+    columns = [search.rows.whiten(a.columns) for a in listed]
+    full = dictionary(found.jacobian, columns, np.zeros(len(listed), dtype=bool), weights)
+    keep = np.flatnonzero((full.sizes > 0) & (full.shares > 0.02))
+    against = full.subset(keep)
+    residual = found.residual[:, None] - against.model_basis @ (against.model_basis.T @ found.residual[:, None])
+    falls, n = against.reductions(residual)[:, 0], len(residual)
+    left = np.maximum(1.0 - falls / found.squares, 1e-12)
+    bic = search.bic(chosen) + n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights)
+    smallest = against.smallest_weighted(falls[:, None], np.square(residual).sum(axis=0))[0]
+    return _Shapes([listed[k] for k in keep], against, falls, bic, float(smallest))
+
+
+def _adjusted(search: Search, chosen: Choice, shapes: _Shapes, generator: np.random.Generator) -> float:
+    """Adjusted p-value of the best atom: white Gaussian noise through the same projection."""
+    q = shapes.against.model_basis
+    drawn = generator.standard_normal((len(q), DRAWS))
+    drawn -= q @ (q.T @ drawn)
+    smallest = shapes.against.smallest_weighted(shapes.against.reductions(drawn), np.square(drawn).sum(axis=0))
+    return float((1.0 + np.sum(smallest <= shapes.smallest)) / (DRAWS + 1.0))
+
