@@ -36,6 +36,8 @@ LAYERS = {
     "doe.plan": 11,
     "doe.plan_file": 11,
     "doe.executors": 11,
+    "doe.rows": 11,
+    "doe.child": 11,
     "doe.problem": 12,
     "doe.constraints": 12,
     "doe.candidates": 12,

@@ -1,0 +1,72 @@
+"""Tasks for the tests of executors: functions that workers import by name."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def draw(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
+    """Two random rows of a key."""
+    return [{"part": part, "value": float(np.random.default_rng(seed).standard_normal() + part)} for part in range(2)]
+
+
+def slow_draw(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
+    """As `draw`, with the worker's process number, slowly enough to be killed in the middle."""
+    time.sleep(0.05)
+    return [{**row, "process": os.getpid()} for row in draw(key, seed)]
+
+
+def die_once(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
+    """As `draw`, but the first process that reaches the key's marked task is killed."""
+    if key.get("mark") and not Path(key["mark"]).exists():
+        Path(key["mark"]).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return draw(key, seed)
+
+
+def die_always(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
+    """As `draw`, but task 3 kills its process every time."""
+    if key["task"] == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return draw(key, seed)
+
+
+def raise_at_three(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
+    """As `draw`, but task 3 raises."""
+    if key["task"] == 3:
+        raise ValueError("three is\nnot allowed")
+    return draw(key, seed)
+
+
+def interrupt_at_three(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
+    """As `draw`, but the user presses Ctrl-C during task 3."""
+    if key["task"] == 3:
+        raise KeyboardInterrupt
+    return draw(key, seed)
+
+
+def hang(seconds: float) -> str:
+    """Sleeps."""
+    time.sleep(seconds)
+    return "awake"
+
+
+def fill_memory(megabytes: int) -> int:
+    """Touches that much memory."""
+    return int(np.ones(megabytes * 2**17).size)
+
+
+def crash() -> None:
+    """Dies of a signal."""
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def fail() -> None:
+    """Raises."""
+    raise ArithmeticError("no\nanswer")
