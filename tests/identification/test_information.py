@@ -1,0 +1,163 @@
+"""Rank, covariance and the names of what cannot be told apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from identification.arm import Arm, EffectSpec
+from identification.information import (
+    Identifiability,
+    covariance,
+    describe,
+    identifiability,
+    information_matrix,
+    orientation_transform,
+    sparse_basis,
+    spectrum,
+)
+from identification.model import Model
+
+LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
+
+
+def found(effects: list[str], postures: np.ndarray) -> tuple[Model, Identifiability]:
+    model = Model(Arm(LENGTHS, effects=tuple(EffectSpec(name) for name in effects)))
+    return model, identifiability(model.jacobian(postures), model.names, model.scales)
+
+
+def postures(m: int = 20, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-np.pi, np.pi, (m, 4))
+
+
+def test_everything_is_told_by_varied_postures() -> None:
+    _, told = found(["base_offset"], postures())
+    assert told.rank == 10
+    assert told.combinations == ()
+    assert told.identifiable.all()
+
+
+def test_base_rotation_is_the_first_offset() -> None:
+    model, told = found(["base_rotation"], postures())
+    assert told.combinations == ("joint_offset:1 + base_rotation.angle",)
+    lost = {name for name, ok in zip(model.names, told.identifiable, strict=True) if not ok}
+    assert lost == {"joint_offset:1", "base_rotation.angle"}
+
+
+def test_tool_offset_is_the_last_link() -> None:
+    _, told = found(["tool_offset"], postures())
+    assert told.combinations == ("length_error:4 + tool_offset.x", "joint_offset:4 + tool_offset.y")
+
+
+def test_measurement_scale_is_a_common_factor_of_the_lengths() -> None:
+    _, told = found(["measurement_scale"], postures())
+    shares = [f"{x:.2g} length_error:{j + 1}" for j, x in enumerate(LENGTHS / LENGTHS.sum())]  # by hand: dl_j = l_j s
+    assert told.combinations == (" + ".join([*shares, "measurement_scale.s"]),)
+
+
+def test_aliases_together_are_named_apart() -> None:
+    _, told = found(["base_rotation", "tool_offset"], postures())
+    assert set(told.combinations) == {
+        "joint_offset:1 + base_rotation.angle",
+        "length_error:4 + tool_offset.x",
+        "joint_offset:4 + tool_offset.y",
+    }
+
+
+def test_constant_temperature_tells_nothing_of_thermal_growth() -> None:
+    _, told = found(["thermal_growth"], postures())
+    assert told.combinations == ("thermal_growth.a",)
+
+
+def test_a_joint_that_never_moves_ties_two_links() -> None:
+    plan = postures()
+    plan[:, 2] = 0.0  # links 2 and 3 are one stiff link of length l_2 + l_3
+    model, told = found([], plan)
+    assert told.rank == 6
+    assert "length_error:2 + length_error:3" in told.combinations
+    lost = [name for name, ok in zip(model.names, told.identifiable, strict=True) if not ok]
+    # turning link 2 by d and link 3 against it leaves the tip in place: offsets 2, 3 and (orientation of link 4) 4
+    assert lost == ["length_error:2", "length_error:3", "joint_offset:2", "joint_offset:3", "joint_offset:4"]
+
+
+@pytest.mark.parametrize("distinct", [1, 2, 3])
+def test_repeated_postures_count_once(distinct: int) -> None:
+    plan = np.tile(postures(distinct), (7, 1))
+    _, told = found([], plan)
+    assert told.rank == 2 * distinct  # two equations per different posture
+    assert len(told.combinations) == 8 - 2 * distinct
+
+
+def test_combinations_are_null_directions() -> None:
+    plan = postures(3)
+    model, told = found(["measurement_scale", "base_offset"], plan)
+    jacobian = (model.jacobian(plan) / model.scales).reshape(6, -1)
+    assert told.null_space.shape == (11, 5)
+    np.testing.assert_allclose(jacobian @ told.null_space, 0.0, atol=1e-9)
+    assert np.linalg.matrix_rank(told.null_space, tol=1e-6) == 5
+    assert np.max(np.abs(told.null_space)) == 1.0
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_units_do_not_matter(factor: float) -> None:
+    model, told = found(["tool_offset"], postures())
+    units = np.where(np.arange(10) % 2, factor, 1.0)
+    scaled = identifiability(model.jacobian(postures()) * units, model.names, model.scales * units)
+    assert scaled.combinations == told.combinations
+    # even a scale that is wrong by six orders does not change what is told
+    wrong = identifiability(model.jacobian(postures()) * units, model.names, model.scales)
+    np.testing.assert_array_equal(wrong.identifiable, told.identifiable)
+
+
+def test_covariance_is_the_inverse_information_and_never_huge() -> None:
+    model = Model(Arm(LENGTHS))
+    jacobian = model.jacobian(postures())
+    expected = 0.01 * np.linalg.inv(information_matrix(jacobian))
+    # entries that vanish by symmetry are rounding errors: compare correlations
+    deviation = np.sqrt(np.diag(expected))
+    correlations = covariance(jacobian, model.scales, 0.1) / np.outer(deviation, deviation)
+    np.testing.assert_allclose(correlations, expected / np.outer(deviation, deviation), rtol=0, atol=1e-11)
+    aliased = Model(Arm(LENGTHS, effects=(EffectSpec("base_rotation"),)))
+    lost = covariance(aliased.jacobian(postures()), aliased.scales, 0.1)
+    # what is told keeps its variance; the rest is shared, not inflated
+    np.testing.assert_allclose(lost[:4, :4], expected[:4, :4], rtol=1e-9)
+    assert np.max(lost) <= np.max(expected) * (1 + 1e-9)
+
+
+def test_spectrum_takes_any_leading_shape_and_more_columns_than_rows() -> None:
+    jacobian = np.random.default_rng(0).normal(size=(2, 2, 7))
+    wide = spectrum(jacobian, np.ones(7))
+    assert wide.rank == 4
+    assert wide.lost.shape == (7, 3)
+    np.testing.assert_allclose((jacobian.reshape(4, 7) / wide.lengths) @ wide.lost, 0.0, atol=1e-12)
+
+
+def test_orientation_transform_sums_offsets() -> None:
+    transform = orientation_transform(("length_error:1", "joint_offset:1", "joint_offset:2"))
+    np.testing.assert_array_equal(transform, [[0, 1, 0], [0, 1, 1]])
+
+
+@given(st.integers(0, 2**32), st.integers(2, 4), st.integers(1, 3))
+@settings(max_examples=20, deadline=None, derandomize=True)
+def test_sparse_basis_finds_disjoint_blocks(seed: int, size: int, blocks: int) -> None:
+    """Directions of disjoint support, mixed by a random rotation, come back one by one."""
+    generator = np.random.default_rng(seed)
+    planted = np.zeros((blocks * size + 2, blocks))
+    for k in range(blocks):
+        planted[k * size : (k + 1) * size, k] = generator.uniform(0.3, 1.0, size) * generator.choice([-1, 1], size)
+    planted /= np.linalg.norm(planted, axis=0)
+    mixed = planted @ np.linalg.qr(generator.normal(size=(blocks, blocks)))[0]
+    basis = sparse_basis(mixed)
+    for k in range(blocks):
+        cosine = abs(planted[:, k] @ basis[:, k]) / np.linalg.norm(basis[:, k])
+        assert cosine == pytest.approx(1.0, abs=1e-9)
+
+
+def test_description_rounds_and_signs() -> None:
+    names = ("a", "b", "c")
+    assert describe(np.array([1.0, 0.001, -1.01]), names) == "a + c"
+    assert describe(np.array([-0.3, 0.0, -1.0]), names) == "0.3 a - c"
+    assert describe(np.array([0.0, 2.0, 0.0]), names) == "b"
+    assert describe(np.array([0.5, -1.0, -0.5]), names) == "0.5 a - b + 0.5 c"
