@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from identification.arm import Array
+from identification.gap.linear import basis
 from identification.gap.whitening import Rows
 from identification.model import Model
 
@@ -32,10 +34,15 @@ class Fit:
         """Sum of squared whitened residuals."""
         return float(self.residual @ self.residual)
 
+    @cached_property
+    def rank(self) -> int:
+        """Number of parameter combinations that the data determine."""
+        return int(basis(self.jacobian).shape[1])
+
     @property
     def freedom(self) -> int:
-        """Degrees of freedom left."""
-        return len(self.residual) - len(self.values)
+        """Degrees of freedom left; directions that the data do not determine cost none."""
+        return len(self.residual) - self.rank
 
     @property
     def sigma(self) -> float:

@@ -21,6 +21,15 @@ WINDOW = 6.0  # Delta BIC of the ambiguity set
 Choice = tuple[Hypothesis, ...]
 
 
+@dataclass(frozen=True)
+class Test:
+    """One pass of the gate over all hypotheses that could be added to a set."""
+
+    members: list[Hypothesis]
+    gate: Gate
+    change: np.ndarray  # (H,) linear change of BIC
+
+
 @dataclass
 class Search:
     """Fits of sets of effects to the same rows, kept so that none is made twice."""
@@ -28,6 +37,7 @@ class Search:
     hypotheses: HypothesisSet
     rows: Rows
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+    tests: dict[frozenset[str], Test] = field(default_factory=dict)
 
     def fit(self, chosen: Choice) -> Fit:
         """The base model with these effects added, refitted."""
@@ -35,7 +45,8 @@ class Search:
         if key not in self.fits:
             arm = self.hypotheses.arm
             model = Model(arm.with_effects(*arm.effects, *(h.spec for h in chosen)))
-            start = links_start(model, self.rows) if not chosen else dict(self.fit(()).by_name)
+            known = dict(zip(model.names, model.values, strict=True))
+            start = known | (links_start(model, self.rows) if not chosen else self.fit(()).by_name)
             self.fits[key] = fit(model, self.rows, start)
         return self.fits[key]
 
@@ -45,6 +56,16 @@ class Search:
         n = len(found.residual)
         prior = -2.0 * sum(np.log(h.weight) for h in chosen)
         return float(n * np.log(found.squares / n) + len(found.values) * np.log(n) + prior)
+
+    def tested(self, chosen: Choice, draws: int, generator: np.random.Generator) -> Test:
+        """Gate and linear BIC of every hypothesis that could be added to a set."""
+        key = frozenset(h.label for h in chosen)
+        if key not in self.tests:
+            found = self.fit(chosen)
+            members, against = self.rivals(chosen)
+            result = gate(found.residual, against, draws, generator)
+            self.tests[key] = Test(members, result, bic_change(result.falls, against, len(found.residual), found.squares))
+        return self.tests[key]
 
     def rivals(self, chosen: Choice) -> tuple[list[Hypothesis], Dictionary]:
         """Hypotheses that can still be added to a set, projected off its fit."""
@@ -81,15 +102,6 @@ def bic_change(falls: np.ndarray, against: Dictionary, n: int, squares: float) -
 
 
 @dataclass(frozen=True)
-class Test:
-    """One pass of the gate over all hypotheses that could be added to a set."""
-
-    members: list[Hypothesis]
-    gate: Gate
-    change: np.ndarray  # (H,) linear change of BIC
-
-
-@dataclass(frozen=True)
 class Selection:
     """chosen : the best set, empty if the gate stayed shut;  rivals : all sets within `window` of its BIC, best first
     first : the gate's test of the base model;  last : that of the chosen set
@@ -101,12 +113,15 @@ class Selection:
     last: Test
 
 
-def test_additions(search: Search, chosen: Choice, draws: int, generator: np.random.Generator) -> Test:
-    """Gate and linear BIC of every hypothesis that could be added."""
-    found = search.fit(chosen)
-    members, against = search.rivals(chosen)
-    tested = gate(found.residual, against, draws, generator)
-    return Test(members, tested, bic_change(tested.falls, against, len(found.residual), found.squares))
+def trial_of(search: Search, chosen: Choice, draws: int, generator: np.random.Generator) -> tuple[float, float]:
+    """F and adjusted p-value of the member of a set that enters last, the weakest if the order is not clear."""
+    worst = (np.inf, 0.0)
+    for k, member in enumerate(chosen):
+        tested = search.tested(chosen[:k] + chosen[k + 1 :], draws, generator)
+        at = next((i for i, h in enumerate(tested.members) if h.label == member.label), None)
+        if at is not None:
+            worst = max(worst, (float(tested.gate.f[at]), float(tested.gate.adjusted[at])), key=lambda t: (t[1], -t[0]))
+    return worst
 
 
 def best_of(search: Search, chosen: Choice, members: list[Hypothesis], change: np.ndarray) -> Choice | None:
@@ -119,17 +134,17 @@ def best_of(search: Search, chosen: Choice, members: list[Hypothesis], change: n
 def select(search: Search, draws: int, generator: np.random.Generator) -> Selection:
     """Forward inside the gate, swap after every addition, backward at the end."""
     chosen: Choice = ()
-    first = tested = test_additions(search, chosen, draws, generator)
+    first = tested = search.tested(chosen, draws, generator)
     while len(chosen) < MOST:
         level = ALPHA_NEXT if chosen else ALPHA_FIRST
         longer = best_of(search, chosen, tested.members, np.where(tested.gate.adjusted <= level, tested.change, np.inf))
         if longer is None or search.bic(longer) >= search.bic(chosen):
             break
         chosen = swapped(search, longer)
-        tested = test_additions(search, chosen, draws, generator)
+        tested = search.tested(chosen, draws, generator)
     shorter = backward(search, chosen)
     if len(shorter) < len(chosen):
-        chosen, tested = shorter, test_additions(search, shorter, draws, generator)
+        chosen, tested = shorter, search.tested(shorter, draws, generator)
     return Selection(chosen, neighbours(search, chosen), first, tested)
 
 

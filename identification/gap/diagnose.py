@@ -1,0 +1,241 @@
+"""`diagnose`: the eight steps of the gap workflow in order (GAP.md)."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+import numpy as np
+
+from identification.arm import Arm, Array, Calibration, readonly
+from identification.effects import Chain, Parameter
+from identification.errors import InputError
+from identification.gap.confirm import check_holdout, confirm, residuals
+from identification.gap.diagnosis import Candidate, Diagnosis, Estimate, Residuals, Trial
+from identification.gap.fit import Fit
+from identification.gap.hypotheses import HypothesisSet, hypotheses
+from identification.gap.investigate import Findings, investigate
+from identification.gap.preflight import NEAR, Preflight, assess, require_spare
+from identification.gap.select import Choice, Search, trial_of
+from identification.gap.whitening import Rows
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.progress import Progress, silent
+
+STEPS = 8
+
+
+def diagnose(
+    arm: Arm,
+    measurements: Measurements,
+    holdout: Measurements | None = None,
+    seed: int = 0,
+    draws: int = 999,
+    progress: Progress = silent,
+) -> Diagnosis:
+    """Whether model and measurements disagree, which effect is missing, and whether adding it closes the gap.
+
+    arm : effects in it are part of the base model, everything they do not fix is estimated again
+    holdout : measurements of the same arm that are used for nothing but the confirmation
+    seed : of the bootstrap; the same seed gives the same diagnosis
+    draws : bootstrap draws
+
+    Raises `InputError` for data of another arm, effects without the data they need, fewer than 4 spare degrees of
+    freedom, a hold-out that shares rows with the data.
+    """
+    check_input(arm, measurements, holdout)
+    library = hypotheses(arm, varying(measurements))
+    rows = Rows.of(measurements)
+    first = Search(library, rows).fit(())
+    require_spare(first.freedom, len(rows))
+    generator = np.random.default_rng(seed)
+    progress(1, STEPS, "base model fitted")
+    found = investigate(library, rows, draws, generator, lambda message: progress(2, STEPS, message))
+    progress(6, STEPS, "assessing the plan and the sizes excluded")
+    before = assess_data(library, found)
+    chosen = found.unknown.chosen
+    candidates = candidate_list(found, draws, generator)
+    named = next((c for c in candidates if c.specs == tuple(h.spec for h in chosen)), None)
+    named = named or describe(found.search, chosen, 0.0, (0.0, 1.0))
+    progress(7, STEPS, "confirming on held-out data")
+    gap = confirm(found.search.fit(()), found.search.fit(chosen), measurements, ~found.outlier, holdout)
+    result = Diagnosis(
+        arm=arm,
+        verdict=verdict(found),
+        candidates=candidates,
+        named=named,
+        classes=named.classes,
+        aliases=alias_list(before, candidates),
+        where=found.unknown.place,
+        shape=found.unknown.shape,
+        p_unknown=found.unknown.p,
+        scatter=found.scatter,
+        outlier_rows=tuple(int(k) + 1 for k in np.flatnonzero(found.outlier)),
+        excluded=before.detectable,
+        gap=gap,
+        trials=trial_list(found),
+        preflight=before,
+        residuals=show_residuals(arm, measurements, found.search.fit(()), found.search.fit(chosen)),
+        sigma=found.search.fit(chosen).sigma,
+        notes=tuple(notes(arm, measurements, found, holdout)),
+    )
+    progress(STEPS, STEPS, result.sentence)
+    return result
+
+
+def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | None) -> None:
+    """Raise `InputError` for data that do not belong to the arm or lack what its effects need."""
+    if measurements.links != arm.links:
+        raise InputError(f"measurements: {measurements.links} joints, allowed: {arm.links} as in the arm file")
+    needs = Model(arm).needs
+    if "temperature" in needs and measurements.temperature is None:
+        raise InputError("temperature_C: an effect in the arm file needs it, the measurements have no such column")
+    if "gravity" in needs and arm.gravity is None:
+        raise InputError("gravity: an effect in the arm file needs gravity torques, the arm file has no [gravity] table")
+    if holdout is not None:
+        check_holdout(measurements, holdout)
+
+
+def varying(measurements: Measurements) -> frozenset[str]:
+    """Optional columns that are given and not constant: a constant one cannot show anything."""
+    names = ("temperature", "payload", "order")
+    given = {name: getattr(measurements, name) for name in names if getattr(measurements, name) is not None}
+    return frozenset(name for name, values in given.items() if np.ptp(values) > 0.0)
+
+
+def verdict(found: Findings) -> str:
+    """`none`, `named`, `ambiguous` or `unknown`."""
+    if found.unknown.place is not None:
+        return "unknown"
+    if not found.selection.chosen:
+        return "none"
+    return "ambiguous" if len(found.selection.rivals) > 1 else "named"
+
+
+def assess_data(library: HypothesisSet, found: Findings) -> Preflight:
+    """What these data could show beside the base model, at the noise they really have."""
+    search = found.search
+    base = search.fit(())
+    jacobian = base.model.jacobian(search.rows.postures, base.values, search.rows.conditions)
+    sigma = search.fit(found.unknown.chosen).sigma
+    return assess(library, search.rows, jacobian, base.by_name, sigma, found.selection.first.gate.threshold)
+
+
+def candidate_list(found: Findings, draws: int, generator: np.random.Generator) -> tuple[Candidate, ...]:
+    """The ambiguity set as results; with an unknown effect, only what stays named beside it."""
+    if found.unknown.place is not None:
+        return ()
+    return tuple(
+        describe(found.search, chosen, delta, trial_of(found.search, chosen, draws, generator))
+        for chosen, delta in found.selection.rivals
+    )
+
+
+def describe(search: Search, chosen: Choice, delta: float, trial: tuple[float, float]) -> Candidate:
+    """A set of effects with its estimates."""
+    found = search.fit(chosen)
+    covariance = found.covariance()
+    added = {p.name for h in chosen for p in h.effect.parameters}
+    estimates = []
+    for k, p in enumerate(found.model.parameters):
+        if p.name in added:
+            value, std = found.values[k] * p.to_file, np.sqrt(covariance[k, k]) * p.to_file
+            estimates.append(Estimate(p.name, p.file_unit, float(value), float(std), *_interval(p, value, std)))
+    return Candidate(
+        tuple(h.key for h in chosen),
+        tuple(h.spec for h in chosen),
+        tuple(sorted({h.family for h in chosen})),
+        delta,
+        *trial,
+        tuple(estimates),
+        _calibration(found, covariance),
+    )
+
+
+def _interval(parameter: Parameter, value: float, std: float) -> tuple[float, float]:
+    low, high = value - 1.96 * std, value + 1.96 * std
+    return float(max(low, parameter.lower * parameter.to_file)), float(min(high, parameter.upper * parameter.to_file))
+
+
+def _calibration(found: Fit, covariance: Array) -> Calibration:
+    values, n = found.by_name | dict(found.model.fixed), found.model.arm.links
+    effects = {name: v for name, v in found.by_name.items() if "." in name}
+    return Calibration(
+        readonly([values[f"length_error:{j + 1}"] for j in range(n)]),
+        readonly([values[f"joint_offset:{j + 1}"] for j in range(n)]),
+        MappingProxyType(effects),
+        found.model.names,
+        readonly(covariance),
+        MappingProxyType({"source": "armcal diagnose"}),
+    )
+
+
+def alias_list(before: Preflight, candidates: tuple[Candidate, ...]) -> tuple[tuple[str, str, float], ...]:
+    """Near and exact aliases of the candidates' effects on these data, and the effects that can never be seen."""
+    named = {key for c in candidates for key in c.effects}
+    pairs = [pair for pair in before.pairs(NEAR) if pair[0] in named]
+    return (*pairs, *((name, like, 1.0) for name, like in before.aliases.items()))
+
+
+def trial_list(found: Findings) -> tuple[Trial, ...]:
+    """Every effect against the base model, strongest first; of a scanned setting the best."""
+    test = found.selection.first
+    best: dict[str, Trial] = {}
+    for k, h in enumerate(test.members):
+        trial = Trial(h.key, float(test.gate.f[k]), float(test.gate.p[k]), float(test.gate.adjusted[k]), float(test.change[k]))
+        if h.key not in best or trial.delta_bic < best[h.key].delta_bic:
+            best[h.key] = trial
+    return tuple(sorted(best.values(), key=lambda t: t.delta_bic))
+
+
+def show_residuals(arm: Arm, measurements: Measurements, base: Fit, named: Fit) -> Residuals:
+    """Residuals before and after with what they can be drawn against."""
+    conditions = measurements.conditions
+    against: dict[str, Array] = {f"joint {j + 1} [rad]": measurements.postures[:, j] for j in range(arm.links)}
+    against["time"] = np.zeros(len(measurements)) if conditions.time is None else conditions.time
+    if arm.gravity is not None:
+        tau = torques(arm, measurements)
+        against |= {f"torque {j + 1} [N m]": tau[:, j] for j in range(arm.links)}
+    if measurements.temperature is not None:
+        against["temperature [C]"] = measurements.temperature
+    return Residuals(
+        readonly(residuals(base, measurements, conditions)),
+        readonly(residuals(named, measurements, conditions)),
+        MappingProxyType({name: readonly(values) for name, values in against.items()}),
+        measurements.positions,
+    )
+
+
+def torques(arm: Arm, measurements: Measurements) -> Array:
+    """(m, n) gravity torques [N m]."""
+    import casadi as ca
+
+    from identification.tape import vectorise
+
+    n = arm.links
+    q, c = ca.SX.sym("q", n), ca.SX.sym("c", 3 + n)
+    chain = Chain(arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3:])
+    function = ca.Function("torques", [q, c], [ca.densify(chain.torques)])
+    payload = 0.0 if arm.gravity is None else arm.gravity.payload
+    table = measurements.conditions.table(len(measurements), n, payload)
+    return np.asarray(vectorise(function)(measurements.postures, table)[0][..., 0])
+
+
+def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measurements | None) -> list[str]:
+    """What a person should know before trusting the verdict."""
+    said = [f"{key} was not tried: {why}" for key, why in found.search.hypotheses.skipped.items()]
+    if measurements.directions is None:
+        said.append("directions of approach follow from the order of measurement")
+    said += [
+        f"joint {j + 1} never moves: its link cannot be told from the one before"
+        for j in range(arm.links)
+        if np.ptp(measurements.postures[:, j]) == 0.0
+    ]
+    if arm.sigma is not None:
+        ratio = found.search.fit(found.unknown.chosen).sigma / arm.sigma
+        if measurements.sigma is None and not 0.67 < ratio < 1.5:
+            said.append(f"the scatter is {ratio:.2f} times the sigma_mm of the arm file; the tests use the scatter")
+    drifts = any("drift" in effect for effect in (h.key for h in found.unknown.chosen))
+    if drifts and holdout is not None:
+        said.append("a drift of one session says nothing of another: judge it by a hold-out from the same session")
+    return said
+
