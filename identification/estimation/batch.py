@@ -39,7 +39,7 @@ class BatchFit:
     parameters : (K, p) in the order of `model.parameters`, API units
     rss : (K,) weighted sum of squares at the solution; [mm^2] without sigma
     converged : (K,) True where it is stationary: no free column of the Jacobian has a cosine above 1e-9 with the
-        residuals (the closed form always is)
+        residuals (the closed form always is); False for data that are not finite
     """
 
     parameters: Array
@@ -133,7 +133,8 @@ def _linear_solver(problem: Problem) -> Callable[[Array], tuple[Array, Array]]:
 def _iterated(problem: Problem, measured: Array) -> BatchFit:
     count, m, _ = measured.shape
     parameters, rss, converged = _starts(problem, measured), np.empty(count), np.zeros(count, dtype=bool)
-    shared = _Shared(problem, np.mean(parameters, axis=0) if count else problem.start)
+    usable = np.all(np.isfinite(parameters), axis=1)
+    shared = _Shared(problem, np.mean(parameters[usable], axis=0) if usable.any() else problem.start)
     for part in _chunks(count, m):
         _shared_steps(problem, shared, measured[part], parameters[part], rss[part], converged[part])
     rest = np.flatnonzero(~converged)

@@ -92,7 +92,8 @@ def starts(problem: Problem) -> list[Array]:
     base = tuple(f"{kind}:{j + 1}" for kind in ("length_error", "joint_offset") for j in range(n))
     if problem.model.names[: 2 * n] == base:
         data = problem.measurements
-        without = Problem(Model(arm.with_effects()), Measurements(data.postures, data.positions), problem.weights)
+        bare = Measurements(data.postures, data.positions)
+        without = Problem(Model(arm.with_effects()), bare, problem.weights, problem.tolerance)
         candidates.append(np.r_[linear(without).parameters, problem.start[2 * n :]])
     return candidates
 

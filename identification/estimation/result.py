@@ -22,7 +22,8 @@ from identification.status import Status
 class Identification:
     """Estimated parameters of a model, in the order of `model.parameters` and in API units [mm, rad].
 
-    parameters : (p,) estimates; where not everything is told, those nearest to the nominal arm
+    parameters : (p,) estimates; along what is not told, values of the size of the others (from the nominal arm and the
+        model without effects), good for computing positions and for nothing else
     covariance : (p, p) sigma^2 (sum J^T W J)^-1 (eq. 17), zero along what is not told; NaN if sigma is unknown and no
         equation is left over to estimate it
     identifiable : (p,) True where the parameter itself is told by the data
@@ -148,7 +149,7 @@ class Identification:
 
     # -- onward ----------------------------------------------------------------------------------------------------
     def calibration(self) -> Calibration:
-        """What an arm file keeps of this. Where not everything is told, the values nearest to the nominal arm."""
+        """What an arm file keeps of this: all of `parameters`, and the known values."""
         effects = {name: v for name, v in self._everything.items() if "." in name}
         cov = self.covariance if np.all(np.isfinite(self.covariance)) else None
         figures = {k: v for k, v in self.to_json().items() if v is not None and k not in ("parameters", "p_value")}

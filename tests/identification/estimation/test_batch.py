@@ -1,0 +1,121 @@
+"""Batches against one fit at a time and against scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from identification.arm import EffectSpec
+from identification.errors import InputError, JobError
+from identification.estimation import estimate, estimate_batch
+from identification.measurements import Measurements
+from identification.model import Model
+from tests.identification.estimation.cases import SIGMA, arm, plan, scipy_fit, truth
+
+EFFECTS = {
+    "closed form": (),
+    "base offset": (EffectSpec("base_offset"),),
+    "eccentricity": (EffectSpec("encoder_eccentricity", 2),),
+    "two": (EffectSpec("encoder_eccentricity", 2), EffectSpec("gear_ratio", 3)),
+    "bounded": (EffectSpec("joint_compliance"),),
+    "drift": (EffectSpec("base_drift"), EffectSpec("backlash", 3)),
+}
+
+
+def batch(model: Model, postures: np.ndarray, count: int, spread: float, seed: int = 3) -> np.ndarray:
+    """(count, m, 2) measurements of arms that differ by the share `spread` of the truth."""
+    generator = np.random.default_rng(seed)
+    varied = truth(model) * (1.0 + spread * generator.standard_normal((count, len(model.names))))
+    varied = np.maximum(varied, [p.lower for p in model.parameters])
+    empty = Measurements(postures, np.zeros((len(postures), 2)))
+    exact = model.position(postures, varied, empty.conditions)
+    return exact + SIGMA * generator.standard_normal(exact.shape)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("spread", [0.0, 2.0])
+def test_equals_single_fits_and_scipy(name: str, spread: float) -> None:
+    model, postures = Model(arm(*EFFECTS[name])), plan(30)
+    positions = batch(model, postures, 1500, spread)  # more than one chunk
+    fits = estimate_batch(model, postures, positions)
+    assert fits.converged.all()
+    for k in (*range(12), *range(1488, 1500)):
+        single = estimate(model, Measurements(postures, positions[k]))
+        np.testing.assert_allclose(
+            fits.parameters[k] * model.scales, single.parameters * model.scales, rtol=0, atol=1e-7
+        )  # mm; a standard deviation is 0.03
+        assert fits.rss[k] == pytest.approx(np.sum(single.residuals_after**2), rel=1e-10)
+    for k in range(3):
+        other = scipy_fit(model, Measurements(postures, positions[k]))
+        np.testing.assert_allclose(fits.parameters[k] * model.scales, other.x * model.scales, rtol=0, atol=3e-6)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_converged_means_stationary(name: str) -> None:
+    """J^T r is nought in every parameter that is off its bound, recomputed with the model alone."""
+    model, postures = Model(arm(*EFFECTS[name])), plan(20)
+    positions = batch(model, postures, 300, 1.0)
+    fits = estimate_batch(model, postures, positions)
+    conditions = Measurements(postures, positions[0]).conditions
+    position, jacobian = model.linearise(postures, fits.parameters, conditions)
+    residuals = positions - position
+    cosines = np.einsum("kmdp,kmd->kp", jacobian, residuals) / np.linalg.norm(jacobian, axis=(1, 2))
+    cosines /= np.linalg.norm(residuals, axis=(1, 2))[:, None]
+    free = fits.parameters > [p.lower for p in model.parameters]
+    assert np.max(np.abs(cosines[free])) < 3e-9
+    assert np.all(cosines[~free] < 0.0)
+    np.testing.assert_allclose(fits.rss, np.sum(residuals**2, axis=(1, 2)), rtol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["base offset", "two"])
+def test_weights_and_conditions_are_those_of_single_fits(name: str) -> None:
+    model, postures = Model(arm(*EFFECTS[name])), plan(25)
+    positions = batch(model, postures, 20, 1.0)
+    sigma = np.random.default_rng(0).uniform(0.05, 0.3, 25)
+    shared = Measurements(postures, positions[0], sigma=sigma)
+    fits = estimate_batch(model, shared, positions)
+    weighted = estimate_batch(model, postures, positions, weights=1.0 / sigma**2)
+    np.testing.assert_array_equal(fits.parameters, weighted.parameters)
+    for k in range(5):
+        single = estimate(model, Measurements(postures, positions[k], sigma=sigma))
+        np.testing.assert_allclose(
+            fits.parameters[k] * model.scales, single.parameters * model.scales, rtol=0, atol=1e-7
+        )
+        assert fits.rss[k] == pytest.approx(single.chi2, rel=1e-10)
+
+
+def test_large_offsets_and_known_parameters_take_the_individual_path() -> None:
+    model = Model(arm(EffectSpec("encoder_eccentricity", 2)), known={"length_error:1": 1.5})
+    postures, generator = plan(20), np.random.default_rng(0)
+    true = np.zeros((200, 9))
+    true[:, 3:7] = generator.uniform(-0.5, 0.5, (200, 4))  # 30 degrees: no shared linearisation fits all
+    positions = model.position(postures, true)
+    fits = estimate_batch(model, postures, positions)
+    assert fits.converged.all()
+    np.testing.assert_allclose(fits.parameters, true, rtol=0, atol=1e-9)
+
+
+def test_a_data_set_that_is_not_a_number_stays_alone() -> None:
+    for effects in ((), (EffectSpec("gear_ratio", 2),)):
+        model, postures = Model(arm(*effects)), plan(20)
+        positions = batch(model, postures, 10, 0.0)
+        positions[3, 4, 1] = np.nan
+        fits = estimate_batch(model, postures, positions)
+        assert np.flatnonzero(~fits.converged).tolist() == [3]
+
+
+def test_no_data_sets_are_no_error() -> None:
+    for effects in ((), (EffectSpec("gear_ratio", 2),)):
+        model = Model(arm(*effects))
+        fits = estimate_batch(model, plan(20), np.zeros((0, 20, 2)))
+        assert fits.parameters.shape == (0, len(model.names))
+
+
+def test_bad_input() -> None:
+    model = Model(arm())
+    with pytest.raises(InputError, match=r"positions: shape \(20, 2\), allowed: \(K, 20, 2\)"):
+        estimate_batch(model, plan(20), np.zeros((20, 2)))
+    with pytest.raises(InputError, match="2 m = 6 < p = 8"):
+        estimate_batch(model, plan(3), np.zeros((5, 3, 2)))
+    with pytest.raises(JobError, match=r"cannot tell apart: joint_offset:1 \+ base_rotation.angle"):
+        estimate_batch(Model(arm(EffectSpec("base_rotation"))), plan(20), np.zeros((5, 20, 2)))

@@ -1,0 +1,301 @@
+"""What `estimate` states: sigma, weights, covariance, intervals, what is not told; and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from identification.arm import Arm, EffectSpec
+from identification.errors import InputError
+from identification.estimation import estimate, estimate_batch
+from identification.information import information_matrix
+from identification.measurement_file import load_measurements
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.status import Status
+from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, truth
+
+UR10 = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "measurements.csv"
+CONTRACT_KEYS = {"parameters", "not_identifiable", "sigma_mm", "chi2", "dof", "p_value"}
+CONTRACT_KEYS |= {"rms_before_mm", "rms_after_mm", "max_before_mm", "max_after_mm", "method"}
+
+
+def dft_plan(m: int) -> np.ndarray:
+    """Orientations 2 pi i f_j / m with different f_j: the columns of Table I are orthogonal (THEORY.md, section 3)."""
+    orientations = 2.0 * np.pi * np.outer(np.arange(m), [1, 2, 3, 5]) / m
+    return np.diff(orientations, axis=1, prepend=0.0)
+
+
+# -- sigma, weights, covariance --------------------------------------------------------------------------------------
+def test_optimal_plan_has_the_deviations_of_the_paper() -> None:
+    """eq. 25 for orientations; THEORY.md, section 2, for joint offsets. At the nominal arm, so exact."""
+    m, lengths = 20, np.array(LENGTHS)
+    model = Model(arm())
+    found = estimate(model, Measurements(dft_plan(m), model.position(dft_plan(m))), sigma=SIGMA)
+    np.testing.assert_allclose(found.std[:4], SIGMA / np.sqrt(m), rtol=1e-9)
+    np.testing.assert_allclose(found.orientation_std, SIGMA / np.sqrt(m) / lengths, rtol=1e-9)
+    joints = SIGMA / np.sqrt(m) * np.sqrt(1 / lengths**2 + np.r_[0.0, 1 / lengths[:-1] ** 2])
+    np.testing.assert_allclose(found.joint_offset_std, joints, rtol=1e-9)
+    np.testing.assert_allclose(found.std[:4], 0.022, atol=5e-4)  # Table III, m = 20
+    np.testing.assert_allclose(np.degrees(found.orientation_std), [0.005, 0.007, 0.011, 0.013], atol=5e-4)
+
+
+def test_covariance_is_the_inverse_information_at_the_estimate() -> None:
+    model = Model(arm(EffectSpec("encoder_eccentricity", 2)))
+    measurements = data(model, plan(20))
+    found = estimate(model, measurements, sigma=0.2)
+    jacobian = model.jacobian(plan(20), found.parameters) / model.scales
+    expected = 0.04 * np.linalg.inv(information_matrix(jacobian))
+    scaled = found.covariance * np.outer(model.scales, model.scales)
+    np.testing.assert_allclose(scaled, expected, rtol=0, atol=1e-10 * np.max(expected))
+    free = estimate(model, measurements)
+    estimated = np.sum(free.residuals_after**2) / (40 - 10)
+    assert free.sigma == pytest.approx(np.sqrt(estimated), rel=1e-12)
+    np.testing.assert_allclose(free.covariance, found.covariance * estimated / 0.04, rtol=1e-9)
+
+
+@pytest.mark.parametrize("effects", [(), (EffectSpec("encoder_eccentricity", 2),)], ids=["linear", "effect"])
+def test_covariance_is_that_of_many_experiments(effects: tuple[EffectSpec, ...]) -> None:
+    model, count = Model(arm(*effects)), 20_000
+    exact = model.position(plan(12), truth(model))
+    noise = SIGMA * np.random.default_rng(7).standard_normal((count, *exact.shape))
+    fits = estimate_batch(model, plan(12), exact + noise)
+    covariance = estimate(model, Measurements(plan(12), exact), sigma=SIGMA).covariance
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), (fits.parameters - truth(model)).T)
+    # sample variances scatter by sqrt(2/K) = 1 %, correlations by 0.7 %: five deviations of the largest fail
+    np.testing.assert_allclose(np.cov(whitened), np.eye(len(covariance)), rtol=0, atol=0.05)
+    # bias of second order (sigma^2/l) must stay below a tenth of a deviation
+    assert np.max(np.abs(whitened.mean(axis=1))) < 0.05
+
+
+@pytest.mark.parametrize("effects", [(), (EffectSpec("gear_ratio", 2),)], ids=["linear", "effect"])
+def test_weights_are_replicated_rows(effects: tuple[EffectSpec, ...]) -> None:
+    model = Model(arm(*effects))
+    measurements = data(model, plan(15))
+    counts = np.random.default_rng(0).integers(0, 4, 15)
+    rows = np.repeat(np.arange(15), counts)
+    repeated = estimate(model, measurements.rows(rows), sigma=SIGMA)
+    weighted = estimate(model, measurements, sigma=SIGMA, weights=counts)
+    per_row = np.where(counts > 0, SIGMA / np.sqrt(np.maximum(counts, 1)), 1e6)
+    by_sigma = estimate(model, replace(measurements, sigma=per_row))
+    for other in (weighted, by_sigma):
+        np.testing.assert_allclose(other.parameters, repeated.parameters, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(np.diag(other.covariance), np.diag(repeated.covariance), rtol=1e-6)
+    # the scatter within repeats is none, so chi2 agrees; degrees of freedom count rows that were measured
+    assert weighted.chi2 == pytest.approx(repeated.chi2, rel=1e-10)
+    assert weighted.dof == 2 * np.count_nonzero(counts) - len(model.names)
+
+
+def test_which_sigma_holds() -> None:
+    rows = replace(data(Model(arm()), plan(10)), sigma=np.full(10, 0.3))
+    model = Model(arm(sigma=0.2))
+    assert estimate(model, rows, sigma=0.1).sigma == pytest.approx(0.1)
+    assert estimate(model, rows).sigma == pytest.approx(0.3)
+    assert estimate(model, replace(rows, sigma=None)).sigma == pytest.approx(0.2)
+    forced = estimate(model, rows, sigma="estimated")
+    free = estimate(Model(arm()), replace(rows, sigma=None))
+    assert forced.sigma == pytest.approx(free.sigma)
+    assert not forced.sigma_known
+    assert forced.chi2 is None
+    assert forced.p_value is None
+
+
+def test_p_value_is_the_tail_of_chi2() -> None:
+    found = estimate(Model(arm()), data(Model(arm()), plan(10)), sigma=SIGMA)
+    assert found.dof == 12
+    assert found.chi2 == pytest.approx(np.sum(found.residuals_after**2) / SIGMA**2)
+    assert found.p_value == pytest.approx(stats.chi2.sf(found.chi2, 12))
+
+
+def test_quantiles_of_the_intervals() -> None:
+    model, measurements = Model(arm()), data(Model(arm()), plan(6))
+    known, free = estimate(model, measurements, sigma=SIGMA), estimate(model, measurements)
+    for found, quantile in ((known, stats.norm.ppf(0.975)), (free, stats.t(4).ppf(0.975))):
+        np.testing.assert_allclose(found.intervals[:, 1] - found.parameters, quantile * found.std, rtol=1e-6)
+        np.testing.assert_allclose(found.intervals.mean(axis=1), found.parameters, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("m", [10, 20])
+def test_intervals_cover_95_percent(m: int, record_property: Callable[[str, object], None]) -> None:
+    """2,000 data sets, sigma known and estimated; lengths, joint offsets and orientations."""
+    model, count = Model(arm()), 2000
+    exact = model.position(plan(m), TRUTH)
+    generator = np.random.default_rng(2024 + m)
+    covered = {"known": np.zeros(8), "estimated": np.zeros(8)}
+    for _ in range(count):
+        measurements = Measurements(plan(m), exact + SIGMA * generator.standard_normal(exact.shape))
+        for sigma, hits in zip((SIGMA, "estimated"), covered.values(), strict=True):
+            low, high = estimate(model, measurements, sigma=sigma).intervals.T
+            hits += (low <= TRUTH) & (high >= TRUTH)
+    for name, hits in covered.items():
+        share = hits / count
+        record_property(f"coverage, sigma {name}", f"{share.mean():.4f}, single {share.min():.4f}..{share.max():.4f}")
+        assert 0.94 <= share.mean() <= 0.96  # the bar of issue 2
+        # one parameter's share scatters by 0.0049; beyond 0.0122 (2.5 deviations) is an alert, beyond 4 a failure
+        if np.max(np.abs(share - 0.95)) > 0.0122:
+            record_property("ALERT", f"a single coverage is {share[np.argmax(np.abs(share - 0.95))]:.4f}")
+        assert np.max(np.abs(share - 0.95)) < 0.0196
+
+
+# -- what is not told ------------------------------------------------------------------------------------------------
+def test_alias_is_named_and_the_rest_stays_honest() -> None:
+    whole, aliased = Model(arm()), Model(arm(EffectSpec("base_rotation")))
+    measurements = data(whole, plan(20))
+    expected, found = (estimate(model, measurements) for model in (whole, aliased))
+    assert found.not_identifiable == ("joint_offset:1 + base_rotation.angle",)
+    assert found.status is Status.not_identifiable
+    told = np.r_[0:4, 5:8]
+    np.testing.assert_allclose(found.parameters[told], expected.parameters[told], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.std[told], expected.std[told], rtol=1e-6)
+    assert found.dof == expected.dof
+    assert np.isnan(found.std[[4, 8]]).all()
+    # the sum is told
+    assert found.parameters[4] + found.parameters[8] == pytest.approx(expected.parameters[4], abs=1e-9)
+    rows = {row["name"]: row for row in found.to_json()["parameters"]}
+    assert all(rows["joint_offset:1"][key] is None for key in ("value", "std", "low_95", "high_95"))
+    assert rows["length_error:1"]["value"] == pytest.approx(expected.parameters[0], abs=1e-9)
+
+
+@pytest.mark.parametrize("method", ["linear", "gauss_newton", "paper_steps"])
+@pytest.mark.parametrize("wobble", [0.0, 1e-6])
+def test_a_joint_that_hardly_moves_gives_no_huge_numbers(method: str, wobble: float) -> None:
+    postures = plan(20)
+    postures[:, 2] = 0.3 + wobble * np.random.default_rng(0).standard_normal(20)
+    model = Model(arm())
+    found = estimate(model, data(model, postures), method)
+    assert len(found.not_identifiable) == 2
+    assert found.identifiable.tolist() == [True, False, False, True, True, False, False, False]
+    assert np.max(np.abs(found.parameters * model.scales)) < 5.0  # the truth is about 1.5 mm
+    assert np.nanmax(found.std * model.scales) < 0.1
+    np.testing.assert_allclose(found.parameters[[0, 3]], TRUTH[[0, 3]], rtol=0, atol=5 * 0.03)
+    assert found.rms_after < 2 * SIGMA
+
+
+def test_aliases_of_the_library_are_found_after_fitting() -> None:
+    model = Model(arm(EffectSpec("tool_offset"), EffectSpec("gear_ratio", 2)))
+    found = estimate(model, data(Model(arm()), plan(20)))
+    assert [c.split(" + ")[0] for c in found.not_identifiable] == ["length_error:4", "joint_offset:4"]
+    assert np.max(np.abs(found.parameters * model.scales)) < 5.0
+    assert found.identifiable[-1]
+
+
+def test_exactly_determined_data_leave_sigma_unknown() -> None:
+    found = estimate(Model(arm()), data(Model(arm()), plan(4)))
+    figures = found.to_json()
+    assert found.dof == 0
+    assert figures["sigma_mm"] is None
+    assert figures["parameters"][0]["value"] is not None
+    assert figures["parameters"][0]["std"] is None
+    assert found.calibration().covariance is None
+    json.dumps(figures, allow_nan=False)
+    known = estimate(Model(arm()), data(Model(arm()), plan(4)), sigma=SIGMA)
+    assert known.p_value is None
+    assert np.all(np.isfinite(known.intervals))
+
+
+# -- the result ------------------------------------------------------------------------------------------------------
+def test_json_has_the_keys_and_units_of_the_contract() -> None:
+    model = Model(arm(EffectSpec("encoder_eccentricity", 2), EffectSpec("base_offset")))
+    measurements = data(model, plan(20))
+    found = estimate(model, measurements, sigma=SIGMA)
+    figures = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    assert set(figures) == CONTRACT_KEYS
+    names = [f"{kind}:{j}" for kind in ("length_error", "joint_offset") for j in (1, 2, 3, 4)]
+    names += ["encoder_eccentricity:2.a", "encoder_eccentricity:2.b", "base_offset.x0", "base_offset.y0"]
+    assert [row["name"] for row in figures["parameters"]] == names
+    assert [row["unit"] for row in figures["parameters"]] == ["mm"] * 4 + ["deg"] * 6 + ["mm"] * 2
+    assert figures["parameters"][4]["value"] == pytest.approx(np.degrees(found.parameters[4]))
+    assert set(figures["parameters"][0]) == {"name", "unit", "value", "std", "low_95", "high_95"}
+    distance = np.linalg.norm(measurements.positions - model.position(plan(20), np.zeros(12)), axis=1)
+    assert figures["rms_before_mm"] == pytest.approx(np.sqrt(np.mean(distance**2)))
+    assert figures["max_before_mm"] == pytest.approx(distance.max())
+    after = np.linalg.norm(measurements.positions - model.position(plan(20), found.parameters), axis=1)
+    assert figures["rms_after_mm"] == pytest.approx(np.sqrt(np.mean(after**2)))
+    assert figures["max_after_mm"] == pytest.approx(after.max())
+
+
+def test_calibrated_arm_computes_what_was_fitted() -> None:
+    model = Model(arm(EffectSpec("encoder_eccentricity", 2, {"a": 0.002}), EffectSpec("base_offset")))
+    measurements = data(Model(arm()), plan(20))
+    found = estimate(model, measurements)
+    calibrated = found.calibrated_arm()
+    np.testing.assert_array_equal(measurements.positions - Model(calibrated).position(plan(20)), found.residuals_after)
+    calibration = found.calibration()
+    assert set(calibration.effects) == {
+        "encoder_eccentricity:2.a", "encoder_eccentricity:2.b", "base_offset.x0", "base_offset.y0",
+    }  # fmt: skip
+    assert calibration.effects["encoder_eccentricity:2.a"] == 0.002
+    assert calibration.parameter_names == model.names
+    again = estimate(Model(calibrated), measurements)
+    assert again.rms_before == pytest.approx(found.rms_after)
+    np.testing.assert_allclose(again.parameters, found.parameters, rtol=0, atol=1e-9)
+
+
+def test_result_is_read_only_and_prints() -> None:
+    found = estimate(Model(arm(EffectSpec("base_rotation"))), data(Model(arm()), plan(20)))
+    with pytest.raises(ValueError, match="read-only"):
+        found.parameters[0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        found.identifiable[0] = False
+    text = str(found)
+    assert "cannot be told apart: joint_offset:1 + base_rotation.angle" in text
+    assert "nan" not in text
+    assert max(map(len, text.splitlines())) <= 130
+    assert found._repr_html_().startswith("<pre>")
+
+
+# -- refusals --------------------------------------------------------------------------------------------------------
+def test_fewer_equations_than_unknowns() -> None:
+    with pytest.raises(InputError, match=r"fewer equations than unknowns: 2 m = 6 < p = 8, allowed: m >= 4"):
+        estimate(Model(arm()), data(Model(arm()), plan(3)))
+
+
+def test_wrong_number_of_joints() -> None:
+    with pytest.raises(InputError, match="4 joints for an arm of 2 links, allowed: 2"):
+        estimate(Model(Arm([100.0, 100.0])), data(Model(arm()), plan(10)))
+
+
+def test_data_that_effects_need() -> None:
+    measurements = Measurements(plan(10), np.zeros((10, 2)))
+    with pytest.raises(InputError, match="thermal_growth needs the column temperature_C"):
+        estimate(Model(arm(EffectSpec("thermal_growth"))), measurements)
+    without = Arm(LENGTHS, effects=(EffectSpec("joint_compliance", 2),))
+    with pytest.raises(InputError, match=r"joint_compliance:2 needs gravity torques, .*\[gravity\]"):
+        estimate(Model(without), measurements)
+    # time and directions follow from the order of the rows
+    derived = Model(arm(EffectSpec("base_drift"), EffectSpec("backlash", 2)))
+    assert estimate(derived, data(derived, plan(20))).not_identifiable == ()
+
+
+def test_bad_arguments() -> None:
+    model, measurements = Model(arm()), data(Model(arm()), plan(10))
+    with pytest.raises(InputError, match="unknown name 'gaus_newton', did you mean 'gauss_newton'"):
+        estimate(model, measurements, "gaus_newton")
+    for sigma in (0.0, -1.0, np.nan, np.ones(3)):
+        with pytest.raises(InputError, match="sigma_mm: "):
+            estimate(model, measurements, sigma=sigma)
+    for weights in (np.ones(3), -np.ones(10), np.zeros(10)):
+        with pytest.raises(InputError, match="weights: "):
+            estimate(model, measurements, weights=weights)
+    positions = measurements.positions.copy()
+    positions[6, 1] = np.inf
+    with pytest.raises(InputError, match="row 7 of positions is not finite"):
+        estimate(model, replace(measurements, positions=positions))
+
+
+# -- real data -------------------------------------------------------------------------------------------------------
+@pytest.mark.skipif(not UR10.exists(), reason="the UR10 data are not here")
+def test_ur10() -> None:
+    """Figures of an independent fit (GAP.md, "Real data")."""
+    model = Model(Arm([612.0, 572.3, 115.7], effects=(EffectSpec("base_offset"),)))
+    found = estimate(model, load_measurements(UR10, 3))
+    assert found.rms_before == pytest.approx(0.569, abs=5e-4)
+    assert found.rms_after == pytest.approx(0.413, abs=5e-4)
+    np.testing.assert_allclose(model.arm.lengths + found.length_errors, [612.61, 571.97, 115.95], rtol=0, atol=5e-3)
+    assert found.not_identifiable == ()

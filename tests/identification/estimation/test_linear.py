@@ -1,0 +1,77 @@
+"""The closed form against the paper's iteration, scipy, and complex arithmetic."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from identification.arm import Arm, EffectSpec
+from identification.errors import InputError
+from identification.estimation import estimate
+from identification.measurements import Measurements
+from identification.model import Model
+from tests.identification.estimation.cases import arm, data, plan, scipy_fit
+
+BASE = (EffectSpec("base_offset"),)
+
+
+@pytest.mark.parametrize("effects", [(), BASE], ids=["base", "base_offset"])
+@pytest.mark.parametrize("m", [5, 20, 200])
+def test_equals_converged_paper_steps(effects: tuple[EffectSpec, ...], m: int) -> None:
+    model = Model(arm(*effects))
+    measurements = data(model, plan(m))
+    closed, steps = (estimate(model, measurements, method) for method in ("linear", "paper_steps"))
+    np.testing.assert_allclose(
+        closed.parameters * model.scales, steps.parameters * model.scales, rtol=0, atol=1e-9
+    )  # mm: the claim of THEORY.md is 3e-13
+    assert steps.iterations < 12
+
+
+@pytest.mark.parametrize("effects", [(), BASE], ids=["base", "base_offset"])
+@pytest.mark.parametrize("m", [6, 20])
+def test_equals_scipy_with_weights(effects: tuple[EffectSpec, ...], m: int) -> None:
+    model = Model(arm(*effects))
+    measurements = data(model, plan(m))
+    weights = np.random.default_rng(0).uniform(0.2, 5.0, m)
+    closed = estimate(model, measurements, weights=weights)
+    other = scipy_fit(model, measurements, weights)
+    # scipy stops at a relative change of the cost of 1e-15: about 1e-7 of a standard deviation (0.03 mm)
+    np.testing.assert_allclose(closed.parameters * model.scales, other.x * model.scales, rtol=0, atol=1e-7)
+    weighted = np.sum(weights[:, None] * closed.residuals_after**2)
+    assert weighted <= 2.0 * other.cost * (1.0 + 1e-12)
+
+
+@given(st.integers(1, 12), st.integers(0, 2**32))
+@settings(max_examples=30, deadline=None, derandomize=True)
+def test_exact_data_give_the_exact_arm_whatever_the_offsets(n: int, seed: int) -> None:
+    """Offsets of any size, even half a turn, and lengths 30 % off: there is no start to be poor."""
+    generator = np.random.default_rng(seed)
+    lengths = generator.uniform(50.0, 300.0, n)
+    model = Model(Arm(lengths, effects=BASE))
+    true = np.r_[
+        lengths * generator.uniform(-0.3, 0.3, n), generator.uniform(-3.1, 3.1, n), generator.uniform(-500, 500, 2)
+    ]
+    postures = generator.uniform(-np.pi, np.pi, (3 * n + 3, n))
+    found = estimate(model, Measurements(postures, model.position(postures, true)))
+    # up to the condition number of the random plan (below 1e3) times rounding of 1e3 mm
+    np.testing.assert_allclose(found.parameters * model.scales, true * model.scales, rtol=0, atol=1e-7)
+    assert found.rms_after < 1e-9
+
+
+def test_offsets_are_returned_within_half_a_turn() -> None:
+    model = Model(arm())
+    true = np.r_[np.zeros(4), np.pi - 0.1, np.pi - 0.2, -np.pi + 0.1, 3.0]  # orientations add up beyond a turn
+    found = estimate(model, Measurements(plan(10), model.position(plan(10), true)))
+    np.testing.assert_allclose(found.parameters, true, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [Model(arm(EffectSpec("gear_ratio", 2))), Model(arm(), known={"length_error:1": 0.0})],
+    ids=["gear", "known"],
+)
+def test_other_models_are_refused(model: Model) -> None:
+    with pytest.raises(InputError, match=r"linear does not fit this model, allowed: .*use gauss_newton"):
+        estimate(model, data(Model(arm()), plan(10)), "linear")
