@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from doe.problem import DesignProblem
 from doe.result import Design
 from doe.solvers import solve
 from identification.arm import Arm, Array
-from identification.arm_file import load_arm, with_calibration
+from identification.arm_file import load_arm, with_calibration, with_effects
 from identification.estimation import Identification, estimate
 from identification.files import write_whole
 from identification.gap.diagnose import diagnose
@@ -57,6 +58,7 @@ class Demo:
     """Everything the demo made, for tables, pictures and the page."""
 
     arm: Arm
+    truth: dict[str, float]  # parameter name -> hidden value, file units
     problem: DesignProblem
     design: Design
     data: Measurements
@@ -65,10 +67,28 @@ class Demo:
     diagnosis: Diagnosis
     extended: Identification
 
+    @property
+    def noise(self) -> float:
+        """RMS distance that a perfect model would leave [mm]: sqrt(2) sigma."""
+        return float(np.sqrt(2.0) * (self.arm.sigma or 0.0))
+
+    @property
+    def drawing_gap(self) -> float:
+        """RMS distance between the drawing and the fresh measurements [mm]."""
+        return rms(Model(self.arm).position(self.fresh.postures) - self.fresh.positions)
+
     def gap(self, found: Identification) -> float:
         """RMS distance [mm] between a fitted model and the fresh measurements."""
         predicted = found.model.position(self.fresh.postures, found.parameters, self.fresh.conditions)
         return rms(predicted - self.fresh.positions)
+
+
+def true_values(truth: Arm) -> dict[str, float]:
+    """Every parameter of the truth in file units; effects it does not have are zero."""
+    model = Model(truth)
+    values = dict(zip(model.names, model.values.tolist(), strict=True)) | dict(model.fixed)
+    known = {p.name: values[p.name] * p.to_file for p in model.all_parameters}
+    return defaultdict(float, known)
 
 
 def rms(residuals: Array) -> float:
@@ -104,5 +124,7 @@ def run_demo(directory: Path, seed: int = 0, progress: Progress = silent) -> Dem
     step(5)
     extended = estimate(Model(diagnosis.extended_arm()), data)
     write_whole(directory / "calibrated.toml", with_calibration(ARM, base.calibration()), force=True)
+    with_effect = with_effects(ARM, diagnosis.named.specs)
+    write_whole(directory / "extended.toml", with_calibration(with_effect, extended.calibration()), force=True)
     step(6)
-    return Demo(arm, problem, design, data, fresh, base, diagnosis, extended)
+    return Demo(arm, true_values(truth), problem, design, data, fresh, base, diagnosis, extended)

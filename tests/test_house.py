@@ -128,5 +128,7 @@ def test_help_imports_no_solver() -> None:
 @pytest.mark.parametrize("tool", [["ruff", "check"], ["ruff", "format", "--check"], ["mypy"]], ids=" ".join)
 def test_code_is_clean(tool: list[str]) -> None:
     targets = [] if tool[0] == "mypy" else ["doe", "identification", "tests"]
-    done = subprocess.run([sys.executable, "-m", *tool, *targets], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", *tool, *targets], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr

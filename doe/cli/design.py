@@ -40,9 +40,7 @@ def command(
     check_writable(out, force)
     problem = DesignProblem.of(Model(loaded))
     with session.progress("design") as progress:
-        design = solve(
-            problem, runs, solver, seed=session.seed, starts=starts, seconds=seconds, progress=progress
-        )
+        design = solve(problem, runs, solver, seed=session.seed, starts=starts, seconds=seconds, progress=progress)
     if out is not None:
         write_whole(out, plan_text(design.plan), force=force)
     return Answer(design.to_json(), [*design_tables(loaded, design), *([f"plan written to {out}"] if out else [])])

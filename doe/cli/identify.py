@@ -15,9 +15,7 @@ from doe.cli.common import FILE, Answer, Session, force_option, out_option, verb
 @click.option("--method", help="linear, gauss_newton or paper_steps; left out: the best for the model.")
 @out_option
 @force_option
-def command(
-    session: Session, arm: Path, data: Path, method: str | None, out: Path | None, force: bool
-) -> Answer:
+def command(session: Session, arm: Path, data: Path, method: str | None, out: Path | None, force: bool) -> Answer:
     """Estimate the arm's parameters from measurements, with 95 % intervals."""
     import warnings
 

@@ -11,7 +11,9 @@ from identification.errors import nearest
 class Verbs(click.Group):
     """A group that suggests the nearest verb for an unknown one."""
 
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
         """As in click, with a suggestion."""
         if args and not args[0].startswith("-") and args[0] not in self.commands:
             ctx.fail(f"unknown verb {args[0]!r}, {nearest(args[0], self.commands)}")

@@ -114,10 +114,11 @@ def residual_figure(arm: Arm, postures: Array, positions: Array, found: Identifi
     before, after = found.residuals_before, found.residuals_after
     figure = Figure(figsize=(10.0, 6.2), layout="constrained")
     top, bottom = figure.subfigures(2, 1, height_ratios=[1.3, 1.0])
-    for axis, residuals, color, name in zip(
-        top.subplots(1, 2, sharex=True, sharey=True), (before, after), (BEFORE, AFTER), ("before", "after"), strict=True
-    ):
-        _arrows(axis, arm, positions, residuals, color, name)
+    pairs = ((before, BEFORE, "before"), (after, AFTER, "after"))
+    for axis, (residuals, color, name) in zip(top.subplots(1, 2, sharex=True, sharey=True), pairs, strict=True):
+        size = float(np.hypot(*residuals.T).max()) or 1.0
+        scale = 0.12 * float(arm.lengths.sum()) / size  # the largest arrow is an eighth of the reach
+        draw_residual_arrows(axis, positions, residuals, color, name, scale)
     strips = np.atleast_1d(bottom.subplots(1, arm.links, sharey=True))
     for j, axis in enumerate(strips):
         for residuals, color in ((before, BEFORE), (after, AFTER)):
@@ -127,9 +128,8 @@ def residual_figure(arm: Arm, postures: Array, positions: Array, found: Identifi
     return figure
 
 
-def _arrows(axis: Axes, arm: Arm, positions: Array, residuals: Array, color: str, name: str) -> None:
-    size = float(np.hypot(*residuals.T).max()) or 1.0
-    scale = 0.12 * float(arm.lengths.sum()) / size  # the largest arrow is an eighth of the reach
+def draw_residual_arrows(axis: Axes, positions: Array, residuals: Array, color: str, name: str, scale: float) -> None:
+    """Residuals (m, 2) as arrows at the measured positions, enlarged by `scale`."""
     style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004, "color": color}
     axis.quiver(*positions.T, *(residuals * scale).T, **style)
     axis.plot(0, 0, "ks", ms=5)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from rich.table import Table
+from rich.text import Text
 
 from doe.result import Design
 from identification.arm import Arm
@@ -22,7 +23,7 @@ def plan_table(design: Design, most: int = 24) -> Table:
     table = Table(title="Plan", title_justify="left")
     table.add_column("run", justify="right")
     for joint in range(design.plan.links):
-        table.add_column(f"q{joint + 1} [deg]", justify="right")
+        table.add_column(Text(f"q{joint + 1} [deg]"), justify="right")
     for run, posture in enumerate(np.degrees(design.plan.postures[:most]), start=1):
         table.add_row(str(run), *(f"{angle:.3f}" for angle in posture))
     if len(design.plan) > most:
@@ -36,7 +37,7 @@ def accuracy_table(arm: Arm, data: dict[str, Any]) -> Table:
     table = Table(title=f"Expected standard deviations ({sigma})", title_justify="left")
     table.add_column("link", justify="right")
     for heading in ("length [mm]", "orientation [deg]", "joint offset [deg]"):
-        table.add_column(heading, justify="right")
+        table.add_column(Text(heading), justify="right")
     deviations = [data["std"][key] for key in ("length_mm", "orientation_deg", "joint_offset_deg")]
     if any(d is None for d in deviations):
         return table
@@ -89,7 +90,7 @@ def parameter_table(data: dict[str, Any]) -> Table:
     table = Table(title="Parameters", title_justify="left")
     table.add_column("name")
     for heading in ("value", "std", "low 95 %", "high 95 %"):
-        table.add_column(heading, justify="right")
+        table.add_column(Text(heading), justify="right")
     table.add_column("unit")
     for row in data["parameters"]:
         figures = [significant(row[key], row["std"]) for key in ("value", "std", "low_95", "high_95")]

@@ -1,0 +1,146 @@
+"""Solvers compared, as tables for a terminal and as pictures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.table import Table
+
+from doe.compare import PROBLEM, SETTING, summary, with_hits
+from identification.arm import Array
+
+if TYPE_CHECKING:
+    import polars
+    from matplotlib.figure import Figure
+
+MOST = 10  # failures shown
+Curve = tuple[Array, Array]  # x and y of a step function
+
+
+def comparison_tables(rows: polars.DataFrame) -> list[Any]:
+    """One table per problem, the best setting first, and what went wrong."""
+    shown: list[Any] = []
+    found = summary(rows)
+    for part in found.partition_by(*PROBLEM, maintain_order=True):
+        arm, runs = part["arm"][0], part["runs"][0]
+        bound = with_hits(rows).filter(arm=arm, runs=runs)["bound"].min()
+        title = f"{arm}, {runs} runs" + ("" if bound is None else f", bound {bound:.7f}")
+        shown.append(_table(title, part))
+    return [*shown, *_failures(rows)]
+
+
+def _failures(rows: polars.DataFrame) -> list[str]:
+    """What went wrong, equal sentences once."""
+    failed = rows.filter(rows["status"] != "done")
+    kinds = failed.group_by("arm", "runs", *SETTING, "status", "error", maintain_order=True).len()
+    lines = [
+        f"{row['arm']}, {row['runs']} runs, {label((row['solver'], row['starts']))}: "
+        f"{row['len']} x {row['status']}: {row['error']}"
+        for row in kinds.iter_rows(named=True)
+    ]
+    return [*lines[:MOST], *([f"and {len(lines) - MOST} more; the rows have all"] if len(lines) > MOST else [])]
+
+
+def _table(title: str, found: polars.DataFrame) -> Table:
+    table = Table(title=title, title_justify="left")
+    table.add_column("solver", no_wrap=True)
+    for heading in (
+        "starts", "best", "median", "efficiency", "hits", "time [s]", "to a hit [s]", "[MB]", "wrong"
+    ):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for row in found.iter_rows(named=True):
+        table.add_row(
+            row["solver"],
+            str(row["starts"]),
+            *(_figure(row[name], "{:.6f}") for name in ("best", "median", "efficiency")),
+            f"{round(row['hit_rate'] * row['repeats'])}/{row['repeats']}",
+            _figure(row["seconds"], "{:.3g}"),
+            _figure(row["seconds_to_hit"], "{:.3g}"),
+            _figure(row["peak_memory_mb"], "{:.0f}"),
+            str(row["not_correct"]) if row["not_correct"] else "-",
+        )
+    return table
+
+
+def _figure(value: float | None, pattern: str) -> str:
+    return "-" if value is None else pattern.format(value)
+
+
+def label(setting: tuple[Any, ...]) -> str:
+    """`ipopt, 10 starts`."""
+    solver, starts = setting
+    return f"{solver}, {starts} start{'s' if starts > 1 else ''}"
+
+
+def performance_profile(rows: polars.DataFrame) -> dict[str, Curve]:
+    """Setting -> (tau, share): share of the instances that it solved within tau times the fastest setting's time.
+
+    An instance is a problem and a repeat, solved where the run is a hit; an instance nobody solved counts against all.
+    E. D. Dolan, J. J. More, Benchmarking optimization software with performance profiles, Math.
+    Program. 91 (2002), eq. 2.
+    """
+    import polars as pl
+
+    rows = with_hits(rows).with_columns(pl.when("hit").then("seconds").otherwise(float("inf")).alias("time"))
+    fastest = pl.col("time").min().over(*PROBLEM, "repeat")
+    rows = rows.with_columns(
+        pl.when(pl.col("time").is_finite()).then(pl.col("time") / fastest).otherwise(np.inf).alias("r")
+    )
+    curves = {}
+    for setting, part in rows.group_by(*SETTING, maintain_order=True):
+        ratios = np.sort(part["r"].to_numpy())
+        solved = np.isfinite(ratios)
+        curves[label(setting)] = ratios[solved], (np.arange(len(ratios)) + 1.0)[solved] / len(ratios)
+    return curves
+
+
+def profile_figure(rows: polars.DataFrame) -> Figure:
+    """The performance profile: on the left who is fastest, on the right who gets there at all."""
+    from matplotlib.figure import Figure
+
+    curves = performance_profile(rows)
+    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+    axes = figure.subplots()
+    end = 1.3 * max((float(tau[-1]) for tau, _ in curves.values() if tau.size), default=1.0)
+    for color, (name, (tau, share)) in zip(_colors(len(curves)), curves.items(), strict=True):
+        axes.step(
+            np.r_[1.0, tau, end],
+            np.r_[0.0, share, share[-1] if share.size else 0.0],
+            where="post",
+            color=color,
+            label=name,
+        )
+    axes.set(xscale="log", xlim=(1.0, max(end, 1.1)), ylim=(-0.02, 1.02))
+    axes.set(xlabel="time / time of the fastest", ylabel="share of instances at the best known value")
+    axes.legend(fontsize=8, loc="lower right")
+    return figure
+
+
+def time_figure(rows: polars.DataFrame) -> Figure:
+    """Value against time, one panel per problem: loss of efficiency of every run, those without loss at the bottom."""
+    from matplotlib.figure import Figure
+
+    rows = with_hits(rows)
+    problems = rows.select(PROBLEM).unique(maintain_order=True).rows()
+    settings = rows.select(SETTING).unique(maintain_order=True).rows()
+    colors = dict(zip(settings, _colors(len(settings)), strict=True))
+    figure = Figure(figsize=(4.6 * len(problems) + 1.5, 4.0), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, len(problems), sharey=True))
+    for axes, problem in zip(panels, problems, strict=True):
+        part = rows.filter("good", **dict(zip(PROBLEM, problem, strict=True)))
+        for setting, color in colors.items():
+            runs = part.filter(**dict(zip(SETTING, setting, strict=True)))
+            loss = np.maximum(runs["loss"].to_numpy(), 1e-9)
+            axes.plot(runs["seconds"], loss, "o", color=color, ms=5, alpha=0.75, label=label(setting))
+        axes.set(xscale="log", yscale="log", ylim=(5e-10, 1.5), xlabel="time of a run [s]")
+        axes.set_title(f"{problem[0]}, {problem[2]} runs", fontsize=9)
+    panels[0].set_ylabel("efficiency lost to the best known plan (floor 1e-9)")
+    panels[-1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def _colors(count: int) -> list[Any]:
+    from matplotlib import colormaps
+
+    return [colormaps["tab10"](k % 10) for k in range(count)]

@@ -1,0 +1,67 @@
+"""Pictures of a diagnosis: residuals before and after against everything, and which effects look alike."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from doe.report.pictures import AFTER, BEFORE, draw_residual_arrows
+from identification.arm import Array
+from identification.gap.diagnosis import Diagnosis
+from identification.gap.preflight import Preflight
+
+COLUMNS = 3
+BINS = 12
+
+
+def against_figure(diagnosis: Diagnosis) -> Figure:
+    """Residual distances before and after, against each joint, time, torque: points, and the RMS in twelve bins."""
+    shown = diagnosis.residuals
+    rows = -(-len(shown.against) // COLUMNS)
+    figure = Figure(figsize=(10.0, 2.3 * rows), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, COLUMNS, sharey=True)).ravel()
+    for axis, (name, values) in zip(axes, shown.against.items(), strict=False):
+        x, label = (np.degrees(values), name.replace("[rad]", "[deg]")) if "[rad]" in name else (values, name)
+        for residuals, color, when in ((shown.before, BEFORE, "before"), (shown.after, AFTER, "after")):
+            distance = np.hypot(*residuals.T)
+            axis.plot(x, distance, ".", color=color, ms=3, alpha=0.35, rasterized=len(x) > 500)
+            axis.plot(*binned_rms(x, distance), color=color, lw=1.8, label=when)
+        axis.set(xlabel=label, ylim=(0, None))
+    for axis in axes[len(shown.against) :]:
+        axis.set_visible(False)
+    axes[0].legend(frameon=False, fontsize=8)
+    for axis in axes[::COLUMNS]:
+        axis.set_ylabel("residual [mm]")
+    return figure
+
+
+def binned_rms(x: Array, distance: Array) -> tuple[Array, Array]:
+    """Mean position and RMS in up to twelve bins of equal numbers of rows."""
+    groups = np.array_split(np.argsort(x, kind="stable"), min(BINS, max(1, len(x) // 4)))
+    middle = np.array([np.mean(x[g]) for g in groups])
+    return middle, np.array([np.sqrt(np.mean(distance[g] ** 2)) for g in groups])
+
+
+def workspace_figure(diagnosis: Diagnosis) -> Figure:
+    """Residual arrows over the workspace, before and after, on one scale."""
+    shown = diagnosis.residuals
+    figure = Figure(figsize=(10.0, 4.8), layout="constrained")
+    axes = figure.subplots(1, 2, sharex=True, sharey=True)
+    pairs = ((shown.before, BEFORE, "before"), (shown.after, AFTER, "after"))
+    for axis, (residuals, color, name) in zip(axes, pairs, strict=True):
+        scale = 0.12 * diagnosis.arm.lengths.sum() / (float(np.hypot(*shown.before.T).max()) or 1.0)
+        draw_residual_arrows(axis, shown.positions, residuals, color, name, float(scale))
+    return figure
+
+
+def alias_figure(preflight: Preflight) -> Figure:
+    """Heat map: how much of one effect (row) another one (column) explains on this plan, base model projected off."""
+    size = len(preflight.names)
+    figure = Figure(figsize=(3.2 + 0.27 * size, 2.2 + 0.27 * size), layout="constrained")
+    axis = figure.subplots()
+    image = axis.imshow(preflight.likeness, vmin=0.0, vmax=1.0, cmap="magma_r")
+    axis.set_xticks(range(size), preflight.names, rotation=90, fontsize=7)
+    axis.set_yticks(range(size), preflight.names, fontsize=7)
+    axis.set_title("likeness of effects on these postures: 1 = cannot be told apart", fontsize=9)
+    figure.colorbar(image, ax=axis, shrink=0.7)
+    return figure

@@ -1,0 +1,123 @@
+"""A diagnosis as tables for a terminal and as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from doe.report.gap_figures import against_figure, alias_figure, workspace_figure
+from doe.report.page import Section, Sheet, page
+from doe.report.tables import number
+from identification.gap.diagnosis import Diagnosis
+
+MOST_TRIALS = 12
+
+
+def candidate_sheet(diagnosis: Diagnosis) -> Sheet:
+    """The ambiguity set: effects, F, adjusted p, Delta BIC, estimates with 95 % intervals."""
+    rows = [
+        [
+            " + ".join(c.effects),
+            f"{c.f:.1f}",
+            f"{c.p_adjusted:.2g}",
+            f"{c.delta_bic:.1f}",
+            ", ".join(
+                f"{p.name.rpartition('.')[2]} = {p.value:.4g} [{p.low_95:.4g}, {p.high_95:.4g}] {p.unit}"
+                for p in c.parameters
+            ),
+        ]
+        for c in diagnosis.candidates
+    ]
+    return Sheet(["effects", "F", "adjusted p", "Delta BIC", "estimates [95 % interval]"], rows)
+
+
+def gap_sheet(diagnosis: Diagnosis) -> Sheet:
+    """RMS distances before and after, on the data and on data no fit has seen."""
+    gap = diagnosis.gap
+    rows = [["the data", number(gap.rms_before), number(gap.rms_after), number(gap.noise_floor)]]
+    if gap.held_out_after is not None:
+        rows.append(["held out", number(gap.held_out_before), number(gap.held_out_after), number(gap.predicted)])
+    return Sheet(["RMS distance [mm]", "before", "after", "noise floor / predicted"], rows)
+
+
+def trial_sheet(diagnosis: Diagnosis) -> Sheet:
+    """The strongest effects, one at a time against the base model."""
+    rows = [
+        [t.effect, f"{t.f:.1f}", f"{t.p_adjusted:.2g}", f"{t.delta_bic:.1f}"] for t in diagnosis.trials[:MOST_TRIALS]
+    ]
+    return Sheet(["effect alone", "F", "adjusted p", "change of BIC"], rows)
+
+
+def excluded_sheet(diagnosis: Diagnosis) -> Sheet:
+    """The smallest size of every effect that these data would have shown with 90 % probability."""
+    return Sheet(["effect", "smallest size found (90 %)"], [[n, str(size)] for n, size in diagnosis.excluded.items()])
+
+
+def alias_sheet(diagnosis: Diagnosis) -> Sheet:
+    """What looks like what on these postures."""
+    return Sheet(["effect", "looks like", "likeness"], [[a, b, f"{c:.3f}"] for a, b, c in diagnosis.aliases])
+
+
+def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
+    """Verdict first, then candidates, gap, and what else a person should know."""
+    shown: list[Any] = [Text(diagnosis.sentence, style="bold"), as_table(gap_sheet(diagnosis))]
+    if diagnosis.candidates and diagnosis.candidates[0].effects:
+        shown.append(as_table(candidate_sheet(diagnosis)))
+    else:
+        shown.append(as_table(excluded_sheet(diagnosis)))
+    shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
+    if diagnosis.outlier_rows:
+        shown.append(Text(f"outliers, left out: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
+    return [*shown, *(Text(f"note: {note}") for note in diagnosis.notes)]
+
+
+def as_table(sheet: Sheet) -> Table:
+    """The same sheet for a terminal."""
+    table = Table()
+    for k, heading in enumerate(sheet.headings):
+        table.add_column(Text(heading), justify="left" if k == 0 else "right", overflow="fold")
+    for row in sheet.rows:
+        table.add_row(*(Text(cell) for cell in row))
+    return table
+
+
+def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
+    """The parts of the page that show a diagnosis."""
+    notes = [*(f"Scatter: {finding}." for finding in diagnosis.scatter), *(f"{n}." for n in diagnosis.notes)]
+    if diagnosis.outlier_rows:
+        notes.insert(0, f"Rows left out as outliers: {', '.join(map(str, diagnosis.outlier_rows))}.")
+    candidates = [candidate_sheet(diagnosis)] if diagnosis.candidates and diagnosis.candidates[0].effects else []
+    return [
+        Section(
+            "What is missing",
+            "Every explanation within 6 BIC units of the best one; a single row means a single explanation.",
+            [*candidates, trial_sheet(diagnosis)],
+        ),
+        Section(
+            "The gap",
+            "RMS distance between model and measurement. A smaller gap alone does not prove a name: the held-out rows "
+            "were used for no decision.",
+            [gap_sheet(diagnosis)],
+            [workspace_figure(diagnosis)],
+        ),
+        Section(
+            "Residuals before and after",
+            "Points: rows. Lines: RMS in groups of rows. What is explained is flat after, at the noise floor.",
+            (),
+            [against_figure(diagnosis)],
+        ),
+        Section(
+            "What these postures can and cannot tell",
+            " ".join(["Sizes of effects that would have been found, and which effects look alike.", *notes]),
+            [excluded_sheet(diagnosis), alias_sheet(diagnosis)],
+            [alias_figure(diagnosis.preflight)],
+        ),
+    ]
+
+
+def gap_page(diagnosis: Diagnosis) -> str:
+    """The page of `armcal diagnose --report`."""
+    return page(f"Gap report: {diagnosis.arm.name}", diagnosis.sentence, gap_sections(diagnosis))
