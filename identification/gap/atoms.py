@@ -2,8 +2,8 @@
 
 An unknown effect at a joint is some function of that joint (or of its neighbours), acting through the joint's lever
 arm; one in time is a step, a bend or a wave of the base; one in the workspace is a smooth warp or a local dent of the
-measured positions. Each atom is one such shape with few columns; a place is said to hold an unknown effect when the
-best of its atoms explains what is left, after correction for all atoms of all places.
+measured positions. Each shape has few columns; a place is said to hold an unknown effect when the best of its shapes
+explains what is left, after correction for all shapes of all places.
 """
 
 from __future__ import annotations
@@ -33,43 +33,62 @@ class Atom:
 
 
 def atoms(found: Fit, rows: Rows) -> list[Atom]:
-    """All atoms at a fitted model."""
+    """All shapes at a fitted model."""
     position, jacobian = found.model.linearise(rows.postures, found.values, rows.conditions)
     n = rows.postures.shape[1]
     listed: list[Atom] = []
     for j in range(n):
-        lever = jacobian[:, :, n + j]
-        for shape, values in _joint_shapes(rows.postures, j):
-            listed.append(Atom(f"joint:{j + 1}", shape, lever[:, :, None] * values[:, None, :]))
+        names, values = _joint_shapes(rows.postures, j)
+        lever = jacobian[:, :, n + j, None]
+        listed += [Atom(f"joint:{j + 1}", name, lever * v[:, None, :]) for name, v in zip(names, values, strict=True)]
     time = rows.conditions.time
     if time is not None and np.ptp(time) > 0.0:
         listed += _time_atoms(time, position)
     return listed + _workspace_atoms(position)
 
 
-def _joint_shapes(postures: Array, j: int) -> list[tuple[str, Array]]:
+def _joint_shapes(postures: Array, j: int) -> tuple[list[str], list[Array]]:
     q = postures[:, j]
-    shapes = [(f"wave of {k:g} per turn", np.column_stack([np.cos(k * q), np.sin(k * q)])) for k in FREE_ORDERS]
-    centres = np.quantile(q, (np.arange(CENTRES) + 0.5) / CENTRES)
-    for centre in centres:
+    angle = np.multiply.outer(q, FREE_ORDERS)
+    waves = np.stack([np.cos(angle), np.sin(angle)], axis=-1)  # (m, K, 2)
+    names = [f"wave of {k:g} per turn" for k in FREE_ORDERS]
+    values = list(waves.transpose(1, 0, 2))
+    for name, shape in (*_local_shapes(q), *_smooth_shapes(q), *_shared_shapes(postures, j)):
+        names.append(name)
+        values.append(shape)
+    return names, values
+
+
+def _local_shapes(q: Array) -> list[tuple[str, Array]]:
+    found = []
+    for centre in np.quantile(q, (np.arange(CENTRES) + 0.5) / CENTRES):
         gap = np.angle(np.exp(1j * (q - centre)))
-        shapes += [(f"bump at {np.degrees(centre):.0f} deg", _column(np.exp(-0.5 * (gap / w) ** 2))) for w in WIDTHS]
-        shapes.append((f"step at {np.degrees(centre):.0f} deg", _column(np.sign(q - centre))))
-        shapes.append((f"bend at {np.degrees(centre):.0f} deg", _column(np.maximum(q - centre, 0.0))))
-    shapes += [(f"power {k}", _column(q**k)) for k in (2, 3)]
-    shapes.append(("powers 1 to 3", np.column_stack([q, q**2, q**3])))
-    smooth = np.concatenate([[np.cos(k * q), np.sin(k * q)] for k in SMOOTH_ORDERS]).T
-    shapes.append(("smooth function", smooth))
+        degrees = np.degrees(centre)
+        found += [(f"bump at {degrees:.0f} deg", np.exp(-0.5 * (gap / width) ** 2)[:, None]) for width in WIDTHS]
+        found.append((f"step at {degrees:.0f} deg", np.sign(q - centre)[:, None]))
+        found.append((f"bend at {degrees:.0f} deg", np.maximum(q - centre, 0.0)[:, None]))
+    return found
+
+
+def _smooth_shapes(q: Array) -> list[tuple[str, Array]]:
+    waves = np.concatenate([[np.cos(k * q), np.sin(k * q)] for k in SMOOTH_ORDERS]).T
+    powers = q[:, None] ** np.array([1, 2, 3])
+    return [
+        ("square", powers[:, 1:2]),
+        ("cube", powers[:, 2:]),
+        ("powers 1 to 3", powers),
+        ("smooth function", waves),
+    ]
+
+
+def _shared_shapes(postures: Array, j: int) -> list[tuple[str, Array]]:
+    found = []
     for k in range(postures.shape[1]):
         if k != j:
             other = postures[:, k]
-            shapes.append((f"product with joint {k + 1}", _column(q * other)))
-            shapes.append((f"wave of joint {k + 1}", np.column_stack([np.cos(other), np.sin(other)])))
-    return shapes
-
-
-def _column(values: Array) -> Array:
-    return values[:, None]
+            found.append((f"product with joint {k + 1}", (postures[:, j] * other)[:, None]))
+            found.append((f"wave of joint {k + 1}", np.column_stack([np.cos(other), np.sin(other)])))
+    return found
 
 
 def _time_atoms(time: Array, position: Array) -> list[Atom]:

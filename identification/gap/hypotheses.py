@@ -6,7 +6,7 @@ gear ripple) are scanned: each value is a hypothesis, and together they weigh as
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -18,9 +18,7 @@ from identification.arm import Arm, Array, EffectSpec
 from identification.effects import Chain, Effect, build, library
 from identification.gap.whitening import Rows
 from identification.model import Model
-
-JOINT_HOOK = "joint_angles"
-HOOKS = ("extensions", "bending", "tool", "base_rotation", "base_translation", "instrument")
+from identification.tape import vectorise
 
 
 @dataclass(frozen=True)
@@ -104,27 +102,32 @@ class HypothesisSet:
         return {name: k for k, name in enumerate(self.wide.names)}
 
     @cached_property
-    def _scan(self) -> Model | None:
-        return _angle_model(self.arm, tuple(h.effect for h in self.scanned)) if self.scanned else None
+    def _scan(self) -> Callable[..., tuple[Array, ...]]:
+        return vectorise(_angle_function(self.arm, tuple(h.effect for h in self.scanned)))
 
-    def columns(self, rows: Rows, values: Mapping[str, float]) -> list[Array]:
+    def slopes(self, rows: Rows) -> Array:
+        """(m, S) derivative of the joint angles by the parameters of the scanned hypotheses, which need no fit."""
+        if not self.scanned:
+            return np.zeros((len(rows), 0))
+        payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
+        table = rows.conditions.table(len(rows), self.arm.links, payload)
+        return self._scan(rows.postures, table)[0][..., 0]
+
+    def columns(self, rows: Rows, values: Mapping[str, float], slopes: Array) -> list[Array]:
         """Per member, (m, 2, d) derivative of the position by its parameters, at these parameter values (others 0)."""
         parameters = np.array([values.get(name, 0.0) for name in self.wide.names])
         jacobian = self.wide.jacobian(rows.postures, parameters, rows.conditions)
         plain = iter(self._unscanned_columns(jacobian))
-        scanned = iter(self._scanned_columns(jacobian, rows))
+        scanned = iter(self._scanned_columns(jacobian, slopes))
         return [next(scanned if h.spec.values else plain) for h in self.members]
 
     def _unscanned_columns(self, jacobian: Array) -> Iterator[Array]:
         for hypothesis in self.unscanned:
             yield jacobian[:, :, [self._slots[p.name] for p in hypothesis.effect.parameters]]
 
-    def _scanned_columns(self, jacobian: Array, rows: Rows) -> Iterator[Array]:
-        if not self.scanned:
-            return
+    def _scanned_columns(self, jacobian: Array, slopes: Array) -> Iterator[Array]:
         n = self.arm.links
         by_joint = jacobian[:, :, n : 2 * n]  # the joint offsets' columns: what one rad at a joint does to the tip
-        slopes = _evaluate_angles(self._scan, rows, self.arm)
         start = 0
         for hypothesis in self.scanned:
             joint = hypothesis.effect._index()
@@ -133,25 +136,20 @@ class HypothesisSet:
             start += hypothesis.size
 
 
-def _angle_model(arm: Arm, effects: tuple[Effect, ...]) -> ca.Function:
+def _angle_function(arm: Arm, effects: tuple[Effect, ...]) -> ca.Function:
     """CasADi (q, c) -> per effect and parameter, the derivative of its own joint's angle."""
     n = arm.links
     q, c = ca.SX.sym("q", n), ca.SX.sym("c", 3 + n)
     chain = Chain(arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3:])
-    slopes = []
+    v = ca.SX.sym("v", sum(len(effect.parameters) for effect in effects))
+    total, start = ca.SX(0), 0
     for effect in effects:
-        v = ca.SX.sym("v", len(effect.parameters))
-        angle = effect.joint_angles(chain, v)[effect._index()]
-        slopes.append(ca.substitute(ca.jacobian(angle, v), v, ca.SX.zeros(v.numel())).T)
-    return ca.Function("slopes", [q, c], [ca.cse(ca.densify(ca.vertcat(*slopes)))])
-
-
-def _evaluate_angles(function: ca.Function, rows: Rows, arm: Arm) -> Array:
-    payload = 0.0 if arm.gravity is None else arm.gravity.payload
-    table = rows.conditions.table(len(rows), arm.links, payload)
-    from identification.tape import vectorise
-
-    return vectorise(function)(rows.postures, table)[0][..., 0]
+        own = v[start : start + len(effect.parameters)]
+        total += effect.joint_angles(chain, own)[effect._index()]
+        start += len(effect.parameters)
+    # every parameter turns one joint only, so the gradient of the sum holds each one's own slope
+    slopes = ca.substitute(ca.gradient(total, v), v, ca.SX.zeros(v.numel()))
+    return ca.Function("slopes", [q, c], [ca.cse(ca.densify(slopes))])
 
 
 def hypotheses(arm: Arm, given: frozenset[str]) -> HypothesisSet:

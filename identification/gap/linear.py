@@ -125,22 +125,21 @@ def dictionary(jacobian: Array, columns: list[Array], one_sided: NDArray[np.bool
     projected = stacked - q @ (q.T @ stacked)
     projected -= q @ (q.T @ projected)
     starts = np.cumsum(sizes) - sizes
-    kept: list[tuple[int, Array]] = []
-    shares = np.zeros(len(sizes))
+    shares, widths = np.zeros(len(sizes)), np.zeros(len(sizes), dtype=np.int64)
+    bases = np.zeros_like(projected)
+    seen = np.zeros(projected.shape[1], dtype=bool)
     for size in np.unique(sizes):
         members = np.flatnonzero(sizes == size)
-        blocks = projected[:, starts[members][:, None] + np.arange(size)].transpose(1, 0, 2)  # (members, N, d)
+        index = starts[members][:, None] + np.arange(size)  # (members, d)
+        blocks = projected[:, index].transpose(1, 0, 2)  # (members, N, d)
         squares, turn = np.linalg.eigh(blocks.transpose(0, 2, 1) @ blocks)  # ascending
         lengths = np.sqrt(np.maximum(squares, 0.0))
+        if size == 1:
+            turn = np.ones_like(turn)  # a positive score is a positive parameter
         shares[members] = lengths[:, 0]
-        rotated = blocks @ turn
-        for k, member in enumerate(members):
-            seen = lengths[k] > VISIBLE
-            sign = np.sign(turn[k, 0, 0]) if size == 1 else 1.0  # a positive score is a positive parameter
-            kept.append((int(member), rotated[k][:, seen] * (sign / lengths[k, seen])))
-    kept.sort(key=lambda pair: pair[0])
-    bases = [block for _, block in kept]
-    widths = np.array([b.shape[1] for b in bases], dtype=np.int64)
-    begin = np.cumsum(widths) - widths
-    whole = np.hstack(bases) if bases else np.zeros((len(q), 0))
-    return Dictionary(q, whole, begin, widths, shares, one_sided, weights)
+        widths[members] = np.sum(lengths > VISIBLE, axis=1)
+        seen[index] = lengths > VISIBLE
+        unit = (blocks @ turn) / np.maximum(lengths, VISIBLE)[:, None, :]
+        bases[:, index] = unit.transpose(1, 0, 2)
+    whole = bases if seen.all() else bases[:, seen]
+    return Dictionary(q, whole, np.cumsum(widths) - widths, widths, shares, one_sided, weights)

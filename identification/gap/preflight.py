@@ -112,7 +112,7 @@ def assess(
     white = rows.whiten(jacobian)
     freedom = len(white) - basis(white).shape[1]
     require_spare(freedom, len(rows))
-    raw = [rows.whiten(c) for c in library.columns(rows, values)]
+    raw = [rows.whiten(c) for c in library.columns(rows, values, library.slopes(rows))]
     members = library.members
     tested = dictionary(white, raw, np.array([h.one_sided for h in members]), np.array([h.weight for h in members]))
     threshold = LEVEL / sum(h.weight for h in members) if level is None else level

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -39,6 +40,11 @@ class Search:
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
     tests: dict[frozenset[str], Test] = field(default_factory=dict)
 
+    @cached_property
+    def slopes(self) -> np.ndarray:
+        """What the scanned hypotheses add to the joint angles, see `HypothesisSet.slopes`."""
+        return self.hypotheses.slopes(self.rows)
+
     def fit(self, chosen: Choice) -> Fit:
         """The base model with these effects added, refitted."""
         key = frozenset(h.label for h in chosen)
@@ -71,7 +77,7 @@ class Search:
         """Hypotheses that can still be added to a set, projected off its fit."""
         found = self.fit(chosen)
         used = {h.key for h in chosen}
-        columns = self.hypotheses.columns(self.rows, found.by_name)
+        columns = self.hypotheses.columns(self.rows, found.by_name, self.slopes)
         pairs = [
             (h, self.rows.whiten(c))
             for h, c in zip(self.hypotheses.members, columns, strict=True)
