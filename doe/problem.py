@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
@@ -19,6 +19,7 @@ from identification.arm import Array, readonly
 from identification.errors import InputError
 from identification.information import information_matrix
 from identification.model import Model
+from identification.tape import vectorise
 
 
 class InformationModel(Protocol):
@@ -83,8 +84,11 @@ class DesignProblem:
         return max(1, -(-missing // self.model.dimension))
 
     def blocks(self, postures: ArrayLike) -> Array:
-        """(m, d, p) dimensionless sensitivities B: the Jacobian's columns divided by the parameters' scales."""
-        return self.model.jacobian(postures) / self.model.scales
+        """(..., d, p) dimensionless sensitivities B of (..., n) postures: Jacobian columns over `model.scales`."""
+        angles = np.atleast_2d(np.asarray(postures, dtype=float))
+        if angles.shape[-1] != self.joints:
+            raise InputError(f"postures: shape {angles.shape}, allowed: (..., {self.joints})")
+        return self._blocks(angles)[0]
 
     def information(self, postures: ArrayLike, weights: Array | None = None) -> Array:
         """(p, p) information per run M' = S (sum_i w_i J_i^T J_i) S; the mean over runs without weights.
@@ -113,7 +117,12 @@ class DesignProblem:
         q = ca.SX.sym("q", self.joints)
         arguments = (ca.DM(self.model.neutral_conditions), ca.DM(self.model.values))
         jacobian = self.model.jacobian_function(q, *arguments)[1]
-        return ca.Function("block", [q], [jacobian @ ca.diag(ca.DM(1.0 / self.model.scales))], ["q"], ["block"])
+        scaled = ca.cse(jacobian @ ca.diag(ca.DM(1.0 / self.model.scales)))
+        return ca.Function("block", [q], [scaled], ["q"], ["block"])
+
+    @cached_property
+    def _blocks(self) -> Callable[..., tuple[Array, ...]]:
+        return vectorise(self.block_function)
 
     @cached_property
     def active_joints(self) -> tuple[int, ...]:
@@ -129,6 +138,11 @@ class DesignProblem:
             if change > 1e-9 * np.abs(before).max():
                 active.append(joint)
         return tuple(active)
+
+    @cached_property
+    def searched_joints(self) -> tuple[int, ...]:
+        """Joints (from 0) that a solver must choose: the active ones, or all of them where constraints tie them."""
+        return tuple(range(self.joints)) if self.constraints else self.active_joints
 
 
 def information_of_each(blocks: Array) -> Array:

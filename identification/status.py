@@ -10,8 +10,10 @@ class Status(Enum):
 
     bound_reached = "The upper bound is reached: no plan with this many runs can be better."
     starts_finished = "All starts are used up; more starts (--starts) or time (--seconds) might find a better plan."
+    agreed = "Many independent starts ended at the same best value; more starts are unlikely to find a better plan."
     time_limit = "The time budget ended; the best plan so far is returned. Raise --seconds to search on."
     interrupted = "Stopped by the user (Ctrl-C); the best plan so far is returned."
+    scored = "The plan was given; it is judged, not improved."
     analytic = "Constructed from theory, without a search."
     converged = "Converged to a stationary point."
     almost_solved = "Stopped near a solution at reduced accuracy; look at the gap before relying on it."

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import numpy as np
+
 from identification.arm import Array
 
 
@@ -13,7 +15,10 @@ class Criterion(Protocol):
     A singular M has the value -inf, not an error.
     """
 
-    name: str  # as in `--criterion`
+    @property
+    def name(self) -> str:
+        """As in `--criterion`."""
+        ...
 
     def value(self, information: Array) -> Array:
         """(...) Phi(M) of matrices (..., p, p); -inf where M is singular."""
@@ -23,6 +28,10 @@ class Criterion(Protocol):
         """(p, p) G = dPhi/dM. Equivalence theorem: w is optimal iff max_q tr(G B(q)^T B(q)) = tr(G M)."""
         ...
 
+    def curvature(self, information: Array, directions: Array) -> Array:
+        """(k, k) second derivative D^2 Phi(M)[X_a, X_b] for symmetric directions X (k, p, p); never positive."""
+        ...
+
     def upper_bound(self, information: Array, largest: float) -> float:
         """No design has a greater value than this, given `largest` >= max_q tr(G B(q)^T B(q)) over the design space."""
         ...
@@ -30,3 +39,15 @@ class Criterion(Protocol):
     def efficiency(self, value: float, bound: float, parameters: int) -> float:
         """Share 0..1 of the runs that an optimal design would need for the same accuracy."""
         ...
+
+
+def values_after_adding(criterion: Criterion, information: Array, blocks: Array) -> Array:
+    """(s, c) Phi(A_s + B_sc^T B_sc), but for a number that depends on s only: enough to choose a posture.
+
+    information : (s, p, p) matrices A of plans that lack one run;  blocks : (s, c, d, p) candidates for it
+    A criterion may have a faster `values_after_adding` of its own (D: the determinant lemma).
+    """
+    own = getattr(criterion, "values_after_adding", None)
+    if own is not None:
+        return own(information, blocks)
+    return np.asarray(criterion.value(information[:, None] + np.swapaxes(blocks, -1, -2) @ blocks))

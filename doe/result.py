@@ -1,0 +1,136 @@
+"""A plan and what it is worth, recomputed from the stored problem: no number of a solver is passed on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from doe.bound import Bound
+from doe.certificate import CERTIFIED
+from doe.closed_form import table_1_max_residual
+from doe.criteria import D
+from doe.expected import ExpectedDeviations, expected_deviations
+from doe.plan import Plan
+from doe.problem import DesignProblem
+from identification.arm import Array
+from identification.status import Status
+
+
+@dataclass(frozen=True)
+class Design:
+    """A plan with its certificate.
+
+    problem : what it was made or judged for;  plan : the postures, in the order of measurement
+    bound : no plan in the design space has a greater criterion value, None: not known
+    status : how the search ended
+    solver, starts, seconds : what was spent on it
+    """
+
+    problem: DesignProblem
+    plan: Plan
+    bound: Bound | None = None
+    status: Status = Status.scored
+    solver: str | None = None
+    starts: int = 0
+    seconds: float = 0.0
+
+    @cached_property
+    def information(self) -> Array:
+        """(p, p) M' of the plan."""
+        return self.problem.information(self.plan.postures, self.plan.weights)
+
+    @cached_property
+    def value(self) -> float:
+        """Criterion value, -inf if the plan cannot identify all parameters."""
+        return float(self.problem.criterion.value(self.information))
+
+    @cached_property
+    def log_det(self) -> float:
+        """log det M' (THEORY.md section 3), whatever the criterion."""
+        return float(D().value(self.information))
+
+    @cached_property
+    def efficiency(self) -> float | None:
+        """Share 0..1 of the runs that a plan at the bound would need; None without a bound."""
+        if self.bound is None:
+            return None
+        return self.problem.criterion.efficiency(self.value, self.bound.value, self.problem.parameters)
+
+    @property
+    def certified_optimal(self) -> bool:
+        """True if no plan can be better by more than 1e-6 of efficiency."""
+        return self.efficiency is not None and self.efficiency >= CERTIFIED
+
+    @cached_property
+    def table_1_max_residual(self) -> float | None:
+        """Largest |mean exp(i (q_(j+1) + ... + q_k))|, 0 at an unconstrained optimum; None unless the arm is planar."""
+        if self.problem.model.dimension != 2:
+            return None
+        return table_1_max_residual(self.plan.postures, self.plan.weights)
+
+    @cached_property
+    def deviations(self) -> ExpectedDeviations | None:
+        """Expected standard deviations with the arm's sigma; None without sigma."""
+        sigma = getattr(getattr(self.problem.model, "arm", None), "sigma", None)
+        return expected_deviations(self.problem, self.plan.postures, sigma)
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's keys of `design` and `score`: millimetres and degrees; None for what cannot be given."""
+        return {
+            "criterion": self.problem.criterion.name,
+            "runs": len(self.plan),
+            "links": self.plan.links,
+            "value": _number(self.value),
+            "log_det": _number(self.log_det),
+            "bound": None if self.bound is None else self.bound.as_dict(),
+            "efficiency": _number(self.efficiency),
+            "certified_optimal": self.certified_optimal,
+            "postures_deg": np.degrees(self.plan.postures).tolist(),
+            "table_1_max_residual": _number(self.table_1_max_residual),
+            "std": _deviations_json(self.deviations),
+            "solver": self.solver,
+            "status": self.status.name,
+            "starts": self.starts,
+            "seconds": self.seconds,
+        }
+
+    def __str__(self) -> str:
+        efficiency = "no bound known" if self.efficiency is None else f"efficiency {self.efficiency:.6f}"
+        optimal = ", certified optimal" if self.certified_optimal else ""
+        return (
+            f"{len(self.plan)} runs of a {self.plan.links}-link arm, {self.problem.criterion.name} = {self.value:.8g} "
+            f"({efficiency}{optimal})\n  bound {self.bound or 'none'}\n  {self.status.name}: {self.status.value}"
+        )
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        head = "".join(f"<th>q{j + 1} [deg]</th>" for j in range(self.plan.links))
+        rows = "".join(
+            f"<tr><td>{run}</td>" + "".join(f"<td>{angle:.2f}</td>" for angle in posture) + "</tr>"
+            for run, posture in enumerate(np.degrees(self.plan.postures), start=1)
+        )
+        return f"<pre>{self}</pre><table><tr><th>run</th>{head}</tr>{rows}</table>"
+
+
+def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = None) -> Design:
+    """Any plan as a `Design`, judged against `bound` if one is given; knows no solver."""
+    return Design(problem, plan if isinstance(plan, Plan) else Plan(np.asarray(plan, dtype=float)), bound)
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+def _deviations_json(deviations: ExpectedDeviations | None) -> dict[str, list[float] | None]:
+    if deviations is None:
+        return {"length_mm": None, "orientation_deg": None, "joint_offset_deg": None}
+    return {
+        "length_mm": deviations.length.tolist(),
+        "orientation_deg": np.degrees(deviations.orientation).tolist(),
+        "joint_offset_deg": np.degrees(deviations.joint_offset).tolist(),
+    }

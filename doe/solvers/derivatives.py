@@ -1,0 +1,100 @@
+"""Exact first and second derivatives of a plan's criterion by all of its joint angles, for gradient-based solvers.
+
+    f(q_1, ..., q_m) = Phi(M),   M = (sum_i B_i^T B_i + K) / N
+
+with B_i = B(q_i), K the measured postures' part, N = m + k. By the chain rule, with G = dPhi/dM and X_ia = dM/dq_ia,
+
+    df/dq_ia            = (2/N) tr(G B_i^T dB_i/dq_a)
+    d2f/dq_ia dq_kb     = D^2 Phi[X_ia, X_kb] + (2/N) [i = k] ( tr(G dB_a^T dB_b) + tr(G B^T d2B_ab) )
+
+B and its derivatives come from CasADi, once per problem, and run over all postures at once (`identification.tape`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from doe.problem import DesignProblem
+from identification.arm import Array
+from identification.information import information_matrix
+from identification.tape import vectorise
+
+
+@dataclass(frozen=True)
+class PlanFunction:
+    """The criterion of plans of m runs as a function of the angles of some `joints`; the others stay where they are.
+
+    Points are (m, n) posture arrays; derivatives are ordered run by run, joint by joint: (m a), (m a, m a).
+    """
+
+    problem: DesignProblem
+    runs: int
+    joints: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        """m a, the number of variables."""
+        return self.runs * len(self.joints)
+
+    @cached_property
+    def measured(self) -> tuple[float, Array | float]:
+        """Number of runs N that the information is shared by, and the sum K of those already measured."""
+        kept = self.problem.kept
+        if kept is None or not len(kept):
+            return float(self.runs), 0.0
+        return float(self.runs + len(kept)), information_matrix(self.problem.blocks(kept))
+
+    def value(self, postures: Array) -> float:
+        """f; -inf where the information matrix is singular."""
+        return self.problem.objective(postures)
+
+    def expand(self, postures: Array) -> tuple[float, Array, Array]:
+        """f, its gradient (m a,) and its Hessian (m a, m a), in one pass.
+
+        Raises numpy's `LinAlgError` where the information matrix is singular.
+        """
+        block, first, second = self._blocks(postures)
+        total, information = self._information(block)
+        gradient = self.problem.criterion.gradient(information)
+        slope = (2.0 / total) * np.einsum("mdp,madp->ma", block @ gradient, first)
+        value = float(self.problem.criterion.value(information))
+        return value, slope.ravel(), self._hessian(block, first, second, information, gradient, total)
+
+    def _hessian(
+        self, block: Array, first: Array, second: Array, information: Array, gradient: Array, total: float
+    ) -> Array:
+        m, a, d, p = first.shape
+        half = np.swapaxes(block, -1, -2)[:, None] @ first  # B^T dB_a, (m, a, p, p)
+        directions = (half + np.swapaxes(half, -1, -2)).reshape(m * a, p, p) / total
+        hessian = self.problem.criterion.curvature(information, directions).reshape(m, a, m, a)
+        flat = first.reshape(m, a, d * p)
+        own = flat @ np.swapaxes((first @ gradient).reshape(m, a, d * p), -1, -2)
+        own += np.einsum("mx,mabx->mab", (block @ gradient).reshape(m, d * p), second)
+        runs = np.arange(m)
+        hessian[runs, :, runs, :] += (2.0 / total) * own
+        return hessian.reshape(m * a, m * a)
+
+    def _information(self, block: Array) -> tuple[float, Array]:
+        total, kept = self.measured
+        return total, (information_matrix(block) + kept) / total
+
+    def _blocks(self, postures: Array) -> tuple[Array, Array, Array]:
+        """B (m, d, p), dB (m, a, d, p), d2B (m, a, a, d p) at every posture."""
+        block, first, second = self._tape(postures)
+        m, d, p = block.shape
+        a = len(self.joints)
+        return block, np.moveaxis(first.reshape(m, d, p, a), 3, 1), np.moveaxis(second.reshape(m, a, d * p, a), 2, 3)
+
+    @cached_property
+    def _tape(self) -> Callable[..., tuple[Array, ...]]:
+        q = ca.SX.sym("q", self.problem.joints)
+        active = q[list(self.joints)]
+        block = self.problem.block_function(q)
+        first = ca.jacobian(ca.vec(block.T), active)  # rows of B one after the other
+        second = ca.jacobian(ca.vec(first), active)
+        return vectorise(ca.Function("derivatives", [q], ca.cse([block, first, second])))

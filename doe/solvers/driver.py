@@ -1,0 +1,97 @@
+"""`solve`, the only door to the exact solvers: the loop that all of them share is written once.
+
+The solver offers plans; the driver clips them to the joint limits, recomputes the criterion from the stored problem,
+keeps the best, and ends when the bound is reached, the budget is used up or the user presses Ctrl-C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from doe.bound import Bound
+from doe.certificate import REACHED
+from doe.plan import Plan
+from doe.problem import DesignProblem
+from doe.result import Design
+from doe.solvers.base import Budget, Offer, Solver, spread_free_joints
+from identification.arm import Array
+from identification.errors import InputError, JobError
+from identification.progress import Progress
+from identification.status import Status
+
+AGREEMENT = 10  # independent local searches that end at the best value
+AGREES = 1e-7  # difference of criterion values that counts as none
+
+
+@dataclass(frozen=True)
+class Search:
+    """What a search came to: the best plan (m, n), its value, how it ended, starts used."""
+
+    postures: Array | None
+    value: float
+    status: Status
+    starts: int
+
+
+def run_search(
+    problem: DesignProblem, offers: Iterator[Offer], budget: Budget, bound: Bound | None, progress: Progress
+) -> Search:
+    """Takes offers until there is a reason to stop."""
+    best, value, starts, agreeing, status = None, -np.inf, 0, 0, None
+    try:
+        for offer in offers:
+            postures = problem.clip(offer.postures)
+            offered = problem.objective(postures)
+            starts += offer.starts
+            if best is None or offered > value:
+                agreeing = 0 if offered > value + AGREES else agreeing
+                best, value = postures, offered
+            agreeing += offer.independent and abs(offered - value) <= AGREES
+            progress(starts, budget.starts, f"best {value:.7g}")
+            status = reason_to_stop(problem, value, bound, starts, agreeing, budget)
+            if status is not None:
+                break
+    except KeyboardInterrupt:
+        status = Status.interrupted
+    if best is None and status is not Status.interrupted:
+        status = Status.solver_failed
+    return Search(best, value, status or Status.starts_finished, starts)
+
+
+def reason_to_stop(
+    problem: DesignProblem, value: float, bound: Bound | None, starts: int, agreeing: int, budget: Budget
+) -> Status | None:
+    """Why to take no further offer, None: no reason."""
+    if bound is not None and problem.criterion.efficiency(value, bound.value, problem.parameters) >= REACHED:
+        return Status.bound_reached
+    if starts >= budget.starts:
+        return Status.starts_finished
+    if budget.may_agree and agreeing >= AGREEMENT:
+        return Status.agreed
+    return Status.time_limit if budget.out_of_time else None
+
+
+def check_runs(problem: DesignProblem, runs: int) -> None:
+    """Raises `InputError` where there are fewer equations than unknowns."""
+    if runs < problem.fewest_runs:
+        raise InputError(
+            f"runs: {runs} with {problem.parameters} parameters to identify, allowed: at least {problem.fewest_runs}"
+        )
+
+
+def finish(
+    problem: DesignProblem, search: Search, solver: Solver, bound: Bound | None, began: float, seed: int, throw: bool
+) -> Design:
+    """The search's result as a certified design; joints that play no part are spread over their limits."""
+    if search.postures is None or not np.isfinite(search.value):
+        message = f"design: no plan that identifies all {problem.parameters} parameters was found by {solver.name}"
+        if throw or search.postures is None:
+            raise JobError(message)
+    assert search.postures is not None
+    generator = np.random.default_rng([seed, len(search.postures)])
+    plan = Plan(problem.clip(spread_free_joints(problem, search.postures, generator)))
+    return Design(problem, plan, bound, search.status, solver.name, search.starts, perf_counter() - began)

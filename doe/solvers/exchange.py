@@ -1,0 +1,142 @@
+"""Exchange on a coarse grid per joint, for many starts at once.
+
+One sweep visits every run in random order. The run is taken out of the plan, and put back at the best of all postures
+that differ from it in one joint, on the grid (a coordinate exchange that compares all joints); a start ends when a
+sweep changes nothing. The starts of a batch advance together, so that numpy works on arrays of starts x candidates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from doe.criteria.base import values_after_adding
+from doe.problem import DesignProblem
+from doe.solvers.base import Budget, Offer, free_values
+from identification.arm import Array
+from identification.information import information_matrix
+
+IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
+SWEEPS = 60
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """Coordinate exchange from random grid postures.
+
+    levels : grid values per joint, its limits included;  batch : starts that advance together
+    """
+
+    levels: int = 9
+    batch: int = 50
+    name: str = "exchange"
+
+    def starts_for(self, problem: DesignProblem) -> int:
+        """Thirty per pair of joints: the local optima multiply with the joints."""
+        return max(2 * self.batch, 30 * len(problem.searched_joints) ** 2)
+
+    def offers(
+        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
+    ) -> Iterator[Offer]:
+        """The plans of each batch, best first."""
+        left = budget.starts
+        while True:
+            count = max(1, min(self.batch, left))
+            left -= count
+            begun = random_grid(problem, self.levels, (count, runs), generator)
+            for plan in self.improve(problem, begun, generator, budget)[0]:
+                yield Offer(plan, 1, independent=True)
+
+    def improve(
+        self, problem: DesignProblem, plans: Array, generator: np.random.Generator, budget: Budget
+    ) -> tuple[Array, Array]:
+        """Plans (s, m, n) that no single exchange improves, and their values (s,), best first."""
+        search = Search(problem, self.grid(problem), plans)
+        while search.running.size and not budget.out_of_time and search.sweeps < SWEEPS:
+            search.sweep(generator)
+        order = np.argsort(-search.values, kind="stable")
+        return search.plans[order], search.values[order]
+
+    def grid(self, problem: DesignProblem) -> Array:
+        """(n, L) values of every joint, limits included."""
+        return np.linspace(problem.lower, problem.upper, self.levels, axis=1)
+
+
+def random_grid(problem: DesignProblem, levels: int, shape: tuple[int, int], generator: np.random.Generator) -> Array:
+    """(s, m, n) random grid postures; joints that play no part stay in the middle."""
+    grid = np.linspace(problem.lower, problem.upper, levels, axis=1)
+    plans = np.empty((*shape, problem.joints))
+    plans[...] = free_values(problem)
+    for joint in problem.searched_joints:
+        plans[..., joint] = grid[joint, generator.integers(levels, size=shape)]
+    return plans
+
+
+class Search:
+    """The state of a batch of starts.
+
+    plans : (s, m, n);  values : (s,) criterion;  running : indices of the starts that still improve
+    """
+
+    def __init__(self, problem: DesignProblem, grid: Array, plans: Array) -> None:
+        self.problem, self.grid, self.plans = problem, grid, plans
+        self.blocks = problem.blocks(plans)
+        kept = problem.kept
+        self.measured = 0.0 if kept is None or not len(kept) else information_matrix(problem.blocks(kept))
+        self.total = plans.shape[1] + (0 if kept is None else len(kept))
+        self.information = self._sum(np.arange(len(plans)))
+        self.values = self._value(np.arange(len(plans)))
+        self.running = np.arange(len(plans))
+        self.sweeps = 0
+
+    def sweep(self, generator: np.random.Generator) -> None:
+        """Every run of every running start once."""
+        before = self.values[self.running]
+        for run in generator.permutation(self.plans.shape[1]):
+            self._exchange(run)
+        self.information[self.running] = self._sum(self.running)  # no rounding piles up
+        self.values[self.running] = self._value(self.running)
+        identified = np.isfinite(before)
+        gain = self.values[self.running] - np.where(identified, before, -np.inf)
+        self.running = self.running[~identified | (gain > IMPROVEMENT)]
+        self.sweeps += 1
+
+    def _exchange(self, run: int) -> None:
+        """Puts one run of every running start at the best posture in reach."""
+        starts = np.arange(len(self.running))
+        old = self.blocks[self.running, run]
+        without = self.information[self.running] - products(old) / self.total
+        postures = self.neighbours(self.plans[self.running, run])
+        blocks = self.problem.blocks(postures)
+        offered = np.concatenate([old[:, None], blocks], axis=1) / np.sqrt(self.total)
+        values = values_after_adding(self.problem.criterion, without, offered)
+        best = np.argmax(values[:, 1:], axis=1)
+        better = values[starts, best + 1] > values[:, 0] + IMPROVEMENT
+        starts, best = starts[better], best[better]
+        at = self.running[starts]
+        self.plans[at, run] = postures[starts, best]
+        self.blocks[at, run] = blocks[starts, best]
+        self.information[at] = without[starts] + products(self.blocks[at, run]) / self.total
+
+    def neighbours(self, postures: Array) -> Array:
+        """(s, c, n) postures that differ from those given (s, n) in one joint, on the grid."""
+        levels = self.grid.shape[1]
+        joints = self.problem.searched_joints
+        moved = np.repeat(postures[:, None], len(joints) * levels, axis=1)
+        for k, joint in enumerate(joints):
+            moved[:, k * levels : (k + 1) * levels, joint] = self.grid[joint]
+        return moved
+
+    def _sum(self, starts: NDArray[np.intp]) -> Array:
+        return (information_matrix(self.blocks[starts]) + self.measured) / self.total
+
+    def _value(self, starts: NDArray[np.intp]) -> Array:
+        return np.asarray(self.problem.criterion.value(self.information[starts]))
+
+
+def products(blocks: Array) -> Array:
+    """(..., p, p) B^T B of blocks (..., d, p)."""
+    return np.swapaxes(blocks, -1, -2) @ blocks
