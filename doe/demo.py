@@ -73,6 +73,11 @@ class Demo:
         return float(np.sqrt(2.0) * (self.arm.sigma or 0.0))
 
     @property
+    def residuals(self) -> tuple[Array, Array]:
+        """(m, 2) residuals of the drawing and of the final model on the data [mm]."""
+        return self.base.residuals_before, self.extended.residuals_after
+
+    @property
     def drawing_gap(self) -> float:
         """RMS distance between the drawing and the fresh measurements [mm]."""
         return rms(Model(self.arm).position(self.fresh.postures) - self.fresh.positions)

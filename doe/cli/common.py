@@ -12,12 +12,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from identification.errors import ArmcalError
 from identification.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from identification.arm import Arm
+    from identification.measurements import Measurements
 
 FILE = click.Path(path_type=Path)
 out_option = click.option("--out", type=FILE, metavar="FILE", help="Write the result to this file.")
@@ -61,6 +65,16 @@ class Session:
                 bar.update(task, completed=done, total=total, description=f"{title}: {message}", visible=visible)
 
             yield report
+
+
+def read_measurements(path: Path, arm: Arm) -> Measurements:
+    """The measurements of an arm; warns where the units look wrong."""
+    from identification.measurement_file import load_measurements, unit_warnings
+
+    measurements = load_measurements(path, arm.links)
+    for sentence in unit_warnings(measurements, arm):
+        warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
+    return measurements
 
 
 def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:

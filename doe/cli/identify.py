@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import FILE, Answer, Session, force_option, out_option, verb
+from doe.cli.common import FILE, Answer, Session, force_option, out_option, read_measurements, verb
 
 
 @verb("armcal identify arm.toml data.csv --out calibrated.toml")
@@ -17,23 +17,18 @@ from doe.cli.common import FILE, Answer, Session, force_option, out_option, verb
 @force_option
 def command(session: Session, arm: Path, data: Path, method: str | None, out: Path | None, force: bool) -> Answer:
     """Estimate the arm's parameters from measurements, with 95 % intervals."""
-    import warnings
-
     from doe.report.tables import identification_tables
     from identification.arm_file import load_arm, with_calibration
     from identification.estimation import estimate
-    from identification.files import check_writable, write_whole
-    from identification.measurement_file import load_measurements, unit_warnings
+    from identification.files import check_writable, read_text, write_whole
     from identification.model import Model
 
     loaded = load_arm(arm)
     check_writable(out, force)
-    measurements = load_measurements(data, loaded.links)
-    for sentence in unit_warnings(measurements, loaded):
-        warnings.warn(sentence, UserWarning, stacklevel=1)
+    measurements = read_measurements(data, loaded)
     found = estimate(Model(loaded), measurements, method=method)
     shown = identification_tables(found)
     if out is not None:
-        write_whole(out, with_calibration(arm.read_text(encoding="utf-8"), found.calibration()), force=force)
+        write_whole(out, with_calibration(read_text(arm), found.calibration()), force=force)
         shown.append(f"calibrated arm written to {out}")
     return Answer(found.to_json(), shown, exit_code=1 if found.not_identifiable else 0)

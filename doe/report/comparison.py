@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     import polars
     from matplotlib.figure import Figure
 
+FLOOR = 1e-9  # losses below this are shown there
 MOST = 10  # failures shown
+Setting = tuple[str, int]  # solver and starts
 Curve = tuple[Array, Array]  # x and y of a step function
 
 
@@ -52,46 +54,48 @@ def _table(title: str, found: polars.DataFrame) -> Table:
     for row in found.iter_rows(named=True):
         table.add_row(
             row["solver"],
-            str(row["starts"]),
-            *(_figure(row[name], "{:.6f}") for name in ("best", "median", "efficiency")),
+            str(row["starts"] or "own"),
+            *(_figure(row[name], ".6f") for name in ("best", "median", "efficiency")),
             f"{round(row['hit_rate'] * row['repeats'])}/{row['repeats']}",
-            _figure(row["seconds"], "{:.3g}"),
-            _figure(row["seconds_to_hit"], "{:.3g}"),
-            _figure(row["peak_memory_mb"], "{:.0f}"),
+            _figure(row["seconds"], ".3g"),
+            _figure(row["seconds_to_hit"], ".3g"),
+            _figure(row["peak_memory_mb"], ".0f"),
             str(row["not_correct"]) if row["not_correct"] else "-",
         )
     return table
 
 
-def _figure(value: float | None, pattern: str) -> str:
-    return "-" if value is None else pattern.format(value)
+def _figure(value: float | None, kind: str) -> str:
+    return "-" if value is None else format(value, kind)
 
 
-def label(setting: tuple[Any, ...]) -> str:
-    """`ipopt, 10 starts`."""
+def label(setting: Setting) -> str:
+    """`ipopt, 10 starts`; only `ipopt` with its own number of starts."""
     solver, starts = setting
+    if not starts:
+        return solver
     return f"{solver}, {starts} start{'s' if starts > 1 else ''}"
 
 
-def performance_profile(rows: polars.DataFrame) -> dict[str, Curve]:
+def performance_profile(rows: polars.DataFrame) -> dict[Setting, Curve]:
     """Setting -> (tau, share): share of the instances that it solved within tau times the fastest setting's time.
 
     An instance is a problem and a repeat, solved where the run is a hit; an instance nobody solved counts against all.
-    E. D. Dolan, J. J. More, Benchmarking optimization software with performance profiles, Math.
-    Program. 91 (2002), eq. 2.
+    E. D. Dolan, J. J. More, Benchmarking optimization software with performance profiles, Math. Program. 91 (2002),
+    equations 1 and 2.
     """
     import polars as pl
 
-    rows = with_hits(rows).with_columns(pl.when("hit").then("seconds").otherwise(float("inf")).alias("time"))
-    fastest = pl.col("time").min().over(*PROBLEM, "repeat")
-    rows = rows.with_columns(
-        pl.when(pl.col("time").is_finite()).then(pl.col("time") / fastest).otherwise(np.inf).alias("r")
-    )
+    time = pl.when("hit").then("seconds").otherwise(float("inf"))
+    rows = with_hits(rows).with_columns(time.alias("time"))
+    ratio = pl.col("time") / pl.col("time").min().over(*PROBLEM, "repeat")
+    rows = rows.with_columns(pl.when(pl.col("time").is_finite()).then(ratio).otherwise(float("inf")).alias("ratio"))
     curves = {}
-    for setting, part in rows.group_by(*SETTING, maintain_order=True):
-        ratios = np.sort(part["r"].to_numpy())
-        solved = np.isfinite(ratios)
-        curves[label(setting)] = ratios[solved], (np.arange(len(ratios)) + 1.0)[solved] / len(ratios)
+    for part in rows.partition_by(*SETTING, maintain_order=True):
+        ratios = np.sort(part["ratio"].to_numpy())
+        tau = np.unique(ratios[np.isfinite(ratios)])
+        setting = part["solver"][0], part["starts"][0]
+        curves[setting] = tau, np.searchsorted(ratios, tau, side="right") / len(ratios)
     return curves
 
 
@@ -100,20 +104,17 @@ def profile_figure(rows: polars.DataFrame) -> Figure:
     from matplotlib.figure import Figure
 
     curves = performance_profile(rows)
-    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
-    axes = figure.subplots()
+    styles = _styles(list(curves))
     end = 1.3 * max((float(tau[-1]) for tau, _ in curves.values() if tau.size), default=1.0)
-    for color, (name, (tau, share)) in zip(_colors(len(curves)), curves.items(), strict=True):
-        axes.step(
-            np.r_[1.0, tau, end],
-            np.r_[0.0, share, share[-1] if share.size else 0.0],
-            where="post",
-            color=color,
-            label=name,
-        )
+    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    axes = figure.subplots()
+    for setting, (tau, share) in curves.items():
+        color, dashes, _ = styles[setting]
+        x, y = np.r_[0.9, tau, end], np.r_[0.0, share, share[-1] if share.size else 0.0]
+        axes.step(x, y, where="post", color=color, ls=dashes, label=label(setting))
     axes.set(xscale="log", xlim=(1.0, max(end, 1.1)), ylim=(-0.02, 1.02))
     axes.set(xlabel="time / time of the fastest", ylabel="share of instances at the best known value")
-    axes.legend(fontsize=8, loc="lower right")
+    figure.legend(fontsize=8, loc="outside right center")
     return figure
 
 
@@ -123,24 +124,34 @@ def time_figure(rows: polars.DataFrame) -> Figure:
 
     rows = with_hits(rows)
     problems = rows.select(PROBLEM).unique(maintain_order=True).rows()
-    settings = rows.select(SETTING).unique(maintain_order=True).rows()
-    colors = dict(zip(settings, _colors(len(settings)), strict=True))
-    figure = Figure(figsize=(4.6 * len(problems) + 1.5, 4.0), layout="constrained")
+    styles = _styles(rows.select(SETTING).unique(maintain_order=True).rows())
+    figure = Figure(figsize=(4.2 * len(problems) + 2.0, 4.0), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(problems), sharey=True))
     for axes, problem in zip(panels, problems, strict=True):
         part = rows.filter("good", **dict(zip(PROBLEM, problem, strict=True)))
-        for setting, color in colors.items():
+        for setting, (color, _, marker) in styles.items():
             runs = part.filter(**dict(zip(SETTING, setting, strict=True)))
-            loss = np.maximum(runs["loss"].to_numpy(), 1e-9)
-            axes.plot(runs["seconds"], loss, "o", color=color, ms=5, alpha=0.75, label=label(setting))
-        axes.set(xscale="log", yscale="log", ylim=(5e-10, 1.5), xlabel="time of a run [s]")
+            loss = np.maximum(runs["loss"].to_numpy(), FLOOR)
+            axes.plot(runs["seconds"].to_numpy(), loss, marker, color=color, ms=5, alpha=0.7, label=label(setting))
+        axes.set(xscale="log", yscale="log", ylim=(FLOOR / 2.0, 1.5), xlabel="time of a run [s]")
         axes.set_title(f"{problem[0]}, {problem[2]} runs", fontsize=9)
-    panels[0].set_ylabel("efficiency lost to the best known plan (floor 1e-9)")
-    panels[-1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    panels[0].set_ylabel(f"efficiency lost to the best known plan (floor {FLOOR:g})")
+    handles, names = panels[0].get_legend_handles_labels()
+    figure.legend(handles, names, fontsize=8, loc="outside right center")
     return figure
 
 
-def _colors(count: int) -> list[Any]:
+def _styles(settings: list[Any]) -> dict[Setting, tuple[Any, str, str]]:
+    """Setting -> colour (of the solver), dashes and marker (of the number of starts)."""
     from matplotlib import colormaps
 
-    return [colormaps["tab10"](k % 10) for k in range(count)]
+    solvers = list(dict.fromkeys(solver for solver, _ in settings))
+    starts = sorted({number for _, number in settings})
+    return {
+        (solver, number): (
+            colormaps["tab10"](solvers.index(solver) % 10),
+            ("-", "--", ":", "-.")[starts.index(number) % 4],
+            "os^D"[starts.index(number) % 4],
+        )
+        for solver, number in settings
+    }

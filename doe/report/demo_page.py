@@ -104,7 +104,7 @@ def demo_page(demo: Demo) -> str:
             "Identification",
             "From simulated measurements of an arm whose true errors the fit does not know.",
             [parameter_sheet(demo), gap_sheet(demo)],
-            [residual_figure(demo.arm, demo.data.postures, demo.data.positions, demo.extended)],
+            [residual_figure(demo.arm, demo.data.postures, demo.data.positions, *demo.residuals)],
         ),
         *gap_sections(demo.diagnosis),
     ]

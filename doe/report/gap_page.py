@@ -11,7 +11,7 @@ from rich.text import Text
 from doe.report.gap_figures import against_figure, alias_figure, workspace_figure
 from doe.report.page import Section, Sheet, page
 from doe.report.tables import number
-from identification.gap.diagnosis import Diagnosis
+from identification.gap.diagnosis import Diagnosis, Estimate
 
 MOST_TRIALS = 12
 
@@ -32,6 +32,12 @@ def candidate_sheet(diagnosis: Diagnosis) -> Sheet:
         for c in diagnosis.candidates
     ]
     return Sheet(["effects", "F", "adjusted p", "Delta BIC", "estimates [95 % interval]"], rows)
+
+
+def estimate_text(estimate: Estimate) -> str:
+    """`a = 0.061 [0.052, 0.071] deg`."""
+    short, unit = estimate.name.rpartition(".")[2], "" if estimate.unit == "1" else f" {estimate.unit}"
+    return f"{short} = {estimate.value:.4g} [{estimate.low_95:.4g}, {estimate.high_95:.4g}]{unit}"
 
 
 def gap_sheet(diagnosis: Diagnosis) -> Sheet:

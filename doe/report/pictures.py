@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +13,20 @@ from matplotlib.figure import Figure
 from doe.certificate import sensitivity
 from doe.problem import DesignProblem
 from identification.arm import Arm, Array, KeepOutCircle, LineOfSight, WorkspaceBox
-from identification.estimation import Identification
+from identification.errors import InputError
+from identification.files import write_whole
 
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
+
+
+def save(figure: Figure, path: Path, force: bool = False) -> None:
+    """Write a figure whole or not at all; the ending says the format (.png, .svg, .pdf). Raises `InputError`."""
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("png", "svg", "pdf"):
+        raise InputError(f"{path}: ending {path.suffix!r}, allowed: .png, .svg, .pdf")
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=kind, dpi=150)
+    write_whole(path, buffer.getvalue(), force=force)
 
 
 def plan_figure(arm: Arm, postures: Array) -> Figure:
@@ -90,7 +103,8 @@ def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4
         axis.plot(np.degrees(angles), [_largest(problem, information, others, joint, a) for a in angles], color=AFTER)
         axis.plot(np.degrees(postures[:, joint]), at_plan, ".", color="k", ms=5)
         axis.axhline(problem.parameters, color=BEFORE, lw=1, ls="--")
-        axis.set(xlabel=f"$q_{joint + 1}$ [deg]", ylim=(0, None))
+        axis.set(xlabel=f"$q_{joint + 1}$ [deg]")
+        axis.margins(y=0.12)
     axes[0].set_ylabel("largest d(q), dashed: p")
     return figure
 
@@ -109,9 +123,8 @@ def _largest(problem: DesignProblem, information: Array, others: Array, joint: i
     return float(sensitivity(problem, information, held).max())
 
 
-def residual_figure(arm: Arm, postures: Array, positions: Array, found: Identification) -> Figure:
-    """Residuals before and after, over the workspace (arrows, enlarged) and against each joint."""
-    before, after = found.residuals_before, found.residuals_after
+def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, after: Array) -> Figure:
+    """Residuals (m, 2) before and after, over the workspace (arrows, enlarged) and against each joint."""
     figure = Figure(figsize=(10.0, 6.2), layout="constrained")
     top, bottom = figure.subfigures(2, 1, height_ratios=[1.3, 1.0])
     pairs = ((before, BEFORE, "before"), (after, AFTER, "after"))

@@ -1,0 +1,60 @@
+"""`armcal advise`: how many measurements?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from doe.cli.common import FILE, Answer, Session, force_option, verb
+
+
+@verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")
+@click.argument("arm", type=FILE)
+@click.option("--runs", default="4:40", show_default=True, metavar="A:B", help="Numbers of runs, A to B.")
+@click.option("--target-mm", type=float, help="Wanted largest standard deviation of a link length [mm].")
+@click.option(
+    "--seconds", type=click.FloatRange(min=0, min_open=True), default=2.0, show_default=True, help="For each."
+)
+@click.option("--picture", type=FILE, metavar="FILE", help="Write the curve as .png, .svg or .pdf.")
+@force_option
+def command(
+    session: Session,
+    arm: Path,
+    runs: str,
+    target_mm: float | None,
+    seconds: float,
+    picture: Path | None,
+    force: bool,
+) -> Answer:
+    """Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy."""
+    from doe.advise import advise
+    from doe.problem import DesignProblem
+    from doe.report.advice import advice_figure, advice_tables
+    from doe.report.pictures import save
+    from identification.arm_file import load_arm
+    from identification.files import check_writable
+    from identification.model import Model
+
+    loaded = load_arm(arm)
+    check_writable(picture, force)
+    problem = DesignProblem.of(Model(loaded))
+    with session.progress("advise") as progress:
+        numbers = run_range(runs, problem.fewest_runs)
+        advice = advise(problem, numbers, target=target_mm, seed=session.seed, seconds_each=seconds, progress=progress)
+    if picture is not None:
+        save(advice_figure(advice), picture, force)
+    return Answer(advice.to_json(), advice_tables(advice))
+
+
+def run_range(text: str, fewest: int) -> range:
+    """`A:B` or `A`, both ends included. The part below the fewest possible runs is left out if B is possible."""
+    from identification.errors import InputError
+
+    parts = text.split(":")
+    if not 1 <= len(parts) <= 2 or not all(part.strip().isdigit() for part in parts):
+        raise InputError(f"--runs: {text!r}, allowed: A:B or A with whole numbers, such as 4:40")
+    low, high = int(parts[0]), int(parts[-1])
+    if low > high or high < fewest:
+        raise InputError(f"--runs: {text!r}, allowed: A <= B, and B >= {fewest} for this arm")
+    return range(max(low, fewest), high + 1)

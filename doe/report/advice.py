@@ -1,0 +1,64 @@
+"""How many runs: the curve and the table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from matplotlib.figure import Figure
+from rich.table import Table
+from rich.text import Text
+
+from doe.advise import Advice
+from doe.report.pictures import AFTER, BEFORE
+from doe.report.tables import number
+
+
+def advice_figure(advice: Advice) -> Figure:
+    """Efficiency and expected accuracy against the number of runs."""
+    accuracies = [advice.accuracy(design) for design in advice.designs]
+    known = all(accuracy is not None for accuracy in accuracies)
+    figure = Figure(figsize=(10.0, 3.6) if known else (6.0, 3.6), layout="constrained")
+    axes = figure.subplots(1, 2 if known else 1, squeeze=False)[0]
+    good = set(advice.good_value())
+    efficiencies = [design.efficiency or float("nan") for design in advice.designs]
+    axes[0].plot(advice.runs, efficiencies, color=AFTER, lw=1)
+    colors = [AFTER if m in good else "white" for m in advice.runs]
+    axes[0].scatter(advice.runs, efficiencies, c=colors, edgecolors=AFTER, s=30, zorder=3)
+    axes[0].set(xlabel="runs m", ylabel="D-efficiency", title="filled: at the bound (0.999 or better)")
+    if known:
+        axes[1].plot(advice.runs, accuracies, "o-", color=AFTER, ms=4, lw=1)
+        if advice.target is not None:
+            axes[1].axhline(advice.target, color=BEFORE, ls="--", lw=1)
+        axes[1].set(xlabel="runs m", ylabel="largest std of a length [mm]", ylim=(0, None))
+    return figure
+
+
+def advice_tables(advice: Advice) -> list[Any]:
+    """The answer in one sentence, then a row per number of runs."""
+    table = Table()
+    for heading in ("runs", "efficiency", "at the bound", "largest std of a length [mm]", "of a joint offset [deg]"):
+        table.add_column(Text(heading), justify="right")
+    good = set(advice.good_value())
+    for design in advice.designs:
+        offsets = design.to_json()["std"]["joint_offset_deg"]
+        m = len(design.plan)
+        table.add_row(
+            str(m),
+            number(design.efficiency, 5),
+            "yes" if m in good else "",
+            number(advice.accuracy(design), 5),
+            number(max(offsets) if offsets else None, 5),
+        )
+    return [Text(sentence(advice), style="bold"), table]
+
+
+def sentence(advice: Advice) -> str:
+    """What to do, in one line."""
+    good = ", ".join(map(str, advice.good_value())) or "none of these numbers"
+    waste = f"Plans that waste nothing exist for m = {good}."
+    if advice.target is None:
+        return waste
+    smallest = advice.smallest
+    if smallest is None:
+        return f"No number of runs up to {max(advice.runs)} reaches {advice.target:g} mm. {waste}"
+    return f"{len(smallest.plan)} runs reach {advice.target:g} mm. {waste}"

@@ -1,0 +1,203 @@
+"""Compensation: joint commands that bring the tip of the real arm to where the nominal arm would have been.
+
+The real arm is the calibrated model. Its inverse kinematics are solved by damped least squares on exact derivatives, all
+targets at once; steps are the shortest that close the gap, so a redundant arm stays near the posture it started from.
+The arm file's `[[constraints]]` are not looked at: commands stay near the nominal postures, which should satisfy them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from identification.arm import Arm, Array, readonly
+from identification.errors import InputError
+from identification.measurements import Conditions, directions_from_order
+from identification.model import Model
+from identification.tape import vectorise
+
+TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close
+SEEDS = 32  # random postures per target where none is given, or where the nominal one leads nowhere
+MAX_ITERATIONS = 60
+CHUNK = 1_000  # targets at a time, times SEEDS starts
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation:
+    """Joint commands for k targets.
+
+    targets : (k, 2) [mm]
+    nominal : (k, n) postures [rad] that would reach them on the nominal arm
+    commands : (k, n) postures [rad] for the real arm, within the joint limits; the nearest found where unreachable
+    errors : (k,) distance of the real arm's tip from the target [mm], by the calibrated model
+    """
+
+    targets: Array
+    nominal: Array
+    commands: Array
+    errors: Array
+
+    def __post_init__(self) -> None:
+        for name in ("targets", "nominal", "commands", "errors"):
+            object.__setattr__(self, name, readonly(getattr(self, name)))
+
+    @property
+    def reached(self) -> NDArray[np.bool_]:
+        """(k,) True where the error is at most `TOLERANCE`."""
+        return self.errors <= TOLERANCE
+
+    def to_json(self) -> dict[str, Any]:
+        """The keys of CONTRACT.md: counts, largest error over the targets reached, unreachable rows from 1."""
+        reached = self.reached
+        return {
+            "targets": len(self.targets),
+            "reached": int(np.count_nonzero(reached)),
+            "max_error_mm": float(np.max(self.errors[reached])) if reached.any() else None,
+            "unreachable": [int(row) + 1 for row in np.flatnonzero(~reached)],
+        }
+
+    def __repr__(self) -> str:
+        figures = self.to_json()
+        return f"Compensation({figures['reached']} of {figures['targets']} targets reached)"
+
+
+def compensate(
+    arm: Arm,
+    targets: ArrayLike | None = None,
+    postures: ArrayLike | None = None,
+    conditions: Conditions | None = None,
+) -> Compensation:
+    """Joint commands within the limits whose tip, on the calibrated arm, is at the targets.
+
+    arm : with a calibration, or with known effect values
+    targets : (k, 2) tip positions [mm]; left out: where the nominal arm has its tip at `postures`
+    postures : (k, n) nominal joint commands [rad]; left out: found, the nearest to the middle of the limits
+    conditions : payload, temperature and the like of every row; directions follow from the order of the rows
+
+    Raises `InputError` for an arm without calibration and for shapes or values that do not fit.
+    """
+    if arm.calibration is None and not any(spec.values for spec in arm.effects):
+        raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
+    nominal_arm = Model(replace(arm, effects=(), calibration=None))
+    given = None if postures is None else _checked("postures", postures, arm.links)
+    if targets is None:
+        if given is None:
+            raise InputError("targets: none given, allowed: positions (k, 2) or postures (k, n)")
+        goals = nominal_arm.position(given)
+    else:
+        goals = _checked("targets", targets, 2)
+    if given is not None and len(given) != len(goals):
+        raise InputError(f"postures: {len(given)} rows for {len(goals)} targets, allowed: as many")
+    nominal = given if given is not None else _nominal_postures(nominal_arm, goals)
+    where = conditions or Conditions()
+    if where.directions is None and len(nominal):
+        where = replace(where, directions=directions_from_order(nominal))
+    commands, errors = _solve(Model(arm), goals, nominal, where)
+    return Compensation(goals, nominal, commands, errors)
+
+
+def _checked(name: str, values: ArrayLike, columns: int) -> Array:
+    array = np.asarray(values, dtype=float)
+    if array.ndim != 2 or array.shape[1] != columns or not np.all(np.isfinite(array)):
+        raise InputError(f"{name}: shape {array.shape}, allowed: (k, {columns}) finite numbers")
+    return array
+
+
+# -- inverse kinematics --------------------------------------------------------------------------------------------
+def _nominal_postures(model: Model, goals: Array) -> Array:
+    """(k, n) nominal inverse kinematics nearest to the middle of the limits; where none exists, the best found."""
+    middle = np.tile((model.arm.lower + model.arm.upper) / 2.0, (len(goals), 1))
+    return _best_of_seeds(model, goals, middle, Conditions())[0]
+
+
+def _solve(model: Model, goals: Array, nominal: Array, conditions: Conditions) -> tuple[Array, Array]:
+    """From the nominal postures; from many seeds where that ends short of the target."""
+    commands, errors = inverse_kinematics(model, goals, nominal, conditions)
+    short = np.flatnonzero(errors > TOLERANCE)
+    if short.size:
+        again, left = _best_of_seeds(model, goals[short], nominal[short], conditions.rows(short))
+        better = left < errors[short]
+        commands[short[better]], errors[short[better]] = again[better], left[better]
+    return commands, errors
+
+
+def _best_of_seeds(model: Model, goals: Array, near: Array, conditions: Conditions) -> tuple[Array, Array]:
+    """(k, n) postures and (k,) errors: of the solutions that reach a goal the nearest to `near`, else the closest."""
+    arm, generator = model.arm, np.random.default_rng(0)  # the same postures for the same question
+    seeds = np.concatenate([np.empty((1, arm.links)), generator.uniform(arm.lower, arm.upper, (SEEDS, arm.links))])
+    postures, errors = np.empty_like(near), np.empty(len(goals))
+    for start in range(0, len(goals), CHUNK):
+        rows = np.arange(start, min(start + CHUNK, len(goals)))
+        starts = np.tile(seeds, (len(rows), 1, 1))
+        starts[:, 0] = near[rows]
+        every = np.repeat(rows, len(seeds))
+        found, left = inverse_kinematics(model, goals[every], starts.reshape(-1, arm.links), conditions.rows(every))
+        found, left = found.reshape(starts.shape), left.reshape(len(rows), -1)
+        distance = np.linalg.norm(found - near[rows, None], axis=2)
+        # a reached goal is ranked by distance, any other behind it by its error
+        rank = np.where(left <= TOLERANCE, distance, 1e6 + left)
+        best = np.argmin(rank, axis=1)
+        postures[rows], errors[rows] = found[np.arange(len(rows)), best], left[np.arange(len(rows)), best]
+    return postures, errors
+
+
+def inverse_kinematics(model: Model, goals: Array, starts: Array, conditions: Conditions) -> tuple[Array, Array]:
+    """Postures (k, n) within the limits and errors (k,) [mm], by damped least squares from starts (k, n).
+
+    Shortest steps dq = J^T (J J^T + damping)^-1 error with each row's own damping; joints on a limit that the step
+    would leave are held.
+    """
+    lower, upper = model.arm.lower, model.arm.upper
+    linearise = _linearisation(model, conditions)
+    q = np.clip(starts, lower, upper)
+    errors = np.linalg.norm(goals - model.position(q, conditions=conditions), axis=1)
+    damping, active = np.zeros(len(q)), np.arange(len(q))
+    for _ in range(MAX_ITERATIONS):
+        active = active[(errors[active] > 1e-3 * TOLERANCE) & (damping[active] < 1e6)]
+        if active.size == 0:
+            break
+        position, jacobian = linearise(q[active], active)
+        blocked = (q[active] >= upper) * 1 - (q[active] <= lower)
+        step = _step(jacobian, goals[active] - position, damping[active], blocked)
+        trial = np.clip(q[active] + step, lower, upper)
+        after = np.linalg.norm(goals[active] - linearise(trial, active)[0], axis=1)
+        better = after < errors[active]
+        q[active[better]], errors[active[better]] = trial[better], after[better]
+        relaxed = np.where(damping[active] > 1e-6, damping[active] / 10.0, 0.0)
+        damping[active] = np.where(better, relaxed, np.maximum(10.0 * damping[active], 1e-3))
+    return q, errors
+
+
+def _linearisation(model: Model, conditions: Conditions) -> Callable[[Array, Array], tuple[Array, Array]]:
+    """Function of postures (k, n) and their row numbers -> positions (k, 2) and derivatives by the posture (k, 2, n)."""
+    q, c, p, position = model.symbols
+    outputs = ca.cse([position, ca.jacobian(position, q)])
+    tape = vectorise(ca.Function("kinematics", [q, c, p], outputs))
+    payload = 0.0 if model.arm.gravity is None else model.arm.gravity.payload
+
+    def linearise(postures: Array, rows: Array) -> tuple[Array, Array]:
+        table = conditions.rows(rows).table(len(postures), model.arm.links, payload)
+        found, jacobian = tape(postures, table, np.broadcast_to(model.values, (len(postures), len(model.values))))
+        return found[..., 0], jacobian
+
+    return linearise
+
+
+def _step(jacobian: Array, error: Array, damping: Array, blocked: Array) -> Array:
+    """(k, n) shortest damped steps; `blocked` is +1 on an upper limit, -1 on a lower one."""
+    free = np.ones(blocked.shape)
+    while True:
+        rows = jacobian * free[:, None, :]
+        square = rows @ np.swapaxes(rows, 1, 2)
+        size = np.trace(square, axis1=1, axis2=2)[:, None, None]
+        square = square + (damping[:, None, None] + 1e-12) * size * np.eye(2) + np.finfo(float).tiny * np.eye(2)
+        step = (np.swapaxes(rows, 1, 2) @ np.linalg.solve(square, error[:, :, None]))[:, :, 0]
+        out = (step * blocked > 0.0) & (free > 0.0)
+        if not out.any():
+            return step
+        free[out] = 0.0

@@ -1,0 +1,121 @@
+"""Compensation: the commands are checked on the calibrated model and against two-link trigonometry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm, Calibration, EffectSpec, Gravity
+from identification.compensate import TOLERANCE, compensate
+from identification.errors import InputError
+from identification.measurements import Conditions, directions_from_order
+from identification.model import Model
+
+LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
+CALIBRATION = Calibration(np.array([1.5, -0.6, -0.4, 0.7]), np.radians([0.5, -0.5, 0.7, -0.3]))
+GRAVITY = Gravity(np.array([0.0, -9.81]), np.array([12.0, 8.0, 5.0, 3.0]), np.full(4, 0.5), 10.0)
+LIMITS = np.radians([180.0, 120.0, 100.0, 90.0])
+
+
+def arm(*effects: EffectSpec, values: dict[str, float] | None = None) -> Arm:
+    calibration = replace(CALIBRATION, effects=values or {})
+    return Arm(LENGTHS, -LIMITS, LIMITS, gravity=GRAVITY, effects=effects, calibration=calibration)
+
+
+def tip(q: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    z = (lengths * np.exp(1j * np.cumsum(q + offsets, axis=1))).sum(axis=1)
+    return np.column_stack([z.real, z.imag])
+
+
+def test_nominal_postures_are_corrected_by_little() -> None:
+    nominal = np.random.default_rng(0).uniform(-0.9, 0.9, (200, 4)) * LIMITS
+    found = compensate(arm(), postures=nominal)
+    np.testing.assert_allclose(found.targets, tip(nominal, LENGTHS, np.zeros(4)), rtol=0, atol=1e-10)
+    real = tip(found.commands, LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets)
+    assert found.reached.all()
+    np.testing.assert_allclose(real, found.targets, rtol=0, atol=TOLERANCE)
+    assert np.all(np.abs(found.commands) <= LIMITS)
+    # uncompensated the tip is millimetres off; the shortest correction is of the size error / reach
+    assert np.max(np.linalg.norm(tip(nominal, LENGTHS + 1, CALIBRATION.joint_offsets) - found.targets, axis=1)) > 1.0
+    assert np.median(np.linalg.norm(found.commands - nominal, axis=1)) < np.radians(2.0)
+    figures = found.to_json()
+    assert figures["targets"] == figures["reached"] == 200
+    assert figures["max_error_mm"] <= TOLERANCE
+    assert figures["unreachable"] == []
+
+
+def test_shortest_correction_of_a_redundant_arm() -> None:
+    """To first order the correction is the minimum-norm solution: no motion along the arm's self-motion."""
+    nominal = np.random.default_rng(1).uniform(-0.6, 0.6, (20, 4)) * LIMITS
+    found = compensate(arm(), postures=nominal)
+    for q, command in zip(nominal, found.commands, strict=True):
+        links = np.cumsum((LENGTHS * np.exp(1j * np.cumsum(q)))[::-1])[::-1] * 1j
+        jacobian = np.array([links.real, links.imag])
+        correction = command - q
+        along = correction - np.linalg.pinv(jacobian) @ (jacobian @ correction)
+        assert np.linalg.norm(along) < 0.1 * np.linalg.norm(correction)
+
+
+def test_two_links_reach_positions_by_either_elbow() -> None:
+    two = Arm([300.0, 200.0], calibration=Calibration(np.array([1.0, -2.0]), np.array([0.01, -0.02])))
+    generator = np.random.default_rng(2)
+    radius, angle = generator.uniform(120.0, 480.0, 50), generator.uniform(-np.pi, np.pi, 50)
+    targets = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+    found = compensate(two, targets)
+    assert found.reached.all()
+    elbow = np.arccos((radius**2 - 301.0**2 - 198.0**2) / (2 * 301.0 * 198.0))  # law of cosines
+    turned = found.commands[:, 1] - 0.02
+    np.testing.assert_allclose(np.abs(np.angle(np.exp(1j * turned))), elbow, rtol=0, atol=1e-6)
+
+
+def test_unreachable_targets_are_listed_and_approached() -> None:
+    targets = np.array([[300.0, 200.0], [700.0, 0.0], [0.0, 500.0], [2000.0, 100.0]])
+    found = compensate(arm(), targets)
+    assert found.to_json()["unreachable"] == [2, 4]
+    assert found.to_json()["reached"] == 2
+    reach = np.sum(LENGTHS + CALIBRATION.length_errors)
+    assert found.errors[1] == pytest.approx(700.0 - reach, abs=1e-3)  # the arm stretches towards it
+    assert np.all(np.abs(found.commands) <= LIMITS)
+    assert np.all(np.isfinite(found.errors))
+
+
+def test_limits_hold_where_the_correction_presses_against_them() -> None:
+    nominal = np.tile(LIMITS * [0.5, 1.0, 1.0, 0.3], (5, 1)) * np.linspace(0.9, 1.0, 5)[:, None]
+    nominal[:, 1:3] = LIMITS[1:3]
+    found = compensate(arm(), postures=nominal)
+    assert found.reached.all()
+    assert np.all(np.abs(found.commands) <= LIMITS)
+
+
+def test_effects_take_part() -> None:
+    effects = (EffectSpec("joint_compliance"), EffectSpec("backlash", 2), EffectSpec("encoder_eccentricity", 3))
+    values = {f"joint_compliance.c{j}": 1e-5 for j in (1, 2, 3, 4)} | {"backlash:2.b": 2e-3}
+    values |= {"encoder_eccentricity:3.a": 1e-3, "encoder_eccentricity:3.b": -2e-3}
+    real = arm(*effects, values=values)
+    nominal = np.random.default_rng(3).uniform(-0.8, 0.8, (30, 4)) * LIMITS
+    payload = np.linspace(0.0, 20.0, 30)
+    found = compensate(real, postures=nominal, conditions=Conditions(payload=payload))
+    conditions = Conditions(payload=payload, directions=directions_from_order(nominal))
+    position = Model(real).position(found.commands, conditions=conditions)
+    np.testing.assert_allclose(position, found.targets, rtol=0, atol=TOLERANCE)
+    without = compensate(real, postures=nominal)
+    assert np.max(np.abs(without.commands - found.commands)) > 1e-4  # the payload matters
+
+
+def test_bad_input() -> None:
+    with pytest.raises(InputError, match="calibration: the arm has none"):
+        compensate(Arm(LENGTHS), np.zeros((1, 2)))
+    with pytest.raises(InputError, match=r"targets: shape \(1, 3\), allowed: \(k, 2\)"):
+        compensate(arm(), np.zeros((1, 3)))
+    with pytest.raises(InputError, match=r"postures: shape \(1, 2\), allowed: \(k, 4\)"):
+        compensate(arm(), postures=np.zeros((1, 2)))
+    with pytest.raises(InputError, match="targets: none given"):
+        compensate(arm())
+    with pytest.raises(InputError, match="2 rows for 3 targets"):
+        compensate(arm(), np.zeros((3, 2)), np.zeros((2, 4)))
+
+
+def test_no_targets_are_no_error() -> None:
+    assert compensate(arm(), np.zeros((0, 2))).to_json()["max_error_mm"] is None
