@@ -1,7 +1,7 @@
 """Compensation: joint commands that bring the tip of the real arm to where the nominal arm would have been.
 
-The real arm is the calibrated model. Its inverse kinematics are solved by damped least squares on exact derivatives, all
-targets at once; steps are the shortest that close the gap, so a redundant arm stays near the posture it started from.
+The real arm is the calibrated model. Its inverse kinematics are solved by damped least squares on exact derivatives,
+all targets at once; steps are the shortest that close the gap, so a redundant arm stays near where it started.
 The arm file's `[[constraints]]` are not looked at: commands stay near the nominal postures, which should satisfy them.
 """
 
@@ -174,7 +174,7 @@ def inverse_kinematics(model: Model, goals: Array, starts: Array, conditions: Co
 
 
 def _linearisation(model: Model, conditions: Conditions) -> Callable[[Array, Array], tuple[Array, Array]]:
-    """Function of postures (k, n) and their row numbers -> positions (k, 2) and derivatives by the posture (k, 2, n)."""
+    """Function of postures (k, n) and their row numbers -> positions (k, 2), derivatives by the posture (k, 2, n)."""
     q, c, p, position = model.symbols
     outputs = ca.cse([position, ca.jacobian(position, q)])
     tape = vectorise(ca.Function("kinematics", [q, c, p], outputs))
@@ -195,7 +195,8 @@ def _step(jacobian: Array, error: Array, damping: Array, blocked: Array) -> Arra
         rows = jacobian * free[:, None, :]
         square = rows @ np.swapaxes(rows, 1, 2)
         size = np.trace(square, axis1=1, axis2=2)[:, None, None]
-        square = square + (damping[:, None, None] + 1e-12) * size * np.eye(2) + np.finfo(float).tiny * np.eye(2)
+        # 1e-6 mm^2/rad^2 keeps rows alive whose joints are all held
+        square = square + ((damping[:, None, None] + 1e-12) * size + 1e-6) * np.eye(2)
         step = (np.swapaxes(rows, 1, 2) @ np.linalg.solve(square, error[:, :, None]))[:, :, 0]
         out = (step * blocked > 0.0) & (free > 0.0)
         if not out.any():
