@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -70,15 +71,15 @@ def serial() -> Workers:
     return Workers(_Serial)
 
 
-def processes(count: int | None = None) -> Workers:
-    """`count` processes of this machine (default: its cores), each with one thread of linear algebra."""
-    count = count or os.cpu_count() or 1
-    return Workers(lambda: _process_pool(count), count, reopens=True)
+def processes(number: int | None = None) -> Workers:
+    """`number` processes of this machine (default: its cores), each with one thread of linear algebra."""
+    number = number or os.cpu_count() or 1
+    return Workers(lambda: _process_pool(number), number, reopens=True)
 
 
-def using(executor: Executor, count: int = 8) -> Workers:
+def using(executor: Executor, at_once: int = 8) -> Workers:
     """An executor of the caller's own, which stays open."""
-    return Workers(lambda: nullcontext(executor), count)
+    return Workers(lambda: nullcontext(executor), at_once)
 
 
 def cluster(address: str, patience: float = 10.0) -> Workers:
@@ -97,23 +98,23 @@ def cluster(address: str, patience: float = 10.0) -> Workers:
     except (OSError, ValueError) as error:
         raise InputError(f"--cluster {address}: no scheduler answers ({one_line(error)})") from None
     with client:
-        count = sum(client.nthreads().values())
-    return Workers(lambda: _cluster_executor(address), max(count, 1))
+        threads = sum(client.nthreads().values())
+    return Workers(lambda: _cluster_executor(address), max(threads, 1))
 
 
 def choose(workers: int | None = None, address: str | None = None) -> Workers:
     """What the options --workers and --cluster ask for; both left out: all cores."""
     if address is not None:
         return cluster(address)
-    count = workers or os.cpu_count() or 1
-    return serial() if count == 1 else processes(count)
+    number = workers or os.cpu_count() or 1
+    return serial() if number == 1 else processes(number)
 
 
 @contextmanager
-def _process_pool(count: int) -> Iterator[Executor]:
+def _process_pool(number: int) -> Iterator[Executor]:
     before = {name: os.environ.get(name) for name in SINGLE_THREAD}
     os.environ.update(SINGLE_THREAD)  # read by the linear algebra of the workers when they start
-    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_end_at_once_on_interrupt)
+    pool = ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=_end_at_once_on_interrupt)
     try:
         yield pool
     finally:
@@ -157,11 +158,15 @@ def run(
     state = _Drive(function, table, seed, deque(todo.values()), progress, len(keys) - len(todo), len(keys))
     workers = workers or serial()
     ahead = workers.count * AHEAD if workers.count > 1 or workers.reopens else 1
-    while state.queue:
+    for opened in count(1):
+        if not state.queue:
+            break
         with workers.open() as executor:
             state.drain(executor, ahead)
         if state.queue and not workers.reopens:
             raise JobError("the workers were lost; finished rows are kept, go on with --resume")
+        if opened > TRIES and state.done == len(keys) - len(todo):
+            raise JobError("no worker process survives its start; a script needs `if __name__ == '__main__':`")
     return table.frame(keys)
 
 
@@ -226,7 +231,7 @@ class _Drive:
         rows = future.result() if error is None else [_failure(key, error, 0.0)]
         self.table.add(key, rows)
         self.done += 1
-        self.failed += rows[0]["status"] == "failed"
+        self.failed += rows[0]["status"] != "done"
         self._report()
         return None
 

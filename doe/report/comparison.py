@@ -26,8 +26,8 @@ def comparison_tables(rows: polars.DataFrame) -> list[Any]:
     found = summary(rows)
     for part in found.partition_by(*PROBLEM, maintain_order=True):
         arm, runs = part["arm"][0], part["runs"][0]
-        bound = with_hits(rows).filter(arm=arm, runs=runs)["bound"].min()
-        title = f"{arm}, {runs} runs" + ("" if bound is None else f", bound {bound:.7f}")
+        bounds = with_hits(rows).filter(arm=arm, runs=runs)["bound"].drop_nulls().to_list()
+        title = f"{arm}, {runs} runs" + (f", bound {min(bounds):.7f}" if bounds else "")
         shown.append(_table(title, part))
     return [*shown, *_failures(rows)]
 

@@ -1,0 +1,215 @@
+"""Solvers side by side: every solver on every problem, several times over, each run in a process of its own.
+
+A row is one run of one solver: what it cost, and what its plan is worth on our own evaluation of the stored problem.
+`status` says whether the run ended well, `correct` whether the plan is what the solver claims: these are two things.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from doe.child import call
+from doe.executors import Workers, run
+from doe.problem import DesignProblem
+from doe.rows import Key, Row, RowTable
+from identification.arm import Arm
+from identification.arm_file import arm_from_tables, dump_arm
+from identification.errors import InputError, nearest
+from identification.model import Model
+from identification.progress import Progress, silent
+
+if TYPE_CHECKING:
+    import polars
+
+    from doe.result import Design
+
+FEASIBLE = 1e-9  # [rad] outside the joint limits, or below zero in a constraint's margin
+AGREES = 1e-9  # between the solver's value and ours
+HIT = 1e-6  # a run has found the best known plan if it loses less than this share of efficiency
+KILL_FACTOR, KILL_EXTRA = 1.5, 10.0  # a run that overstays its time limit by so much [s] is killed
+PROBLEM = ("arm", "arm_hash", "runs")
+SETTING = ("solver", "starts")
+OWN = 0  # in the column `starts`: the solver's own number
+COLUMNS = {
+    "value": "Float64",
+    "bound": "Float64",
+    "efficiency": "Float64",
+    "parameters": "Int64",
+    "correct": "Boolean",
+    "seconds": "Float64",
+    "peak_memory_mb": "Float64",
+}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is compared: problems x solvers x settings x repeats.
+
+    arms : the arms;  runs : numbers of measurements m
+    solvers : names as in `armcal design --solver`
+    starts : numbers of starts of one run, None: the solver's own number
+    repeats : runs of each, with seeds of their own
+    seconds : time limit of one run [s]: told to the solver, and the run is killed if it does not keep it
+    """
+
+    arms: Sequence[Arm]
+    runs: Sequence[int]
+    solvers: Sequence[str]
+    starts: Sequence[int | None] = (None,)
+    repeats: int = 5
+    seconds: float = 60.0
+
+    def __post_init__(self) -> None:
+        from doe.solvers import SOLVERS
+
+        for name in self.solvers:
+            if name not in SOLVERS:
+                raise InputError(f"solvers: unknown name {name!r}, {nearest(name, SOLVERS)}")
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """Hash -> text of the arm files."""
+        texts = [dump_arm(arm) for arm in self.arms]
+        return {hashlib.sha256(text.encode()).hexdigest()[:12]: text for text in texts}
+
+    @property
+    def keys(self) -> list[Key]:
+        """One key per run of a solver."""
+        hashes = list(self.texts)
+        return [
+            {
+                "arm": self.arms[k].name,
+                "arm_hash": hashes[k],
+                "runs": runs,
+                "solver": solver,
+                "starts": starts or OWN,
+                "limit_s": self.seconds,
+                "repeat": repeat,
+            }
+            for k, runs, solver, starts, repeat in product(
+                range(len(hashes)), self.runs, self.solvers, self.starts, range(self.repeats)
+            )
+        ]
+
+
+def compare(
+    comparison: Comparison,
+    table: RowTable | None = None,
+    workers: Workers | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> polars.DataFrame:
+    """One row per run: the key's columns, `status`, `outcome` (the solver's own), `value`, `claimed` (the solver's),
+    `bound`, `efficiency`, `correct`, `violation`, `seconds`, `peak_memory_mb`, `error`.
+
+    Runs that fail, crash or hang are rows too. Rows depend on the seed, not on the workers (times do, of course: for
+    times that can be compared use one process less than there are cores).
+    """
+    work = partial(run_of, comparison.texts)
+    if table is not None:
+        return run(work, comparison.keys, table, workers, seed=seed, progress=progress)
+    with RowTable.open(None) as own:
+        return run(work, comparison.keys, own, workers, seed=seed, progress=progress)
+
+
+def run_of(texts: Mapping[str, str], key: dict[str, Any], seed: np.random.SeedSequence) -> list[Row]:
+    """The row of one run, which happens in a new process."""
+    number = int(seed.generate_state(1)[0])
+    limit = key["limit_s"] * KILL_FACTOR + KILL_EXTRA
+    outcome = call(solve_and_judge, texts[key["arm_hash"]], key, number, seconds=limit)
+    measured = {"status": outcome.status, "error": outcome.error, "peak_memory_mb": outcome.peak_memory_mb}
+    return [{**measured, "seconds": outcome.seconds, **(outcome.value or {})}]
+
+
+def solve_and_judge(text: str, key: dict[str, Any], seed: int) -> Row:
+    """Runs the solver in this process; `seconds` is the search alone."""
+    from doe.solvers import solve
+
+    problem = DesignProblem.of(Model(arm_from_tables(tomllib.loads(text))))
+    design = solve(problem, key["runs"], key["solver"], seed=seed, starts=key["starts"] or None, seconds=key["limit_s"])
+    return judged(problem, key["runs"], design)
+
+
+def judged(problem: DesignProblem, runs: int, design: Design) -> Row:
+    """What a design is worth by the stored problem, whatever it says of itself."""
+    postures = design.plan.postures
+    value, violation = problem.objective(postures), violation_of(problem, postures)
+    bound = design.bound
+    efficiency = None if bound is None else problem.criterion.efficiency(value, bound.value, problem.parameters)
+    return {
+        "outcome": design.status.name,
+        "starts_done": design.starts,
+        "value": value if np.isfinite(value) else None,
+        "claimed": design.value if np.isfinite(design.value) else None,
+        "bound": None if bound is None else bound.value,
+        "bound_source": None if bound is None else bound.source,
+        "efficiency": efficiency,
+        "parameters": problem.parameters,
+        "violation": violation,
+        "correct": bool(
+            len(postures) == runs
+            and design.plan.weights is None
+            and violation <= FEASIBLE
+            and np.isclose(value, design.value, rtol=0.0, atol=AGREES)
+            and (bound is None or value <= bound.value + AGREES)
+        ),
+        "seconds": design.seconds,
+    }
+
+
+def violation_of(problem: DesignProblem, postures: np.ndarray) -> float:
+    """How far the worst posture is outside limits and constraints, 0 if all are inside."""
+    outside = [np.max(problem.lower - postures), np.max(postures - problem.upper)]
+    outside += [-np.min(constraint.margin(postures)) for constraint in problem.constraints]
+    return float(max(0.0, *outside))
+
+
+def summary(rows: polars.DataFrame) -> polars.DataFrame:
+    """One row per problem and setting, best value first.
+
+    `hit_rate` : share of all runs (failed ones too) that found the best value known of the problem
+    `seconds_to_hit` : expected time until a hit when runs are repeated, total seconds / hits [s]; null without a hit
+    """
+    import polars as pl
+
+    good, value = pl.col("good"), pl.when(pl.col("good")).then(pl.col("value"))
+    hits = pl.col("hit").sum()
+    return (
+        with_hits(rows)
+        .group_by(*PROBLEM, *SETTING, maintain_order=True)
+        .agg(
+            pl.len().alias("repeats"),
+            (~good).sum().alias("not_correct"),
+            value.max().alias("best"),
+            value.median().alias("median"),
+            pl.when(good).then(pl.col("efficiency")).max().alias("efficiency"),
+            pl.col("hit").mean().alias("hit_rate"),
+            pl.col("seconds").mean().alias("seconds"),
+            pl.when(hits > 0).then(pl.col("seconds").sum() / hits).alias("seconds_to_hit"),
+            pl.col("peak_memory_mb").max(),
+        )
+        .sort(*PROBLEM, pl.col("best").round(8), "seconds", descending=[False] * 3 + [True, False], nulls_last=True)
+    )
+
+
+def with_hits(rows: polars.DataFrame) -> polars.DataFrame:
+    """The rows with `good` (done and correct), `loss` of D-efficiency against the best value known of the problem, and
+    `hit`. Columns that no row has are there, empty."""
+    import polars as pl
+
+    for name, dtype in COLUMNS.items():
+        column = pl.col(name).cast(getattr(pl, dtype)) if name in rows.columns else pl.lit(None, getattr(pl, dtype))
+        rows = rows.with_columns(column.alias(name))
+    good = (pl.col("status") == "done") & pl.col("correct").fill_null(value=False) & pl.col("value").is_not_null()
+    best = pl.when(good).then(pl.col("value")).max().over(PROBLEM)
+    loss = pl.when(good).then(1.0 - ((pl.col("value") - best) / pl.col("parameters")).exp())
+    return rows.with_columns(good.alias("good"), loss.alias("loss"), (loss <= HIT).fill_null(value=False).alias("hit"))

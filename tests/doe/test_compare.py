@@ -1,0 +1,162 @@
+"""Comparison of solvers: rows judged by the problem, summaries and profiles counted by hand."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner
+
+from doe.cli.compare import command
+from doe.compare import Comparison, compare, judged, summary, with_hits
+from doe.plan import Plan
+from doe.problem import DesignProblem
+from doe.report.comparison import comparison_tables, performance_profile, profile_figure, time_figure
+from doe.result import score
+from doe.rows import RowTable, frame_of
+from identification.arm import Arm
+from identification.errors import InputError
+from identification.model import Model
+
+LIMITS = np.radians([180.0, 120.0, 100.0])
+ARM = Arm(np.array([260.0, 180.0, 120.0]), -LIMITS, LIMITS, sigma=0.1, name="three")
+PROBLEM = DesignProblem.of(Model(ARM))
+
+
+def row(solver: str, repeat: int, value: float | None, seconds: float, **more: object) -> dict[str, object]:
+    key = {"arm": "a", "arm_hash": "h", "runs": 4, "solver": solver, "starts": 1, "repeat": repeat}
+    found = {"status": "done", "error": None, "value": value, "correct": True, "parameters": 8, "seconds": seconds}
+    return {**key, **found, "efficiency": None if value is None else np.exp(value / 8), **more}
+
+
+# a: hits in 1 s and 4 s;  b: one hit in 2 s, one worse plan;  c: a hang and a plan that claims too much
+ROWS = frame_of(
+    [
+        row("a", 0, -0.1, 1.0),
+        row("a", 1, -0.1 - 1e-7, 4.0),
+        row("b", 0, -0.1, 2.0),
+        row("b", 1, -0.3, 1.0),
+        row("c", 0, None, 9.0, status="timeout", error="killed after 9 s", correct=None, parameters=None),
+        row("c", 1, 0.7, 1.0, correct=False),
+    ]
+)
+
+
+def test_summary_counts_hits_and_time_to_a_hit() -> None:
+    found = {r["solver"]: r for r in summary(ROWS).iter_rows(named=True)}
+    assert list(found) == ["b", "a", "c"]  # equal values: the faster one first; no value: last
+    assert [found[s]["hit_rate"] for s in "abc"] == [1.0, 0.5, 0.0]
+    assert [found[s]["seconds_to_hit"] for s in "abc"] == [2.5, 3.0, None]
+    assert [found[s]["not_correct"] for s in "abc"] == [0, 0, 2]
+    assert [found[s]["best"] for s in "abc"] == [-0.1, -0.1, None]  # the false 0.7 is nobody's best
+    assert found["b"]["median"] == pytest.approx(-0.2)
+
+
+def test_loss_is_of_efficiency() -> None:
+    losses = with_hits(ROWS)["loss"].to_list()
+    assert losses[3] == pytest.approx(1.0 - np.exp(-0.2 / 8))
+    assert losses[4:] == [None, None]
+
+
+def test_profile_by_hand() -> None:
+    profile = performance_profile(ROWS)
+    # instance 0: a in 1 s is the fastest, b takes twice as long; instance 1: only a solves it
+    assert [curve.tolist() for curve in profile["a", 1]] == [[1.0], [1.0]]
+    assert [curve.tolist() for curve in profile["b", 1]] == [[2.0], [0.5]]
+    assert profile["c", 1][0].size == 0
+
+
+def test_rows_without_any_success_have_tables_and_pictures() -> None:
+    failed = ROWS.filter(solver="c", repeat=0)
+    assert summary(failed)["best"].to_list() == [None]
+    for rows in (failed, ROWS):
+        assert len(comparison_tables(rows)) == 2  # the problem, and the sentence about the hang
+        assert len(time_figure(rows).axes) == 1
+        assert profile_figure(rows).axes[0].get_xscale() == "log"
+
+
+def test_judged_by_the_problem() -> None:
+    postures = np.random.default_rng(3).uniform(-LIMITS, LIMITS, (5, 3))
+    honest = judged(PROBLEM, 5, score(PROBLEM, Plan(postures)))
+    theta = np.exp(1j * np.cumsum(postures, axis=1))
+    hermitian = theta.conj().T @ theta / 5
+    assert honest["value"] == pytest.approx(2.0 * np.linalg.slogdet(hermitian)[1], abs=1e-10)  # THEORY.md section 3
+    assert honest["correct"]
+    assert honest["violation"] == 0.0
+    assert not judged(PROBLEM, 6, score(PROBLEM, Plan(postures)))["correct"]  # a run is missing
+
+
+def test_plan_outside_the_limits_is_not_correct() -> None:
+    postures = np.random.default_rng(3).uniform(-LIMITS, LIMITS, (5, 3))
+    postures[2, 1] = LIMITS[1] + 1e-6
+    found = judged(PROBLEM, 5, score(PROBLEM, Plan(postures)))
+    assert found["violation"] == pytest.approx(1e-6)
+    assert not found["correct"]
+
+
+def test_claim_that_the_problem_does_not_confirm_is_not_correct() -> None:
+    postures = np.random.default_rng(3).uniform(-LIMITS, LIMITS, (5, 3))
+    other = replace(PROBLEM, kept=postures)  # the solver worked on another problem
+    found = judged(PROBLEM, 5, score(other, Plan(postures[::-1] * 0.5)))
+    assert found["claimed"] != pytest.approx(found["value"], abs=1e-6)
+    assert not found["correct"]
+
+
+def test_solvers_run_in_their_own_processes_and_failures_are_rows(tmp_path: Path) -> None:
+    comparison = Comparison([ARM], [4], ["exchange", "random"], [2], repeats=2, seconds=20.0)
+    path = tmp_path / "rows.parquet"
+    with RowTable.open(path) as table:
+        rows = compare(comparison, table)
+    assert rows["status"].to_list() == ["done"] * 4
+    assert rows["correct"].all()
+    assert (rows["peak_memory_mb"] > 20.0).all()
+    again = compare(comparison)  # the same seeds: the same plans
+    assert again["value"].to_list() == rows["value"].to_list()
+    assert len(set(rows.filter(solver="random")["value"])) == 2
+    with RowTable.open(path, resume=True) as table:
+        assert compare(comparison, table).equals(rows)
+    few = compare(Comparison([ARM], [2], ["random"], repeats=1))  # two runs cannot tell six parameters
+    assert few["status"].to_list() == ["failed"]
+    assert "InputError" in few["error"][0] or "JobError" in few["error"][0]
+
+
+def test_unknown_solver_has_the_nearest_name() -> None:
+    with pytest.raises(InputError, match="did you mean 'exchange'"):
+        Comparison([ARM], [4], ["exchnge"])
+
+
+def test_verb(tmp_path: Path) -> None:
+    arm = tmp_path / "arm.toml"
+    arm.write_text("links_mm = [260.0, 180.0]\n")
+    options = [str(arm), "--runs", "2,3", "--solvers", "analytic", "--repeats", "1", "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(command, [*options, "--json"])
+    assert done.exit_code == 0, done.output
+    answer = json.loads(done.stdout)
+    assert [r["best"] for r in answer["summary"]] == pytest.approx([0.0, 0.0], abs=1e-9)
+    written = {f.name for f in (tmp_path / "out").iterdir()}
+    assert written == {"rows.parquet", "summary.parquet", "profile.svg", "time.svg"}
+    assert pl.read_parquet(tmp_path / "out" / "rows.parquet")["runs"].to_list() == [2, 3]
+    refused = CliRunner().invoke(command, options)
+    assert refused.exit_code == 2
+    assert "--resume" in refused.output
+    assert CliRunner().invoke(command, [*options, "--resume"]).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        (["--runs", "0"], "whole numbers >= 1"),
+        (["--runs", "4", "--solvers", "ipop"], "did you mean 'ipopt'"),
+        (["--runs", "4", "--resume"], "needs --out"),
+    ],
+)
+def test_bad_options_are_one_line(tmp_path: Path, options: list[str], found: str) -> None:
+    arm = tmp_path / "arm.toml"
+    arm.write_text("links_mm = [260.0, 180.0]\n")
+    done = CliRunner().invoke(command, [str(arm), *options])
+    assert done.exit_code == 2
+    assert found in done.output
