@@ -20,11 +20,11 @@ class D:
     def value(self, information: Array) -> Array:
         """(...) log det M, -inf where M is singular."""
         sign, log_det = np.linalg.slogdet(information)
-        return np.asarray(np.where(sign > 0, log_det, -np.inf), dtype=float)
+        return np.where(sign > 0, log_det, -np.inf).astype(np.float64)
 
     def gradient(self, information: Array) -> Array:
         """(p, p) M^-1."""
-        return np.linalg.inv(information)
+        return np.asarray(np.linalg.inv(information), dtype=float)
 
     def curvature(self, information: Array, directions: Array) -> Array:
         """-tr(M^-1 X_a M^-1 X_b), as a Gram matrix of L^-1 X L^-T with M = L L^T."""

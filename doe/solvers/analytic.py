@@ -9,12 +9,13 @@ Number the m runs by the elements of a group G = Z_2^t x Z_(m / 2^t). A joint mo
 
 The bound (`doe.closed_form`) is attained when every E exp(i (q_(j+1) + ... + q_k)) is the product of its factors'
 means. Multiplied out, that is a sum of characters, each the turning joints' product times a subset of the s_j; all of
-them but the empty one must differ from 1. Let R be the characters that occur in the sums ending at joint j, and 1 itself. A
-turning joint needs -g_j outside R, a two-level joint s_j outside R; then R becomes (R + g_j) + {0}, or R + (R + s_j).
+them but the empty one must differ from 1. Let R be the characters that occur in the sums ending at joint j, and 1
+itself. A turning joint needs -g_j outside R, a two-level joint s_j outside R; then R becomes (R + g_j) + {0}, or
+R + (R + s_j).
 
 With no limits this gives theta_j = 2 pi i f_j / m with distinct random frequencies f_j and random phases: any columns
-of the DFT matrix (THEORY.md section 3), in shuffled order, since the plan f_j = j hides missing effects (GAP.md). With all
-ranges below pi it gives the two-level factorial, 2^(joints) runs or a multiple.
+of the DFT matrix (THEORY.md section 3), in shuffled order, since the plan f_j = j hides missing effects (GAP.md). With
+all ranges below pi it gives the two-level factorial, 2^(joints) runs or a multiple.
 """
 
 from __future__ import annotations
@@ -105,10 +106,8 @@ class Group:
     def steps(self, character: Character) -> NDArray[np.int64]:
         """(m,) whole numbers r in 0..k-1: the character's angle at every element is 2 pi r / k."""
         k = self.order(character)
-        return (
-            sum(self.elements[:, i] * c * k // m for i, (c, m) in enumerate(zip(character, self.moduli, strict=True)))
-            % k
-        )
+        turns = np.array(character) * k // np.array(self.moduli)  # whole numbers, by the definition of the order k
+        return np.asarray(self.elements @ turns % k)
 
 
 def chain(problem: DesignProblem, group: Group, generator: np.random.Generator) -> Array | None:

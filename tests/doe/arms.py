@@ -1,0 +1,35 @@
+"""The arms of the issue's tables."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from doe.problem import DesignProblem
+from identification.arm import Arm, EffectSpec
+from identification.model import Model
+
+FOUR = Arm([260.0, 180.0, 120.0, 100.0], np.radians([-180, -120, -100, -90]), np.radians([180, 120, 60, 90]), 0.1)
+FIVE = Arm(
+    [260.0, 180.0, 120.0, 100.0, 90.0],
+    np.radians([-180, -100, -140, -60, -110]),
+    np.radians([180, 40, 10, 75, 95]),
+)
+SIX = Arm(
+    [260.0, 180.0, 120.0, 100.0, 90.0, 80.0],
+    np.radians([-180, -60, -130, -20, -90, -150]),
+    np.radians([180, 95, -10, 110, 60, 5]),
+)
+OFFSET = EffectSpec("base_offset")
+ECCENTRICITY = EffectSpec("encoder_eccentricity", 2)
+
+
+def problem(arm: Arm, *effects: EffectSpec, **changes: object) -> DesignProblem:
+    """The design problem of an arm with these effects to estimate."""
+    return DesignProblem.of(Model(arm.with_effects(*effects)), **changes)
+
+
+def random_box(generator: np.random.Generator, links: int) -> Arm:
+    """An arm with random limits: narrow, wide and unlimited joints."""
+    middle = generator.uniform(-1.0, 1.0, links)
+    half = generator.uniform(0.2, 3.1, links)
+    return Arm(generator.uniform(50.0, 400.0, links), middle - half, middle + half)

@@ -1,0 +1,78 @@
+"""A design's figures and its JSON, recomputed from the stored problem."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from doe.bound import Bound
+from doe.plan import Plan
+from doe.result import score
+from doe.solvers import score_plan
+from identification.arm import Arm
+from tests.doe.arms import ECCENTRICITY, FOUR, SIX, problem
+from tests.doe.test_closed_form import complex_log_det
+
+KEYS = {
+    "criterion", "runs", "links", "log_det", "bound", "efficiency", "certified_optimal", "postures_deg",
+    "table_1_max_residual", "std", "solver", "status", "starts", "seconds",
+}  # fmt: skip
+
+
+def some_plan(runs: int = 8) -> np.ndarray:
+    return np.random.default_rng(2).uniform(FOUR.lower, FOUR.upper, (runs, 4))
+
+
+def test_figures() -> None:
+    plan = some_plan()
+    found = score_plan(problem(FOUR), plan)
+    data = found.to_json()
+    assert data.keys() >= KEYS
+    assert data["log_det"] == pytest.approx(complex_log_det(plan))
+    assert data["bound"]["source"] == "closed_form"
+    assert data["efficiency"] == pytest.approx(np.exp((data["log_det"] + 0.0612353259) / 8))
+    assert data["certified_optimal"] is False
+    assert data["status"] == "scored"
+    assert [len(data["std"][k]) for k in ("length_mm", "orientation_deg", "joint_offset_deg")] == [4, 4, 4]
+    np.testing.assert_allclose(np.radians(data["postures_deg"]), plan)
+    json.dumps(data, allow_nan=False)
+
+
+def test_a_plan_that_identifies_nothing_has_null_figures() -> None:
+    data = score_plan(problem(FOUR), np.zeros((6, 4))).to_json()
+    assert data["log_det"] is None
+    assert data["efficiency"] == 0.0
+    assert data["std"]["length_mm"] is None
+    assert data["table_1_max_residual"] == pytest.approx(1.0)
+    json.dumps(data, allow_nan=False)
+
+
+def test_no_sigma_no_bound() -> None:
+    found = score(problem(Arm(FOUR.lengths), ECCENTRICITY), some_plan())
+    data = found.to_json()
+    assert data["bound"] is None
+    assert data["efficiency"] is None
+    assert data["certified_optimal"] is False
+    assert data["std"] == {"length_mm": None, "orientation_deg": None, "joint_offset_deg": None}
+
+
+def test_weights_count() -> None:
+    plan = Plan(some_plan(), np.r_[np.full(7, 0.1), 0.3])
+    repeated = np.vstack([np.repeat(plan.postures[:7], 1, axis=0), np.repeat(plan.postures[7:], 3, axis=0)])
+    assert score(problem(FOUR), plan).log_det == pytest.approx(complex_log_det(repeated))
+
+
+def test_certified_from_one_millionth() -> None:
+    case = problem(FOUR)
+    plan = some_plan()
+    value = case.objective(plan)
+    assert score(case, plan, Bound(value + 8 * 0.9e-6, "continuous")).certified_optimal
+    assert not score(case, plan, Bound(value + 8 * 1.1e-6, "continuous")).certified_optimal
+
+
+def test_prints_well() -> None:
+    found = score_plan(problem(SIX), np.random.default_rng(0).uniform(SIX.lower, SIX.upper, (9, 6)))
+    assert "9 runs of a 6-link arm" in repr(found)
+    assert found._repr_html_().count("<tr>") == 10
