@@ -7,7 +7,7 @@ and to unit length, so that no choice of units can make a parameter look lost or
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,10 @@ class Spectrum:
     directions: Array
     rank: int
 
+    def truncated(self, tolerance: float) -> Spectrum:
+        """The same decomposition with the rank at another tolerance (share of the largest singular value)."""
+        return replace(self, rank=int(np.sum(self.values > tolerance * np.max(self.values, initial=0.0))))
+
     @property
     def kept(self) -> Array:
         """(p, rank) directions that the data tell."""
@@ -85,8 +89,7 @@ def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE) 
     _, found, rows = np.linalg.svd(np.where(empty, 0.0, triangle / lengths), full_matrices=True)
     values = np.zeros(p)
     values[: found.size] = found
-    rank = int(np.sum(values > tolerance * values[0])) if p else 0
-    return Spectrum(lengths, values, rows.T, rank)
+    return Spectrum(lengths, values, rows.T, p).truncated(tolerance)
 
 
 def covariance(jacobian: Array, scales: Array, sigma: float = 1.0, tolerance: float = RANK_TOLERANCE) -> Array:

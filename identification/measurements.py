@@ -51,12 +51,12 @@ def session_time(order: Array) -> Array:
 def directions_from_order(postures: Array, order: Array | None = None) -> Array:
     """(m, n) sign of the change from the posture measured before; first row +1, no change: as before (GAP.md)."""
     sequence = np.arange(len(postures)) if order is None else np.argsort(order, kind="stable")
-    signs = np.sign(np.diff(postures[sequence], axis=0))
-    directions = np.ones_like(postures)
-    last = np.ones(postures.shape[1])
-    for row, sign in zip(sequence[1:], signs, strict=True):
-        last = np.where(sign == 0.0, last, sign)
-        directions[row] = last
+    signs = np.ones_like(postures)
+    signs[1:] = np.sign(np.diff(postures[sequence], axis=0))
+    # the last row that moved, for every row: a running maximum of row numbers
+    moved = np.maximum.accumulate(np.where(signs != 0.0, np.arange(len(signs))[:, None], 0), axis=0)
+    directions = np.empty_like(signs)
+    directions[sequence] = np.take_along_axis(signs, moved, axis=0)
     return directions
 
 

@@ -120,8 +120,7 @@ def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Fit, Spectrum]:
     sigma = noise.sigma or _estimated(residuals, found.rank) or 0.0
     reach = float(np.sum(problem.model.arm.lengths))
     useful = max(RANK_TOLERANCE, sigma / (np.sqrt(len(problem.measurements)) * LOST_SHARE * reach))
-    limited = spectrum(jacobian, problem.model.scales, min(useful, 0.1))
-    if limited.rank == found.rank:
+    if found.truncated(min(useful, 0.1)).rank == found.rank:
         return fit, found
     problem = problem.with_tolerance(min(useful, 0.1))
     fit = METHODS[method](problem)
