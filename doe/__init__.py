@@ -1,0 +1,28 @@
+"""Optimal design of calibration experiments: criteria, solvers, certificates (imported on first use)."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_PLACES = {
+    "D": "doe.criteria",
+    "Design": "doe.result",
+    "DesignProblem": "doe.problem",
+    "Plan": "doe.plan",
+    "load_plan": "doe.plan_file",
+    "score": "doe.result",
+    "score_plan": "doe.solvers",
+    "solve": "doe.solvers",
+}
+__all__ = sorted(_PLACES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_PLACES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -127,8 +127,8 @@ class Model:
             parts.append((effect, values[start : start + len(effect.parameters)]))
             start += len(effect.parameters)
         angles = chain.q + values[n : 2 * n] + sum(e.joint_angles(chain, v) for e, v in parts)
-        lengths = chain.lengths + values[:n]
-        lengths += sum(e.extensions(chain, v, lengths) for e, v in parts)
+        lengths: ca.SX = ca.SX(ca.DM(chain.lengths)) + values[:n]
+        lengths += sum((e.extensions(chain, v, lengths) for e, v in parts), ca.SX.zeros(n))
         bent = [e.bending(chain, v) for e, v in parts]
         deflections = ca.SX.zeros(n) + sum(b[0] for b in bent)
         slopes = ca.SX.zeros(n) + sum(b[1] for b in bent)

@@ -16,6 +16,8 @@ def command(session: Session, out: Path | None, force: bool) -> Answer:
     """The whole loop on the paper's 4-link arm, from a plan to the missing effect, and a report.html."""
     from doe.demo import run_demo
     from doe.report.demo_page import demo_data, demo_page, demo_tables
+    from doe.report.overview import overview_figure
+    from doe.report.pictures import save
     from identification.files import write_whole
 
     directory = next_free(Path("armcal-demo")) if out is None else out
@@ -23,6 +25,7 @@ def command(session: Session, out: Path | None, force: bool) -> Answer:
     with session.progress("demo") as progress:
         demo = run_demo(directory, session.seed, progress)
         write_whole(directory / "report.html", demo_page(demo), force=True)
+        save(overview_figure(demo), directory / "overview.png", force=True)
     return Answer(demo_data(demo, directory), demo_tables(demo, directory))
 
 

@@ -30,7 +30,7 @@ def command(
     """Find where model and measurements disagree, name the missing effect, and show the gap shrink."""
     from doe.report.gap_page import diagnosis_tables, gap_page
     from identification.arm_file import load_arm, with_calibration, with_effects
-    from identification.files import check_writable, read_text, write_together
+    from identification.files import PathLike, check_writable, read_text, write_together
     from identification.gap.diagnose import diagnose
 
     loaded = load_arm(arm)
@@ -40,7 +40,7 @@ def command(
     held_out = None if holdout is None else read_measurements(holdout, loaded)
     with session.progress("diagnose") as progress:
         found = diagnose(loaded, measurements, held_out, session.seed, draws, progress)
-    files: dict[Path, str] = {}
+    files: dict[PathLike, str | bytes] = {}
     if out is not None:
         extended = with_effects(read_text(arm), found.named.specs)
         files[out] = with_calibration(extended, found.named.calibration)

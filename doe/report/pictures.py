@@ -126,7 +126,7 @@ def _largest(problem: DesignProblem, information: Array, others: Array, joint: i
 def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, after: Array) -> Figure:
     """Residuals (m, 2) before and after, over the workspace (arrows, enlarged) and against each joint."""
     figure = Figure(figsize=(10.0, 6.2), layout="constrained")
-    top, bottom = figure.subfigures(2, 1, height_ratios=[1.3, 1.0])
+    top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.3, 1.0]))
     pairs = ((before, BEFORE, "before"), (after, AFTER, "after"))
     for axis, (residuals, color, name) in zip(top.subplots(1, 2, sharex=True, sharey=True), pairs, strict=True):
         size = float(np.hypot(*residuals.T).max()) or 1.0

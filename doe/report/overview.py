@@ -1,0 +1,55 @@
+"""The demo in one picture: where to measure, how good that is, what the measurements say, what was missing."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from doe.demo import Demo
+from doe.report.pictures import AFTER, BEFORE, LIMIT, draw_arm
+
+
+def overview_figure(demo: Demo) -> Figure:
+    """Plan, gap step by step, and residuals against the joint at fault."""
+    figure = Figure(figsize=(12.0, 3.9), layout="constrained")
+    plan, gap, joint = figure.subplots(1, 3, width_ratios=[1.0, 0.95, 1.25])
+    draw_arm(plan, demo.arm, demo.design.plan.postures)
+    optimal = "certified optimal" if demo.design.certified_optimal else f"efficiency {demo.design.efficiency:.3f}"
+    plan.set_title(f"1. plan: {len(demo.design.plan)} postures within the limits,\n{optimal}", fontsize=10)
+    draw_gap(gap, demo)
+    draw_cause(joint, demo)
+    return figure
+
+
+def draw_gap(axes: Axes, demo: Demo) -> None:
+    """RMS on fresh random postures: drawing, identified, with the effect that the diagnosis names."""
+    heights = [demo.drawing_gap, demo.gap(demo.base), demo.gap(demo.extended)]
+    bars = axes.bar(["drawing", "identified", "effect added"], heights, color=[LIMIT, BEFORE, AFTER], width=0.6)
+    axes.bar_label(bars, [f"{height:.2f} mm" for height in heights], label_type="center", color="white", fontsize=10)
+    axes.axhline(demo.noise, color="k", ls="--", lw=1)
+    axes.set(yscale="log", ylim=(0.05, 10.0), ylabel="RMS distance [mm]")
+    axes.text(1.98, demo.noise * 1.1, "noise", ha="center", fontsize=9)
+    axes.set_title("2. gap between model and reality,\non 200 postures no fit has seen", fontsize=10)
+
+
+def draw_cause(axes: Axes, demo: Demo) -> None:
+    """Residuals turned into the joint angle error they mean, against the joint that the diagnosis names."""
+    joint = next((int(e.rpartition(":")[2]) for e in demo.diagnosis.effects if ":" in e), 1)
+    q = demo.fresh.postures[:, joint - 1]
+    for found, color, name in ((demo.base, BEFORE, "identified"), (demo.extended, AFTER, "effect added")):
+        predicted = found.model.position(demo.fresh.postures, found.parameters, demo.fresh.conditions)
+        axes.plot(np.degrees(q), np.degrees(angle_errors(demo, joint, predicted)), ".", color=color, ms=4, label=name)
+    axes.set(xlabel=f"joint {joint} [deg]", ylabel="joint angle error [deg]")
+    axes.legend(frameon=False, fontsize=9)
+    axes.set_title(f"3. diagnosis:\n{' + '.join(demo.diagnosis.effects) or demo.diagnosis.verdict}", fontsize=10)
+
+
+def angle_errors(demo: Demo, joint: int, predicted: np.ndarray) -> np.ndarray:
+    """(m,) angle [rad] of `joint` that explains most of each residual: least squares along d tip / d q_joint."""
+    residuals = demo.fresh.positions - predicted
+    theta = np.cumsum(demo.fresh.postures, axis=1)[:, joint - 1 :]
+    lengths = demo.arm.lengths[joint - 1 :]
+    lever = np.stack([-(lengths * np.sin(theta)).sum(axis=1), (lengths * np.cos(theta)).sum(axis=1)], axis=1)
+    clear = np.maximum(np.sum(lever**2, axis=1), (0.3 * lengths.sum()) ** 2)  # a folded arm says little
+    return np.sum(residuals * lever, axis=1) / clear
