@@ -49,10 +49,6 @@ class PlanFunction:
             return float(self.runs), 0.0
         return float(self.runs + len(kept)), information_matrix(self.problem.blocks(kept))
 
-    def value(self, postures: Array) -> float:
-        """f; -inf where the information matrix is singular."""
-        return self.problem.objective(postures)
-
     def expand(self, postures: Array) -> tuple[float, Array, Array]:
         """f, its gradient (m a,) and its Hessian (m a, m a), in one pass.
 

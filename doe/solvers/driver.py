@@ -87,6 +87,8 @@ def finish(
     problem: DesignProblem, search: Search, solver: Solver, bound: Bound | None, began: float, seed: int, throw: bool
 ) -> Design:
     """The search's result as a certified design; joints that play no part are spread over their limits."""
+    if search.postures is None and search.status is Status.interrupted:
+        raise KeyboardInterrupt
     if search.postures is None or not np.isfinite(search.value):
         message = f"design: no plan that identifies all {problem.parameters} parameters was found by {solver.name}"
         if throw or search.postures is None:

@@ -89,7 +89,7 @@ class Search:
         self.total = plans.shape[1] + (0 if kept is None else len(kept))
         self.information = self._sum(np.arange(len(plans)))
         self.values = self._value(np.arange(len(plans)))
-        self.running = np.arange(len(plans))
+        self.running = np.arange(len(plans) if problem.searched_joints else 0)
         self.sweeps = 0
 
     def sweep(self, generator: np.random.Generator) -> None:

@@ -77,6 +77,8 @@ class Climber:
     def __call__(self, postures: Array) -> Array:
         """(m, n) a plan at least as good as the one given."""
         start = self.problem.clip(postures)[:, self.joints].ravel()
+        if not start.size:  # a single link: every posture is as good as any other
+            return self.postures(start)
         found = np.asarray(self.ipopt(x0=start, lbx=self.lower, ubx=self.upper)["x"]).ravel()
         if self.interrupted:
             self.interrupted = False
@@ -85,7 +87,7 @@ class Climber:
         snapped = np.where(ended - self.lower < NEAR_LIMIT, self.lower, ended)
         snapped = np.where(self.upper - ended < NEAR_LIMIT, self.upper, snapped)
         plans = [self.postures(x) for x in (snapped, ended, start)]
-        return max(plans, key=self.function.value)
+        return max(plans, key=self.problem.objective)
 
     def postures(self, point: Array) -> Array:
         """(m, n) postures of the (m a,) variables."""
@@ -108,7 +110,7 @@ class Climber:
         columns, rows = np.tril_indices(size)  # CasADi stores the upper triangle column by column
 
         def objective(x: Array, *_: Array) -> list[Any]:
-            return [-self.function.value(self.postures(x)), ca.DM(none)]
+            return [-self.problem.objective(self.postures(x)), ca.DM(none)]
 
         def gradient(x: Array, *_: Array) -> list[Any]:
             value, slope, _hessian = self.expand(x)

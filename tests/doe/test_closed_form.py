@@ -1,4 +1,4 @@
-"""The closed-form optimum, against complex arithmetic, the factorial that attains it, and designs that try to beat it."""
+"""The closed-form optimum, against complex arithmetic, the factorial that attains it, and rivals of it."""
 
 from __future__ import annotations
 

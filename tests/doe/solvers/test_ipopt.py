@@ -1,0 +1,75 @@
+"""IPOPT: limits, stationarity of its ends, the same maximum as scipy from the same start."""
+
+from __future__ import annotations
+
+import signal
+import threading
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from doe.solvers import Ipopt, solve
+from doe.solvers.base import Budget
+from doe.solvers.derivatives import PlanFunction
+from doe.solvers.ipopt import Climber
+from identification.status import Status
+from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, problem
+
+
+def test_ends_are_stationary_within_the_limits() -> None:
+    case = problem(FIVE)
+    generator = np.random.default_rng(0)
+    climb = Climber(case, 7, Ipopt(), Budget(1))
+    joints = list(case.active_joints)
+    for _ in range(5):
+        start = generator.uniform(case.lower, case.upper, (7, 5))
+        plan = climb(start)
+        assert case.objective(plan) > case.objective(start)
+        assert np.all(plan >= case.lower)
+        assert np.all(plan <= case.upper)
+        slope = PlanFunction(case, 7, case.active_joints).expand(plan)[1].reshape(7, -1)
+        inside = (plan > case.lower)[:, joints] & (plan < case.upper)[:, joints]
+        assert np.abs(slope[inside]).max() < 1e-6
+        assert np.all(slope[plan[:, joints] == case.lower[joints]] < 1e-6)  # nothing to gain by moving in
+        assert np.all(slope[plan[:, joints] == case.upper[joints]] > -1e-6)
+
+
+def test_same_maximum_as_scipy_from_near_it() -> None:
+    case = problem(FOUR, ECCENTRICITY)
+    start = solve(case, 7, "exchange", starts=20).plan.postures
+    shape = start.shape
+    bounds = list(zip(np.tile(case.lower, 7), np.tile(case.upper, 7), strict=True))
+    other = minimize(
+        lambda x: -case.objective(x.reshape(shape)), start.ravel(), bounds=bounds, method="L-BFGS-B",
+        options={"ftol": 1e-15, "gtol": 1e-9, "maxfun": 10**5},
+    )  # fmt: skip
+    found = case.objective(Climber(case, 7, Ipopt(warm=True), Budget(1))(start))
+    assert found == pytest.approx(-other.fun, abs=1e-6)  # L-BFGS-B differentiates numerically
+
+
+def test_a_singular_start_is_survived() -> None:
+    case = problem(FOUR)
+    same = np.tile((case.lower + case.upper) / 2 + 0.1, (4, 1))
+    assert Climber(case, 4, Ipopt(), Budget(1))(same).shape == (4, 4)
+
+
+def test_solve_reaches_the_bound_from_random_starts() -> None:
+    design = solve(problem(FOUR), 20, "ipopt")
+    assert design.status is Status.bound_reached
+    assert design.value == pytest.approx(-0.0612353259, abs=1e-8)
+
+
+def test_ctrl_c_inside_ipopt_returns_the_best_so_far() -> None:
+    timer = threading.Timer(1.0, signal.raise_signal, [signal.SIGINT])
+    timer.start()
+    design = solve(problem(FIVE), 40, "ipopt", starts=10**6)
+    timer.join()
+    assert design.status is Status.interrupted
+    assert np.isfinite(design.value)
+
+
+def test_time_limit_inside_ipopt() -> None:
+    design = solve(problem(FIVE), 40, "ipopt", starts=10**6, seconds=0.3)
+    assert design.status is Status.time_limit
+    assert np.isfinite(design.value)
