@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -114,18 +114,18 @@ def compare(
     Runs that fail, crash or hang are rows too. Rows depend on the seed, not on the workers (times do, of course: for
     times that can be compared use one process less than there are cores).
     """
-    work = partial(run_of, comparison.texts)
-    if table is not None:
-        return run(work, comparison.keys, table, workers, seed=seed, progress=progress)
-    with RowTable.open(None) as own:
-        return run(work, comparison.keys, own, workers, seed=seed, progress=progress)
+    texts = comparison.texts
+    rows = RowTable(Path()) if table is None else table
+    return run(
+        run_of, comparison.keys, rows, workers, seed=seed, payload=lambda key: texts[key["arm_hash"]], progress=progress
+    )
 
 
-def run_of(texts: Mapping[str, str], key: dict[str, Any], seed: np.random.SeedSequence) -> list[Row]:
-    """The row of one run, which happens in a new process."""
+def run_of(key: dict[str, Any], seed: np.random.SeedSequence, text: str) -> list[Row]:
+    """The row of one run, which happens in a new process; `text` is the arm file's."""
     number = int(seed.generate_state(1)[0])
     limit = key["limit_s"] * KILL_FACTOR + KILL_EXTRA
-    outcome = call(solve_and_judge, texts[key["arm_hash"]], key, number, seconds=limit)
+    outcome = call(solve_and_judge, text, key, number, seconds=limit)
     measured = {"status": outcome.status, "error": outcome.error, "peak_memory_mb": outcome.peak_memory_mb}
     return [{**measured, "seconds": outcome.seconds, **(outcome.value or {})}]
 

@@ -30,7 +30,7 @@ from identification.progress import Progress, silent
 if TYPE_CHECKING:
     import polars
 
-Function = Callable[[Any, np.random.SeedSequence], list[Row]]
+Function = Callable[..., list[Row]]  # (key, seed sequence), and the key's payload where there is one
 AHEAD = 3  # tasks handed out per worker, so that none waits; a million tasks are never in flight at once
 TRIES = 2  # a task whose worker died this often is tried once more alone: if that worker dies too, the task is to blame
 
@@ -145,17 +145,19 @@ def run(
     workers: Workers | None = None,
     *,
     seed: int = 0,
+    payload: Callable[[Key], Any] | None = None,
     progress: Progress = silent,
 ) -> polars.DataFrame:
     """The rows of all keys, in the order of the keys; those that the table has already are not done again.
 
     function : importable by name where the workers are; `function(key, seed_sequence)` gives the rows of one key
+    payload : what a task needs besides its key, sent along as a third argument; it must follow from the key
     A task that raises becomes a row with `status` "failed" and `error`; every row has its key's entries, `status` and
     `seconds`. Rows are in the table as soon as they are finished: Ctrl-C or a crash loses only what was being computed.
     Raises `JobError` if all workers are lost and cannot be opened again.
     """
     todo = {canonical(key): key for key in keys if key not in table}
-    state = _Drive(function, table, seed, deque(todo.values()), progress, len(keys) - len(todo), len(keys))
+    state = _Drive(function, payload, table, seed, deque(todo.values()), progress, len(keys) - len(todo), len(keys))
     workers = workers or serial()
     ahead = workers.count * AHEAD if workers.count > 1 or workers.reopens else 1
     for opened in count(1):
@@ -175,6 +177,7 @@ class _Drive:
     """The loop over one executor: hands out, collects, and notes what a broken one left undone."""
 
     function: Function
+    payload: Callable[[Key], Any] | None
     table: RowTable
     seed: int
     queue: deque[Key]
@@ -208,7 +211,8 @@ class _Drive:
                 break
             key = self.queue.popleft()
             try:
-                running[executor.submit(perform, self.function, dict(key), self.seed)] = key
+                more = () if self.payload is None else (self.payload(key),)
+                running[executor.submit(perform, self.function, dict(key), self.seed, *more)] = key
             except (BrokenExecutor, RuntimeError):
                 return [key]
         return []
@@ -239,11 +243,11 @@ class _Drive:
         self.progress(self.done, self.total, f"{self.failed} failed" if self.failed else "")
 
 
-def perform(function: Function, key: dict[str, Any], seed: int) -> list[Row]:
+def perform(function: Function, key: dict[str, Any], seed: int, *payload: Any) -> list[Row]:
     """What a worker does with a task: the rows of its key, or one row that says how it failed."""
     started = time.perf_counter()
     try:
-        rows = function(key, seed_of(key, seed))
+        rows = function(key, seed_of(key, seed), *payload)
     except Exception as error:  # noqa: BLE001 - failures are rows; the study goes on
         return [_failure(key, error, time.perf_counter() - started)]
     seconds = time.perf_counter() - started

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from doe.cli.common import FILE, Answer, Session, force_option, verb
+from doe.cli.tables import cluster_option, interruptible, resume_option, workers_option
 
 
 def whole_numbers(context: click.Context, parameter: click.Parameter, value: str | None) -> list[int] | None:
@@ -35,12 +36,12 @@ def whole_numbers(context: click.Context, parameter: click.Parameter, value: str
     show_default=True,
     help="Limit of one run [s].",
 )
-@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Runs at the same time.")
-@click.option("--cluster", metavar="ADDRESS", help="Scheduler of a dask cluster, tcp://host:port.")
+@workers_option(default=1)
+@cluster_option
 @click.option(
     "--out", type=FILE, metavar="DIR", help="Rows, summary and pictures go here; NAME.parquet: the rows only."
 )
-@click.option("--resume", is_flag=True, help="Go on with an interrupted or extended comparison in --out.")
+@resume_option
 @force_option
 def command(
     session: Session,
@@ -74,7 +75,11 @@ def command(
     names = list(SOLVERS) if solvers is None else [name.strip() for name in solvers.split(",")]
     comparison = Comparison([load_arm(arm) for arm in arms], runs, names, starts or [None], repeats, seconds)
     table_file = rows_file(out)
-    with session.progress("compare") as progress, RowTable.open(table_file, resume=resume, force=force) as table:
+    with (
+        interruptible(table_file),
+        session.progress("compare") as progress,
+        RowTable.open(table_file, resume=resume, force=force) as table,
+    ):
         rows = compare(comparison, table, choose(workers, cluster), seed=session.seed, progress=progress)
     found = summary(rows)
     shown = comparison_tables(rows)

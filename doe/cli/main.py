@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from doe.cli import advise, compare, demo, design, diagnose, identify, score, simulate
+from doe.cli import advise, compare, demo, design, diagnose, identify, score, simulate, study
 from identification.errors import nearest
 
 
@@ -33,5 +33,5 @@ def main() -> None:
     """
 
 
-for module in (demo, design, score, advise, compare, simulate, identify, diagnose):
+for module in (demo, design, score, advise, compare, study, simulate, identify, diagnose):
     main.add_command(module.command)

@@ -1,0 +1,97 @@
+"""`armcal study`: Monte Carlo studies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from doe.cli.common import Answer, Session, force_option, verb
+from doe.cli.tables import cluster_option, interruptible, resume_option, workers_option
+
+EXAMPLE = """armcal study study.toml --workers 4
+
+\b
+where study.toml has, for instance (names of files are beside it):
+    arms = ["arm.toml"]
+    plans = ["exchange_ipopt", "random", "plan.csv"]  # solvers of `armcal design`, "dft", "random", plan files
+    runs = [10, 20]              # numbers of measurements; a plan file has its own
+    sigma_mm = [0.05, 0.1]       # left out: the arm's own
+    replications = 10000         # simulated data sets per cell, `block` (10000) of them per task
+\b
+    [[truths]]                   # what is there; left out: the arm's own calibration and effects
+    name = "eccentric"
+    length_errors_mm = [1.5, -0.6, -0.4, 0.7]
+    joint_offsets_deg = [0.5, -0.5, 0.7, -0.3]
+    effects = [{name = "encoder_eccentricity", joint = 2, a_deg = 0.03, b_deg = -0.01}]
+\b
+    [[models]]                   # what is fitted; left out: the arm's own effects
+    name = "base"
+    effects = []"""
+
+
+@verb(EXAMPLE)
+@click.argument("study", metavar="STUDY.toml|NAME")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder; left out: STUDY.results")
+@click.option("--replications", type=click.IntRange(min=1), help="Simulated data sets per cell, instead of the file's.")
+@workers_option(default=None)
+@cluster_option
+@resume_option
+@force_option
+def command(
+    session: Session,
+    study: str,
+    out: Path | None,
+    replications: int | None,
+    workers: int | None,
+    cluster: str | None,
+    resume: bool,
+    force: bool,
+) -> Answer:
+    """Simulate, identify and count: what plans, models and noise do to the accuracy.
+
+    STUDY is a file, or the name of a study that comes with armcal: paper (every table, figure and number of the paper,
+    with errata). The folder gets cells.parquet (one row per cell and parameter: errors, deviations, coverage),
+    blocks.parquet and plans.parquet; notebooks read them with polars.
+    """
+    from doe.executors import choose
+    from doe.study.named import STUDIES
+    from identification.errors import InputError, nearest
+
+    if study not in STUDIES and not study.endswith(".toml"):
+        raise InputError(f"study: unknown name {study!r}, {nearest(study, STUDIES)}, or a file NAME.toml")
+    folder = out or Path(study).with_suffix(".results")
+    where = choose(workers, cluster)
+    with interruptible(folder), session.progress("study") as progress:
+        options = {"seed": session.seed, "resume": resume, "force": force, "progress": progress}
+        if study in STUDIES:
+            return _named(study, folder, {**options, "workers": where, "replications": replications})
+        return _from_file(Path(study), folder, replications, {**options, "workers": where})
+
+
+def _from_file(path: Path, folder: Path, replications: int | None, options: dict[str, object]) -> Answer:
+    from dataclasses import replace
+    from typing import Any, cast
+
+    from doe.report.study import study_tables
+    from doe.study import load_study, run_study
+    from doe.study.monte_carlo import CELLS, require_some
+
+    study = load_study(path)
+    if replications is not None:
+        study = replace(study, replications=replications)
+    result = run_study(study, folder, **cast(Any, options))
+    require_some(result)
+    failed = result.cells.filter(result.cells["status"] != "done")
+    data = {"out": folder, "cells": result.cells.to_dicts(), "failed": len(failed)}
+    return Answer(data, [*study_tables(result), f"{len(result.cells)} rows written to {folder / CELLS}"])
+
+
+def _named(name: str, folder: Path, options: dict[str, object]) -> Answer:
+    from typing import Any, cast
+
+    from doe.study.named import named
+
+    result = named(name)(folder=folder, **cast(Any, options))
+    data = {"out": folder, "passed": result.passed, **{key: frame.to_dicts() for key, frame in result.frames.items()}}
+    return Answer(data, list(result.shown), exit_code=0 if result.passed else 1)

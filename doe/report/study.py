@@ -1,0 +1,46 @@
+"""Monte Carlo studies as tables for a terminal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.table import Table
+
+from doe.study.monte_carlo import CELL, StudyResult
+
+MOST = 12  # cells shown; the files have all
+
+
+def study_tables(result: StudyResult) -> list[Any]:
+    """One table per cell, and the cells that could not be done."""
+    shown: list[Any] = [str(result)]
+    parts = result.cells.partition_by(*CELL, maintain_order=True)
+    for part in parts[:MOST]:
+        first = part.row(0, named=True)
+        title = (
+            f"{first['arm']}, plan {first['plan']}, {first['runs']} runs, sigma {first['sigma_mm']:g} mm, "
+            f"truth {first['truth']}, model {first['model']}"
+        )
+        if first["error"] is not None:
+            shown.append(f"{title}: {first['status']}: {first['error']}")
+        else:
+            shown.append(_cell_table(title, part.to_dicts()))
+    if len(parts) > MOST:
+        shown.append(f"first {MOST} of {len(parts)} cells")
+    return shown
+
+
+def _cell_table(title: str, rows: list[dict[str, Any]]) -> Table:
+    failed = f", {rows[0]['failed']} failed" if rows[0]["failed"] else ""
+    table = Table(
+        title=f"{title}: {rows[0]['fits']} fits{failed}, RMS {rows[0]['rms_mm']:.4g} mm", title_justify="left"
+    )
+    table.add_column("parameter", no_wrap=True)
+    for heading in ("mean error", "std", "expected std", "95 % intervals hold"):
+        table.add_column(heading, justify="right")
+    table.add_column("unit")
+    for row in rows:
+        coverage = "-" if row["coverage"] is None else f"{row['coverage']:.2%}"
+        figures = ("-" if row[name] is None else f"{row[name]:.4g}" for name in ("mean_error", "std", "expected_std"))
+        table.add_row(row["parameter"], *figures, coverage, row["unit"])
+    return table

@@ -1,0 +1,76 @@
+"""The study file's keys and what each allows. The description of a field is the end of its error message."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from identification.errors import InputError, nearest
+
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class TruthTable(_Table):
+    """`[[truths]]`: what is really there."""
+
+    name: str = Field(description="a text")
+    length_errors_mm: list[float] | None = Field(None, description="one number [mm] for each link")
+    joint_offsets_deg: list[float] | None = Field(None, description="one angle [deg] for each link")
+    effects: list[dict[str, Any]] | None = Field(None, description="tables as [[effects]] of an arm file, with values")
+
+
+class ModelTable(_Table):
+    """`[[models]]`: what the fit estimates besides lengths and offsets."""
+
+    name: str = Field(description="a text")
+    effects: list[dict[str, Any]] = Field(description="tables as [[effects]] of an arm file")
+
+
+class StudyFile(_Table):
+    """The whole file."""
+
+    arms: list[str] = Field(min_length=1, description="names of arm files, at least one")
+    plans: list[str] = Field(min_length=1, description="names of solvers, 'dft', 'random' or plan files, at least one")
+    runs: list[Count] = Field(default_factory=list, description="whole numbers >= 1")
+    sigma_mm: list[Positive] | None = Field(None, description="numbers > 0 [mm]; left out: the arm's own")
+    replications: Count = Field(10_000, description="a whole number >= 1")
+    block: Count = Field(10_000, description="a whole number >= 1: replications per task")
+    solver_seconds: Positive = Field(60.0, description="a number > 0 [s]")
+    truths: list[TruthTable] | None = Field(None, min_length=1, description="tables [[truths]], at least one")
+    models: list[ModelTable] | None = Field(None, min_length=1, description="tables [[models]], at least one")
+
+
+_TABLES: dict[str, type[BaseModel]] = {"": StudyFile, "truths": TruthTable, "models": ModelTable}
+
+
+def check(tables: dict[str, Any]) -> StudyFile:
+    """The tables of a study file, checked. Raises `InputError` naming key, what was found and what is allowed."""
+    try:
+        return StudyFile.model_validate(tables)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        # a misspelt key is both unknown and missing: the first of the two says more
+        raise InputError(_sentence(min(details, key=lambda detail: detail["type"] != "extra_forbidden"))) from None
+
+
+def _sentence(detail: Any) -> str:
+    loc = detail["loc"]
+    key = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in loc).removeprefix(".")
+    fields = _TABLES[str(loc[0]) if len(loc) > 2 and loc[0] in _TABLES else ""].model_fields
+    if detail["type"] == "extra_forbidden":
+        return f"{key}: unknown key, {nearest(str(loc[-1]), fields)}"
+    name = next((str(part) for part in reversed(loc) if part in fields), None)
+    allowed = "a table" if name is None else fields[name].description
+    found = "is missing" if detail["type"] == "missing" else f"found {_shown(detail['input'])}"
+    return f"{key}: {found}, allowed: {allowed}"
+
+
+def _shown(value: Any) -> str:
+    text = "a table" if isinstance(value, dict) else str(value).lower() if isinstance(value, bool) else repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
