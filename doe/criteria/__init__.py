@@ -1,6 +1,48 @@
 """Criteria of optimality: one small protocol, one criterion per file."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from doe.criteria.a import A
 from doe.criteria.base import Criterion
 from doe.criteria.d import D
+from doe.criteria.d_s import Ds
+from doe.criteria.d_star import DStar
+from doe.criteria.e import E, PowerMean
+from doe.criteria.i import I
+from identification.arm import Array
+from identification.errors import InputError, nearest
 
-__all__ = ["Criterion", "D"]
+__all__ = ["NAMES", "A", "Criterion", "D", "DStar", "Ds", "E", "I", "PowerMean", "criterion"]
+
+NAMES = ("D", "A", "E", "I", "Ds", "Dstar")
+
+
+def criterion(
+    name: str,
+    *,
+    units: Sequence[str] = (),
+    subset: Sequence[int] | None = None,
+    test_blocks: Array | None = None,
+) -> Criterion:
+    """The criterion of a name as in `--criterion`.
+
+    units : of the p parameters, for Dstar;  subset : indices (from 0) of the parameters that matter, for Ds
+    test_blocks : (k, d, p) `DesignProblem.blocks` at the test poses, for I
+    Raises `InputError` for an unknown name, and where what the criterion needs is missing.
+    """
+    if name not in NAMES:
+        raise InputError(f"criterion: unknown name {name!r}, {nearest(name, NAMES)}")
+    if name == "I":
+        if test_blocks is None or not len(test_blocks):
+            raise InputError("criterion: I needs test poses, none are given, allowed: at least one posture")
+        return I(test_blocks)
+    if name == "Ds":
+        if not subset or not set(subset) <= set(range(len(units) or max(subset) + 1)):
+            raise InputError(f"criterion: Ds needs a subset of the parameters, found {list(subset or [])}")
+        return Ds(tuple(subset))
+    if name == "Dstar":
+        return DStar.by_unit(units)
+    plain: dict[str, Criterion] = {"D": D(), "A": A(), "E": E()}
+    return plain[name]

@@ -41,6 +41,16 @@ class Criterion(Protocol):
         ...
 
 
+def smooth(criterion: Criterion) -> Criterion:
+    """What gradient methods climb instead of a criterion that is not smooth; the criterion itself if it is."""
+    return getattr(criterion, "smooth", criterion)
+
+
+def quick(criterion: Criterion) -> Criterion:
+    """What many postures are compared by instead of a criterion that is slow to compute; itself if it is not."""
+    return getattr(criterion, "quick", criterion)
+
+
 def values_after_adding(criterion: Criterion, information: Array, blocks: Array) -> Array:
     """(s, c) Phi(A_s + B_sc^T B_sc), but for a number that depends on s only: enough to choose a posture.
 

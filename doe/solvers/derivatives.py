@@ -19,6 +19,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from doe.criteria.base import Criterion, smooth
 from doe.problem import DesignProblem
 from identification.arm import Array
 from identification.information import information_matrix
@@ -41,6 +42,15 @@ class PlanFunction:
         """m a, the number of variables."""
         return self.runs * len(self.joints)
 
+    @property
+    def criterion(self) -> Criterion:
+        """Phi, or its smooth stand-in where it has no second derivatives (E)."""
+        return smooth(self.problem.criterion)
+
+    def value(self, postures: Array) -> float:
+        """f; -inf where the information matrix is singular."""
+        return float(self.criterion.value(self.problem.information(postures)))
+
     @cached_property
     def measured(self) -> tuple[float, Array | float]:
         """Number of runs N that the information is shared by, and the sum K of those already measured."""
@@ -56,9 +66,9 @@ class PlanFunction:
         """
         block, first, second = self._blocks(postures)
         total, information = self._information(block)
-        gradient = self.problem.criterion.gradient(information)
+        gradient = self.criterion.gradient(information)
         slope = (2.0 / total) * np.einsum("mdp,madp->ma", block @ gradient, first)
-        value = float(self.problem.criterion.value(information))
+        value = float(self.criterion.value(information))
         return value, slope.ravel(), self._hessian(block, first, second, information, gradient, total)
 
     def _hessian(
@@ -67,7 +77,7 @@ class PlanFunction:
         m, a, d, p = first.shape
         half = np.swapaxes(block, -1, -2)[:, None] @ first  # B^T dB_a, (m, a, p, p)
         directions = (half + np.swapaxes(half, -1, -2)).reshape(m * a, p, p) / total
-        hessian = self.problem.criterion.curvature(information, directions).reshape(m, a, m, a)
+        hessian = self.criterion.curvature(information, directions).reshape(m, a, m, a)
         flat = first.reshape(m, a, d * p)
         own = flat @ np.swapaxes((first @ gradient).reshape(m, a, d * p), -1, -2)
         own += np.einsum("mx,mabx->mab", (block @ gradient).reshape(m, d * p), second)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.criteria.base import values_after_adding
+from doe.criteria.base import quick, values_after_adding
 from doe.problem import DesignProblem
 from doe.solvers.base import Budget, Offer, free_values
 from identification.arm import Array
@@ -57,8 +57,9 @@ class Exchange:
         search = Search(problem, self.grid(problem), plans)
         while search.running.size and not budget.out_of_time and search.sweeps < SWEEPS:
             search.sweep(generator)
-        order = np.argsort(-search.values, kind="stable")
-        return search.plans[order], search.values[order]
+        values = np.asarray(problem.criterion.value(search.information))
+        order = np.argsort(-values, kind="stable")
+        return search.plans[order], values[order]
 
     def grid(self, problem: DesignProblem) -> Array:
         """(n, L) values of every joint, limits included."""
@@ -78,11 +79,12 @@ def random_grid(problem: DesignProblem, levels: int, shape: tuple[int, int], gen
 class Search:
     """The state of a batch of starts.
 
-    plans : (s, m, n);  values : (s,) criterion;  running : indices of the starts that still improve
+    plans : (s, m, n);  values : (s,) criterion, or its quick stand-in;  running : starts that still improve
     """
 
     def __init__(self, problem: DesignProblem, grid: Array, plans: Array) -> None:
         self.problem, self.grid, self.plans = problem, grid, plans
+        self.criterion = quick(problem.criterion)
         self.blocks = problem.blocks(plans)
         kept = problem.kept
         self.measured = 0.0 if kept is None or not len(kept) else information_matrix(problem.blocks(kept))
@@ -112,7 +114,7 @@ class Search:
         postures = self.neighbours(self.plans[self.running, run])
         blocks = self.problem.blocks(postures)
         offered = np.concatenate([old[:, None], blocks], axis=1) / np.sqrt(self.total)
-        values = values_after_adding(self.problem.criterion, without, offered)
+        values = values_after_adding(self.criterion, without, offered)
         best = np.argmax(values[:, 1:], axis=1)
         better = values[starts, best + 1] > values[:, 0] + IMPROVEMENT
         starts, best = starts[better], best[better]
@@ -134,7 +136,7 @@ class Search:
         return (information_matrix(self.blocks[starts]) + self.measured) / self.total
 
     def _value(self, starts: NDArray[np.intp]) -> Array:
-        return np.asarray(self.problem.criterion.value(self.information[starts]))
+        return np.asarray(self.criterion.value(self.information[starts]))
 
 
 def products(blocks: Array) -> Array:

@@ -110,7 +110,7 @@ class Climber:
         columns, rows = np.tril_indices(size)  # CasADi stores the upper triangle column by column
 
         def objective(x: Array, *_: Array) -> list[Any]:
-            return [-self.problem.objective(self.postures(x)), ca.DM(none)]
+            return [-self.function.value(self.postures(x)), ca.DM(none)]
 
         def gradient(x: Array, *_: Array) -> list[Any]:
             value, slope, _hessian = self.expand(x)

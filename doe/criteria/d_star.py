@@ -1,0 +1,64 @@
+"""The paper's D*: lengths and angles looked at separately (eq. 20, corrected)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from doe.criteria import principal_blocks
+from identification.arm import Array
+
+
+@dataclass(frozen=True)
+class DStar:
+    """Phi(M) = sum of the log-determinants of the groups' own blocks.
+
+    The paper maximises det C' and asks for det S' = 0, C' and S' being the diagonal and off-diagonal blocks of M'
+    (eq. 20). Of the base model both diagonal blocks are C', so Phi = 2 log det C' >= log det M', with equality when
+    S' = 0. What the lengths lose to the angles is not counted: prefer D, whose units do not matter either
+    (THEORY.md section 6). det S' = 0 alone says nothing for odd n, where every antisymmetric matrix has it.
+
+    groups : indices (from 0) of the parameters of each block, say lengths and angles
+    """
+
+    groups: tuple[tuple[int, ...], ...]
+    name: str = "Dstar"
+
+    @classmethod
+    def by_unit(cls, units: Sequence[str]) -> DStar:
+        """One group per unit of the p parameters, as the paper argues."""
+        return cls(tuple(tuple(k for k, u in enumerate(units) if u == unit) for unit in dict.fromkeys(units)))
+
+    def value(self, information: Array) -> Array:
+        """(...) sum of log det of the blocks, -inf where M is singular."""
+        return principal_blocks.value(information, self._terms)
+
+    def gradient(self, information: Array) -> Array:
+        """(p, p) inverses of the blocks, in their places."""
+        return principal_blocks.gradient(information, self._terms)
+
+    def curvature(self, information: Array, directions: Array) -> Array:
+        """(k, k) second derivative along symmetric directions."""
+        return principal_blocks.curvature(information, directions, self._terms)
+
+    def values_after_adding(self, information: Array, blocks: Array) -> Array:
+        """(s, c) gain of adding a posture's block."""
+        return principal_blocks.values_after_adding(information, blocks, self._terms)
+
+    def upper_bound(self, information: Array, largest: float) -> float:
+        """Phi(M) + s log(max tr(G N) / s), s parameters in the groups."""
+        return principal_blocks.upper_bound(float(self.value(information)), largest, self._size)
+
+    def efficiency(self, value: float, bound: float, parameters: int) -> float:
+        """exp((value - bound) / s)."""
+        return float(np.exp((value - bound) / self._size))
+
+    @property
+    def _size(self) -> float:
+        return principal_blocks.size(self._terms)
+
+    @property
+    def _terms(self) -> list[principal_blocks.Term]:
+        return [(1.0, np.array(group)) for group in self.groups]

@@ -1,0 +1,185 @@
+"""What every criterion must be: its formula, exact derivatives, concave, with bounds that hold and are tight."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+from doe.criteria import NAMES, A, Criterion, D, Ds, DStar, E, I, PowerMean, criterion
+from doe.criteria.base import values_after_adding
+from identification.errors import InputError
+
+P = 6
+POSES = np.random.default_rng(42).normal(size=(5, 2, P))
+ALL: dict[str, Criterion] = {
+    "D": D(), "A": A(), "E": E(), "I": I(POSES), "Ds": Ds((0, 3)), "Dstar": DStar(((0, 1, 2), (3, 4, 5))),
+    "mean 2": PowerMean(2.0), "mean 30": PowerMean(30.0),
+}  # fmt: skip
+SMOOTH = {name: c for name, c in ALL.items() if name != "E"}
+each = pytest.mark.parametrize("phi", ALL.values(), ids=ALL)
+each_smooth = pytest.mark.parametrize("phi", SMOOTH.values(), ids=SMOOTH)
+
+
+def random_information(generator: np.random.Generator) -> np.ndarray:
+    root = generator.normal(size=(10, P))
+    return root.T @ root / 10
+
+
+def random_direction(generator: np.random.Generator) -> np.ndarray:
+    root = generator.normal(size=(P, P))
+    return root + root.T
+
+
+def test_formulas() -> None:
+    information = random_information(np.random.default_rng(0))
+    covariance = np.linalg.inv(information)
+    expected = {
+        "D": -np.log(np.linalg.det(covariance)),
+        "A": -np.trace(covariance),
+        "E": 1.0 / np.linalg.norm(covariance, 2),
+        "I": -np.mean([np.trace(j @ covariance @ j.T) for j in POSES]),
+        "Ds": -np.log(np.linalg.det(covariance[np.ix_([0, 3], [0, 3])])),
+        "Dstar": np.log(np.linalg.det(information[:3, :3])) + np.log(np.linalg.det(information[3:, 3:])),
+        "mean 2": np.mean(np.linalg.eigvalsh(information) ** -2.0) ** -0.5,
+        "mean 30": np.mean(np.linalg.eigvalsh(information) ** -30.0) ** (-1 / 30),
+    }
+    for name, phi in ALL.items():
+        assert float(phi.value(information)) == pytest.approx(expected[name]), name
+
+
+@each
+def test_a_singular_matrix_is_worth_minus_infinity_in_a_batch_too(phi: Criterion) -> None:
+    good = random_information(np.random.default_rng(0))
+    singular = np.diag([1.0, 1, 1, 1, 1, 0])
+    values = phi.value(np.array([good, singular]))
+    assert values[0] == pytest.approx(float(phi.value(good)))
+    assert values[1] == -np.inf
+    assert phi.efficiency(-np.inf, float(values[0]), P) == 0.0
+
+
+@each
+@pytest.mark.parametrize("seed", range(3))
+def test_gradient(phi: Criterion, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    information = random_information(generator)
+    gradient = phi.gradient(information)
+    for _ in range(3):
+        direction, step = random_direction(generator), 1e-6
+        change = (phi.value(information + step * direction) - phi.value(information - step * direction)) / (2 * step)
+        # rounding 1e-16 * 1e2 / 1e-6; truncation grows with the conditioning of the random matrix
+        assert np.sum(gradient * direction) == pytest.approx(float(change), rel=1e-5, abs=1e-6)
+
+
+@each
+@pytest.mark.parametrize("seed", range(3))
+def test_curvature(phi: Criterion, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    information = random_information(generator)
+    directions = np.array([random_direction(generator) for _ in range(4)])
+    step = 1e-6
+    changes = [
+        (phi.gradient(information + step * x) - phi.gradient(information - step * x)) / (2 * step) for x in directions
+    ]
+    expected = [[np.sum(change * y) for y in directions] for change in changes]
+    found = phi.curvature(information, directions)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
+
+
+def test_curvature_of_a_power_mean_where_eigenvalues_meet() -> None:
+    """At the identity every eigenvalue is the same: the quotient in the formula is a limit."""
+    directions = np.array([random_direction(np.random.default_rng(s)) for s in range(3)])
+    phi, step = PowerMean(30.0), 1e-5
+    changes = [
+        (phi.gradient(np.eye(P) + step * x) - phi.gradient(np.eye(P) - step * x)) / (2 * step) for x in directions
+    ]
+    expected = [[np.sum(change * y) for y in directions] for change in changes]
+    np.testing.assert_allclose(phi.curvature(np.eye(P), directions), expected, rtol=1e-4)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from(sorted(ALL)), st.integers(0, 2**32 - 1), st.floats(0.05, 0.95))
+def test_concave_and_below_its_bound(name: str, seed: int, share: float) -> None:
+    phi, generator = ALL[name], np.random.default_rng(seed)
+    one, other = random_information(generator), random_information(generator)
+    mixed = float(phi.value(share * one + (1 - share) * other))
+    slack = 1e-9 * (1.0 + abs(mixed))
+    assert mixed >= share * float(phi.value(one)) + (1 - share) * float(phi.value(other)) - slack
+    largest = float(np.sum(phi.gradient(one) * other))  # the only other design there is
+    assert float(phi.value(other)) <= phi.upper_bound(one, largest) + slack
+
+
+@each
+def test_bound_is_tight_at_itself_and_for_more_runs(phi: Criterion) -> None:
+    """N = c M is judged exactly: the bounds use all of the homogeneity that there is."""
+    information = random_information(np.random.default_rng(5))
+    for factor in (0.5, 1.0, 3.0):
+        largest = float(np.sum(phi.gradient(information) * factor * information))
+        assert phi.upper_bound(information, largest) == pytest.approx(float(phi.value(factor * information)))
+
+
+@each
+def test_efficiency_is_a_share_of_the_runs(phi: Criterion) -> None:
+    information = random_information(np.random.default_rng(6))
+    value, halved = float(phi.value(information)), float(phi.value(0.5 * information))
+    assert phi.efficiency(halved, value, P) == pytest.approx(0.5)
+    assert phi.efficiency(value, value, P) == pytest.approx(1.0)
+
+
+@each_smooth
+def test_equivalence_theorem(phi: Criterion) -> None:
+    """Optimal weights by scipy have max_i tr(G M_i) = tr(G M), and the bound there is the optimum."""
+    generator = np.random.default_rng(7)
+    blocks = generator.normal(size=(12, 2, P))
+    atoms = np.swapaxes(blocks, -1, -2) @ blocks
+
+    def share(x: np.ndarray) -> np.ndarray:
+        return np.exp(x - x.max()) / np.exp(x - x.max()).sum()
+
+    best = minimize(
+        lambda x: -float(phi.value(np.tensordot(share(x), atoms, 1))),
+        np.zeros(12),
+        method="BFGS",
+        options={"gtol": 1e-7},
+    )
+    information = np.tensordot(share(best.x), atoms, 1)
+    sensitivities = np.sum(phi.gradient(information) * atoms, axis=(1, 2))
+    level = float(np.sum(phi.gradient(information) * information))
+    assert sensitivities.max() == pytest.approx(
+        level, rel=2e-3
+    )  # BFGS with numerical gradients; zero weights need x = -inf
+    assert phi.upper_bound(information, float(sensitivities.max())) >= -best.fun - 1e-9
+    assert phi.efficiency(-best.fun, phi.upper_bound(information, float(sensitivities.max())), P) > 0.998
+
+
+@each
+def test_gain_of_adding_a_block(phi: Criterion) -> None:
+    generator = np.random.default_rng(8)
+    information = np.array([random_information(generator) for _ in range(3)])
+    blocks = generator.normal(size=(3, 7, 2, P))
+    gains = values_after_adding(phi, information, blocks)
+    direct = phi.value(information[:, None] + np.swapaxes(blocks, -1, -2) @ blocks)
+    apart = np.asarray(direct) - gains  # may depend on the start only
+    np.testing.assert_allclose(apart, np.repeat(apart[:, :1], 7, axis=1), rtol=1e-6, atol=1e-6)
+
+
+def test_power_means_lie_between_a_and_e() -> None:
+    information = random_information(np.random.default_rng(9))
+    assert float(PowerMean(1.0).value(information)) == pytest.approx(-P / float(A().value(information)))
+    smallest = float(E().value(information))
+    assert smallest <= float(PowerMean(30.0).value(information)) <= smallest * P ** (1 / 30)
+
+
+def test_names() -> None:
+    for name in NAMES:
+        made = criterion(name, units=("mm", "mm", "rad", "rad"), subset=(0, 1), test_blocks=POSES)
+        assert made.name == name
+    assert criterion("Dstar", units=("mm", "mm", "rad", "rad")) == DStar(((0, 1), (2, 3)))
+    with pytest.raises(InputError, match="did you mean 'Ds'"):
+        criterion("Dss")
+    with pytest.raises(InputError, match="I needs test poses"):
+        criterion("I")
+    with pytest.raises(InputError, match="Ds needs a subset"):
+        criterion("Ds", units=("mm",), subset=(3,))
