@@ -55,6 +55,7 @@ LAYERS = {
     "doe.result": 13,
     "doe.solvers": 14,
     "doe.discriminate": 15,
+    "doe.discriminating": 15,
     "doe.advise": 15,
     "doe.augment": 15,
     "doe.report": 16,

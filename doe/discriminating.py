@@ -1,0 +1,188 @@
+"""Plans that are (nearly) D-optimal AND can show missing effects.
+
+A D-optimal plan knows nothing of effects that are not in its model: under joint limits its angles sit on two levels,
+where cos q_j, cos 2 q_j and q_j are one and the same column. Among plans that lose little of the D-efficiency, the one
+with the greatest model-robust criterion (`doe.criteria.robust`) over the effect library is taken. Sources: plans from
+theory where they attain the bound (random frequencies and phases, no loss at all), and exchanges of the robust
+criterion with weaker and weaker priors, each moved off the grid so that no period is hidden between its levels.
+The order of measurement matters to backlash and drift only: the best of many shuffles is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from doe.criteria.robust import Robust
+from doe.plan import Plan
+from doe.problem import DesignProblem
+from doe.result import Design
+from doe.solvers import solve
+from doe.solvers.analytic import Analytic
+from doe.solvers.base import Budget
+from doe.solvers.exchange import Exchange, random_grid
+from identification.arm import Arm, Array
+from identification.errors import InputError
+from identification.gap.hypotheses import hypotheses
+from identification.gap.preflight import Preflight, preflight
+from identification.information import information_matrix
+from identification.measurements import Conditions, directions_from_order, session_time
+from identification.model import Model
+from identification.progress import Progress, silent
+from identification.status import Status
+
+WEAKEST, STRONGEST = 0.01, 300.0  # prior precisions per run; strong: only the base model counts
+REFERENCE = 0.1  # prior precision at which plans are compared
+TRADE = 10.0  # what one unit of the base model's log det is worth in units of the effects'
+BY_ORDER = frozenset({"time", "directions"})
+CLEAR_SHARE = 0.5  # least share of every effect that a plan without loss must show to be taken as it is
+THEORY_PLANS, SHUFFLES, STEPS, STARTS, JITTERS = 64, 200, 9, 2, 5
+
+
+@dataclass(frozen=True)
+class DiscriminatingDesign:
+    """A plan, what it loses against the best one, and what it can and cannot see.
+
+    design : judged by the criterion of the problem;  best : the best plan without regard to missing effects
+    sees, best_sees : pre-flight of both
+    """
+
+    design: Design
+    best: Design
+    sees: Preflight
+    best_sees: Preflight
+
+    @property
+    def relative_efficiency(self) -> float:
+        """D-efficiency relative to the best plan found."""
+        criterion, p = self.design.problem.criterion, self.design.problem.parameters
+        return criterion.efficiency(self.design.value, self.best.value, p)
+
+
+def discriminating(
+    problem: DesignProblem, arm: Arm, runs: int, *, loss: float = 0.05, seed: int = 0, progress: Progress = silent
+) -> DiscriminatingDesign:
+    """The plan of `runs` measurements that shows missing effects best, at a D-efficiency within `loss` of the best.
+
+    loss : share 0..1 of the D-efficiency that may be given up
+    Raises `InputError` for a loss outside 0..1 and for too few runs (4 spare degrees of freedom are needed).
+    """
+    if not 0.0 <= loss < 1.0:
+        raise InputError(f"loss: {loss}, allowed: 0 <= loss < 1")
+    best = solve(problem, runs, seed=seed)
+    best_sees = preflight(arm, best.plan.postures)
+    generator = np.random.default_rng(seed)
+    wide = wide_problem(problem, arm)
+    least = best.value + problem.parameters * float(np.log1p(-loss))
+    judge = replace(wide, criterion=with_precision(wide, problem.parameters, REFERENCE))
+    chosen, status = np.array(best.plan.postures), best.status
+    score = judge.objective(chosen) + TRADE * best.value
+    try:
+        for postures in plans_worth_comparing(problem, wide, arm, runs, least, generator, progress):
+            value = problem.objective(postures)
+            if value >= least and (offered := judge.objective(postures) + TRADE * value) > score:
+                chosen, score = postures, offered
+    except KeyboardInterrupt:
+        status = Status.interrupted
+    plan = Plan(best_order(arm, chosen, generator))
+    design = replace(best, plan=plan, solver="discriminating", status=status)
+    return DiscriminatingDesign(design, best, preflight(arm, plan.postures), best_sees)
+
+
+def wide_problem(problem: DesignProblem, arm: Arm) -> DesignProblem:
+    """The same design space for the arm with every effect of the library in its model that postures alone can show."""
+    found = hypotheses(arm, frozenset()).unscanned
+    specs = (h.spec for h in found if not h.effect.needs & BY_ORDER)
+    return replace(problem, model=Model(arm.with_effects(*arm.effects, *specs)))
+
+
+def with_precision(wide: DesignProblem, own: int, precision: float) -> Robust:
+    """Robust criterion: each effect's prior is such that it moves the tip alike, whatever its unit.
+
+    own : the first parameters, which the data alone must tell
+    """
+    generator = np.random.default_rng(0)
+    cloud = generator.uniform(wide.lower, wide.upper, (256, wide.joints))
+    strength = np.mean(np.sum(wide.blocks(cloud) ** 2, axis=1), axis=0)
+    return Robust(np.where(np.arange(wide.parameters) < own, 0.0, precision * np.maximum(strength, 1e-12)))
+
+
+def clear(sees: Preflight) -> bool:
+    """True if every effect shows well and none looks like another."""
+    return bool(sees.shares.min(initial=1.0) >= CLEAR_SHARE) and not sees.pairs()
+
+
+def plans_worth_comparing(
+    problem: DesignProblem,
+    wide: DesignProblem,
+    arm: Arm,
+    runs: int,
+    least: float,
+    generator: np.random.Generator,
+    progress: Progress,
+) -> Iterator[Array]:
+    """Plans without loss; where none of them shows every effect, plans that pay for it."""
+    enough = False
+    for postures in theory_plans(problem, runs, generator):
+        enough = enough or clear(preflight(arm, postures))
+        yield postures
+    if not enough:
+        yield from robust_plans(problem, wide, runs, least, generator, progress)
+
+
+def theory_plans(problem: DesignProblem, runs: int, generator: np.random.Generator) -> Iterator[Array]:
+    """Random plans that attain the bound, joints that play no part at random angles."""
+    offers = Analytic().offers(problem, runs, generator, Budget(1))
+    free = [joint for joint in range(problem.joints) if joint not in problem.active_joints]
+    for offer, _ in zip(offers, range(THEORY_PLANS), strict=False):
+        postures = problem.clip(offer.postures)
+        for joint in free:
+            postures[:, joint] = generator.uniform(problem.lower[joint], problem.upper[joint], runs)
+        yield postures
+
+
+def robust_plans(
+    problem: DesignProblem,
+    wide: DesignProblem,
+    runs: int,
+    least: float,
+    generator: np.random.Generator,
+    progress: Progress,
+) -> Iterator[Array]:
+    """Exchanges of the robust criterion; the prior precision is halved in on the one that loses what may be lost."""
+    exchange, weak, strong = Exchange(), WEAKEST, STRONGEST
+    spacing = (wide.upper - wide.lower) / (exchange.levels - 1)
+    for step in range(STEPS):
+        precision = float(np.sqrt(weak * strong))
+        progress(step, STEPS, f"exchange with prior precision {precision:.3g}")
+        robust = replace(wide, criterion=with_precision(wide, problem.parameters, precision))
+        begun = random_grid(robust, exchange.levels, (STARTS, runs), generator)
+        plans = exchange.improve(robust, begun, generator, Budget(1))[0]
+        for plan in plans:
+            for size in np.linspace(0.0, 0.4, JITTERS):
+                yield problem.clip(plan + size * spacing * generator.uniform(-1.0, 1.0, plan.shape))
+        affordable = max(problem.objective(plan) for plan in plans) >= least
+        weak, strong = (weak, precision) if affordable else (precision, strong)
+
+
+def best_order(arm: Arm, postures: Array, generator: np.random.Generator) -> Array:
+    """The postures in the order, of many shuffles, that shows backlash and drift best beside the arm's own model."""
+    found = hypotheses(arm, frozenset()).unscanned
+    specs = [h.spec for h in found if h.effect.needs & BY_ORDER]
+    model = Model(arm.with_effects(*arm.effects, *specs))
+    own = len(Model(arm).names)
+    shuffles = [generator.permutation(len(postures)) for _ in range(SHUFFLES)]
+    return np.asarray(postures[max(shuffles, key=lambda order: order_score(model, own, postures[order]))])
+
+
+def order_score(model: Model, own: int, postures: Array) -> float:
+    """log det of what the data tell of the order's effects, beyond what the base model explains."""
+    conditions = Conditions(
+        time=session_time(np.arange(len(postures), dtype=float)), directions=directions_from_order(postures)
+    )
+    information = information_matrix(model.jacobian(postures, conditions=conditions) / model.scales)
+    base, cross, rest = information[:own, :own], information[:own, own:], information[own:, own:]
+    sign, value = np.linalg.slogdet(rest - cross.T @ np.linalg.lstsq(base, cross, rcond=None)[0])
+    return float(value) if sign > 0 else -np.inf

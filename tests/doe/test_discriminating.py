@@ -1,0 +1,94 @@
+"""Discriminating plans: little D-efficiency lost, effects visible; both recomputed here from the formulas."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from doe.criteria.robust import Robust
+from doe.discriminating import DiscriminatingDesign, discriminating
+from doe.problem import DesignProblem
+from identification.arm import Arm
+from identification.errors import InputError
+from identification.model import Model
+
+LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
+
+
+def designed(lower: list[float], upper: list[float], runs: int, **options: float) -> DiscriminatingDesign:
+    arm = Arm(LENGTHS, np.radians(lower), np.radians(upper), sigma=0.1)
+    return discriminating(DesignProblem.of(Model(arm)), arm, runs, **options)
+
+
+def log_det(postures: np.ndarray) -> float:
+    """2 log det H, H = mean z z^*, z_j = exp(i theta_j) (THEORY.md section 3)."""
+    z = np.exp(1j * np.cumsum(postures, axis=1))
+    return 2.0 * np.log(np.linalg.det(z.T @ z.conj() / len(z)).real)
+
+
+def visible_share(postures: np.ndarray, joint: int, order: int) -> float:
+    """Least share, over directions, of the columns of a cos(k q_j) + b sin(k q_j) that the base model leaves.
+
+    Real columns from the complex derivative: dl_k -> exp(i theta_k), dtheta_k -> i l_k exp(i theta_k), dq_j -> the sum
+    of i l_k exp(i theta_k) over k >= j.
+    """
+    e = np.exp(1j * np.cumsum(postures, axis=1))
+    lever = (1j * LENGTHS * e)[:, joint:].sum(axis=1)
+    effect = [lever * np.cos(order * postures[:, joint]), lever * np.sin(order * postures[:, joint])]
+
+    def real(columns: np.ndarray) -> np.ndarray:
+        return np.concatenate([columns.real, columns.imag])
+
+    base = np.linalg.qr(real(np.hstack([e, 1j * e])))[0]
+    columns = np.linalg.qr(real(np.array(effect).T))[0]
+    return float(np.linalg.svd(columns - base @ (base.T @ columns), compute_uv=False).min())
+
+
+def test_without_limits_nothing_is_lost_and_everything_is_seen() -> None:
+    found = designed([-180] * 4, [180] * 4, 24)
+    assert log_det(found.design.plan.postures) == pytest.approx(0.0, abs=1e-8)
+    for joint in range(4):
+        for order in (1, 2):
+            assert visible_share(found.design.plan.postures, joint, order) > 0.3
+    assert found.sees.pairs() == []
+
+
+def test_joint_limits_cost_at_most_the_loss_and_effects_become_visible() -> None:
+    lower, upper = [-180, -120, -100, -90], [180, 120, 60, 90]
+    found = designed(lower, upper, 30, loss=0.05)
+    best = 4 * np.log(np.sin(np.radians(80.0)))  # closed form, THEORY.md section 4
+    postures = found.design.plan.postures
+    assert np.all(postures >= np.radians(lower))
+    assert np.all(postures <= np.radians(upper))
+    assert (log_det(postures) - best) / 8 >= np.log(0.95) - 1e-3  # the best 30-run plan is within 0.1 % of the bound
+    assert visible_share(found.best.plan.postures, 2, 1) < 1e-6  # two levels hide it
+    assert visible_share(postures, 2, 1) > 0.02
+
+
+def test_same_seed_same_plan() -> None:
+    one, two = (designed([-180] * 4, [180] * 4, 12, seed=3) for _ in range(2))
+    np.testing.assert_array_equal(one.design.plan.postures, two.design.plan.postures)
+
+
+def test_bad_loss() -> None:
+    with pytest.raises(InputError, match="loss"):
+        designed([-180] * 4, [180] * 4, 12, loss=1.0)
+
+
+def test_robust_criterion_derivatives_and_bound() -> None:
+    generator = np.random.default_rng(5)
+    root = generator.normal(size=(6, 9))
+    information = root @ root.T / 9
+    criterion = Robust(np.array([0.0, 0.0, 0.0, 1.0, 2.0, 0.5]))
+    step = generator.normal(size=(6, 6))
+    step = (step + step.T) / 2
+    value = [float(criterion.value(information + t * step)) for t in (-1e-4, 0.0, 1e-4)]
+    slope = float(np.sum(criterion.gradient(information) * step))
+    assert (value[2] - value[0]) / 2e-4 == pytest.approx(slope, rel=1e-5)
+    bend = float(criterion.curvature(information, step[None])[0, 0])
+    assert (value[2] - 2 * value[1] + value[0]) / 1e-8 == pytest.approx(bend, rel=1e-3)
+    for _ in range(50):  # the bound holds for every other matrix N with tr(G N) <= largest
+        root = generator.normal(size=(6, 7))
+        other = root @ root.T / 7
+        largest = float(np.sum(criterion.gradient(information) * other))
+        assert criterion.value(other) <= criterion.upper_bound(information, largest) + 1e-12
