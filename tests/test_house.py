@@ -25,6 +25,7 @@ LAYERS = {
     "identification.effects": 2,
     "identification.measurements": 2,
     "identification.measurement_file": 2,
+    "identification.target_file": 3,
     "identification.tape": 3,
     "identification.model": 3,
     "identification.information": 4,

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import click
 
-from doe.cli import advise, compare, demo, design, diagnose, identify, score, simulate, study
+from doe.cli import advise, compare, compensate, demo, design, diagnose, identify, score, simulate, study
 from identification.errors import nearest
 
 
 class Verbs(click.Group):
-    """A group that suggests the nearest verb for an unknown one."""
+    """Verbs in the order of the work, and the nearest one suggested for an unknown one."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """In the order in which they were added."""
+        return list(self.commands)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -33,5 +37,5 @@ def main() -> None:
     """
 
 
-for module in (demo, design, score, advise, compare, study, simulate, identify, diagnose):
+for module in (demo, design, score, advise, compare, study, simulate, identify, diagnose, compensate):
     main.add_command(module.command)

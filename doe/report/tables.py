@@ -10,6 +10,7 @@ from rich.text import Text
 
 from doe.result import Design
 from identification.arm import Arm
+from identification.compensate import Compensation
 from identification.estimation import Identification
 
 
@@ -106,3 +107,20 @@ def significant(value: float | None, std: float | None) -> str:
         return f"{value:.5g}"
     digits = int(np.clip(2 - np.floor(np.log10(abs(std))), 0, 12))
     return f"{value:.{digits}f}" if abs(value) < 1e6 else f"{value:.5g}"
+
+
+def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
+    """Joint commands for the first targets, and how many are reached."""
+    table = Table(title="Commands", title_justify="left")
+    n = found.commands.shape[1]
+    for heading in ("target", "x [mm]", "y [mm]", *(f"q{j + 1} [deg]" for j in range(n)), "error [mm]"):
+        table.add_column(Text(heading), justify="right")
+    rows = zip(found.targets, np.degrees(found.commands), found.errors, strict=True)
+    for row, (target, command, error) in enumerate(rows, start=1):
+        if row > most:
+            table.caption = f"first {most} of {len(found.targets)} targets; --out writes all"
+            break
+        table.add_row(str(row), *(f"{v:.3f}" for v in target), *(f"{v:.5f}" for v in command), f"{error:.2g}")
+    data = found.to_json()
+    unreachable = f"; rows out of reach: {', '.join(map(str, data['unreachable'][:20]))}" if data["unreachable"] else ""
+    return [f"{data['reached']} of {data['targets']} targets reached{unreachable}", table]
