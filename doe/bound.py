@@ -1,0 +1,27 @@
+"""An upper bound on a criterion value, and where it comes from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Bound:
+    """No design of the design space named by `source` has a criterion value above `value`.
+
+    source : `closed_form` (THEORY.md section 4), `continuous` (every posture within limits and constraints) or `grid`
+        (the candidates only)
+    rigorous : True if it is a theorem (closed form, interval arithmetic, all candidates visited); False if it rests on
+        a numerical search for the largest sensitivity, which could have missed a posture
+    """
+
+    value: float
+    source: str
+    rigorous: bool = False
+
+    def as_dict(self) -> dict[str, float | str | bool]:
+        """The JSON value of the contract's key `bound`."""
+        return {"value": self.value, "source": self.source, "rigorous": self.rigorous}
+
+    def __str__(self) -> str:
+        return f"{self.value:.10g} ({self.source}, {'a theorem' if self.rigorous else 'numerical'})"
