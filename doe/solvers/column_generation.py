@@ -1,0 +1,258 @@
+"""Column generation: optimal weights on few postures, priced against very many, or against all of the joint box.
+
+    repeat:  weights   solve the small problem on the working set           (master.py)
+             price     find postures with tr(G F(q)) above tr(G M)          (all candidates; continuous.py; interval.py)
+             purge     drop postures that carry no weight
+
+It ends when no posture is worth adding: that is the equivalence theorem, and its gap is the certificate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+from doe.approximate import ApproximateDesign, Mixture, assess, sensitivities
+from doe.bound import Bound
+from doe.candidates import Candidates, Index, PostureList, spread
+from doe.continuous import ContinuousSet, distinct
+from doe.interval import maximum
+from doe.plan import Plan
+from doe.problem import DesignProblem
+from doe.solvers.master import Weights, solve_weights, sparsest
+from doe.trigonometric import TrigonometricBlocks, trigonometric_blocks
+from identification.arm import Array
+from identification.errors import JobError
+from identification.status import Status
+
+ROUNDS = 80
+NEAR = 0.2  # [rad] times the root of the relative gap
+DEAD = 1e-9  # weight below which a posture is dropped when it is also not worth having
+PARTS = 256  # of the candidates, of which each may offer one posture per round: keeps new postures apart
+SAMPLE = 20_000  # of very many candidates, which are priced first
+COARSE = 1e-4  # gap, relative, at which pricing goes on to the next, larger set
+MOST_BOXES = 8_000  # of branch and bound; about a second
+
+# price(gradient, level, working postures) -> postures worth adding (k, n), largest g over its whole set
+Price = Callable[[Array, float, Array], tuple[Array, float]]
+
+
+@dataclass(frozen=True)
+class WorkingSet:
+    """The few postures of the master problem: postures (k, n), blocks (k, d, p), and its solution."""
+
+    postures: Array
+    blocks: Array
+    solution: Weights
+
+    def level(self, mixture: Mixture) -> float:
+        """tr(G M)."""
+        information = mixture.information(self.blocks, self.solution.weights)
+        return float(np.sum(self.solution.gradient * information))
+
+    def alive(self, mixture: Mixture, level: float) -> Index:
+        """Indices of postures that carry weight or would at the next step."""
+        return np.flatnonzero(sparsest(self.blocks, np.where(self.solution.weights > DEAD, self.solution.weights, 0.0)) > 0)
+
+
+def column_generation(
+    problem: DesignProblem, candidates: Candidates, *, runs: int | None = None, tolerance: float = 1e-9
+) -> ApproximateDesign:
+    """Optimal weights over a finite candidate set of any size, in the memory of one chunk of it.
+
+    tolerance : gap max g - tr(G M), relative to tr(G M), at which to stop
+    runs : number of new runs, needed where the problem keeps measured postures
+    Raises JobError where the candidates do not identify all parameters.
+    """
+    began = perf_counter()
+    mixture = Mixture.of(problem, runs)
+    prices = [candidate_price(problem, candidates, mixture)]
+    if len(candidates) > 4 * SAMPLE:
+        prices.insert(0, candidate_price(problem, PostureList(spread(candidates, SAMPLE)), mixture))
+    start = spread(candidates, 6 * problem.parameters)
+    working, largest = generate(problem, mixture, start, prices, tolerance)
+    return finish(problem, mixture, working, largest, len(candidates), tolerance, began, rigorous=True)
+
+
+def continuous_design(
+    problem: DesignProblem,
+    *,
+    runs: int | None = None,
+    tolerance: float = 1e-10,
+    proof: float = 1e-10,
+    most_boxes: int = MOST_BOXES,
+) -> ApproximateDesign:
+    """Optimal weights over ALL postures within limits and constraints: no grid at all.
+
+    Works for any model. Where the sensitivity is a trigonometric polynomial and there are no constraints, the gap is
+    proven by branch and bound and `bound.rigorous` is True; else the largest sensitivity is the best of a multistart.
+    tolerance : relative gap at which to stop;  proof : relative gap that branch and bound must prove, 0: do not try
+    """
+    began = perf_counter()
+    mixture = Mixture.of(problem, runs)
+    everything = ContinuousSet(problem, mixture)
+    starts = PostureList(everything.starts)
+    prices = [candidate_price(problem, starts, mixture), continuous_price(everything)]
+    start = spread(starts, 6 * problem.parameters)
+    working, largest = generate(problem, mixture, start, prices, tolerance)
+    blocks = trigonometric_blocks(problem) if proof > 0.0 and not problem.constraints else None
+    rigorous = False
+    if blocks is not None:
+        working, largest, rigorous = prove(everything, blocks, working, prices, max(tolerance, proof), most_boxes)
+    return finish(problem, mixture, working, largest, None, max(tolerance, proof), began, rigorous=rigorous)
+
+
+def continuous_bound(problem: DesignProblem, *, runs: int | None = None, tolerance: float = 1e-10) -> Bound:
+    """No design within limits and constraints is better: a theorem where `rigorous` is True, else numerical.
+
+    Raises JobError where the optimum was not reached.
+    """
+    design = continuous_design(problem, runs=runs, tolerance=tolerance)
+    if design.bound is None:
+        raise JobError(f"continuous bound: {design.status.name}, gap {design.gap:.2g}; {design.status.value}")
+    return design.bound
+
+
+# -- pricing -----------------------------------------------------------------------------------------------------------
+def candidate_price(problem: DesignProblem, candidates: Candidates, mixture: Mixture) -> Price:
+    """Every candidate is looked at; each part of them offers its best."""
+    part = max(16, -(-len(candidates) // PARTS))
+
+    def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
+        offers, values = [near[:0]], [np.empty(0)]
+        for _, postures, g in sensitivities(problem, candidates, gradient, mixture):
+            edges = np.arange(0, len(g), part)
+            top = np.array([edge + int(np.argmax(g[edge : edge + part])) for edge in edges])
+            offers.append(postures[top])
+            values.append(g[top])
+        return _worth_adding(np.concatenate(offers), np.concatenate(values), level, 3 * problem.parameters)
+
+    return price
+
+
+def continuous_price(everything: ContinuousSet) -> Price:
+    """The local maxima that a multistart ascent finds."""
+
+    def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
+        postures, values = everything.best(gradient, near)
+        # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
+        apart = distinct(postures, NEAR * np.sqrt(max(values[0] / level - 1.0, 0.0)))
+        postures, values = postures[apart], values[apart]
+        return _worth_adding(postures, values, level, 10 * everything.problem.parameters, 0.0)
+
+    return price
+
+
+def _worth_adding(postures: Array, values: Array, level: float, count: int, share: float = 0.1) -> tuple[Array, float]:
+    largest = float(values.max())
+    order = np.argsort(-values)[:count]
+    order = order[values[order] > level + share * max(largest - level, 0.0)]
+    return postures[order], largest
+
+
+# -- the loop ----------------------------------------------------------------------------------------------------------
+def generate(
+    problem: DesignProblem, mixture: Mixture, start: Array, prices: Sequence[Price], tolerance: float
+) -> tuple[WorkingSet, float]:
+    """The working set with its solution, and the largest g that the last pricing of the last set found."""
+    working = _solve(problem, mixture, start, problem.blocks(start))
+    largest = np.inf
+    for k, price in enumerate(prices):
+        goal = tolerance if k == len(prices) - 1 else max(tolerance, COARSE)
+        best = np.inf
+        for _ in range(ROUNDS):
+            level = working.level(mixture)
+            offers, largest = price(working.solution.gradient, level, working.postures)
+            best, before = min(best, largest - level), best
+            if largest - level <= goal * abs(level) or not len(offers):
+                break
+            working = _extend(problem, mixture, working, offers, level)
+    return working, largest
+
+
+def _solve(problem: DesignProblem, mixture: Mixture, postures: Array, blocks: Array) -> WorkingSet:
+    information = mixture.information(blocks, np.full(len(blocks), 1.0 / len(blocks)))
+    if np.linalg.matrix_rank(information) < len(information):
+        raise JobError(
+            "approximate design: the information matrix is singular on these postures, the parameters cannot all be "
+            "identified; drop an effect or allow more postures"
+        )
+    return WorkingSet(postures, blocks, solve_weights(blocks, problem.criterion, mixture))
+
+
+def _extend(problem: DesignProblem, mixture: Mixture, working: WorkingSet, offers: Array, level: float) -> WorkingSet:
+    """Dead postures out, new ones in, solved again."""
+    alive = working.alive(mixture, level)
+    postures = np.concatenate([working.postures[alive], offers])
+    blocks = np.concatenate([working.blocks[alive], problem.blocks(offers)])
+    once = np.sort(distinct(postures))
+    return _solve(problem, mixture, postures[once], blocks[once])
+
+
+# -- the proof ---------------------------------------------------------------------------------------------------------
+def prove(
+    everything: ContinuousSet,
+    blocks: TrigonometricBlocks,
+    working: WorkingSet,
+    prices: Sequence[Price],
+    tolerance: float,
+    most_boxes: int,
+) -> tuple[WorkingSet, float, bool]:
+    """Branch and bound on the sensitivity; a posture that the multistart missed goes back into the working set."""
+    problem, mixture = everything.problem, everything.mixture
+    for _ in range(5):
+        gradient, level = working.solution.gradient, working.level(mixture)
+        constant = 0.0 if mixture.offset is None else float(np.sum(gradient * mixture.offset))
+        polynomial = blocks.sensitivity(gradient, mixture.share, constant)
+        found = maximum(
+            polynomial,
+            problem.lower,
+            problem.upper,
+            known=working.postures,
+            tolerance=tolerance * abs(level),
+            most_boxes=most_boxes,
+        )
+        if not found.proven:
+            return working, float(everything.best(gradient, working.postures)[1].max()), False
+        if found.value <= level * (1.0 + tolerance):
+            return working, found.upper, True
+        start = np.concatenate([working.postures, found.posture[None]])
+        working, _ = generate(problem, mixture, start, prices[1:], tolerance)
+    return working, found.upper, True
+
+
+def finish(
+    problem: DesignProblem,
+    mixture: Mixture,
+    working: WorkingSet,
+    largest: float,
+    candidates: int | None,
+    tolerance: float,
+    began: float,
+    *,
+    rigorous: bool,
+) -> ApproximateDesign:
+    """The design on as few postures as carry its information, judged afresh."""
+    weights = working.solution.weights
+    weights = sparsest(working.blocks, np.where(weights > DEAD, weights, 0.0))
+    support = np.flatnonzero(weights > 0.0)
+    order = support[np.argsort(-weights[support], kind="stable")]
+    plan = Plan(working.postures[order], weights[order])
+    level = working.level(mixture)
+    solved = largest - level <= 10.0 * tolerance * abs(level)
+    return assess(
+        problem,
+        mixture,
+        plan,
+        largest,
+        gradient=working.solution.gradient,
+        candidates=candidates,
+        rigorous=rigorous,
+        status=Status.converged if solved else Status.almost_solved,
+        solver="column_generation",
+        solver_status="gap reached" if solved else "gap not reached",
+        seconds=perf_counter() - began,
+    )
