@@ -18,8 +18,8 @@ from identification.gap.whitening import Rows
 
 FREE_ORDERS = np.arange(0.5, 160.5, 0.5)  # periods per turn, whole or not
 SMOOTH_ORDERS = np.arange(1, 6)
-CENTRES = 16
-WIDTHS = (0.2, 0.4, 0.8)  # rad
+CENTRES = 24
+WIDTHS = (0.2, 0.3, 0.45, 0.7, 1.0)  # rad
 STEPS = 40
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,6 +22,7 @@ class Fit:
     """A fitted model, in whitened coordinates (N = 2m).
 
     values : (p,) parameters;  residual : (N,);  jacobian : (N, p);  free : (p,) not held at a bound
+    count : number of values estimated, fewer than p if some are tied to be equal
     """
 
     model: Model
@@ -28,6 +30,7 @@ class Fit:
     residual: Array
     jacobian: Array
     free: np.ndarray
+    count: int
 
     @property
     def squares(self) -> float:
@@ -81,24 +84,40 @@ def links_start(model: Model, rows: Rows) -> dict[str, float]:
     return start
 
 
-def fit(model: Model, rows: Rows, start: dict[str, float]) -> Fit:
-    """Least squares from `start` (parameter name -> value, zero where missing) within the parameters' bounds."""
-    lower = np.array([p.lower for p in model.parameters])
-    upper = np.array([p.upper for p in model.parameters])
-    values = np.clip([start.get(name, 0.0) for name in model.names], lower, upper)
-    residual, jacobian = _linearise(model, rows, values)
+def fit(model: Model, rows: Rows, start: dict[str, float], ties: Sequence[Sequence[str]] = ()) -> Fit:
+    """Least squares from `start` (parameter name -> value, zero where missing) within the parameters' bounds.
+
+    ties : groups of parameters that are equal (and share their bounds)
+    """
+    spread = _spread(model, ties)  # (p, z): parameters = spread @ z
+    first = np.argmax(spread, axis=0)
+    lower = np.array([p.lower for p in model.parameters])[first]
+    upper = np.array([p.upper for p in model.parameters])[first]
+    scales = model.scales[first]
+    z = np.clip(np.array([start.get(name, 0.0) for name in model.names])[first], lower, upper)
+    residual, jacobian = _linearise(model, rows, spread @ z)
     for _ in range(ITERATIONS):
-        step, free = _step(residual, jacobian / model.scales, values * model.scales, lower, upper, model.scales)
-        accepted = _descend(model, rows, values, step / model.scales, residual, lower, upper)
+        step, _ = _step(residual, jacobian @ spread / scales, z * scales, lower * scales, upper * scales)
+        accepted = _descend(model, rows, z, step / scales, residual, lower, upper, spread)
         if accepted is None:
             break
         before = residual @ residual
-        values = accepted
-        residual, jacobian = _linearise(model, rows, values)
+        z = accepted
+        residual, jacobian = _linearise(model, rows, spread @ z)
         if before - residual @ residual <= TOLERANCE * before:
             break
-    free = _step(residual, jacobian / model.scales, values * model.scales, lower, upper, model.scales)[1]
-    return Fit(model, values, residual, jacobian, free)
+    free = _step(residual, jacobian @ spread / scales, z * scales, lower * scales, upper * scales)[1]
+    return Fit(model, spread @ z, residual, jacobian, spread @ free > 0.0, len(z))
+
+
+def _spread(model: Model, ties: Sequence[Sequence[str]]) -> Array:
+    """(p, z) zeros and ones: one column per value estimated."""
+    leader = {name: group[0] for group in ties for name in group}
+    roots = [leader.get(name, name) for name in model.names]
+    kept = list(dict.fromkeys(roots))
+    spread = np.zeros((len(roots), len(kept)))
+    spread[np.arange(len(roots)), [kept.index(root) for root in roots]] = 1.0
+    return spread
 
 
 def _linearise(model: Model, rows: Rows, values: Array) -> tuple[Array, Array]:
@@ -107,12 +126,12 @@ def _linearise(model: Model, rows: Rows, values: Array) -> tuple[Array, Array]:
 
 
 def _step(
-    residual: Array, scaled: Array, at: Array, lower: Array, upper: Array, scales: Array
+    residual: Array, scaled: Array, at: Array, lower: Array, upper: Array
 ) -> tuple[Array, np.ndarray]:
     """Gauss-Newton step in scaled parameters with the bounds respected, and which parameters are free in it."""
     free = np.ones(len(at), dtype=bool)
     step = np.zeros(len(at))
-    low, high = lower * scales - at, upper * scales - at
+    low, high = lower - at, upper - at
     for _ in range(len(at) + 1):
         fixed = ~free
         target = residual - scaled[:, fixed] @ step[fixed]
@@ -127,14 +146,14 @@ def _step(
 
 
 def _descend(
-    model: Model, rows: Rows, values: Array, step: Array, residual: Array, lower: Array, upper: Array
+    model: Model, rows: Rows, z: Array, step: Array, residual: Array, lower: Array, upper: Array, spread: Array
 ) -> Array | None:
     """The longest of the step, its half, ... that lowers the sum of squares; None if none does."""
     squares = residual @ residual
     factor = 1.0
     for _ in range(12):
-        trial = np.clip(values + factor * step, lower, upper)
-        change = rows.whiten(rows.positions - model.position(rows.postures, trial, rows.conditions))
+        trial = np.clip(z + factor * step, lower, upper)
+        change = rows.whiten(rows.positions - model.position(rows.postures, spread @ trial, rows.conditions))
         if change @ change < squares:
             return np.asarray(trial)
         factor *= 0.5

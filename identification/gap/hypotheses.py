@@ -21,16 +21,27 @@ from identification.model import Model
 from identification.tape import vectorise
 
 
+TIED = float(np.exp(-1.0))  # prior weight of equal parameters: costs 2 in BIC
+
+
 @dataclass(frozen=True)
 class Hypothesis:
     """One effect that might be missing.
 
     weight : prior weight; 1 for an effect, 1/K for each of the K settings that are scanned
+    tied : all parameters of a family are taken as equal. Compliance in every joint is seen long before each joint's own
+        compliance is, so it is tried with one parameter too; when it is named, each joint gets its own.
     """
 
     effect: Effect
     spec: EffectSpec
     weight: float = 1.0
+    tied: bool = False
+
+    @property
+    def free(self) -> Hypothesis:
+        """The hypothesis that is named when this one is found."""
+        return replace(self, tied=False, weight=1.0) if self.tied else self
 
     @property
     def key(self) -> str:
@@ -41,6 +52,8 @@ class Hypothesis:
     def label(self) -> str:
         """The key with the scanned setting: `transmission_ripple:2[k=6]`."""
         settings = ",".join(f"{name}={value:g}" for name, value in self.spec.values.items())
+        if self.tied:
+            return f"{self.key}[alike]"
         return f"{self.key}[{settings}]" if settings else self.key
 
     @property
@@ -51,7 +64,7 @@ class Hypothesis:
     @property
     def size(self) -> int:
         """d, number of parameters."""
-        return len(self.effect.parameters)
+        return 1 if self.tied else len(self.effect.parameters)
 
     @property
     def one_sided(self) -> bool:
@@ -90,7 +103,7 @@ class HypothesisSet:
     @cached_property
     def unscanned(self) -> tuple[Hypothesis, ...]:
         """Hypotheses without a scanned setting."""
-        return tuple(h for h in self.members if not h.spec.values)
+        return tuple(h for h in self.members if not h.spec.values and not h.tied)
 
     @cached_property
     def scanned(self) -> tuple[Hypothesis, ...]:
@@ -117,13 +130,12 @@ class HypothesisSet:
         """Per member, (m, 2, d) derivative of the position by its parameters, at these parameter values (others 0)."""
         parameters = np.array([values.get(name, 0.0) for name in self.wide.names])
         jacobian = self.wide.jacobian(rows.postures, parameters, rows.conditions)
-        plain = iter(self._unscanned_columns(jacobian))
         scanned = iter(self._scanned_columns(jacobian, slopes))
-        return [next(scanned if h.spec.values else plain) for h in self.members]
+        return [next(scanned) if h.spec.values else self._plain_columns(h, jacobian) for h in self.members]
 
-    def _unscanned_columns(self, jacobian: Array) -> Iterator[Array]:
-        for hypothesis in self.unscanned:
-            yield jacobian[:, :, [self._slots[p.name] for p in hypothesis.effect.parameters]]
+    def _plain_columns(self, hypothesis: Hypothesis, jacobian: Array) -> Array:
+        columns = jacobian[:, :, [self._slots[p.name] for p in hypothesis.effect.parameters]]
+        return columns.sum(axis=2, keepdims=True) if hypothesis.tied else columns
 
     def _scanned_columns(self, jacobian: Array, slopes: Array) -> Iterator[Array]:
         n = self.arm.links
@@ -188,7 +200,10 @@ def _joints(cls: type[Effect], links: int) -> list[int | None]:
 
 def _with_settings(cls: type[Effect], spec: EffectSpec, arm: Arm) -> list[Hypothesis]:
     if not cls.settings:
-        return [Hypothesis(build(spec, arm.links, arm.lengths), spec)]
+        effect = build(spec, arm.links, arm.lengths)
+        alike = len(effect.parameters) > 1 and all(p.lower == 0.0 for p in effect.parameters)
+        tied = [Hypothesis(effect, spec, TIED, tied=True)] if alike else []
+        return [Hypothesis(effect, spec), *tied]
     ranges = [range(low, high + 1) for low, high in cls.settings.values()]
     found = []
     for chosen in product(*ranges):

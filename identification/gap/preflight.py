@@ -116,9 +116,11 @@ def assess(
     members = library.members
     tested = dictionary(white, raw, np.array([h.one_sided for h in members]), np.array([h.weight for h in members]))
     threshold = LEVEL / sum(h.weight for h in members) if level is None else level
-    plain = [k for k, h in enumerate(members) if not h.spec.values]
+    plain = [k for k, h in enumerate(members) if not h.spec.values and not h.tied]
     detectable: dict[str, Size] = {}
     for k, hypothesis in enumerate(members):
+        if hypothesis.tied:
+            continue
         size = _detectable(hypothesis, raw[k], tested, sigma, threshold * hypothesis.weight)
         before = detectable.get(hypothesis.key)
         detectable[hypothesis.key] = size if before is None else _larger(before, size)

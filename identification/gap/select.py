@@ -15,7 +15,7 @@ from identification.gap.whitening import Rows
 from identification.model import Model
 
 MOST = 4  # effects at once
-ALPHA_FIRST, ALPHA_NEXT = 0.04, 0.01
+ALPHA_FIRST, ALPHA_NEXT = 0.04, 0.005
 MARGIN = 8.0  # linear BIC within which rivals are refitted
 REFITS = 6
 WINDOW = 6.0  # Delta BIC of the ambiguity set
@@ -53,15 +53,24 @@ class Search:
             model = Model(arm.with_effects(*arm.effects, *(h.spec for h in chosen)))
             known = dict(zip(model.names, model.values, strict=True))
             start = known | (links_start(model, self.rows) if not chosen else self.fit(()).by_name)
-            self.fits[key] = fit(model, self.rows, start)
+            ties = [[p.name for p in h.effect.parameters] for h in chosen if h.tied]
+            self.fits[key] = fit(model, self.rows, start, ties)
         return self.fits[key]
 
     def bic(self, chosen: Choice) -> float:
+        """BIC of a set; of a family whose parameters may be alike, the better of the two forms."""
+        forms = [self._bic(chosen)]
+        alike = {h.key: h for h in self.hypotheses.members if h.tied}
+        if any(h.key in alike and not h.tied for h in chosen):
+            forms.append(self._bic(tuple(alike.get(h.key, h) for h in chosen)))
+        return min(forms)
+
+    def _bic(self, chosen: Choice) -> float:
         """N log(RSS / N) + p log N - 2 log(prior weight); the scan of a setting costs the logarithm of its length."""
         found = self.fit(chosen)
         n = len(found.residual)
         prior = -2.0 * sum(np.log(h.weight) for h in chosen)
-        return float(n * np.log(found.squares / n) + len(found.values) * np.log(n) + prior)
+        return float(n * np.log(max(found.squares, 1e-300) / n) + found.count * np.log(n) + prior)
 
     def tested(self, chosen: Choice, draws: int, generator: np.random.Generator) -> Test:
         """Gate and linear BIC of every hypothesis that could be added to a set."""
@@ -124,8 +133,9 @@ def trial_of(search: Search, chosen: Choice, draws: int, generator: np.random.Ge
     worst = (np.inf, 0.0)
     for k, member in enumerate(chosen):
         tested = search.tested(chosen[:k] + chosen[k + 1 :], draws, generator)
-        at = next((i for i, h in enumerate(tested.members) if h.label == member.label), None)
-        if at is not None:
+        same = [i for i, h in enumerate(tested.members) if h.free.label == member.label]
+        if same:
+            at = min(same, key=lambda i: tested.gate.adjusted[i])
             worst = max(worst, (float(tested.gate.f[at]), float(tested.gate.adjusted[at])), key=lambda t: (t[1], -t[0]))
     return worst
 
@@ -134,7 +144,7 @@ def best_of(search: Search, chosen: Choice, members: list[Hypothesis], change: n
     """The set with the one hypothesis added that has the lowest BIC; the best few by linear BIC are refitted."""
     order = np.argsort(change, kind="stable")[:REFITS]
     near = [k for k in order if np.isfinite(change[k]) and change[k] <= change[order[0]] + MARGIN]
-    return min(((*chosen, members[k]) for k in near), key=search.bic, default=None)
+    return min(((*chosen, members[k].free) for k in near), key=search.bic, default=None)
 
 
 def select(search: Search, draws: int, generator: np.random.Generator) -> Selection:
@@ -165,7 +175,7 @@ def exchanges(search: Search, chosen: Choice) -> list[Choice]:
         change = bic_change(falls, against, len(without.residual), without.squares)
         for index in np.argsort(change, kind="stable")[:REFITS]:
             if change[index] <= change.min() + MARGIN + WINDOW:
-                found.append((*rest, members[index]))
+                found.append((*rest, members[index].free))
     return found
 
 

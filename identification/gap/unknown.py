@@ -11,9 +11,11 @@ from identification.gap.atoms import Atom, atoms
 from identification.gap.linear import Dictionary, dictionary
 from identification.gap.select import Choice, Search
 
-LEVEL = 0.01
-DRAWS = 299
-ODDS = 8.0  # BIC that an unknown shape must gain on effects of the library that it would replace
+LEVEL = 0.005
+DRAWS = 399
+# BIC that an unknown shape must gain on the effects of the library that it would replace: one effect at a place is
+# believed, two have no credit left, three or four at once are the series expansion of something else
+ODDS = {1: 6.0, 2: 0.0, 3: -6.0, 4: -12.0}
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "axes_skew": "workspace"}
 
 
@@ -49,7 +51,7 @@ def look(search: Search, chosen: Choice, generator: np.random.Generator) -> Unkn
     value, kept, atom = min(options, key=lambda option: option[0])
     if p <= LEVEL:
         return Unknown(p, atom.place, atom.shape, kept)
-    replacing = [o for o in options if len(o[1]) < len(chosen) and o[0] < best - ODDS]
+    replacing = [o for o in options if len(o[1]) < len(chosen) and o[0] < best - ODDS[len(chosen) - len(o[1])]]
     if replacing:
         value, kept, atom = min(replacing, key=lambda option: option[0])
         return Unknown(p, atom.place, atom.shape, kept)
