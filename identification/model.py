@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identification.arm import Arm, Array
+from identification.arm import Arm, Array, EffectSpec
 from identification.effects import Chain, Effect, Parameter, build, known_values
 from identification.errors import InputError, nearest
 from identification.measurements import Conditions
@@ -46,8 +46,12 @@ class Model:
     # -- parameters ------------------------------------------------------------------------------------------------
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
-        """The arm's effects, ready for the chain."""
-        return tuple(build(spec, self.arm.links, self.arm.lengths) for spec in self.arm.effects)
+        """The arm's effects on the mean, ready for the chain; those on the scatter are `simulate`'s business."""
+        return tuple(effect for effect, _ in self._built if not effect.scatter)
+
+    @cached_property
+    def _built(self) -> tuple[tuple[Effect, EffectSpec], ...]:
+        return tuple((build(spec, self.arm.links, self.arm.lengths), spec) for spec in self.arm.effects)
 
     @cached_property
     def all_parameters(self) -> tuple[Parameter, ...]:
@@ -60,8 +64,9 @@ class Model:
     def fixed(self) -> Mapping[str, float]:
         """Name -> value of the parameters that are known."""
         values = dict(self.known or {})
-        for effect, spec in zip(self.effects, self.arm.effects, strict=True):
-            values |= known_values(effect, spec)
+        for effect, spec in self._built:
+            if not effect.scatter:
+                values |= known_values(effect, spec)
         return values
 
     @cached_property

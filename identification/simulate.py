@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from identification.arm import Arm, Array
+from identification.effects import build
+from identification.effects.noise import NoiseEffect, Scene
 from identification.errors import InputError
 from identification.measurements import Conditions, Measurements, directions_from_order, session_time
 from identification.model import Model
@@ -37,5 +41,30 @@ def simulate(
     order = np.arange(len(q), dtype=float)
     conditions = Conditions(payload, deviation, session_time(order), directions_from_order(q))
     exact = model.position(q, conditions=conditions)
-    positions = exact + noise * generator.standard_normal(exact.shape)
-    return Measurements(q, positions, order, payload, temperature, conditions.directions)
+    errors = noise * generator.standard_normal(exact.shape)
+    errors = disturbed(errors, truth, Measurements(q, exact, order), conditions, noise, generator)
+    return Measurements(q, exact + errors, order, payload, temperature, conditions.directions)
+
+
+def disturbed(
+    errors: Array,
+    truth: Arm,
+    exact: Measurements,
+    conditions: Conditions,
+    sigma: float,
+    generator: np.random.Generator,
+) -> Array:
+    """(m, 2) errors with the truth's effects on the scatter applied, in the order of the arm file."""
+    built = [(build(spec, truth.links, truth.lengths), spec) for spec in truth.effects]
+    noisy = [(effect, spec) for effect, spec in built if isinstance(effect, NoiseEffect)]
+    if not noisy:
+        return errors
+    n = truth.links
+    names = [f"joint_offset:{j + 1}" for j in range(n)]
+    plain = Model(replace(truth, effects=(), calibration=None))
+    levers = plain.jacobian(exact.postures)[:, :, [plain.names.index(name) for name in names]]
+    time = np.zeros(len(exact)) if conditions.time is None else conditions.time
+    scene = Scene(exact.positions, levers, time, sigma)
+    for effect, spec in noisy:
+        errors = effect.disturb(errors, scene, dict(spec.values), generator)
+    return errors

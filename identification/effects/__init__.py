@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 
 from identification.arm import Array, EffectSpec
-from identification.effects import aliases, instrument, joint, link, mounting  # noqa: F401  (they register themselves)
+from identification.effects import aliases, instrument, joint, link, mounting, noise  # noqa: F401  (they register themselves)
 from identification.effects.base import _LIBRARY, Chain, Effect, Parameter, known_values, register
 from identification.errors import InputError, nearest
 

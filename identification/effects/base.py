@@ -147,6 +147,7 @@ class Effect:
     family : effects of one family are rivals for the same physical cause (`diagnose` merges them when it must)
     settings : whole numbers that are chosen, not estimated, with their range
     alias : why no measurement of the tip can tell this effect from the base parameters, or None
+    scatter : True for an effect on the noise, which the model of the mean ignores (`identification.effects.noise`)
     """
 
     name: ClassVar[str]
@@ -157,6 +158,7 @@ class Effect:
     family: ClassVar[str] = ""
     settings: ClassVar[Mapping[str, tuple[int, int]]] = MappingProxyType({})
     alias: ClassVar[str | None] = None
+    scatter: ClassVar[bool] = False
 
     def __init__(self, lengths: Array, joint: int | None = None, chosen: Mapping[str, int] | None = None) -> None:
         self.lengths = lengths

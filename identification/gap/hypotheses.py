@@ -178,7 +178,7 @@ def hypotheses(arm: Arm, given: frozenset[str]) -> HypothesisSet:
         if cls.alias is not None:
             aliases[name] = cls.alias
             continue
-        if not hasattr(cls, "joint_angles"):
+        if cls.scatter:
             continue
         missing = sorted(cls.needs - available)
         if missing:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,8 +53,7 @@ def investigate(
         selection = select(search, draws, generator)
         again = _screen_rows(search, selection.chosen, rows)
         plain = rows.pick(~again)
-        found = Search(hypotheses, plain).fit(selection.chosen)
-        new = screen(found, plain, generator)
+        new = screen(Search(hypotheses, plain).fit(selection.chosen), plain, generator)
         state = (*new.names, *map(str, np.flatnonzero(again)))
         if (set(new.names) <= set(scatter.names) and np.array_equal(again, outlier)) or state in seen:
             break
@@ -62,7 +61,29 @@ def investigate(
         outlier, scatter = again, new
     tell("looking for what the library does not explain")
     unknown = look(search, selection.chosen, generator)
-    return Findings(search, selection, unknown, scatter.findings, outlier)
+    found = Findings(search, selection, unknown, scatter.findings, outlier)
+    return _without_outliers(found, rows, draws, generator) if outlier.any() else found
+
+
+def _without_outliers(found: Findings, rows: Rows, draws: int, generator: np.random.Generator) -> Findings:
+    """The same data with all rows, if that is the better explanation.
+
+    An effect that moves a few postures only (a bump at one joint angle) looks like outliers. Each outlier is a model
+    of its own: two free coordinates at one of m rows; BIC decides between them and the effects.
+    """
+    everything = replace(rows, spread=rows.spread, correlation=found.search.rows.correlation)
+    search = Search(found.search.hypotheses, everything)
+    selection = select(search, draws, generator)
+    unknown = look(search, selection.chosen, generator)
+    if not selection.chosen and unknown.place is None:
+        return found
+    n, taken = 2 * len(rows), int(found.outlier.sum())
+    kept = found.search.fit(found.unknown.chosen)
+    own = found.unknown.bic - len(kept.residual) * np.log(kept.squares / len(kept.residual))
+    trimmed = n * np.log(kept.squares / n) + own + taken * (2.0 * np.log(n) + 2.0 * np.log(len(rows)))
+    if unknown.bic >= trimmed:
+        return found
+    return Findings(search, selection, unknown, found.scatter, np.zeros(len(rows), dtype=bool))
 
 
 def _screen_rows(search: Search, chosen: tuple, rows: Rows) -> NDArray[np.bool_]:

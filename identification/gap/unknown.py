@@ -13,8 +13,9 @@ from identification.gap.select import Choice, Search
 
 LEVEL = 0.005
 DRAWS = 399
-# BIC that an unknown shape must gain on the effects of the library that it would replace: one effect at a place is
-# believed, two have no credit left, three or four at once are the series expansion of something else
+CROWD = 3  # effects at one joint
+# BIC that an unknown shape must gain on the effects of the library that it would replace: one effect is believed, two
+# have no credit left, three or four at once are the series expansion of something else
 ODDS = {1: 6.0, 2: 0.0, 3: -6.0, 4: -12.0}
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "axes_skew": "workspace"}
 
@@ -23,12 +24,14 @@ PLACES = {"base_drift": "time", "base_rotation_drift": "time", "axes_skew": "wor
 class Unknown:
     """p : adjusted for all shapes at all places;  place : `joint:j`, `time`, `workspace`, or None if nothing is left
     shape : the shape that fits best, for people;  chosen : effects of the library that stay named beside it
+    bic : of the named effects, with the unknown shape where there is one
     """
 
     p: float
     place: str | None
     shape: str | None
     chosen: Choice
+    bic: float
 
 
 @dataclass(frozen=True)
@@ -45,17 +48,38 @@ class _Shapes:
 def look(search: Search, chosen: Choice, generator: np.random.Generator) -> Unknown:
     """General block test after the last accepted effect, then the place by BIC."""
     after = _shapes(search, chosen)
-    p = _adjusted(search, chosen, after, generator)
+    p = _adjusted(after, generator)
     best = search.bic(chosen)
     options = [(float(s.bic[k]), chosen_without, s.listed[k]) for chosen_without, s, k in _options(search, chosen, after)]
-    value, kept, atom = min(options, key=lambda option: option[0])
+    crowd = _crowded(chosen)
+    if crowd is not None:
+        options = [o for o in options if place_of_all(o[1], crowd) == 0] or options
+        return _named(p, min(options, key=lambda option: option[0]), place=crowd)
     if p <= LEVEL:
-        return Unknown(p, atom.place, atom.shape, kept)
+        return _named(p, min(options, key=lambda option: option[0]))
     replacing = [o for o in options if len(o[1]) < len(chosen) and o[0] < best - ODDS[len(chosen) - len(o[1])]]
     if replacing:
-        value, kept, atom = min(replacing, key=lambda option: option[0])
-        return Unknown(p, atom.place, atom.shape, kept)
-    return Unknown(p, None, None, chosen)
+        return _named(p, min(replacing, key=lambda option: option[0]))
+    return Unknown(p, None, None, chosen, best)
+
+
+def _named(p: float, option: tuple[float, Choice, Atom], place: str | None = None) -> Unknown:
+    value, kept, atom = option
+    same = place is None or place == atom.place
+    return Unknown(p, place or atom.place, atom.shape if same else None, kept, value)
+
+
+def place_of_all(chosen: Choice, place: str) -> int:
+    """How many effects of a set sit at a place."""
+    return sum(place_of(h.key) == place for h in chosen)
+
+
+def _crowded(chosen: Choice) -> str | None:
+    """A joint with `CROWD` effects or more: no joint has that many, they are the series of one unknown function."""
+    for place in (place_of(h.key) for h in chosen):
+        if place.startswith("joint:") and place_of_all(chosen, place) >= CROWD:
+            return place
+    return None
 
 
 def _options(search: Search, chosen: Choice, after: _Shapes) -> list[tuple[Choice, _Shapes, int]]:
@@ -101,7 +125,7 @@ def _shapes(search: Search, chosen: Choice) -> _Shapes:
     return _Shapes([listed[k] for k in keep], against, falls, bic, float(smallest))
 
 
-def _adjusted(search: Search, chosen: Choice, shapes: _Shapes, generator: np.random.Generator) -> float:
+def _adjusted(shapes: _Shapes, generator: np.random.Generator) -> float:
     """Adjusted p-value of the best atom: white Gaussian noise through the same projection."""
     q = shapes.against.model_basis
     drawn = generator.standard_normal((len(q), DRAWS))

@@ -1,0 +1,128 @@
+"""Effects on the scatter, not on the mean: `simulate` applies them, `diagnose` screens for them, the model ignores them.
+
+Each changes the (m, 2) errors of the measured positions [mm] in turn, in the order of the arm file. Their values are
+given in the arm file; nothing is estimated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.arm import Array
+from identification.effects.base import Effect, Parameter, register
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What noise may depend on, for m measured postures.
+
+    positions : (m, 2) exact [mm];  levers : (m, 2, n) what one rad at each joint does to the tip [mm/rad]
+    time : (m,) -0.5..0.5;  sigma : of the instrument [mm]
+    """
+
+    positions: Array
+    levers: Array
+    time: Array
+    sigma: float
+
+
+class NoiseEffect(Effect):
+    """Base class of the effects on the scatter; subclasses override `disturb`."""
+
+    scatter = True
+
+    def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
+        """(m, 2) errors [mm] with this effect, from those without; `values` by short parameter name, zero if missing."""
+        raise NotImplementedError
+
+
+@register
+class JointNoise(NoiseEffect):
+    """A joint does not come to rest at the same angle: the tip scatters along the joint's lever."""
+
+    name = "joint_noise"
+    summary = "joint does not come to rest at the same angle"
+    per_joint = "required"
+    family = "joint_noise"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("std", "rad", scale=self.link_length, lower=0.0),)
+
+    def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
+        angles = values.get("std", 0.0) * generator.standard_normal(len(errors))
+        return errors + scene.levers[:, :, self._index()] * angles[:, None]
+
+
+@register
+class ReachNoise(NoiseEffect):
+    """The scatter grows with the distance from the base: errors times sqrt(1 + (g |p| / reach)^2)."""
+
+    name = "reach_noise"
+    summary = "scatter grows with the distance from the base"
+    family = "reach_noise"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("g", "1", scale=1.0, lower=0.0),)
+
+    def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
+        share = np.linalg.norm(scene.positions, axis=1) / self.reach
+        return errors * np.sqrt(1.0 + (values.get("g", 0.0) * share) ** 2)[:, None]
+
+
+@register
+class TimeNoise(NoiseEffect):
+    """The scatter changes during the session: errors times exp(g t)."""
+
+    name = "time_noise"
+    summary = "scatter changes during the session"
+    family = "time_noise"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("g", "1", scale=1.0),)
+
+    def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
+        return errors * np.exp(values.get("g", 0.0) * scene.time)[:, None]
+
+
+@register
+class Outliers(NoiseEffect):
+    """A share of the rows, drawn at random, is off by `size` standard deviations in a random direction."""
+
+    name = "outliers"
+    summary = "some rows are far off"
+    family = "outliers"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (
+            self.parameter("share", "1", scale=1.0, lower=0.0, upper=1.0),
+            self.parameter("size", "1", scale=1.0, lower=0.0),
+        )
+
+    def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
+        count = round(values.get("share", 0.0) * len(errors))
+        rows = generator.choice(len(errors), count, replace=False)
+        angle = generator.uniform(0.0, 2.0 * np.pi, count)
+        changed = errors.copy()
+        changed[rows] += values.get("size", 0.0) * scene.sigma * np.column_stack([np.cos(angle), np.sin(angle)])
+        return changed
+
+
+@register
+class SerialCorrelation(NoiseEffect):
+    """Errors remember the row before: e_i = rho e_(i-1) + sqrt(1 - rho^2) new, of the same size as without."""
+
+    name = "serial_correlation"
+    summary = "errors remember the row before"
+    family = "serial_correlation"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("rho", "1", scale=1.0, lower=-0.99, upper=0.99),)
+
+    def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
+        rho = values.get("rho", 0.0)
+        changed = errors.copy()
+        for i in range(1, len(errors)):
+            changed[i] = rho * changed[i - 1] + np.sqrt(1.0 - rho**2) * errors[i]
+        return changed
