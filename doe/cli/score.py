@@ -6,21 +6,49 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import FILE, Answer, Session, verb
+from doe.cli.common import FILE, Answer, Session, force_option, verb
 
 
-@verb("armcal score arm.toml plan.csv")
+@verb("armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png")
 @click.argument("arm", type=FILE)
 @click.argument("plan", type=FILE)
-def command(session: Session, arm: Path, plan: Path) -> Answer:
-    """Score a PLAN of your own against the bound: efficiency, Table I residuals, expected standard deviations."""
+@click.option("--picture", type=FILE, metavar="FILE", help="Draw the postures (.png, .svg, .pdf).")
+@click.option("--aliases", type=FILE, metavar="FILE", help="Draw which effects look alike on this plan.")
+@force_option
+def command(session: Session, arm: Path, plan: Path, picture: Path | None, aliases: Path | None, force: bool) -> Answer:
+    """Score a PLAN of your own: efficiency against the bound, expected deviations, and which effects it could show."""
     from doe.plan_file import load_plan
     from doe.problem import DesignProblem
+    from doe.report.preflight_tables import preflight_tables
     from doe.report.tables import design_tables
     from doe.solvers import score_plan
     from identification.arm_file import load_arm
+    from identification.errors import InputError
+    from identification.files import check_writable
+    from identification.gap.preflight import preflight
     from identification.model import Model
 
     loaded = load_arm(arm)
-    design = score_plan(DesignProblem.of(Model(loaded)), load_plan(plan, loaded.links))
-    return Answer(design.to_json(), design_tables(loaded, design))
+    check_writable(picture, force)
+    check_writable(aliases, force)
+    given = load_plan(plan, loaded.links)
+    design = score_plan(DesignProblem.of(Model(loaded)), given)
+    data, shown = design.to_json(), design_tables(loaded, design)
+    try:
+        sees = preflight(loaded, given.postures)
+    except InputError as error:  # too few runs to test for effects is a fact about the plan, not bad input
+        data["preflight"] = None
+        shown.append(f"missing effects: {error}")
+    else:
+        data["preflight"] = sees.to_json()
+        shown += preflight_tables(sees)
+        if aliases is not None:
+            from doe.report.gap_figures import alias_figure
+            from doe.report.pictures import save
+
+            save(alias_figure(sees), aliases, force)
+    if picture is not None:
+        from doe.report.pictures import plan_figure, save
+
+        save(plan_figure(loaded, given.postures), picture, force)
+    return Answer(data, shown)

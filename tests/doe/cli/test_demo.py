@@ -1,0 +1,72 @@
+"""The first command of the README: it must work for a stranger, and its page must show what it says."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from tests.doe.cli.conftest import Folder
+
+
+class Outline(HTMLParser):
+    """Headings and numbers of tables and pictures; fails on unbalanced tags."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.counts: dict[str, int] = {}
+
+    def handle_starttag(self, tag: str, attrs: list) -> None:
+        self.counts[tag] = self.counts.get(tag, 0) + 1
+        if tag not in ("meta", "br", "img"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list) -> None:
+        self.counts[tag] = self.counts.get(tag, 0) + 1
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_demo_runs_the_whole_loop(folder: Folder) -> None:
+    done = folder.armcal("demo", "--out", "d", "--json")
+    assert done.code == 0, done.err
+    for name in ("arm.toml", "plan.csv", "data.csv", "calibrated.toml", "extended.toml", "report.html", "overview.png"):
+        assert (folder.path / "d" / name).stat().st_size > 0
+    assert done.data["design"]["certified_optimal"] is True
+    gap = done.data["fresh_gap_mm"]
+    assert gap["noise"] == pytest.approx(0.1 * np.sqrt(2.0))  # sigma 0.1 mm on two axes
+    assert gap["drawing"] > gap["identified"] > gap["extended"]
+    # 200 fresh rows: RMS of 400 normal values has a relative deviation of 1 / sqrt(800) = 3.5 %; the fit of 10
+    # parameters to 40 equations adds up to some 13 %
+    assert gap["extended"] < 1.3 * gap["noise"]
+    assert done.data["diagnose"]["effects"] == ["encoder_eccentricity:1"]  # what truth.toml hides
+    outline = Outline()
+    outline.feed(folder.read("d/report.html"))
+    assert outline.open == []
+    assert outline.counts["section"] >= 6
+    assert outline.counts["svg"] >= 5
+    assert 'src="http' not in folder.read("d/report.html")  # the page needs no network
+    assert 'href="http' not in folder.read("d/report.html")
+
+
+def test_the_demo_files_feed_the_other_commands(folder: Folder) -> None:
+    assert folder.armcal("demo", "--out", "d", "--quiet").code == 0
+    again = folder.armcal("diagnose", "d/extended.toml", "d/data.csv", "--json")
+    assert again.data["verdict"] == "none"
+    found = folder.armcal("identify", "d/extended.toml", "d/data.csv", "--json")
+    names = [parameter["name"] for parameter in found.data["parameters"]]
+    assert names[-2:] == ["encoder_eccentricity:1.a", "encoder_eccentricity:1.b"]
+    for parameter, truth in zip(found.data["parameters"][-2:], (0.06, -0.04), strict=True):
+        assert abs(parameter["value"] - truth) < 5 * parameter["std"]
+
+
+def test_a_second_demo_takes_another_directory(folder: Folder) -> None:
+    (folder.path / "armcal-demo").mkdir()
+    done = folder.armcal("demo", "--json")
+    assert done.data["directory"] == "armcal-demo-2"
+    refused = folder.armcal("demo", "--out", "armcal-demo-2")
+    assert refused.code == 2
+    assert "--force" in refused.err
