@@ -26,6 +26,8 @@ LONGEST = 0.7  # [rad] of a Newton step
 LANDMARKS = 2187  # 3^7: limits and middle of seven joints
 SAMPLES = 2000  # random postures beside the landmarks
 CLIMBERS = 64
+THOROUGH = 20_000  # random postures of a thorough search
+TRIES = 50  # rounds of rejection sampling under constraints
 SAME = 1e-7  # [rad] postures nearer than this are one
 
 
@@ -69,15 +71,19 @@ class ContinuousSet:
     def starts(self) -> Array:
         """(k, n) limits and middles of the joints that matter, and random postures, those that are feasible."""
         generator = np.random.default_rng(0)
-        problem = self.problem
-        random = generator.uniform(problem.lower, problem.upper, (SAMPLES, problem.joints))
-        postures = np.concatenate([self._landmarks(generator), random])
-        feasible = postures[satisfied(problem, postures)]
-        wanted, tries = 200, 0
-        while problem.constraints and len(feasible) < wanted and tries < 50:
-            more = generator.uniform(problem.lower, problem.upper, (4 * SAMPLES, problem.joints))
-            feasible, tries = np.concatenate([feasible, more[satisfied(problem, more)]]), tries + 1
-        return feasible
+        landmarks = self._landmarks(generator)
+        allowed = landmarks[satisfied(self.problem, landmarks)]
+        return np.concatenate([allowed, self.random(generator, SAMPLES)])
+
+    def random(self, generator: np.random.Generator, count: int) -> Array:
+        """(count, n) feasible random postures; fewer, or none, where constraints leave very little room."""
+        found: list[Array] = []
+        for _ in range(TRIES):
+            postures = generator.uniform(self.problem.lower, self.problem.upper, (count, self.problem.joints))
+            found.append(postures[satisfied(self.problem, postures)])
+            if sum(map(len, found)) >= count:
+                break
+        return np.concatenate(found)[:count]
 
     def _landmarks(self, generator: np.random.Generator) -> Array:
         problem = self.problem
@@ -93,10 +99,19 @@ class ContinuousSet:
         return postures
 
     # -- the climb ---------------------------------------------------------------------------------------------------
-    def best(self, gradient: Array, near: Array) -> tuple[Array, Array]:
-        """Local maxima (k, n) of tr(G F(q)) and their values (k,), best first, from the starts and from `near` (j, n)."""
-        values = self.sensitivities(self.starts, gradient)
-        top = self.starts[np.argsort(-values)[:CLIMBERS]]
+    def best(self, gradient: Array, near: Array, generator: np.random.Generator | None = None) -> tuple[Array, Array]:
+        """Local maxima (k, n) of tr(G F(q)) and their values (k,), best first.
+
+        Starts are `near` (j, n) and the best of the landmarks; with a generator, a search as thorough as is affordable:
+        the best of many fresh random postures, and others whatever they are worth, for a high maximum may be narrow.
+        """
+        if generator is None:
+            values = self.sensitivities(self.starts, gradient)
+            top = self.starts[np.argsort(-values)[:CLIMBERS]]
+        else:
+            fresh = self.random(generator, THOROUGH)
+            values = self.sensitivities(fresh, gradient)
+            top = np.concatenate([fresh[np.argsort(-values)[: 4 * CLIMBERS]], fresh[: 4 * CLIMBERS]])
         postures = self.climb(np.concatenate([near, top]), gradient)
         values = self.sensitivities(postures, gradient)
         order = np.argsort(-values)

@@ -18,6 +18,7 @@ import numpy as np
 from doe.approximate import ApproximateDesign, Mixture, assess, sensitivities
 from doe.bound import Bound
 from doe.candidates import Candidates, Index, PostureList, spread
+from doe.criteria import Criterion
 from doe.continuous import ContinuousSet, distinct
 from doe.interval import maximum
 from doe.plan import Plan
@@ -28,16 +29,30 @@ from identification.arm import Array
 from identification.errors import JobError
 from identification.status import Status
 
-ROUNDS = 80
+ROUNDS = 200
 NEAR = 0.2  # [rad] times the root of the relative gap
 DEAD = 1e-9  # weight below which a posture is dropped when it is also not worth having
 PARTS = 256  # of the candidates, of which each may offer one posture per round: keeps new postures apart
 SAMPLE = 20_000  # of very many candidates, which are priced first
-COARSE = 1e-4  # gap, relative, at which pricing goes on to the next, larger set
+COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
+FINE = 1e-6  # the same, before the first thorough search
+RANK = 1e-13  # reciprocal condition number of a matrix that has lost a rank
 MOST_BOXES = 8_000  # of branch and bound; about a second
 
 # price(gradient, level, working postures) -> postures worth adding (k, n), largest g over its whole set
 Price = Callable[[Array, float, Array], tuple[Array, float]]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One pricing, used until the gap it finds is below `goal` (relative).
+
+    back : stages to go back when it found something: what a dear search found, a cheaper one refines
+    """
+
+    price: Price
+    goal: float
+    back: int = 0
 
 
 @dataclass(frozen=True)
@@ -69,11 +84,12 @@ def column_generation(
     """
     began = perf_counter()
     mixture = Mixture.of(problem, runs)
-    prices = [candidate_price(problem, candidates, mixture)]
+    stages = [Stage(candidate_price(problem, candidates, mixture), tolerance)]
     if len(candidates) > 4 * SAMPLE:
-        prices.insert(0, candidate_price(problem, PostureList(spread(candidates, SAMPLE)), mixture))
+        sample = PostureList(spread(candidates, SAMPLE))
+        stages.insert(0, Stage(candidate_price(problem, sample, mixture), max(COARSE, tolerance)))
     start = spread(candidates, 6 * problem.parameters)
-    working, largest = generate(problem, mixture, start, prices, tolerance)
+    working, largest = generate(problem, mixture, start, stages)
     return finish(problem, mixture, working, largest, len(candidates), tolerance, began, rigorous=True)
 
 
@@ -95,13 +111,21 @@ def continuous_design(
     mixture = Mixture.of(problem, runs)
     everything = ContinuousSet(problem, mixture)
     starts = PostureList(everything.starts)
-    prices = [candidate_price(problem, starts, mixture), continuous_price(everything)]
+    climb = continuous_price(everything)
+    thorough = continuous_price(everything, np.random.default_rng(0))
+    stages = [
+        Stage(candidate_price(problem, starts, mixture), COARSE),
+        Stage(climb, max(FINE, tolerance)),
+        Stage(thorough, max(COARSE, tolerance), back=1),
+        Stage(climb, tolerance),
+        Stage(thorough, tolerance, back=1),
+    ]
     start = spread(starts, 6 * problem.parameters)
-    working, largest = generate(problem, mixture, start, prices, tolerance)
+    working, largest = generate(problem, mixture, start, stages)
     blocks = trigonometric_blocks(problem) if proof > 0.0 and not problem.constraints else None
     rigorous = False
     if blocks is not None:
-        working, largest, rigorous = prove(everything, blocks, working, prices, max(tolerance, proof), most_boxes)
+        working, largest, rigorous = prove(everything, blocks, working, stages, max(tolerance, proof), most_boxes)
     return finish(problem, mixture, working, largest, None, max(tolerance, proof), began, rigorous=rigorous)
 
 
@@ -133,11 +157,11 @@ def candidate_price(problem: DesignProblem, candidates: Candidates, mixture: Mix
     return price
 
 
-def continuous_price(everything: ContinuousSet) -> Price:
-    """The local maxima that a multistart ascent finds."""
+def continuous_price(everything: ContinuousSet, generator: np.random.Generator | None = None) -> Price:
+    """The local maxima that a multistart ascent finds; a thorough one with fresh starts where a generator is given."""
 
     def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
-        postures, values = everything.best(gradient, near)
+        postures, values = everything.best(gradient, near, generator)
         # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
         apart = distinct(postures, NEAR * np.sqrt(max(values[0] / level - 1.0, 0.0)))
         postures, values = postures[apart], values[apart]
@@ -155,32 +179,47 @@ def _worth_adding(postures: Array, values: Array, level: float, count: int, shar
 
 # -- the loop ----------------------------------------------------------------------------------------------------------
 def generate(
-    problem: DesignProblem, mixture: Mixture, start: Array, prices: Sequence[Price], tolerance: float
+    problem: DesignProblem, mixture: Mixture, start: Array, stages: Sequence[Stage]
 ) -> tuple[WorkingSet, float]:
-    """The working set with its solution, and the largest g that the last pricing of the last set found."""
+    """The working set with its solution, and the largest g that the last pricing of the last stage found."""
     working = _solve(problem, mixture, start, problem.blocks(start))
-    largest = np.inf
-    for k, price in enumerate(prices):
-        goal = tolerance if k == len(prices) - 1 else max(tolerance, COARSE)
-        best = np.inf
-        for _ in range(ROUNDS):
-            level = working.level(mixture)
-            offers, largest = price(working.solution.gradient, level, working.postures)
-            best, before = min(best, largest - level), best
-            if largest - level <= goal * abs(level) or not len(offers):
-                break
+    current, largest = 0, np.inf
+    for _ in range(ROUNDS):
+        stage, level = stages[current], working.level(mixture)
+        offers, largest = stage.price(working.solution.gradient, level, working.postures)
+        if len(offers) and largest - level > stage.goal * abs(level):
             working = _extend(problem, mixture, working, offers, level)
+            current -= stage.back
+        elif current == len(stages) - 1:
+            break
+        else:
+            current += 1
     return working, largest
 
 
 def _solve(problem: DesignProblem, mixture: Mixture, postures: Array, blocks: Array) -> WorkingSet:
     information = mixture.information(blocks, np.full(len(blocks), 1.0 / len(blocks)))
-    if np.linalg.matrix_rank(information) < len(information):
+    if _diverges(problem.criterion, information):
         raise JobError(
             "approximate design: the information matrix is singular on these postures, the parameters cannot all be "
             "identified; drop an effect or allow more postures"
         )
     return WorkingSet(postures, blocks, solve_weights(blocks, problem.criterion, mixture))
+
+
+def _diverges(criterion: Criterion, information: Array) -> bool:
+    """True where the criterion is -inf, rounding or not: its slope towards a missing direction is as 1/distance or more.
+
+    A criterion with a prior, or of some parameters only, may be finite although the matrix is singular.
+    """
+    values, vectors = np.linalg.eigh(information)
+    missing = vectors[:, values <= RANK * values[-1]]
+    if not missing.shape[1]:
+        return False
+    distance = 1e2 * RANK * values[-1]
+    gradient = criterion.gradient(information + distance * np.eye(len(values)))
+    steepest = np.einsum("ak,ab,bk->k", missing, gradient, missing).max()
+    return not np.isfinite(criterion.value(information)) or steepest * distance > 1e-3
 
 
 def _extend(problem: DesignProblem, mixture: Mixture, working: WorkingSet, offers: Array, level: float) -> WorkingSet:
@@ -197,7 +236,7 @@ def prove(
     everything: ContinuousSet,
     blocks: TrigonometricBlocks,
     working: WorkingSet,
-    prices: Sequence[Price],
+    stages: Sequence[Stage],
     tolerance: float,
     most_boxes: int,
 ) -> tuple[WorkingSet, float, bool]:
@@ -220,7 +259,7 @@ def prove(
         if found.value <= level * (1.0 + tolerance):
             return working, found.upper, True
         start = np.concatenate([working.postures, found.posture[None]])
-        working, _ = generate(problem, mixture, start, prices[1:], tolerance)
+        working, _ = generate(problem, mixture, start, stages[1:])
     return working, found.upper, True
 
 
