@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arm import Array
 from identification.errors import InputError
@@ -52,7 +53,9 @@ def held_out_conditions(measurements: Measurements, holdout: Measurements) -> Co
     return Conditions(conditions.payload, deviation, conditions.time, conditions.directions)
 
 
-def confirm(base: Fit, named: Fit, measurements: Measurements, kept: Array, holdout: Measurements | None) -> Gap:
+def confirm(
+    base: Fit, named: Fit, measurements: Measurements, kept: NDArray[np.bool_], holdout: Measurements | None
+) -> Gap:
     """The gap before and after, on the data and on the hold-out."""
     conditions = measurements.conditions
     before = rms_distance(residuals(base, measurements, conditions)[kept])
@@ -82,4 +85,6 @@ def check_holdout(measurements: Measurements, holdout: Measurements) -> None:
     seen = {row.tobytes() for row in both}
     shared = sum(row.tobytes() in seen for row in np.column_stack([holdout.postures, holdout.positions]))
     if shared:
-        raise InputError(f"holdout: {shared} of {len(holdout)} rows are also in the data, allowed: rows not used before")
+        raise InputError(
+            f"holdout: {shared} of {len(holdout)} rows are also in the data, allowed: rows not used before"
+        )

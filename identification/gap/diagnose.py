@@ -90,7 +90,9 @@ def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | No
     if "temperature" in needs and measurements.temperature is None:
         raise InputError("temperature_C: an effect in the arm file needs it, the measurements have no such column")
     if "gravity" in needs and arm.gravity is None:
-        raise InputError("gravity: an effect in the arm file needs gravity torques, the arm file has no [gravity] table")
+        raise InputError(
+            "gravity: an effect in the arm file needs gravity torques, the arm file has no [gravity] table"
+        )
     if holdout is not None:
         check_holdout(measurements, holdout)
 
@@ -181,7 +183,9 @@ def trial_list(found: Findings) -> tuple[Trial, ...]:
     test = found.selection.first
     best: dict[str, Trial] = {}
     for k, h in enumerate(test.members):
-        trial = Trial(h.key, float(test.gate.f[k]), float(test.gate.p[k]), float(test.gate.adjusted[k]), float(test.change[k]))
+        trial = Trial(
+            h.key, float(test.gate.f[k]), float(test.gate.p[k]), float(test.gate.adjusted[k]), float(test.change[k])
+        )
         if h.key not in best or trial.delta_bic < best[h.key].delta_bic:
             best[h.key] = trial
     return tuple(sorted(best.values(), key=lambda t: t.delta_bic))
@@ -238,4 +242,3 @@ def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measur
     if drifts and holdout is not None:
         said.append("a drift of one session says nothing of another: judge it by a hold-out from the same session")
     return said
-

@@ -128,7 +128,11 @@ class Diagnosis:
         beside = f", beside {' + '.join(self.effects)}" if self.effects else ""
         shape = f" ({self.shape})" if self.shape else ""
         return VERDICTS[self.verdict].format(
-            effects=" + ".join(self.effects), count=len(self.candidates), options=options, where=f"{self.where}{shape}", beside=beside
+            effects=" + ".join(self.effects),
+            count=len(self.candidates),
+            options=options,
+            where=f"{self.where}{shape}",
+            beside=beside,
         )
 
     def extended_arm(self, candidate: Candidate | None = None) -> Arm:
@@ -162,11 +166,15 @@ class Diagnosis:
         lines = [self.sentence]
         for c in self.candidates:
             estimates = "; ".join(str(p) for p in c.parameters)
-            lines.append(f"  {' + '.join(c.effects)}: F = {c.f:.1f}, p = {c.p_adjusted:.2g}, Delta BIC = {c.delta_bic:.1f}; {estimates}")
+            lines.append(
+                f"  {' + '.join(c.effects)}: F = {c.f:.1f}, p = {c.p_adjusted:.2g}, Delta BIC = {c.delta_bic:.1f}; {estimates}"
+            )
         lines += [f"  scatter: {f}" for f in self.scatter]
         if self.outlier_rows:
             lines.append(f"  outliers: rows {', '.join(map(str, self.outlier_rows))} are left out")
-        lines.append(f"  gap: {self.gap.rms_before:.4g} mm before, {self.gap.rms_after:.4g} mm after, noise floor {self.gap.noise_floor:.4g} mm")
+        lines.append(
+            f"  gap: {self.gap.rms_before:.4g} mm before, {self.gap.rms_after:.4g} mm after, noise floor {self.gap.noise_floor:.4g} mm"
+        )
         if self.gap.held_out_after is not None:
             lines.append(
                 f"  held out: {self.gap.held_out_before:.4g} mm before, {self.gap.held_out_after:.4g} mm after, "

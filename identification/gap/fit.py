@@ -62,7 +62,9 @@ class Fit:
         scaled = self.jacobian[:, self.free] / self.model.scales[self.free]
         inverse = np.linalg.pinv(scaled.T @ scaled) * self.sigma**2
         full = np.zeros((len(self.values), len(self.values)))
-        full[np.ix_(self.free, self.free)] = inverse / np.outer(self.model.scales[self.free], self.model.scales[self.free])
+        full[np.ix_(self.free, self.free)] = inverse / np.outer(
+            self.model.scales[self.free], self.model.scales[self.free]
+        )
         return full
 
 
@@ -125,9 +127,7 @@ def _linearise(model: Model, rows: Rows, values: Array) -> tuple[Array, Array]:
     return rows.whiten(rows.positions - position), rows.whiten(jacobian)
 
 
-def _step(
-    residual: Array, scaled: Array, at: Array, lower: Array, upper: Array
-) -> tuple[Array, np.ndarray]:
+def _step(residual: Array, scaled: Array, at: Array, lower: Array, upper: Array) -> tuple[Array, np.ndarray]:
     """Gauss-Newton step in scaled parameters with the bounds respected, and which parameters are free in it."""
     free = np.ones(len(at), dtype=bool)
     step = np.zeros(len(at))

@@ -36,7 +36,7 @@ class Gate:
 
 
 def leverage_corrected(residual: Array, model_basis: Array) -> Array:
-    """(m, 2) residuals of each posture multiplied by (I - H_ii)^(-1/2), H_ii (2, 2) the posture's block of the hat matrix."""
+    """(m, 2) residuals of each posture times (I - H_ii)^(-1/2), H_ii (2, 2) the posture's block of the hat matrix."""
     blocks = model_basis.reshape(len(residual) // 2, 2, -1)
     rest = np.eye(2) - blocks @ blocks.transpose(0, 2, 1)
     values, vectors = np.linalg.eigh(rest)
@@ -63,4 +63,5 @@ def gate(residual: Array, hypotheses: Dictionary, draws: int, generator: np.rand
     smallest = np.sort(hypotheses.smallest_weighted(hypotheses.reductions(drawn), np.square(drawn).sum(axis=0)))
     ranks = np.searchsorted(smallest, p / hypotheses.weights, side="right")
     f = hypotheses.f_values(falls, squares)[:, 0]
-    return Gate(p, (1.0 + ranks) / (draws + 1.0), falls[:, 0], f, float(smallest[int(0.05 * draws)]))
+    adjusted = np.asarray((1.0 + ranks) / (draws + 1.0))
+    return Gate(p, adjusted, falls[:, 0], f, float(smallest[int(0.05 * draws)]))

@@ -20,7 +20,6 @@ from identification.gap.whitening import Rows
 from identification.model import Model
 from identification.tape import vectorise
 
-
 TIED = float(np.exp(-1.0))  # prior weight of equal parameters: costs 2 in BIC
 
 
@@ -157,7 +156,7 @@ def _angle_function(arm: Arm, effects: tuple[Effect, ...]) -> ca.Function:
     total, start = ca.SX(0), 0
     for effect in effects:
         own = v[start : start + len(effect.parameters)]
-        total += effect.joint_angles(chain, own)[effect._index()]
+        total += ca.SX(effect.joint_angles(chain, own))[effect._index()]
         start += len(effect.parameters)
     # every parameter turns one joint only, so the gradient of the sum holds each one's own slope
     slopes = ca.substitute(ca.gradient(total, v), v, ca.SX.zeros(v.numel()))
@@ -195,7 +194,8 @@ def hypotheses(arm: Arm, given: frozenset[str]) -> HypothesisSet:
 
 def _joints(cls: type[Effect], links: int) -> list[int | None]:
     each: list[int | None] = list(range(cls.first_joint, links + 1))
-    return {"none": [None], "required": each, "optional": [None, *each]}[cls.per_joint]
+    by_kind: dict[str, list[int | None]] = {"none": [None], "required": each, "optional": [None, *each]}
+    return by_kind[cls.per_joint]
 
 
 def _with_settings(cls: type[Effect], spec: EffectSpec, arm: Arm) -> list[Hypothesis]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from identification.gap.hypotheses import HypothesisSet
-from identification.gap.noise import Finding, Scatter, outliers, screen
+from identification.gap.noise import Finding, outliers, screen, whitened
 from identification.gap.select import Search, Selection, select
 from identification.gap.unknown import Unknown, look
 from identification.gap.whitening import Rows
@@ -44,25 +44,27 @@ def investigate(
     and before the final naming because scatter looks like an effect.
     """
     tell("fitting the base model")
+    noisy = rows
+    scatter: tuple[Finding, ...] = ()
     outlier = _screen_rows(Search(hypotheses, rows), (), rows)
-    scatter = Scatter((), rows.pick(~outlier))
-    seen: set[tuple[str, ...]] = set()
+    seen: list[tuple[object, ...]] = []
     for number in range(PASSES):
         tell(f"testing the effects, pass {number + 1}")
-        search = Search(hypotheses, scatter.rows)
+        search = Search(hypotheses, noisy.pick(~outlier))
         selection = select(search, draws, generator)
-        again = _screen_rows(search, selection.chosen, rows)
+        again = _screen_rows(search, selection.chosen, noisy)
         plain = rows.pick(~again)
-        new = screen(Search(hypotheses, plain).fit(selection.chosen), plain, generator)
-        state = (*new.names, *map(str, np.flatnonzero(again)))
-        if (set(new.names) <= set(scatter.names) and np.array_equal(again, outlier)) or state in seen:
+        named = Search(hypotheses, plain).fit(selection.chosen)
+        new = screen(named, plain, generator)
+        state = (*(f.name for f in new), *np.flatnonzero(again))
+        if state == (*(f.name for f in scatter), *np.flatnonzero(outlier)) or state in seen:
             break
-        seen.add(state)
-        outlier, scatter = again, new
+        seen.append(state)
+        outlier, scatter, noisy = again, new, whitened(rows, named, new)
     tell("looking for what the library does not explain")
     unknown = look(search, selection.chosen, generator)
-    found = Findings(search, selection, unknown, scatter.findings, outlier)
-    return _without_outliers(found, rows, draws, generator) if outlier.any() else found
+    found = Findings(search, selection, unknown, scatter, outlier)
+    return _without_outliers(found, noisy, draws, generator) if outlier.any() else found
 
 
 def _without_outliers(found: Findings, rows: Rows, draws: int, generator: np.random.Generator) -> Findings:
@@ -71,8 +73,7 @@ def _without_outliers(found: Findings, rows: Rows, draws: int, generator: np.ran
     An effect that moves a few postures only (a bump at one joint angle) looks like outliers. Each outlier is a model
     of its own: two free coordinates at one of m rows; BIC decides between them and the effects.
     """
-    everything = replace(rows, spread=rows.spread, correlation=found.search.rows.correlation)
-    search = Search(found.search.hypotheses, everything)
+    search = Search(found.search.hypotheses, rows)
     selection = select(search, draws, generator)
     unknown = look(search, selection.chosen, generator)
     if not selection.chosen and unknown.place is None:

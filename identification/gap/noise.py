@@ -38,19 +38,6 @@ class Finding:
         return f"{self.name} ({what} {self.size:.2g}, p = {self.p:.2g})"
 
 
-@dataclass(frozen=True)
-class Scatter:
-    """The findings, and the rows with a noise model that takes care of them."""
-
-    findings: tuple[Finding, ...]
-    rows: Rows
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the findings."""
-        return tuple(f.name for f in self.findings)
-
-
 def outliers(predicted: Array, jacobian: Array, everything: Rows) -> NDArray[np.bool_]:
     """(m,) rows whose residual no model of this kind can explain.
 
@@ -59,7 +46,7 @@ def outliers(predicted: Array, jacobian: Array, everything: Rows) -> NDArray[np.
 
     predicted : (m, 2) positions of the fitted model for all rows;  jacobian : (m, 2, p)
     """
-    plain = replace(everything, correlation=0.0)
+    plain = replace(everything, correlation=0.0)  # a posture is judged on its own
     residual = plain.whiten(everything.positions - predicted).reshape(-1, 2)
     columns = plain.whiten(jacobian)
     kept = np.ones(len(everything), dtype=bool)
@@ -85,7 +72,7 @@ def studentised(residual: Array, columns: Array, kept: NDArray[np.bool_]) -> Arr
     return np.asarray(squares / max(np.median(squares[kept]) / (2.0 * np.log(2.0)), 1e-300))
 
 
-def screen(found: Fit, rows: Rows, generator: np.random.Generator) -> Scatter:
+def screen(found: Fit, rows: Rows, generator: np.random.Generator) -> tuple[Finding, ...]:
     """Test the residuals of a fitted model for structure in their scatter.
 
     Every statistic is a quadratic form of the residuals; its distribution under white Gaussian noise is drawn with the
@@ -105,7 +92,7 @@ def screen(found: Fit, rows: Rows, generator: np.random.Generator) -> Scatter:
     values["time_noise"] = np.abs(values["time_noise"])
     values["serial_correlation"] = lag_one(sample, rows)
     p = {name: (1.0 + np.sum(v[1:] >= v[0])) / (DRAWS + 1.0) for name, v in values.items()}
-    return _noise_model(p, values, forms, sample, rows)
+    return _findings(p, values, forms, sample)
 
 
 def variance_forms(rows: Rows, position: Array, jacobian: Array) -> dict[str, Array]:
@@ -137,42 +124,54 @@ def lag_one(sample: Array, rows: Rows) -> Array:
     return np.asarray(np.sum(e[1:] * e[:-1], axis=(0, 1)) / np.sum(e * e, axis=(0, 1)))
 
 
-def _noise_model(p: dict[str, float], values: dict[str, Array], forms: dict[str, Array], sample: Array, rows: Rows) -> Scatter:
+def _findings(
+    p: dict[str, float], values: dict[str, Array], forms: dict[str, Array], sample: Array
+) -> tuple[Finding, ...]:
     """Holm's correction; the strongest of the variance findings is kept (they are rivals), and serial correlation."""
     adjusted = holm(p)
-    findings = []
+    found = []
     variance = [name for name in forms if adjusted[name] <= LEVEL]
     if variance:
         # standardised, so that findings with the smallest p-value the draws can give are still told apart
         strength = {n: (values[n][0] - values[n][1:].mean()) / values[n][1:].std() for n in variance}
         name = max(variance, key=lambda n: strength[n])
         falling = name == "time_noise" and _quadratic(forms[name], sample[:, :1])[0] < 0.0
-        form = 2.0 * np.eye(2) - forms[name] if falling else forms[name]
-        ratio, spread = _variance_ratio(form, sample[:, 0])
-        findings.append(Finding(name, adjusted[name], ratio))
-        own = np.eye(2) if rows.spread is None else rows.spread
-        rows = replace(rows, spread=own @ spread)
+        ratio = _variance_ratio(_oriented(forms[name], falling), sample[:, 0])
+        found.append(Finding(name, adjusted[name], -ratio if falling else ratio))
     if adjusted["serial_correlation"] <= LEVEL:
         raw = values["serial_correlation"]
         rho = float(np.clip(raw[0] - raw[1:].mean(), 0.0, 0.95))  # the projection makes white noise look alternating
-        findings.append(Finding("serial_correlation", adjusted["serial_correlation"], rho))
-        rows = replace(rows, correlation=rho)
-    return Scatter(tuple(findings), rows)
+        found.append(Finding("serial_correlation", adjusted["serial_correlation"], rho))
+    return tuple(found)
 
 
-def _variance_ratio(form: Array, residual: Array) -> tuple[float, Array]:
-    """Profile likelihood of the variance ratio g in I + g W over a grid, and the square root of the best."""
-    e = residual.reshape(-1, 2)
-    best = (np.inf, 0.0, np.eye(2))
+def whitened(rows: Rows, found: Fit, findings: tuple[Finding, ...]) -> Rows:
+    """Rows with the noise model of the findings, for any rows of the data."""
+    for finding in findings:
+        if finding.name == "serial_correlation":
+            rows = replace(rows, correlation=finding.size)
+            continue
+        position, jacobian = found.model.linearise(rows.postures, found.values, rows.conditions)
+        form = _oriented(variance_forms(rows, position, jacobian)[finding.name], finding.size < 0.0)
+        values, vectors = np.linalg.eigh(form)
+        deviations = np.sqrt(1.0 + abs(finding.size) * np.maximum(values, 0.0))
+        spread = vectors * deviations[:, None, :] @ vectors.transpose(0, 2, 1)
+        rows = replace(rows, spread=spread if rows.spread is None else rows.spread @ spread)
+    return rows
+
+
+def _oriented(form: Array, falling: bool) -> Array:
+    """The shape of a variance that grows with time, or that falls with it."""
+    return form.max() * np.eye(2) - form if falling else form
+
+
+def _variance_ratio(form: Array, residual: Array) -> float:
+    """Profile likelihood of the variance ratio g in I + g W, maximised over a grid."""
     values, vectors = np.linalg.eigh(form)
-    turned = np.einsum("mij,mi->mj", vectors, e)
-    for g in GRID:
-        variances = 1.0 + g * np.maximum(values, 0.0)
-        cost = e.size * np.log(np.mean(turned**2 / variances)) + np.log(variances).sum()
-        if cost < best[0]:
-            root = vectors * np.sqrt(variances)[:, None, :] @ vectors.transpose(0, 2, 1)
-            best = (cost, float(g), root)
-    return best[1], best[2]
+    turned = np.einsum("mij,mi->mj", vectors, residual.reshape(-1, 2))
+    variances = 1.0 + GRID[:, None, None] * np.maximum(values, 0.0)
+    costs = residual.size * np.log(np.mean(turned**2 / variances, axis=(1, 2))) + np.log(variances).sum(axis=(1, 2))
+    return float(GRID[np.argmin(costs)])
 
 
 def holm(p: dict[str, float]) -> dict[str, float]:

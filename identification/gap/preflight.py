@@ -61,7 +61,12 @@ class Preflight:
         """Plain data for `--json`."""
         return {
             "effects": [
-                {"effect": name, "share": float(share), "detectable": self.detectable[name].value, "unit": self.detectable[name].unit}
+                {
+                    "effect": name,
+                    "share": float(share),
+                    "detectable": self.detectable[name].value,
+                    "unit": self.detectable[name].unit,
+                }
                 for name, share in zip(self.names, self.shares, strict=True)
             ],
             "alias_pairs": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.pairs()],
@@ -106,7 +111,12 @@ def require_spare(freedom: int, rows: int) -> None:
 
 
 def assess(
-    library: HypothesisSet, rows: Rows, jacobian: Array, values: Mapping[str, float], sigma: float, level: float | None = None
+    library: HypothesisSet,
+    rows: Rows,
+    jacobian: Array,
+    values: Mapping[str, float],
+    sigma: float,
+    level: float | None = None,
 ) -> Preflight:
     """The pre-flight figures at given base parameters; level : weighted p-value the gate asks for."""
     white = rows.whiten(jacobian)

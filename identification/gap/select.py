@@ -79,7 +79,9 @@ class Search:
             found = self.fit(chosen)
             members, against = self.rivals(chosen)
             result = gate(found.residual, against, draws, generator)
-            self.tests[key] = Test(members, result, bic_change(result.falls, against, len(found.residual), found.squares))
+            self.tests[key] = Test(
+                members, result, bic_change(result.falls, against, len(found.residual), found.squares)
+            )
         return self.tests[key]
 
     def rivals(self, chosen: Choice) -> tuple[list[Hypothesis], Dictionary]:
@@ -112,8 +114,6 @@ def bic_change(falls: np.ndarray, against: Dictionary, n: int, squares: float) -
     """(H,) change of BIC when each hypothesis is added, from the linear fit's falls of the sum of squares (H,)."""
     left = np.maximum(1.0 - falls / squares, 1e-12)
     return n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights)
-
-
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,9 @@ def look(search: Search, chosen: Choice, generator: np.random.Generator) -> Unkn
     after = _shapes(search, chosen)
     p = _adjusted(after, generator)
     best = search.bic(chosen)
-    options = [(float(s.bic[k]), chosen_without, s.listed[k]) for chosen_without, s, k in _options(search, chosen, after)]
+    options = [
+        (float(s.bic[k]), chosen_without, s.listed[k]) for chosen_without, s, k in _options(search, chosen, after)
+    ]
     crowd = _crowded(chosen)
     if crowd is not None:
         options = [o for o in options if place_of_all(o[1], crowd) == 0] or options
@@ -132,4 +134,3 @@ def _adjusted(shapes: _Shapes, generator: np.random.Generator) -> float:
     drawn -= q @ (q.T @ drawn)
     smallest = shapes.against.smallest_weighted(shapes.against.reductions(drawn), np.square(drawn).sum(axis=0))
     return float((1.0 + np.sum(smallest <= shapes.smallest)) / (DRAWS + 1.0))
-

@@ -63,9 +63,10 @@ class Rows:
         return np.argsort(self.order, kind="stable")
 
     def whiten(self, values: Array) -> Array:
-        """(2m, ...) of (m, 2, ...): unit covariance up to a common factor; linear, so it serves residuals and columns."""
+        """(2m, ...) of (m, 2, ...) with unit covariance up to a factor; linear, so it serves residuals and columns."""
         if self.spread is not None:
-            values = np.linalg.solve(self.spread, values.reshape(len(self), 2, -1)).reshape(values.shape)
+            flat = values.reshape(len(self), 2, -1)
+            values = np.asarray(np.linalg.solve(self.spread, flat).reshape(values.shape))
         if self.correlation:
             rho = self.correlation
             sequence = self.sequence
