@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from doe.report.pictures import AFTER, BEFORE, draw_residual_arrows
 from identification.arm import Array
@@ -12,20 +13,25 @@ from identification.gap.preflight import Preflight
 
 COLUMNS = 3
 BINS = 12
+MANY = 500  # rows from which points are drawn smaller, and as pixels in vector formats
 
 
 def against_figure(diagnosis: Diagnosis) -> Figure:
-    """Residual distances before and after, against each joint, time, torque: points, and the RMS in twelve bins."""
-    shown = diagnosis.residuals
+    """Residual distances before and after, against each joint, time, torque: points, and the RMS in twelve bins.
+
+    Outlier rows are left out, as they were in the tests: one bumped target would flatten everything else.
+    """
+    shown, kept = diagnosis.residuals, rows_kept(diagnosis)
     rows = -(-len(shown.against) // COLUMNS)
     figure = Figure(figsize=(10.0, 2.3 * rows), layout="constrained")
     axes = np.atleast_1d(figure.subplots(rows, COLUMNS, sharey=True)).ravel()
     for axis, (name, values) in zip(axes, shown.against.items(), strict=False):
         x, label = (np.degrees(values), name.replace("[rad]", "[deg]")) if "[rad]" in name else (values, name)
         for residuals, color, when in ((shown.before, BEFORE, "before"), (shown.after, AFTER, "after")):
-            distance = np.hypot(*residuals.T)
-            axis.plot(x, distance, ".", color=color, ms=3, alpha=0.35, rasterized=len(x) > 500)
-            axis.plot(*binned_rms(x, distance), color=color, lw=1.8, label=when)
+            distance = np.hypot(*residuals[kept].T)
+            style = {"ms": 3, "alpha": 0.5} if len(distance) <= MANY else {"ms": 1, "alpha": 0.2, "rasterized": True}
+            axis.plot(x[kept], distance, ".", color=color, **style)
+            axis.plot(*binned_rms(x[kept], distance), color=color, lw=1.8, label=when)
         axis.set(xlabel=label, ylim=(0, None))
     for axis in axes[len(shown.against) :]:
         axis.set_visible(False)
@@ -33,6 +39,13 @@ def against_figure(diagnosis: Diagnosis) -> Figure:
     for axis in axes[::COLUMNS]:
         axis.set_ylabel("residual [mm]")
     return figure
+
+
+def rows_kept(diagnosis: Diagnosis) -> NDArray[np.bool_]:
+    """(m,) False for outlier rows."""
+    kept = np.ones(len(diagnosis.residuals.before), dtype=bool)
+    kept[np.array(diagnosis.outlier_rows, dtype=int) - 1] = False
+    return kept
 
 
 def binned_rms(x: Array, distance: Array) -> tuple[Array, Array]:
@@ -43,14 +56,14 @@ def binned_rms(x: Array, distance: Array) -> tuple[Array, Array]:
 
 
 def workspace_figure(diagnosis: Diagnosis) -> Figure:
-    """Residual arrows over the workspace, before and after, on one scale."""
-    shown = diagnosis.residuals
+    """Residual arrows over the workspace, before and after, on one scale; without outlier rows."""
+    shown, kept = diagnosis.residuals, rows_kept(diagnosis)
     figure = Figure(figsize=(10.0, 4.8), layout="constrained")
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     pairs = ((shown.before, BEFORE, "before"), (shown.after, AFTER, "after"))
     for axis, (residuals, color, name) in zip(axes, pairs, strict=True):
-        scale = 0.12 * diagnosis.arm.lengths.sum() / (float(np.hypot(*shown.before.T).max()) or 1.0)
-        draw_residual_arrows(axis, shown.positions, residuals, color, name, float(scale))
+        scale = 0.12 * diagnosis.arm.lengths.sum() / (float(np.hypot(*shown.before[kept].T).max()) or 1.0)
+        draw_residual_arrows(axis, shown.positions[kept], residuals[kept], color, name, float(scale))
     return figure
 
 
