@@ -99,7 +99,7 @@ def discriminate(
     for _ in range(SWEEPS):
         before = list(chosen)
         for k in range(runs):
-            chosen = chosen[:k] + [_best(rivals, chosen[:k] + chosen[k + 1 :])] + chosen[k + 1 :]
+            chosen[k] = _best(rivals, chosen[:k] + chosen[k + 1 :])
         if chosen == before:
             break
     return _result(diagnosis, rivals, options, chosen, payloads)

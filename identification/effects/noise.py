@@ -1,4 +1,4 @@
-"""Effects on the scatter, not on the mean: `simulate` applies them, `diagnose` screens for them, the model ignores them.
+"""Effects on the scatter, not on the mean: `simulate` applies them, `diagnose` screens for them, models ignore them.
 
 Each changes the (m, 2) errors of the measured positions [mm] in turn, in the order of the arm file. Their values are
 given in the arm file; nothing is estimated.
@@ -34,7 +34,7 @@ class NoiseEffect(Effect):
     scatter = True
 
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
-        """(m, 2) errors [mm] with this effect, from those without; `values` by short parameter name, zero if missing."""
+        """(m, 2) errors [mm] with this effect, from those without; `values` by short name of the parameter."""
         raise NotImplementedError
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.gap.fit import Fit
 from identification.gap.hypotheses import HypothesisSet
 from identification.gap.noise import Finding, outliers, screen, whitened
 from identification.gap.select import Search, Selection, select
@@ -64,27 +65,52 @@ def investigate(
     tell("looking for what the library does not explain")
     unknown = look(search, selection.chosen, generator)
     found = Findings(search, selection, unknown, scatter, outlier)
-    return _without_outliers(found, noisy, draws, generator) if outlier.any() else found
+    others = [_explained(hypotheses, r, s, o, draws, generator) for r, s, o in _other_noise(found, rows, noisy, named)]
+    return min([found, *others], key=lambda f: cost(f, len(rows)))
 
 
-def _without_outliers(found: Findings, rows: Rows, draws: int, generator: np.random.Generator) -> Findings:
-    """The same data with all rows, if that is the better explanation.
+def _other_noise(
+    found: Findings, rows: Rows, noisy: Rows, named: Fit
+) -> list[tuple[Rows, tuple[Finding, ...], NDArray[np.bool_]]]:
+    """The same data without outliers, or without serial correlation: all rows, their findings, the rows left out.
 
-    An effect that moves a few postures only (a bump at one joint angle) looks like outliers. Each outlier is a model
-    of its own: two free coordinates at one of m rows; BIC decides between them and the effects.
+    An effect that moves a few postures only (a bump at one joint angle) looks like outliers, and a step in time like
+    serial correlation; whichever explanation has the lower BIC is right.
     """
-    search = Search(found.search.hypotheses, rows)
+    others = []
+    if found.outlier.any():
+        others.append((noisy, found.scatter, np.zeros_like(found.outlier)))
+    memoryless = tuple(f for f in found.scatter if f.name != "serial_correlation")
+    if len(memoryless) < len(found.scatter):
+        others.append((whitened(rows, named, memoryless), memoryless, found.outlier))
+    return others
+
+
+def _explained(
+    hypotheses: HypothesisSet,
+    rows: Rows,
+    scatter: tuple[Finding, ...],
+    outlier: NDArray[np.bool_],
+    draws: int,
+    generator: np.random.Generator,
+) -> Findings:
+    search = Search(hypotheses, rows.pick(~outlier))
     selection = select(search, draws, generator)
-    unknown = look(search, selection.chosen, generator)
-    if not selection.chosen and unknown.place is None:
-        return found
-    n, taken = 2 * len(rows), int(found.outlier.sum())
+    return Findings(search, selection, look(search, selection.chosen, generator), scatter, outlier)
+
+
+def cost(found: Findings, m: int) -> float:
+    """BIC of effects and noise model together, comparable between different sets of outliers.
+
+    Each outlier is a model of its own: two free coordinates at one of m rows. The noise model costs its parameters and
+    the logarithm of its covariance's determinant.
+    """
+    n, taken = 2 * m, int(found.outlier.sum())
     kept = found.search.fit(found.unknown.chosen)
-    own = found.unknown.bic - len(kept.residual) * np.log(kept.squares / len(kept.residual))
-    trimmed = n * np.log(kept.squares / n) + own + taken * (2.0 * np.log(n) + 2.0 * np.log(len(rows)))
-    if unknown.bic >= trimmed:
-        return found
-    return Findings(search, selection, unknown, found.scatter, np.zeros(len(rows), dtype=bool))
+    rest = found.unknown.bic - len(kept.residual) * np.log(kept.squares / len(kept.residual))
+    effects = n * np.log(kept.squares / n) + rest
+    noise = found.search.rows.log_determinant + len(found.scatter) * np.log(n)
+    return float(effects + noise + taken * (2.0 * np.log(n) + 2.0 * np.log(m)))
 
 
 def _screen_rows(search: Search, chosen: tuple, rows: Rows) -> NDArray[np.bool_]:

@@ -62,6 +62,13 @@ class Rows:
         """(m,) row numbers in the order of measurement."""
         return np.argsort(self.order, kind="stable")
 
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of the relative covariance of all 2m coordinates."""
+        memory = 2.0 * (len(self) - 1) * np.log1p(-(self.correlation**2))
+        spread = 0.0 if self.spread is None else 2.0 * np.sum(np.linalg.slogdet(self.spread)[1])
+        return float(memory + spread)
+
     def whiten(self, values: Array) -> Array:
         """(2m, ...) of (m, 2, ...) with unit covariance up to a factor; linear, so it serves residuals and columns."""
         if self.spread is not None:

@@ -1,14 +1,20 @@
 """A second implementation of the arm and its effects, written from GAP.md's table in plain numpy.
 
-The blind study simulates the truth with this file; diagnosis fits with `identification.model`. Nothing here imports
-the model. Positions are complex numbers x + iy in millimetres.
+The blind study simulates the truth with this file; diagnosis fits with `identification.model`. Nothing here calls the
+model or its effects. Positions are complex numbers x + iy in millimetres.
+
+The full study: python -m tests.identification.gap.run_study [count per cell] [cell ...]
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+
+from identification.arm import Arm, EffectSpec, Gravity
+from identification.gap.blind_study import Case
+from identification.measurements import Measurements
 
 G = 9.81
 
@@ -242,8 +248,6 @@ OUTSIDE = ("free_ripple", "bump", "cubic", "cable_pull", "step_drift")
 
 def column(truth: Truth, run: Session, effect: tuple[str, int | None, dict]) -> np.ndarray:
     """(2m,) derivative of the position by the amplitude of an effect."""
-    from dataclasses import replace
-
     name, j, v = effect
     h = 1e-6
     up = position(replace(truth, effects=[(name, j, scaled(v, h))]), run)
@@ -305,3 +309,139 @@ def noise(truth: Truth, run: Session, rng: np.random.Generator, kind: str = "whi
         for i in range(1, m):
             e[i] = 0.7 * e[i - 1] + np.sqrt(1 - 0.49) * e[i]
     return e
+
+
+# -- cases for the study ----------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class CellSpec:
+    """What is drawn in a cell of the study."""
+
+    m: int
+    lam: float | None = None
+    effects: int = 1
+    noise: str = "white"
+    limits: str = "full"  # full, some (narrow joints), paper (the 4-link arm of GAP.md)
+    outside: bool = False
+    wrong_masses: bool = False
+    families: bool = True  # compliance in all joints at once among the hidden effects
+
+
+CELLS = {
+    "none m=20": CellSpec(20),
+    "none m=50": CellSpec(50),
+    "none m=200": CellSpec(200),
+    "none, joint noise": CellSpec(50, noise="joint"),
+    "none, reach noise": CellSpec(50, noise="reach"),
+    "none, serial correlation": CellSpec(50, noise="serial"),
+    "one, lambda 6, m=50": CellSpec(50, 6.0),
+    "one, lambda 6, m=200": CellSpec(200, 6.0),
+    "one, lambda 6, 4 links": CellSpec(50, 6.0, limits="paper"),
+    "one, lambda 6, no family": CellSpec(50, 6.0, families=False),
+    "one, lambda 8, m=50": CellSpec(50, 8.0),
+    "one, lambda 8, no family": CellSpec(50, 8.0, families=False),
+    "one, lambda 8, m=20": CellSpec(20, 8.0),
+    "one, lambda 20, m=50": CellSpec(50, 20.0),
+    "one, lambda 400, m=50": CellSpec(50, 400.0),
+    "one, lambda 8, narrow joints": CellSpec(50, 8.0, limits="some"),
+    "one, lambda 8, wrong masses": CellSpec(50, 8.0, wrong_masses=True),
+    "two, lambda 8": CellSpec(50, 8.0, effects=2),
+    "two, lambda 8, no family": CellSpec(50, 8.0, effects=2, families=False),
+    "outside, lambda 7": CellSpec(50, 7.0, outside=True),
+    "outside, lambda 10": CellSpec(50, 10.0, outside=True),
+    "three outliers, lambda 8": CellSpec(50, 8.0, noise="outliers"),
+}
+GRAVITY = ("joint_compliance", "link_bending", "gravity_backlash")
+
+
+def family(effect: tuple[str, int | None, dict]) -> str:
+    return "gravity" if effect[0] in GRAVITY else effect[0]
+
+
+def truth_of(spec: CellSpec, rng: np.random.Generator) -> Truth:
+    if spec.limits != "paper":
+        return random_truth(rng, None, spec.limits)
+    truth = random_truth(rng, 4)
+    return replace(
+        truth,
+        lengths=np.array([260.0, 180.0, 120.0, 100.0]),
+        masses=np.array([12.0, 8.0, 5.0, 3.0]),
+        payload=10.0,
+        sigma=0.1,
+    )
+
+
+def hidden(spec: CellSpec, truth: Truth, run: Session, rng: np.random.Generator) -> list[tuple[str, int | None, dict]]:
+    """The effects of a case."""
+    effects: list[tuple[str, int | None, dict]] = []
+    while spec.lam is not None and len(effects) < spec.effects:
+        if spec.outside:
+            effects.append(outside_effect(truth, run, spec.lam, rng))
+            continue
+        new = random_effect(truth, run, spec.lam, rng)
+        if (spec.families or new[0] != "joint_compliance" or new[1]) and family(new) not in map(family, effects):
+            effects.append(new)
+    return effects
+
+
+def library_columns(truth: Truth, run: Session) -> np.ndarray:
+    """(2m, C) base Jacobian and the columns of every effect of the library but the ripples."""
+    pairs = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_skew": "ab"}
+    pairs |= {"base_offset": "xy", "base_drift": "xy"}
+    columns = [base_jacobian(truth, run)]
+    for name in LIBRARY_JOINT + LIBRARY_WHOLE:
+        if name == "transmission_ripple" or name.endswith("*"):
+            continue
+        first = 2 if name == "joint_coupling" else 1
+        for j in [None] if name in LIBRARY_WHOLE else range(first, truth.n + 1):
+            if name in pairs:
+                probes = [{c: float(c == one) for c in pairs[name]} for one in pairs[name]]
+            else:
+                probes = [directions_of(name, truth.n, np.random.default_rng(0))]
+            columns += [column(truth, run, (name, j, v))[:, None] for v in probes]
+    return np.hstack(columns)
+
+
+def outside_effect(truth: Truth, run: Session, lam: float, rng: np.random.Generator) -> tuple[str, int | None, dict]:
+    """An effect the library does not have, of size lam outside the span of the library."""
+    span = library_columns(truth, run)
+    while True:
+        name = str(rng.choice(OUTSIDE))
+        j = None if name == "step_drift" else int(rng.integers(1, truth.n + 1))
+        found = sized(truth, run, name, j, lam, rng, span)
+        if found is not None:
+            return found
+
+
+def place_of(effect: tuple[str, int | None, dict]) -> str:
+    return {"step_drift": "time", "barrel": "workspace"}.get(effect[0], f"joint:{effect[1]}")
+
+
+def measure(truth: Truth, run: Session, rng: np.random.Generator, kind: str) -> Measurements:
+    p = position(truth, run) + noise(truth, run, rng, kind)
+    order = np.arange(len(run.q), dtype=float)
+    xy = np.column_stack([p.real, p.imag])
+    return Measurements(run.q, xy, order, temperature=20.0 + run.warm, directions=run.s)
+
+
+def case(cell: str, seed: int) -> Case:
+    """The case of a cell; 200 fresh postures of the same session are held out."""
+    spec = CELLS[cell]
+    rng = np.random.default_rng([20261121, list(CELLS).index(cell), seed])
+    truth = truth_of(spec, rng)
+    m = max(spec.m, truth.n + 4)
+    run = session(truth, rng.uniform(truth.lower, truth.upper, (m, truth.n)), rng)
+    truth = replace(truth, effects=hidden(spec, truth, run, rng))
+    fresh = session(truth, rng.uniform(truth.lower, truth.upper, (200, truth.n)), rng)
+    masses = truth.masses * rng.uniform(0.7, 1.3, truth.n) if spec.wrong_masses else truth.masses
+    gravity = Gravity(np.array([0.0, -G]), masses, truth.center, truth.payload)
+    arm = Arm(truth.lengths, truth.lower, truth.upper, truth.sigma, gravity=gravity)
+    outside = [e for e in truth.effects if e[0] in OUTSIDE]
+    inside = [e for e in truth.effects if e[0] not in OUTSIDE]
+    return Case(
+        arm,
+        measure(truth, run, rng, spec.noise),
+        measure(truth, fresh, rng, "white") if spec.lam is not None else None,
+        tuple(key(e) for e in inside),
+        place_of(outside[0]) if outside else None,
+        tuple(EffectSpec(e[0], e[1], {"k": float(e[2]["k"])} if "k" in e[2] else {}) for e in inside),
+    )
