@@ -160,16 +160,25 @@ def run(
     state = _Drive(function, payload, table, seed, deque(todo.values()), progress, len(keys) - len(todo), len(keys))
     workers = workers or serial()
     ahead = workers.count * AHEAD if workers.count > 1 or workers.reopens else 1
+    try:
+        _work(state, workers, ahead)
+    finally:
+        table.arrange(keys)
+    return table.frame(keys)
+
+
+def _work(state: _Drive, workers: Workers, ahead: int) -> None:
+    """Opens executors until the queue is empty."""
+    before = state.done
     for opened in count(1):
         if not state.queue:
-            break
+            return
         with workers.open() as executor:
             state.drain(executor, ahead)
         if state.queue and not workers.reopens:
             raise JobError("the workers were lost; finished rows are kept, go on with --resume")
-        if opened > TRIES and state.done == len(keys) - len(todo):
+        if opened > TRIES and state.done == before:
             raise JobError("no worker process survives its start; a script needs `if __name__ == '__main__':`")
-    return table.frame(keys)
 
 
 @dataclass

@@ -147,6 +147,7 @@ def test_cluster_with_a_killed_worker_gives_the_same_bits(tmp_path: Path) -> Non
     assert len(set(frame["process"])) == 2
     assert victims[0] not in set(frame["process"][-20:])
     assert frame["value"].to_list() == expected(keys)
+    assert read_rows(path).equals(frame)  # the file is in the order of the keys, whoever finished first
     assert frame.drop("seconds", "process").equals(rows(work.draw, serial(), keys))
 
 

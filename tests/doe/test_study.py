@@ -235,7 +235,9 @@ def test_file_is_read(folder: Path) -> None:
     assert study.truths[0].effects is not None
     assert study.truths[0].effects[0].values["a"] == pytest.approx(np.radians(0.03))
     assert study.models[0].effects == ()
-    name, plan = study.plans[1]
+    given = study.plans[1]
+    assert isinstance(given, tuple)
+    name, plan = given
     assert name == "plan.csv"
     assert isinstance(plan, Plan)
     assert len(plan) == 7
