@@ -1,0 +1,92 @@
+"""Every notebook runs as it is and asserts its own numbers; committed are its outputs, and no traces of a machine."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+from nbformat import NotebookNode
+
+ROOT = Path(__file__).parents[2]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+LARGEST = 1_000_000  # bytes of one notebook; a forge shows larger ones slowly or not at all
+HANGS = 600  # [s] after which a cell is given up; how long they may take is for the benchmark
+
+by_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+
+
+@pytest.fixture
+def kernel_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A kernel that imports this checkout and leaves nothing in the user's folders."""
+    paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+    monkeypatch.setenv("PYTHONWARNINGS", "default")
+    monkeypatch.setenv("JUPYTER_PLATFORM_DIRS", "1")
+    for name in ("JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR", "IPYTHONDIR"):
+        monkeypatch.setenv(name, str(tmp_path / name.lower()))
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        monkeypatch.setenv(name, "1")
+
+
+def execute(path: Path) -> NotebookNode:
+    """The notebook with fresh outputs. Raises `CellExecutionError` where a cell fails, an assertion say."""
+    notebook = nbformat.read(path, as_version=4)
+    context = {"metadata": {"path": str(path.parent)}}
+    NotebookClient(notebook, timeout=HANGS, kernel_name="python3", resources=context).execute()
+    return notebook
+
+
+def code_cells(notebook: NotebookNode) -> list[NotebookNode]:
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def outputs(notebook: NotebookNode) -> Iterator[NotebookNode]:
+    for cell in code_cells(notebook):
+        yield from cell.outputs
+
+
+def test_all_seven_are_here() -> None:
+    assert [path.name[0] for path in NOTEBOOKS] == list("1234567")
+
+
+@by_notebook
+@pytest.mark.usefixtures("kernel_environment")
+# event loop and sockets of jupyter_client, zmq and nbclient: not our code, and different in every version
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:(jupyter_client|nbclient|zmq|tornado|asyncio).*")
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_notebook_runs(path: Path) -> None:
+    notebook = execute(path)
+    complaints = [o.text for o in outputs(notebook) if o.output_type == "stream" and o.name == "stderr"]
+    assert not complaints, "a warning in a notebook is a defect"
+
+
+@by_notebook
+def test_notebook_asserts_its_numbers(path: Path) -> None:
+    sources = [cell.source for cell in code_cells(nbformat.read(path, as_version=4))]
+    assert sum(len(re.findall(r"^ *assert ", source, re.MULTILINE)) for source in sources) >= 5
+
+
+@by_notebook
+def test_committed_notebook_was_run_from_top_to_bottom(path: Path) -> None:
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    assert [cell.execution_count for cell in code_cells(notebook)] == list(range(1, len(code_cells(notebook)) + 1))
+    kinds = {kind for output in outputs(notebook) for kind in output.get("data", {})}
+    assert "image/png" in kinds, "a notebook without a picture"
+    assert not [o for o in outputs(notebook) if o.output_type == "error" or o.get("name") == "stderr"]
+
+
+@by_notebook
+def test_committed_notebook_is_small_and_of_no_machine(path: Path) -> None:
+    assert path.stat().st_size < LARGEST
+    notebook = nbformat.read(path, as_version=4)
+    assert set(notebook.metadata) <= {"kernelspec", "language_info"}
+    assert all(cell.metadata == {} for cell in notebook.cells)
+    words = [cell.source for cell in notebook.cells]
+    words += [o.get("text") or o.get("data", {}).get("text/plain", "") for o in outputs(notebook)]
+    assert not re.search(r"/(home|tmp|root|work|usr|Users|opt)/|[A-Z]:\\|object at 0x", "\n".join(words))
