@@ -22,7 +22,8 @@ from doe.result import Design
 from doe.solvers import solve
 from doe.solvers.analytic import Analytic
 from doe.solvers.base import Budget
-from doe.solvers.exchange import Exchange, random_grid
+from doe.solvers.driver import worth
+from doe.solvers.exchange import Exchange
 from identification.arm import Arm, Array
 from identification.errors import InputError
 from identification.gap.hypotheses import hypotheses
@@ -81,7 +82,7 @@ def discriminating(
     score = judge.objective(chosen) + TRADE * best.value
     try:
         for postures in plans_worth_comparing(problem, wide, arm, runs, least, generator, progress):
-            value = problem.objective(postures)
+            value = worth(problem, postures)
             if value >= least and (offered := judge.objective(postures) + TRADE * value) > score:
                 chosen, score = postures, offered
     except KeyboardInterrupt:
@@ -158,7 +159,7 @@ def robust_plans(
         precision = float(np.sqrt(weak * strong))
         progress(step, STEPS, f"exchange with prior precision {precision:.3g}")
         robust = replace(wide, criterion=with_precision(wide, problem.parameters, precision))
-        begun = random_grid(robust, exchange.levels, (STARTS, runs), generator)
+        begun = exchange.begin(robust, STARTS, runs, generator)
         plans = exchange.improve(robust, begun, generator, Budget(1))[0]
         for plan in plans:
             for size in np.linspace(0.0, 0.4, JITTERS):
