@@ -14,6 +14,7 @@ from identification.gap.diagnosis import Candidate, Diagnosis, Estimate, Residua
 from identification.gap.fit import Fit
 from identification.gap.hypotheses import HypothesisSet, hypotheses
 from identification.gap.investigate import Findings, investigate
+from identification.gap.noise import repeat_finding
 from identification.gap.preflight import NEAR, Preflight, assess, require_spare
 from identification.gap.select import Choice, Search, trial_of
 from identification.gap.whitening import Rows
@@ -68,7 +69,7 @@ def diagnose(
         where=found.unknown.place,
         shape=found.unknown.shape,
         p_unknown=found.unknown.p,
-        scatter=found.scatter,
+        scatter=(*found.scatter, *repeat_finding(measurements, found.search.fit(chosen), ~found.outlier)),
         outlier_rows=tuple(int(k) + 1 for k in np.flatnonzero(found.outlier)),
         excluded=before.detectable,
         gap=gap,

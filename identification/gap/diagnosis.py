@@ -165,21 +165,17 @@ class Diagnosis:
     def __str__(self) -> str:
         lines = [self.sentence]
         for c in self.candidates:
-            estimates = "; ".join(str(p) for p in c.parameters)
-            lines.append(
-                f"  {' + '.join(c.effects)}: F = {c.f:.1f}, p = {c.p_adjusted:.2g}, Delta BIC = {c.delta_bic:.1f}; {estimates}"
-            )
+            figures = f"F = {c.f:.1f}, p = {c.p_adjusted:.2g}, Delta BIC = {c.delta_bic:.1f}"
+            lines.append(f"  {' + '.join(c.effects)}: {figures}; {'; '.join(str(p) for p in c.parameters)}")
         lines += [f"  scatter: {f}" for f in self.scatter]
         if self.outlier_rows:
             lines.append(f"  outliers: rows {', '.join(map(str, self.outlier_rows))} are left out")
-        lines.append(
-            f"  gap: {self.gap.rms_before:.4g} mm before, {self.gap.rms_after:.4g} mm after, noise floor {self.gap.noise_floor:.4g} mm"
-        )
-        if self.gap.held_out_after is not None:
-            lines.append(
-                f"  held out: {self.gap.held_out_before:.4g} mm before, {self.gap.held_out_after:.4g} mm after, "
-                f"{self.gap.predicted:.4g} mm predicted"
-            )
+        g = self.gap
+        floor = f"noise floor {g.noise_floor:.4g} mm"
+        lines.append(f"  gap: {g.rms_before:.4g} mm before, {g.rms_after:.4g} mm after, {floor}")
+        if g.held_out_after is not None:
+            then = f"{g.held_out_before:.4g} mm before, {g.held_out_after:.4g} mm after"
+            lines.append(f"  held out: {then}, {g.predicted:.4g} mm predicted")
         if not self.effects:
             lines += [f"  excluded above: {name} {size}" for name, size in self.excluded.items()]
         return "\n".join([*lines, *(f"  note: {n}" for n in self.notes)])

@@ -10,11 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fdtrc
 
 from identification.arm import Array
 from identification.gap.fit import Fit
 from identification.gap.linear import basis
 from identification.gap.whitening import Rows
+from identification.measurements import Measurements
 
 OUTLIER = 6.0  # robust standard deviations of a posture's residual
 MOST_OUTLIERS = 0.15  # share of the rows; more is structure, not outliers
@@ -34,7 +36,10 @@ class Finding:
     size: float
 
     def __str__(self) -> str:
-        what = "lag-1 correlation" if self.name == "serial_correlation" else "relative variance"
+        what = {
+            "serial_correlation": "lag-1 correlation",
+            "repeats": "misfit larger than what repeats scatter, by the variance ratio",
+        }.get(self.name, "relative variance")
         return f"{self.name} ({what} {self.size:.2g}, p = {self.p:.2g})"
 
 
@@ -182,3 +187,29 @@ def holm(p: dict[str, float]) -> dict[str, float]:
         running = max(running, min(1.0, (len(p) - rank) * p[name]))
         adjusted[name] = running
     return adjusted
+
+
+def repeat_finding(measurements: Measurements, found: Fit, kept: NDArray[np.bool_]) -> tuple[Finding, ...]:
+    """Lack of fit against pure error, where postures were repeated: a fast ripple looks like noise, but it repeats.
+
+    F = (lack of fit / its degrees of freedom) / (scatter of the repeats about their means / its degrees of freedom).
+    """
+    groups = same_posture(measurements)[kept]
+    position = found.model.position(measurements.postures, found.values, measurements.conditions)
+    residual = (measurements.positions - position)[kept]
+    counts = np.bincount(groups)
+    means = np.stack([np.bincount(groups, residual[:, k]) for k in range(2)], axis=1) / counts[:, None]
+    pure = float(np.sum((residual - means[groups]) ** 2))
+    pure_freedom, fit_freedom = 2 * (len(residual) - len(counts)), 2 * len(counts) - found.rank
+    if pure_freedom < 4 or fit_freedom < 1 or pure == 0.0:
+        return ()
+    excess = (float(np.sum(residual**2)) - pure) / fit_freedom / (pure / pure_freedom)
+    p = float(fdtrc(fit_freedom, pure_freedom, excess))
+    return (Finding("repeats", p, excess),) if p <= LEVEL else ()
+
+
+def same_posture(measurements: Measurements) -> NDArray[np.int64]:
+    """(m,) number of each row's posture; rows of one number are repeats."""
+    if measurements.repeats is not None:
+        return np.unique(measurements.repeats, return_inverse=True)[1]
+    return np.unique(np.round(measurements.postures, 9), axis=0, return_inverse=True)[1].ravel()

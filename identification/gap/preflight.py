@@ -106,7 +106,8 @@ def require_spare(freedom: int, rows: int) -> None:
     """Refuse to test with fewer than `SPARE` degrees of freedom."""
     if freedom < SPARE:
         raise InputError(
-            f"measurements: {rows} rows leave {freedom} degrees of freedom for tests, allowed: at least {SPARE}; measure more postures"
+            f"measurements: {rows} rows leave {freedom} degrees of freedom for tests, "
+            f"allowed: at least {SPARE}; measure more postures"
         )
 
 
@@ -179,10 +180,7 @@ def detectable_lambda(size: int, freedom: int, level: float, one_sided: bool = F
     The power of an F test is the tail of the noncentral F distribution with noncentrality lambda^2, that of a
     one-sided t test the tail of the noncentral t with lambda; both grow with lambda, so bisection finds it.
     """
-    if one_sided:
-        limit = stdtrit(freedom, 1.0 - level)
-    else:
-        limit = fdtri(size, freedom, 1.0 - level)
+    limit = stdtrit(freedom, 1.0 - level) if one_sided else fdtri(size, freedom, 1.0 - level)
     low, high = 0.0, 200.0
     for _ in range(60):
         middle = 0.5 * (low + high)

@@ -130,14 +130,14 @@ class Selection:
 
 def trial_of(search: Search, chosen: Choice, draws: int, generator: np.random.Generator) -> tuple[float, float]:
     """F and adjusted p-value of the member of a set that enters last, the weakest if the order is not clear."""
-    worst = (np.inf, 0.0)
+    found = []
     for k, member in enumerate(chosen):
         tested = search.tested(chosen[:k] + chosen[k + 1 :], draws, generator)
         same = [i for i, h in enumerate(tested.members) if h.free.label == member.label]
         if same:
             at = min(same, key=lambda i: tested.gate.adjusted[i])
-            worst = max(worst, (float(tested.gate.f[at]), float(tested.gate.adjusted[at])), key=lambda t: (t[1], -t[0]))
-    return worst
+            found.append((float(tested.gate.f[at]), float(tested.gate.adjusted[at])))
+    return max(found, key=lambda trial: (trial[1], -trial[0]), default=(0.0, 1.0))
 
 
 def best_of(search: Search, chosen: Choice, members: list[Hypothesis], change: np.ndarray) -> Choice | None:
