@@ -58,7 +58,6 @@ def test_all_seven_are_here() -> None:
 @pytest.mark.usefixtures("kernel_environment")
 # event loop and sockets of jupyter_client, zmq and nbclient: not our code, and different in every version
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:(jupyter_client|nbclient|zmq|tornado|asyncio).*")
-@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_notebook_runs(path: Path) -> None:
     notebook = execute(path)
     complaints = [o.text for o in outputs(notebook) if o.output_type == "stream" and o.name == "stderr"]
