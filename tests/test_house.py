@@ -57,6 +57,7 @@ LAYERS = {
     "doe.solvers": 14,
     "doe.discriminate": 15,
     "doe.discriminating": 15,
+    "doe.cross_check": 15,
     "doe.advise": 15,
     "doe.augment": 15,
     "doe.report": 16,

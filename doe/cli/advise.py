@@ -6,16 +6,14 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import FILE, Answer, Session, force_option, verb
+from doe.cli.common import FILE, Answer, Seconds, Session, force_option, verb
 
 
 @verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")
 @click.argument("arm", type=FILE)
 @click.option("--runs", default="4:40", show_default=True, metavar="A:B", help="Numbers of runs, A to B.")
 @click.option("--target-mm", type=float, help="Wanted largest standard deviation of a link length [mm].")
-@click.option(
-    "--seconds", type=click.FloatRange(min=0, min_open=True), default=2.0, show_default=True, help="For each."
-)
+@click.option("--seconds", type=Seconds(), default=2.0, show_default=True, help="For each.")
 @click.option("--picture", type=FILE, metavar="FILE", help="Write the curve as .png, .svg or .pdf.")
 @force_option
 def command(

@@ -24,6 +24,22 @@ if TYPE_CHECKING:
     from identification.measurements import Measurements
 
 FILE = click.Path(path_type=Path)
+
+
+class Seconds(click.FloatRange):
+    """A time budget [s] above zero; `nan` would be one that never ends."""
+
+    def __init__(self) -> None:
+        super().__init__(min=0, min_open=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """As in click, without `nan`."""
+        number = float(super().convert(value, param, ctx))
+        if math.isnan(number):
+            self.fail("nan is not in the range x>0.", param, ctx)
+        return number
+
+
 out_option = click.option("--out", type=FILE, metavar="FILE", help="Write the result to this file.")
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing file.")
 
@@ -96,7 +112,7 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
         run = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed.")(run)
         run = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")(run)
         name = function.__module__.rpartition(".")[2]
-        return click.command(name, epilog=f"Example:  {example}")(run)
+        return click.command(name, epilog=f"\b\nExample:\n  {example}")(run)
 
     return decorate
 

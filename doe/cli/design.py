@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import FILE, Answer, Session, force_option, out_option, verb
+from doe.cli.common import FILE, Answer, Seconds, Session, force_option, out_option, verb
 
 
 @verb("armcal design arm.toml --runs 20 --out plan.csv")
@@ -14,7 +14,7 @@ from doe.cli.common import FILE, Answer, Session, force_option, out_option, verb
 @click.option("--runs", type=click.IntRange(min=1), required=True, help="Number of measurements m.")
 @click.option("--solver", help="Method; left out: the best for the problem.")
 @click.option("--starts", type=click.IntRange(min=1), help="Number of starts.")
-@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="Time budget [s].")
+@click.option("--seconds", type=Seconds(), help="Time budget [s].")
 @out_option
 @force_option
 def command(

@@ -2,10 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
 import click
 
-from doe.cli import advise, compare, compensate, demo, design, diagnose, identify, score, simulate, study
+from doe.cli import (
+    advise,
+    compare,
+    compensate,
+    demo,
+    design,
+    diagnose,
+    discriminate,
+    identify,
+    relax,
+    score,
+    simulate,
+    study,
+)
 from identification.errors import nearest
+
+
+@contextmanager
+def one_line_errors() -> Iterator[None]:
+    """Usage errors without the usage above them: one line, as every other bad input."""
+    try:
+        yield
+    except click.exceptions.NoArgsIsHelpError:  # the whole help, on purpose
+        raise
+    except click.UsageError as error:
+        error.ctx = None
+        raise
 
 
 class Verbs(click.Group):
@@ -14,6 +43,16 @@ class Verbs(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         """In the order in which they were added."""
         return list(self.commands)
+
+    def make_context(self, *args: Any, **options: Any) -> click.Context:
+        """As in click, with usage errors of one line."""
+        with one_line_errors():
+            return super().make_context(*args, **options)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """As in click, with usage errors of one line."""
+        with one_line_errors():
+            return super().invoke(ctx)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -37,5 +76,18 @@ def main() -> None:
     """
 
 
-for module in (demo, design, score, advise, compare, study, simulate, identify, diagnose, compensate):
+for module in (
+    demo,
+    design,
+    score,
+    advise,
+    compare,
+    relax,
+    study,
+    simulate,
+    identify,
+    diagnose,
+    discriminate,
+    compensate,
+):
     main.add_command(module.command)

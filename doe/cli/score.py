@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import click
@@ -34,6 +35,9 @@ def command(session: Session, arm: Path, plan: Path, picture: Path | None, alias
     given = load_plan(plan, loaded.links)
     design = score_plan(DesignProblem.of(Model(loaded)), given)
     data, shown = design.to_json(), design_tables(loaded, design)
+    if design.outside:
+        found = f"{len(design.outside)} of {len(given)} runs are outside joint limits or constraints, the first is run"
+        warnings.warn(f"{plan}: {found} {design.outside[0]}: no bound holds for this plan", UserWarning, stacklevel=2)
     try:
         sees = preflight(loaded, given.postures)
     except InputError as error:  # too few runs to test for effects is a fact about the plan, not bad input

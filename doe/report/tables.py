@@ -32,16 +32,17 @@ def plan_table(design: Design, most: int = 24) -> Table:
     return table
 
 
-def accuracy_table(arm: Arm, data: dict[str, Any]) -> Table:
-    """Expected standard deviations per link."""
-    sigma = "per mm of measurement noise" if arm.sigma is None else f"sigma = {arm.sigma:g} mm"
-    table = Table(title=f"Expected standard deviations ({sigma})", title_justify="left")
+def accuracy_table(arm: Arm, data: dict[str, Any]) -> Table | str:
+    """Expected standard deviations per link, or a sentence that says why there are none."""
+    deviations = [data["std"][key] for key in ("length_mm", "orientation_deg", "joint_offset_deg")]
+    if arm.sigma is None:
+        return "No expected standard deviations: the arm file has no sigma_mm."
+    if any(d is None for d in deviations):
+        return "No expected standard deviations: the plan does not tell every parameter."
+    table = Table(title=f"Expected standard deviations (sigma = {arm.sigma:g} mm)", title_justify="left")
     table.add_column("link", justify="right")
     for heading in ("length [mm]", "orientation [deg]", "joint offset [deg]"):
         table.add_column(Text(heading), justify="right")
-    deviations = [data["std"][key] for key in ("length_mm", "orientation_deg", "joint_offset_deg")]
-    if any(d is None for d in deviations):
-        return table
     for j, row in enumerate(zip(*deviations, strict=True), start=1):
         table.add_row(str(j), *(number(v, 5) for v in row))
     return table
@@ -55,12 +56,21 @@ def verdict_table(data: dict[str, Any], sentence: str) -> Table:
     table.add_row("log det M'", number(data["log_det"], 7))
     table.add_row("upper bound", f"{number(bound['value'], 7)} ({bound['source']})" if bound else "-")
     table.add_row("efficiency", number(data["efficiency"], 6))
-    table.add_row("certified optimal", "yes" if data["certified_optimal"] else "not proven")
+    table.add_row("certified optimal", certified(data))
     table.add_row("Table I residual", number(data["table_1_max_residual"], 6))
     if data["solver"]:
         table.add_row("solver", f"{data['solver']}, {data['starts']} starts, {data['seconds']:.2f} s")
     table.add_row("status", sentence)
     return table
+
+
+def certified(data: dict[str, Any], most: int = 10) -> str:
+    """`yes`, `not proven`, or which runs no bound speaks of."""
+    outside = data["outside_limits"]
+    if outside:
+        more = ", ..." if len(outside) > most else ""
+        return f"no: outside joint limits or constraints are runs {', '.join(map(str, outside[:most]))}{more}"
+    return "yes" if data["certified_optimal"] else "not proven"
 
 
 def design_tables(arm: Arm, design: Design) -> list[Any]:

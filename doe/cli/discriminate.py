@@ -1,0 +1,56 @@
+"""`armcal discriminate`: the next postures for an ambiguous diagnosis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from doe.cli.common import FILE, Answer, Session, force_option, out_option, read_measurements, verb
+
+
+@verb("armcal discriminate arm.toml data.csv --runs 4 --payloads 0,5,10 --out next.csv")
+@click.argument("arm", type=FILE)
+@click.argument("data", type=FILE)
+@click.option("--runs", type=click.IntRange(min=1), required=True, help="Number of further measurements K.")
+@click.option("--payloads", help="Payloads to choose from [kg], as 0,5,10; left out: the arm's own.")
+@out_option
+@force_option
+def command(
+    session: Session, arm: Path, data: Path, runs: int, payloads: str | None, out: Path | None, force: bool
+) -> Answer:
+    """The next RUNS postures that tell the candidates of an ambiguous diagnosis apart, with their chance of success."""
+    from doe.discriminate import discriminate
+    from doe.report.next_postures import next_data, next_tables, next_text
+    from identification.arm_file import load_arm
+    from identification.files import check_writable, write_whole
+    from identification.gap.diagnose import diagnose
+
+    loaded = load_arm(arm)
+    check_writable(out, force)
+    masses = None if payloads is None else payload_list(payloads)
+    measurements = read_measurements(data, loaded)
+    with session.progress("discriminate") as progress:
+        diagnosis = diagnose(loaded, measurements, seed=session.seed, progress=progress)
+    if diagnosis.verdict != "ambiguous":
+        sentence = f"nothing to tell apart: {diagnosis.sentence}"
+        return Answer({"verdict": diagnosis.verdict, "postures_deg": [], "chance": None}, [sentence])
+    found = discriminate(loaded, diagnosis, measurements, runs, session.seed, masses)
+    shown = next_tables(diagnosis, found)
+    if out is not None:
+        write_whole(out, next_text(found), force=force)
+        shown.append(f"next postures written to {out}; measure them and append the rows to {data}")
+    return Answer(next_data(diagnosis, found), shown)
+
+
+def payload_list(text: str) -> tuple[float, ...]:
+    """`0,5,10` as numbers >= 0 [kg]."""
+    from identification.errors import InputError
+
+    try:
+        masses = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        masses = (-1.0,)
+    if not all(0.0 <= mass < float("inf") for mass in masses):
+        raise InputError(f"--payloads: {text!r}, allowed: numbers >= 0 [kg] separated by commas, such as 0,5,10")
+    return masses

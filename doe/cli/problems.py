@@ -1,0 +1,66 @@
+"""From command-line options to a design problem, in one place for all verbs that design."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from doe.problem import DesignProblem
+    from identification.arm import Arm
+
+
+def problem_of(
+    arm: Arm,
+    criterion_name: str = "D",
+    *,
+    test_poses: Path | None = None,
+    subset: str | None = None,
+    keep: Path | None = None,
+    candidates: Path | None = None,
+    repeats: bool = False,
+    minimum_distance_deg: float | None = None,
+) -> DesignProblem:
+    """The problem that the options describe. Raises `InputError` for files and names that do not fit."""
+    import numpy as np
+
+    from doe.criteria import criterion
+    from doe.plan_file import load_plan
+    from doe.problem import DesignProblem
+    from identification.model import Model
+
+    model = Model(arm)
+    options: dict[str, Any] = {}
+    if keep is not None:
+        options["kept"] = measured_postures(keep, arm)
+    if candidates is not None:
+        options["choices"] = load_plan(candidates, arm.links).postures
+    if repeats or minimum_distance_deg is not None:
+        options["minimum_distance"] = 0.0 if repeats else float(np.radians(minimum_distance_deg or 0.0))
+    plain = DesignProblem.of(model, **options)
+    chosen = criterion(
+        criterion_name,
+        units=[parameter.unit for parameter in model.parameters],
+        subset=None if subset is None else indices(subset, model.names),
+        test_blocks=None if test_poses is None else plain.blocks(load_plan(test_poses, arm.links).postures),
+    )
+    return DesignProblem.of(model, criterion=chosen, **options)
+
+
+def measured_postures(path: Path, arm: Arm) -> Any:
+    """(k, n) postures of a measurement file, or of a plan that is carried out already."""
+    from identification.measurement_file import read_postures
+    from identification.table import read_table
+
+    return read_postures(read_table(path), arm.links)
+
+
+def indices(text: str, names: tuple[str, ...]) -> list[int]:
+    """Parameter names, separated by commas, as indices; raises `InputError` with the nearest name."""
+    from identification.errors import InputError, nearest
+
+    wanted = [word.strip() for word in text.split(",")]
+    for word in wanted:
+        if word not in names:
+            raise InputError(f"--subset: unknown parameter {word!r}, {nearest(word, names)}")
+    return [names.index(word) for word in wanted]

@@ -1,0 +1,73 @@
+"""Independent answers to one design problem side by side: they share the Jacobian and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from doe.approximate import ApproximateDesign
+from doe.closed_form import closed_form_bound
+from doe.problem import DesignProblem
+from doe.result import Design
+from doe.solvers import solve
+from doe.solvers.column_generation import continuous_design
+from identification.errors import JobError
+
+
+@dataclass(frozen=True)
+class CrossCheck:
+    """What each method says is the largest criterion value; bounds and attained values bracket the truth.
+
+    relaxed : over the candidates;  continuous : over all postures, None if it failed
+    exact : best plan of whole runs;  closed_form : the theorem's value, None where it does not apply
+    """
+
+    relaxed: ApproximateDesign
+    continuous: ApproximateDesign | None
+    exact: Design
+    closed_form: float | None
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Method, space, attained value, upper bound, Table I residual of the (weighted) plan."""
+        found = [("relaxation", "candidates", self.relaxed)]
+        if self.continuous is not None:
+            found.append(("column generation", "all postures", self.continuous))
+        rows = [
+            {
+                "method": f"{name}, {design.solver}",
+                "space": space,
+                "value": design.value,
+                "bound": None if design.bound is None else design.bound.value,
+                "table_1_max_residual": residual(self.exact.problem, design),
+            }
+            for name, space, design in found
+        ]
+        rows.append(
+            {
+                "method": f"exact plan, {self.exact.solver}",
+                "space": f"{len(self.exact.plan)} runs",
+                "value": self.exact.value,
+                "bound": None if self.exact.bound is None else self.exact.bound.value,
+                "table_1_max_residual": self.exact.table_1_max_residual,
+            }
+        )
+        if self.closed_form is not None:
+            theorem = {"method": "closed form", "space": "all postures", "value": self.closed_form}
+            rows.append(theorem | {"bound": self.closed_form, "table_1_max_residual": None})
+        return rows
+
+
+def residual(problem: DesignProblem, design: ApproximateDesign) -> float | None:
+    """Table I residual of a weighted plan."""
+    return Design(problem, design.plan).table_1_max_residual
+
+
+def cross_check(problem: DesignProblem, relaxed: ApproximateDesign, runs: int, *, seed: int = 0) -> CrossCheck:
+    """The relaxation's answer beside an exact plan, the continuous optimum and the closed form."""
+    exact = solve(problem, runs, seed=seed)
+    theorem = closed_form_bound(problem)
+    try:
+        continuous = continuous_design(problem, runs=runs)
+    except JobError:
+        continuous = None
+    return CrossCheck(relaxed, continuous, exact, None if theorem is None else theorem.value)

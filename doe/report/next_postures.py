@@ -1,0 +1,54 @@
+"""The next postures of an ambiguous diagnosis: for people, scripts, and as a plan file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+from rich.text import Text
+
+from doe.discriminate import NextPostures
+from identification.gap.diagnosis import Diagnosis
+from identification.measurement_file import csv_text, posture_columns
+
+
+def next_columns(found: NextPostures) -> dict[str, NDArray[np.generic]]:
+    """Columns of the plan file: run, angles, and payload and directions where they matter."""
+    columns: dict[str, NDArray[np.generic]] = {"run": np.arange(1, len(found.plan) + 1)}
+    columns |= posture_columns(found.plan.postures)
+    if found.payload is not None:
+        columns["payload_kg"] = found.payload
+    if found.directions is not None:
+        columns |= {f"direction{j + 1}": column for j, column in enumerate(found.directions.T)}
+    return columns
+
+
+def next_text(found: NextPostures) -> str:
+    """The plan file; with the measured positions added it is a measurement file."""
+    return csv_text(next_columns(found))
+
+
+def next_data(diagnosis: Diagnosis, found: NextPostures) -> dict[str, Any]:
+    """The JSON object of `armcal discriminate`."""
+    return {
+        "verdict": diagnosis.verdict,
+        "candidates": [list(candidate.effects) for candidate in diagnosis.candidates],
+        "postures_deg": np.degrees(found.plan.postures),
+        "payload_kg": found.payload,
+        "directions": found.directions,
+        "chance": found.chance,
+        "pairs": [{"candidate": a, "rival": b, "lambda": size} for (a, b), size in found.pairs.items()],
+    }
+
+
+def next_tables(diagnosis: Diagnosis, found: NextPostures) -> list[Any]:
+    """The rivals, the chance, the postures."""
+    columns = next_columns(found)
+    table = Table(title="Next postures", title_justify="left")
+    for name in columns:
+        table.add_column(Text(name), justify="right")
+    for row in zip(*columns.values(), strict=True):
+        table.add_row(*(f"{value:g}" for value in row))
+    return [Text(diagnosis.sentence), Text(str(found), style="bold"), table]
