@@ -1,7 +1,7 @@
 """The next postures that tell the remaining explanations of a diagnosis apart.
 
-T-optimality (Atkinson & Fedorov 1975) for several rivals: were candidate i the truth, rival j, fitted to the old and the
-new measurements together, would miss the new ones by delta, which has the noncentrality
+T-optimality (Atkinson & Fedorov 1975) for several rivals: were candidate i the truth, rival j, fitted to the old and
+the new measurements together, would miss the new ones by delta, which has the noncentrality
 
     lambda_ij^2 = delta^T (sigma^2 I + J_j C_j J_j^T)^-1 delta
 

@@ -194,7 +194,7 @@ def repeat_finding(measurements: Measurements, found: Fit, kept: NDArray[np.bool
 
     F = (lack of fit / its degrees of freedom) / (scatter of the repeats about their means / its degrees of freedom).
     """
-    groups = same_posture(measurements)[kept]
+    groups = np.unique(same_posture(measurements)[kept], return_inverse=True)[1]
     position = found.model.position(measurements.postures, found.values, measurements.conditions)
     residual = (measurements.positions - position)[kept]
     counts = np.bincount(groups)

@@ -1,0 +1,58 @@
+"""Effects on the scatter: what `simulate` does with them, against the formulas."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm, EffectSpec
+from identification.model import Model
+from identification.simulate import simulate
+
+ARM = Arm([300.0, 200.0, 150.0], sigma=0.1)
+POSTURES = np.random.default_rng(1).uniform(-np.pi, np.pi, (4000, 3))
+
+
+def errors(*effects: EffectSpec, seed: int = 2, sigma: float | None = None) -> np.ndarray:
+    exact = Model(ARM).position(POSTURES)
+    return simulate(ARM.with_effects(*effects), POSTURES, np.random.default_rng(seed), sigma=sigma).positions - exact
+
+
+def test_the_model_ignores_them() -> None:
+    noisy = ARM.with_effects(EffectSpec("joint_noise", 2, {"std": 1e-3}), EffectSpec("outliers", None, {"share": 0.1}))
+    assert Model(noisy).names == Model(ARM).names
+    np.testing.assert_array_equal(Model(noisy).position(POSTURES), Model(ARM).position(POSTURES))
+
+
+def test_joint_noise_moves_the_tip_about_its_joint() -> None:
+    found = errors(EffectSpec("joint_noise", 2, {"std": 1e-3}), sigma=0.0)
+    elbow = 300.0 * np.column_stack([np.cos(POSTURES[:, 0]), np.sin(POSTURES[:, 0])])
+    arm = Model(ARM).position(POSTURES) - elbow
+    across = (found[:, 1] * arm[:, 0] - found[:, 0] * arm[:, 1]) / np.sum(arm**2, axis=1)
+    # 4000 draws: relative standard error of a deviation 1.1 %
+    assert np.std(across) == pytest.approx(1e-3, rel=0.05)
+    np.testing.assert_allclose(np.sum(found * arm, axis=1), 0.0, atol=1e-6)
+
+
+def test_reach_and_time_noise_scale_the_errors() -> None:
+    plain = errors()
+    reach = np.linalg.norm(Model(ARM).position(POSTURES), axis=1) / 650.0
+    scaled = errors(EffectSpec("reach_noise", None, {"g": 3.0}))
+    np.testing.assert_allclose(scaled, plain * np.sqrt(1 + 9 * reach**2)[:, None], atol=1e-10)
+    late = errors(EffectSpec("time_noise", None, {"g": 1.5}))
+    np.testing.assert_allclose(late, plain * np.exp(1.5 * np.linspace(-0.5, 0.5, 4000))[:, None], atol=1e-10)
+
+
+def test_outliers_have_their_size_and_share() -> None:
+    moved = errors(EffectSpec("outliers", None, {"share": 0.01, "size": 15.0})) - errors()
+    size = np.linalg.norm(moved, axis=1)
+    assert np.sum(size > 1e-6) == 40
+    np.testing.assert_allclose(size[size > 1e-6], 1.5, rtol=1e-6)
+
+
+def test_serial_correlation_keeps_the_variance() -> None:
+    found = errors(EffectSpec("serial_correlation", None, {"rho": 0.7}))
+    lag = np.sum(found[1:] * found[:-1]) / np.sum(found**2)
+    # 8000 numbers: standard error of the correlation 0.008, of the deviation (effective number 2700) 1.4 %
+    assert lag == pytest.approx(0.7, abs=0.04)
+    assert np.std(found) == pytest.approx(0.1, rel=0.06)

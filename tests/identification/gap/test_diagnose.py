@@ -1,0 +1,222 @@
+"""The workflow as a whole: verdicts, contract, bad input."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm, EffectSpec, Gravity
+from identification.effects import library
+from identification.errors import InputError
+from identification.gap.diagnose import diagnose
+from identification.gap.diagnosis import Diagnosis
+from identification.measurements import Measurements
+from tests.identification.gap import blind
+
+RNG = np.random.default_rng(11)
+TRUTH = replace(blind.random_truth(RNG, 3), sigma=0.05)
+ARM = Arm(
+    TRUTH.lengths,
+    sigma=0.05,
+    gravity=Gravity(np.array([0.0, -blind.G]), TRUTH.masses, TRUTH.center, TRUTH.payload),
+)
+
+
+@cache
+def measured(name: str | None, seed: int = 1, m: int = 60, **changes: object) -> Measurements:
+    """Data with one clear effect (lambda = 25) at joint 2, or none."""
+    rng = np.random.default_rng(seed)
+    run = blind.session(TRUTH, rng.uniform(-np.pi, np.pi, (m, 3)), rng)
+    effects = []
+    if name:
+        joint = None if name in blind.LIBRARY_WHOLE or name == "step_drift" else 2
+        others = blind.library_columns(TRUTH, run) if name in blind.OUTSIDE else None
+        effects = [blind.sized(TRUTH, run, name, joint, 25.0, np.random.default_rng(7), others)]
+    return blind.measure(replace(TRUTH, effects=effects), run, rng, "white")
+
+
+@cache
+def diagnosed(name: str | None) -> Diagnosis:
+    return diagnose(ARM, measured(name), draws=199)
+
+
+CLEAR = [n for n in (*blind.LIBRARY_JOINT, *blind.LIBRARY_WHOLE) if n not in ("joint_compliance*", "joint_compliance")]
+
+
+@pytest.mark.parametrize("name", CLEAR)
+def test_names_a_clear_effect_and_the_extended_arm_has_nothing_missing(name: str) -> None:
+    found = diagnosed(name)
+    joint = None if name in blind.LIBRARY_WHOLE else 2
+    assert found.effects == (name if joint is None else f"{name}:2",)
+    assert found.gap.rms_after < found.gap.rms_before
+    again = diagnose(found.extended_arm(), measured(name), draws=199)
+    assert again.verdict == "none"
+
+
+def test_estimate_is_near_the_truth() -> None:
+    found = diagnosed("transmission_ripple")
+    rng = np.random.default_rng(1)
+    run = blind.session(TRUTH, rng.uniform(-np.pi, np.pi, (60, 3)), rng)
+    _, _, values = blind.sized(TRUTH, run, "transmission_ripple", 2, 25.0, np.random.default_rng(7))
+    assert found.named.specs[0].values["k"] == values["k"]
+    for estimate in found.named.parameters:
+        truth = np.degrees(values[estimate.name[-1]])
+        assert abs(estimate.value - truth) < 4.0 * estimate.std
+        assert estimate.unit == "deg"
+
+
+def test_nothing_missing_gives_the_sizes_excluded() -> None:
+    found = diagnosed(None)
+    assert found.verdict == "none"
+    assert found.effects == ()
+    assert found.sigma == pytest.approx(0.05, rel=0.3)  # 114 degrees of freedom: standard error 0.066
+    assert found.excluded["encoder_eccentricity:2"].unit == "deg"
+    assert found.excluded["encoder_eccentricity:2"].value > 0.0
+
+
+@pytest.mark.parametrize(("name", "place"), [("bump", "joint:2"), ("free_ripple", "joint:2"), ("step_drift", "time")])
+def test_unknown_effects_are_placed(name: str, place: str) -> None:
+    found = diagnosed(name)
+    assert (found.verdict, found.where) == ("unknown", place)
+
+
+def test_json_has_the_keys_of_the_contract_and_no_nan() -> None:
+    for name in (None, "backlash", "bump"):
+        data = json.loads(json.dumps(diagnosed(name).to_json(), allow_nan=False))
+        keys = {
+            "verdict",
+            "effects",
+            "candidates",
+            "classes",
+            "aliases",
+            "where",
+            "scatter",
+            "outlier_rows",
+            "excluded",
+        }
+        assert keys | {"gap"} <= set(data)
+        gaps = {"rms_before_mm", "rms_after_mm", "held_out_before_mm", "held_out_after_mm", "noise_floor_mm"}
+        assert gaps <= set(data["gap"])
+        assert data["gap"]["held_out_after_mm"] is None
+    candidate = diagnosed("backlash").to_json()["candidates"][0]
+    assert {"effects", "delta_bic", "p_adjusted", "parameters"} <= set(candidate)
+    assert str(diagnosed("backlash")).splitlines()[0].startswith("named: backlash:2")
+
+
+def test_same_seed_same_diagnosis() -> None:
+    again = diagnose(ARM, measured("backlash"), draws=199)
+    assert again.to_json() == diagnosed("backlash").to_json()
+
+
+def test_held_out_gap_shrinks_to_the_noise() -> None:
+    found = diagnose(ARM, measured("encoder_eccentricity"), measured("encoder_eccentricity", seed=2, m=200), draws=199)
+    # the two sets have effects of the same lambda, not of the same size: only the base and noise figures are exact
+    assert found.gap.held_out_before is not None
+    assert found.gap.noise_floor == pytest.approx(0.05 * np.sqrt(2.0), rel=0.3)
+    assert found.gap.predicted > found.gap.noise_floor
+
+
+def test_order_of_rows_does_not_matter_when_conditions_are_given() -> None:
+    data = measured("base_drift")
+    mixed = np.random.default_rng(3).permutation(len(data))
+    shuffled = data.rows(mixed)
+    assert diagnose(ARM, shuffled, draws=199).effects == ("base_drift",)
+
+
+def test_sigma_of_the_data_sheet_does_not_decide() -> None:
+    for sigma in (None, 0.005, 5.0):
+        found = diagnose(replace(ARM, sigma=sigma), measured(None), draws=199)
+        assert found.verdict == "none"
+    assert any("times the sigma_mm" in note for note in found.notes)
+
+
+def test_outliers_are_listed_and_left_out() -> None:
+    data = measured("backlash")
+    positions = data.positions.copy()
+    positions[[4, 20, 33]] += 1.5
+    found = diagnose(ARM, replace(data, positions=positions), draws=199)
+    assert found.outlier_rows == (5, 21, 34)
+    assert found.effects == ("backlash:2",)
+
+
+def test_many_far_rows_are_structure_not_outliers() -> None:
+    data = measured(None)
+    positions = data.positions.copy()
+    positions[:12] += 2.0  # 40 sigma: the tracker was bumped after the twelfth row
+    found = diagnose(ARM, replace(data, positions=positions), draws=199)
+    assert (found.verdict, found.where) == ("unknown", "time")
+    assert found.outlier_rows == ()
+
+
+def test_bad_input() -> None:
+    data = measured(None)
+    with pytest.raises(InputError, match="3 joints, allowed: 2"):
+        diagnose(Arm([200.0, 100.0]), data)
+    with pytest.raises(InputError, match="degrees of freedom"):
+        diagnose(ARM, data.rows(slice(0, 4)))
+    with pytest.raises(InputError, match="are also in the data"):
+        diagnose(ARM, data, data)
+    with pytest.raises(InputError, match="are also in the data"):
+        diagnose(ARM, data, data.rows(slice(0, 3)))
+    with pytest.raises(InputError, match="holdout: 2 joints"):
+        diagnose(ARM, data, Measurements(data.postures[:, :2], data.positions))
+    no_temperature = replace(data, temperature=None)
+    with pytest.raises(InputError, match="temperature_C"):
+        diagnose(ARM.with_effects(EffectSpec("thermal_growth")), no_temperature)
+    with pytest.raises(InputError, match="gravity"):
+        diagnose(replace(ARM, gravity=None).with_effects(EffectSpec("link_bending")), data)
+
+
+def test_poor_data_do_not_crash() -> None:
+    data = measured(None)
+    still = data.postures.copy()
+    still[:, 1] = 0.3
+    run = blind.Session(still, data.order, data.temperature, data.directions, np.full(60, TRUTH.payload))
+    truth = replace(TRUTH, effects=[])
+    p = blind.position(truth, run) + 0.05 * np.random.default_rng(1).normal(size=(60, 2)) @ [1.0, 1.0j]
+    found = diagnose(ARM, Measurements(still, np.column_stack([p.real, p.imag])), draws=99)
+    assert found.verdict == "none"
+    assert any("joint 2 never moves" in note for note in found.notes)
+    massless = replace(ARM, gravity=Gravity(np.array([0.0, -9.81]), np.zeros(3), np.full(3, 0.5), 0.0))
+    assert diagnose(massless, data, draws=99).excluded["link_bending"].value is None
+    constant = replace(data, temperature=np.full(60, 21.0), directions=np.ones((60, 3)))
+    assert diagnose(ARM, constant, draws=99).verdict == "none"
+    repeated = data.rows(np.repeat(np.arange(8), 6))
+    assert diagnose(ARM, repeated, draws=99).preflight.freedom == 96 - 6
+
+
+def test_one_link_lists_its_exact_aliases() -> None:
+    arm = Arm([300.0], gravity=Gravity(np.array([0.0, -9.81]), np.array([10.0]), np.array([0.5]), 5.0))
+    q = np.linspace(-3.0, 3.0, 40)[:, None]
+    torque = -9.81 * (10.0 * 0.15 + 5.0 * 0.3) * np.cos(q[:, 0])
+    p = 300.0 * np.exp(1j * (q[:, 0] + 1e-4 * torque)) + 0.02 * np.random.default_rng(1).normal(size=(40, 2)) @ [1, 1j]
+    found = diagnose(arm, Measurements(q, np.column_stack([p.real, p.imag])), draws=199)
+    assert found.verdict == "ambiguous"
+    assert {"joint_compliance", "joint_compliance:1"} <= {c.effects[0] for c in found.candidates}
+
+
+def test_a_users_own_effect_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    from identification.effects import base
+    from identification.effects.joint import GearRatio
+
+    class Square(GearRatio):
+        name = "cable_square"
+        family = "cable"
+
+        def joint_angles(self, chain, values):  # type: ignore[no-untyped-def]
+            return self.at_joint(values[0] * chain.q[self._index()] ** 2, chain)
+
+    monkeypatch.setitem(base._LIBRARY, "cable_square", Square)
+    assert "cable_square" in library()
+    data = measured(None)
+    p = blind.position(TRUTH, blind.session(TRUTH, data.postures, np.random.default_rng(0)))
+    theta = data.postures.copy()
+    theta[:, 1] += 5e-4 * theta[:, 1] ** 2
+    p = blind.position(TRUTH, blind.session(TRUTH, theta, np.random.default_rng(0)))
+    positions = np.column_stack([p.real, p.imag]) + 0.05 * np.random.default_rng(2).normal(size=(60, 2))
+    found = diagnose(ARM, replace(data, positions=positions), draws=199)
+    assert "cable_square:2" in [c.effects[0] for c in found.candidates]
