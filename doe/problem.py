@@ -12,14 +12,17 @@ from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from doe.constraints import Constraint, constraints_of
 from doe.criteria import Criterion, D
 from identification.arm import Array, readonly
 from identification.errors import InputError
 from identification.information import information_matrix
 from identification.model import Model
 from identification.tape import vectorise
+
+ONE_DEGREE = float(np.radians(1.0))
 
 
 class InformationModel(Protocol):
@@ -45,16 +48,20 @@ class DesignProblem:
     """Choose postures within the limits and constraints that maximise the criterion of the information per run.
 
     model : gives Jacobians;  lower, upper : (n,) joint limits [rad]
-    constraints : each with a numeric `margin(postures) -> (m, k)` and a symbolic one, satisfied where >= 0
+    constraints : what a posture must satisfy besides the limits, see `doe.constraints`
     kept : (k, n) postures already measured, which count in the information, or None
+    choices : (N, n) postures to choose from, None: anything within limits and constraints
+    minimum_distance : [rad] two postures of a plan differ by this in some joint at least; 0: repeats are allowed
     """
 
     model: InformationModel
     lower: Array
     upper: Array
     criterion: Criterion = field(default_factory=D)
-    constraints: Sequence[Any] = ()
+    constraints: Sequence[Constraint] = ()
     kept: Array | None = None
+    choices: Array | None = None
+    minimum_distance: float = ONE_DEGREE
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):
@@ -64,8 +71,8 @@ class DesignProblem:
 
     @classmethod
     def of(cls, model: Model, **changes: Any) -> DesignProblem:
-        """The problem of an arm's model within the arm's own joint limits."""
-        return cls(model, model.arm.lower, model.arm.upper, **changes)
+        """The problem of an arm's model within the arm's own joint limits and constraints."""
+        return cls(model, model.arm.lower, model.arm.upper, **{"constraints": constraints_of(model.arm)} | changes)
 
     @property
     def joints(self) -> int:
@@ -111,6 +118,14 @@ class DesignProblem:
         """Postures moved into the joint limits (solvers exceed bounds by about 1e-8)."""
         return np.clip(np.asarray(postures, dtype=float), self.lower, self.upper)
 
+    def feasible(self, postures: Array) -> NDArray[np.bool_]:
+        """(...) True where postures (..., n) satisfy every constraint (joint limits apart)."""
+        flat = np.reshape(postures, (-1, self.joints))
+        fits = np.ones(len(flat), dtype=bool)
+        for constraint in self.constraints:
+            fits &= np.all(constraint.margin(flat) >= 0.0, axis=1)
+        return fits.reshape(np.shape(postures)[:-1])
+
     @cached_property
     def block_function(self) -> ca.Function:
         """CasADi q -> B (d, p) at neutral conditions and the model's best known parameter values."""
@@ -141,8 +156,9 @@ class DesignProblem:
 
     @cached_property
     def searched_joints(self) -> tuple[int, ...]:
-        """Joints (from 0) that a solver must choose: the active ones, or all of them where constraints tie them."""
-        return tuple(range(self.joints)) if self.constraints else self.active_joints
+        """Joints (from 0) that a solver must choose: the active ones, or all where constraints or a list tie them."""
+        tied = bool(self.constraints) or self.choices is not None
+        return tuple(range(self.joints)) if tied else self.active_joints
 
 
 def information_of_each(blocks: Array) -> Array:

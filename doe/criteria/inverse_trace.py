@@ -65,6 +65,16 @@ class InverseTrace:
         return bound / value if np.isfinite(value) else 0.0
 
 
+def inverses_after_adding(information: Array, blocks: Array) -> Array:
+    """(s, c, p, p) (A_s + B_sc^T B_sc)^-1 by Woodbury's identity."""
+    s, c, d, p = blocks.shape
+    ridge = RIDGE * (1e-3 + np.trace(information, axis1=-2, axis2=-1) / p)
+    inverse = np.linalg.inv(information + ridge[:, None, None] * np.eye(p))
+    seen = (blocks.reshape(s, c * d, p) @ inverse).reshape(s, c, d, p)  # B A^-1
+    inner = np.eye(d) + seen @ np.swapaxes(blocks, -1, -2)
+    return inverse[:, None] - np.swapaxes(seen, -1, -2) @ np.linalg.solve(inner, seen)
+
+
 def square_root(matrix: Array) -> Array:
     """(p, p) symmetric square root of a positive semidefinite matrix."""
     values, vectors = np.linalg.eigh(matrix)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doe.bound import Bound
+from doe.candidates import listed
 from doe.closed_form import closed_form_bound
 from doe.plan import Plan
 from doe.problem import DesignProblem
@@ -17,9 +18,12 @@ from doe.solvers.base import Budget, Offer, Solver
 from doe.solvers.driver import Search, check_runs, finish, run_search
 from doe.solvers.exchange import Exchange
 from doe.solvers.exchange_ipopt import ExchangeIpopt
+from doe.solvers.feasible import random_postures
+from doe.solvers.fedorov import Fedorov
 from doe.solvers.ipopt import Ipopt
 from doe.solvers.random import Random
-from identification.errors import InputError, nearest
+from identification.errors import InputError, JobError, nearest
+from identification.information import identifiability
 from identification.progress import Progress, silent
 from identification.status import Status
 
@@ -28,6 +32,7 @@ __all__ = [
     "Analytic",
     "Exchange",
     "ExchangeIpopt",
+    "Fedorov",
     "Ipopt",
     "Offer",
     "Random",
@@ -41,11 +46,11 @@ SOLVERS: dict[str, Solver] = {
     "analytic": Analytic(),
     "exchange": Exchange(),
     "exchange_ipopt": ExchangeIpopt(),
+    "fedorov": Fedorov(),
     "ipopt": Ipopt(),
     "random": Random(),
     "best_of_random": Random(count=1000, name="best_of_random"),
 }
-DEFAULT = "exchange_ipopt"
 
 
 def named(name: str) -> Solver:
@@ -78,15 +83,41 @@ def solve(
     Ctrl-C returns the best plan so far, status `interrupted`. Raises `InputError` for too few runs, an unknown name.
     """
     began = perf_counter()
-    chosen = named(solver or DEFAULT) if isinstance(solver, str | None) else solver
+    chosen = chosen_solver(problem, solver)
     check_runs(problem, runs)
+    random_postures(problem, 1, np.random.default_rng(seed))  # says so where the constraints exclude everything
     known = bound or known_bound(problem, runs)
-    if solver is None and known is not None:
+    if solver is None and known is not None and problem.choices is None:
         theory = _search(problem, runs, Analytic(), seed, 1, seconds, known, silent)
         if theory.status is Status.bound_reached:
-            return finish(problem, theory, Analytic(), known, began, seed, throw)
+            return _told(finish(problem, theory, Analytic(), known, began, seed, throw=False), throw)
     search = _search(problem, runs, chosen, seed, starts, seconds, known, progress)
-    return finish(problem, search, chosen, known, began, seed, throw)
+    return _told(finish(problem, search, chosen, known, began, seed, throw=False), throw)
+
+
+def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver:
+    """The solver asked for, or the best for the problem. Raises `InputError` where it does not fit the problem."""
+    if isinstance(solver, str):
+        solver = named(solver)
+    if solver is None:
+        return SOLVERS["exchange_ipopt" if problem.choices is None else "fedorov"]
+    if problem.choices is not None and not isinstance(solver, Fedorov):
+        raise InputError(f"solver: {solver.name} cannot choose from a list of postures, allowed: fedorov")
+    return solver
+
+
+def _told(design: Design, throw: bool) -> Design:
+    """The design, if it tells all parameters; else a `JobError` that names what no posture could tell apart."""
+    if np.isfinite(design.value) or not throw:
+        return design
+    problem = design.problem
+    p = problem.parameters
+    many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
+    lost = identifiability(problem.blocks(many), problem.model.names, np.ones(p)).combinations
+    message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
+    if lost:
+        message += f"; under one payload, temperature, time and approach no posture tells apart: {'; '.join(lost)}"
+    raise JobError(message)
 
 
 def _search(
@@ -106,8 +137,26 @@ def _search(
 
 
 def known_bound(problem: DesignProblem, runs: int) -> Bound | None:
-    """The best upper bound that is known: the closed form where it applies."""
-    return closed_form_bound(problem)
+    """The best upper bound that is known: the closed form; without one, or where constraints loosen it, the continuous.
+
+    None where the continuous problem cannot be solved; the bound over a list of choices is the relaxation's.
+    """
+    from doe.solvers.column_generation import column_generation, continuous_bound
+
+    closed = closed_form_bound(problem)
+    if closed is not None and not problem.constraints and problem.choices is None:
+        return closed
+    found: Bound | None
+    try:
+        if problem.choices is None:
+            found = continuous_bound(problem, runs=runs)
+        else:
+            found = column_generation(problem, listed(problem, problem.choices), runs=runs).bound
+    except JobError:
+        return closed
+    if closed is None or found is None:
+        return found or closed
+    return min(closed, found, key=lambda bound: bound.value)
 
 
 def score_plan(problem: DesignProblem, plan: Plan | ArrayLike) -> Design:

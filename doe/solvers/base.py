@@ -74,9 +74,13 @@ def free_values(problem: DesignProblem) -> Array:
     return (problem.lower + problem.upper) / 2.0
 
 
-def random_postures(problem: DesignProblem, count: int, generator: np.random.Generator) -> Array:
-    """(count, n) uniform within the joint limits."""
-    return generator.uniform(problem.lower, problem.upper, (count, problem.joints))
+def distance_to_keep(problem: DesignProblem, runs: int) -> float:
+    """[rad] by which postures must differ in a searched joint; 0 where spreading a free joint sets them apart."""
+    if problem.choices is not None:  # the list says which postures are different
+        return 0.0
+    free = [j for j in range(problem.joints) if j not in problem.searched_joints]
+    step = max(((problem.upper[j] - problem.lower[j]) / runs for j in free), default=0.0)
+    return 0.0 if step >= problem.minimum_distance else problem.minimum_distance
 
 
 def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:

@@ -104,3 +104,52 @@ class PlanFunction:
         first = ca.jacobian(ca.vec(block.T), active)  # rows of B one after the other
         second = ca.jacobian(ca.vec(first), active)
         return vectorise(ca.Function("derivatives", [q], ca.cse([block, first, second])))
+
+
+@dataclass(frozen=True)
+class ConstraintFunction:
+    """All constraints of all runs, kept >= 0, as functions of the angles of some `joints`; ordered run by run."""
+
+    problem: DesignProblem
+    joints: tuple[int, ...]
+
+    @cached_property
+    def expressions(self) -> tuple[ca.SX, ca.SX]:
+        """Posture q (n,) and its (k,) constraint expressions."""
+        q = ca.SX.sym("q", self.problem.joints)
+        return q, ca.vertcat(*(constraint.symbolic(q) for constraint in self.problem.constraints))
+
+    @property
+    def rows(self) -> int:
+        """k, constraints of one posture."""
+        return int(self.expressions[1].numel())
+
+    def sparsity(self, runs: int) -> ca.Sparsity:
+        """(m k, m a) pattern of the Jacobian: a run's constraints depend on its own joints only."""
+        return ca.diagcat(*[ca.Sparsity.dense(self.rows, len(self.joints))] * runs)
+
+    def values(self, postures: Array) -> Array:
+        """(m k,) constraint expressions."""
+        return self._tape(postures)[0].ravel()
+
+    def jacobian(self, postures: Array) -> Array:
+        """(m a k,) derivatives, in the order of CasADi's columns: run, joint, constraint."""
+        return np.swapaxes(self._tape(postures)[1], 1, 2).ravel()
+
+    def hessian(self, postures: Array, multipliers: Array) -> Array:
+        """(m a, m a) second derivative of sum multipliers * constraints; zero between runs."""
+        m, a = len(postures), len(self.joints)
+        full = np.zeros((m, a, m, a))
+        if self.rows:
+            second = self._tape(postures)[2].reshape(m, a, self.rows, a)
+            runs = np.arange(m)
+            full[runs, :, runs, :] = np.einsum("mk,makb->mab", multipliers.reshape(m, -1), second)
+        return full.reshape(m * a, m * a)
+
+    @cached_property
+    def _tape(self) -> Callable[..., tuple[Array, ...]]:
+        q, values = self.expressions
+        active = q[list(self.joints)]
+        first = ca.jacobian(values, active)
+        second = ca.jacobian(ca.vec(first), active)
+        return vectorise(ca.Function("constraints", [q], ca.cse([values, first, second])))

@@ -18,6 +18,7 @@ from doe.plan import Plan
 from doe.problem import DesignProblem
 from doe.result import Design
 from doe.solvers.base import Budget, Offer, Solver, spread_free_joints
+from doe.solvers.distinct import separated, too_near
 from identification.arm import Array
 from identification.errors import InputError, JobError
 from identification.progress import Progress
@@ -44,8 +45,8 @@ def run_search(
     best, value, starts, agreeing, status = None, -np.inf, 0, 0, None
     try:
         for offer in offers:
-            postures = problem.clip(offer.postures)
-            offered = problem.objective(postures)
+            postures = separated(problem, problem.clip(offer.postures))
+            offered = worth(problem, postures)
             starts += offer.starts
             if best is None or offered > value:
                 agreeing = 0 if offered > value + AGREES else agreeing
@@ -60,6 +61,13 @@ def run_search(
     if best is None and status is not Status.interrupted:
         status = Status.solver_failed
     return Search(best, value, status or Status.starts_finished, starts)
+
+
+def worth(problem: DesignProblem, postures: Array) -> float:
+    """Criterion value of a plan, -inf if a posture breaks a constraint or repeats another that it may not repeat."""
+    if not problem.feasible(postures).all() or len(too_near(problem, postures)):
+        return -np.inf
+    return problem.objective(postures)
 
 
 def reason_to_stop(

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from doe.criteria.base import quick, values_after_adding
 from doe.problem import DesignProblem
-from doe.solvers.base import Budget, Offer, free_values
+from doe.solvers.base import Budget, Offer, distance_to_keep
+from doe.solvers.feasible import random_grid
 from identification.arm import Array
 from identification.information import information_matrix
 
@@ -46,7 +47,7 @@ class Exchange:
         while True:
             count = max(1, min(self.batch, left))
             left -= count
-            begun = random_grid(problem, self.levels, (count, runs), generator)
+            begun = self.begin(problem, count, runs, generator)
             for plan in self.improve(problem, begun, generator, budget)[0]:
                 yield Offer(plan, 1, independent=True)
 
@@ -61,19 +62,14 @@ class Exchange:
         order = np.argsort(-values, kind="stable")
         return search.plans[order], values[order]
 
+    def begin(self, problem: DesignProblem, count: int, runs: int, generator: np.random.Generator) -> Array:
+        """(count, m, n) random plans on the grid."""
+        postures = random_grid(problem, self.grid(problem), count * runs, generator)
+        return postures.reshape(count, runs, problem.joints)
+
     def grid(self, problem: DesignProblem) -> Array:
         """(n, L) values of every joint, limits included."""
         return np.linspace(problem.lower, problem.upper, self.levels, axis=1)
-
-
-def random_grid(problem: DesignProblem, levels: int, shape: tuple[int, int], generator: np.random.Generator) -> Array:
-    """(s, m, n) random grid postures; joints that play no part stay in the middle."""
-    grid = np.linspace(problem.lower, problem.upper, levels, axis=1)
-    plans = np.empty((*shape, problem.joints))
-    plans[...] = free_values(problem)
-    for joint in problem.searched_joints:
-        plans[..., joint] = grid[joint, generator.integers(levels, size=shape)]
-    return plans
 
 
 class Search:
@@ -84,6 +80,7 @@ class Search:
 
     def __init__(self, problem: DesignProblem, grid: Array, plans: Array) -> None:
         self.problem, self.grid, self.plans = problem, grid, plans
+        self.distance = distance_to_keep(problem, plans.shape[1])
         self.criterion = quick(problem.criterion)
         self.blocks = problem.blocks(plans)
         kept = problem.kept
@@ -101,9 +98,7 @@ class Search:
             self._exchange(run)
         self.information[self.running] = self._sum(self.running)  # no rounding piles up
         self.values[self.running] = self._value(self.running)
-        identified = np.isfinite(before)
-        gain = self.values[self.running] - np.where(identified, before, -np.inf)
-        self.running = self.running[~identified | (gain > IMPROVEMENT)]
+        self.running = self.running[~(self.values[self.running] <= before + IMPROVEMENT) | np.isneginf(before)]
         self.sweeps += 1
 
     def _exchange(self, run: int) -> None:
@@ -115,6 +110,7 @@ class Search:
         blocks = self.problem.blocks(postures)
         offered = np.concatenate([old[:, None], blocks], axis=1) / np.sqrt(self.total)
         values = values_after_adding(self.criterion, without, offered)
+        values[:, 1:][~self._allowed(postures, run)] = -np.inf
         best = np.argmax(values[:, 1:], axis=1)
         better = values[starts, best + 1] > values[:, 0] + IMPROVEMENT
         starts, best = starts[better], best[better]
@@ -122,6 +118,18 @@ class Search:
         self.plans[at, run] = postures[starts, best]
         self.blocks[at, run] = blocks[starts, best]
         self.information[at] = without[starts] + products(self.blocks[at, run]) / self.total
+
+    def _allowed(self, postures: Array, run: int) -> NDArray[np.bool_]:
+        """(s, c) True where a posture satisfies the constraints and repeats no other run of its plan."""
+        allowed = self.problem.feasible(postures)
+        if self.distance > 0.0:
+            others = np.delete(self.plans[self.running], run, axis=1)
+            if self.problem.kept is not None:
+                kept = np.broadcast_to(self.problem.kept, (len(others), *self.problem.kept.shape))
+                others = np.concatenate([others, kept], axis=1)
+            for other in np.moveaxis(others, 1, 0):
+                allowed &= np.abs(postures - other[:, None]).max(axis=-1) >= self.distance
+        return allowed
 
     def neighbours(self, postures: Array) -> Array:
         """(s, c, n) postures that differ from those given (s, n) in one joint, on the grid."""

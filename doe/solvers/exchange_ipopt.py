@@ -9,7 +9,7 @@ import numpy as np
 
 from doe.problem import DesignProblem
 from doe.solvers.base import Budget, Offer
-from doe.solvers.exchange import Exchange, random_grid
+from doe.solvers.exchange import Exchange
 from doe.solvers.ipopt import Climber, Ipopt
 from identification.arm import Array
 
@@ -47,7 +47,7 @@ class ExchangeIpopt:
         left, vary = budget.starts, False
         while True:
             count = max(1, min(self.exchange.batch, left))
-            begun = random_grid(problem, self.exchange.levels, (count, runs), generator)
+            begun = self.exchange.begin(problem, count, runs, generator)
             if vary:
                 begun = self._varied(begun, [plan for _, plan in best], generator)
             plans, values = self.exchange.improve(problem, begun, generator, budget)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,11 +10,15 @@ import casadi as ca
 import numpy as np
 
 from doe.problem import DesignProblem
-from doe.solvers.base import Budget, Offer, free_values, random_postures
-from doe.solvers.derivatives import PlanFunction
+from doe.solvers.base import Budget, Offer, free_values
+from doe.solvers.callbacks import Guarded, Stop, interrupts_noted
+from doe.solvers.derivatives import ConstraintFunction, PlanFunction
+from doe.solvers.feasible import random_postures
 from identification.arm import Array
 
 NEAR_LIMIT = 1e-5  # [rad] an interior point method ends this near to a limit that is active; it is put on it
+
+MARGIN = 1e-4  # [mm] constraints are kept by this much, since IPOPT keeps them to about 1e-8 only
 
 QUIET = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "show_eval_warnings": False}
 
@@ -28,7 +32,7 @@ class Ipopt:
     """
 
     tolerance: float = 1e-10
-    iterations: int = 300
+    iterations: int = 150
     warm: bool = False
     name: str = "ipopt"
 
@@ -53,6 +57,9 @@ class Ipopt:
             **warm,
             "ipopt.tol": self.tolerance,
             "ipopt.max_iter": self.iterations,
+            "ipopt.acceptable_tol": 1e-3,  # optimal plans are often a continuum, along which IPOPT would crawl:
+            "ipopt.acceptable_obj_change_tol": 1e-11,  # it stops when the value stands still for some iterations
+            "ipopt.acceptable_iter": 4,
             "ipopt.bound_relax_factor": 0.0,  # otherwise bounds are exceeded by 1e-8 and the optimum is "beaten"
         }
 
@@ -62,6 +69,7 @@ class Climber:
 
     def __init__(self, problem: DesignProblem, runs: int, settings: Ipopt, budget: Budget) -> None:
         self.function = PlanFunction(problem, runs, problem.searched_joints)
+        self.constraints = ConstraintFunction(problem, self.function.joints)
         self.problem = problem
         self.budget = budget
         self.base = np.tile(free_values(problem), (runs, 1))
@@ -70,24 +78,27 @@ class Climber:
         self.interrupted = False
         self._expansion: tuple[bytes, tuple[float, Array, Array]] | None = None
         self._callbacks = self._build()
-        nlp, gradient, hessian, stop = self._callbacks
-        options = {"grad_f": gradient, "hess_lag": hessian, "iteration_callback": stop, "no_nlp_grad": True}
-        self.ipopt = ca.nlpsol("ipopt", "ipopt", nlp, settings.options | options)
+        nlp = self._callbacks.pop("nlp")
+        self.ipopt = ca.nlpsol("ipopt", "ipopt", nlp, settings.options | self._callbacks | {"no_nlp_grad": True})
+        self._callbacks["nlp"] = nlp  # CasADi does not keep them alive
 
     def __call__(self, postures: Array) -> Array:
         """(m, n) a plan at least as good as the one given."""
         start = self.problem.clip(postures)[:, self.joints].ravel()
         if not start.size:  # a single link: every posture is as good as any other
             return self.postures(start)
-        found = np.asarray(self.ipopt(x0=start, lbx=self.lower, ubx=self.upper)["x"]).ravel()
+        with interrupts_noted(self):
+            ended = self.ipopt(x0=start, lbx=self.lower, ubx=self.upper, lbg=MARGIN, ubg=np.inf)
+        found = np.asarray(ended["x"]).ravel()
         if self.interrupted:
             self.interrupted = False
             raise KeyboardInterrupt
-        ended = np.clip(found, self.lower, self.upper)
-        snapped = np.where(ended - self.lower < NEAR_LIMIT, self.lower, ended)
-        snapped = np.where(self.upper - ended < NEAR_LIMIT, self.upper, snapped)
-        plans = [self.postures(x) for x in (snapped, ended, start)]
-        return max(plans, key=self.problem.objective)
+        inside = np.clip(found, self.lower, self.upper)
+        snapped = np.where(inside - self.lower < NEAR_LIMIT, self.lower, inside)
+        snapped = np.where(self.upper - inside < NEAR_LIMIT, self.upper, snapped)
+        plans = [self.postures(x) for x in (snapped, inside, start)]
+        allowed = [plan for plan in plans if self.problem.feasible(plan).all()] or plans[-1:]
+        return max(allowed, key=self.problem.objective)
 
     def postures(self, point: Array) -> Array:
         """(m, n) postures of the (m a,) variables."""
@@ -102,104 +113,36 @@ class Climber:
             self._expansion = (key, self.function.expand(self.postures(point)))
         return self._expansion[1]
 
-    def _build(self) -> tuple[ca.Callback, ...]:
-        size = self.function.size
-        x, scalar, none = ca.Sparsity.dense(size, 1), ca.Sparsity.dense(1, 1), ca.Sparsity(0, 1)
-        parameters = {"x": x, "p": ca.Sparsity(0, 0)}
-        upper = ca.Sparsity.upper(size)
-        columns, rows = np.tril_indices(size)  # CasADi stores the upper triangle column by column
+    def _build(self) -> dict[str, ca.Callback]:
+        """What `casadi.nlpsol` is made of: f and g, grad f, jac g, the Lagrangian's Hessian, and the stop."""
+        size, rows = self.function.size, self.function.runs * self.constraints.rows
+        x, scalar = ca.Sparsity.dense(size, 1), ca.Sparsity.dense(1, 1)
+        g = ca.Sparsity.dense(rows, 1) if rows else ca.Sparsity(0, 1)
+        point, multipliers = {"x": x, "p": ca.Sparsity(0, 0)}, {"lam_f": scalar, "lam_g": g}
+        jacobian, upper = self.constraints.sparsity(self.function.runs), ca.Sparsity.upper(size)
+        made = {
+            "nlp": Guarded("nlp", point, {"f": scalar, "g": g}, self._objective),
+            "grad_f": Guarded("grad_f", point, {"f": scalar, "grad_f_x": x}, self._gradient),
+            "hess_lag": Guarded("hessian", point | multipliers, {"triu_hess_gamma_x_x": upper}, self._hessian),
+            "iteration_callback": Stop(size, rows, self),
+        }
+        if rows:
+            made["jac_g"] = Guarded("jac_g", point, {"g": g, "jac_g_x": jacobian}, self._jacobian)
+        return made
 
-        def objective(x: Array, *_: Array) -> list[Any]:
-            return [-self.function.value(self.postures(x)), ca.DM(none)]
+    def _objective(self, x: Array, *_: Array) -> list[Array]:
+        plan = self.postures(x)
+        return [np.array([-self.function.value(plan)]), self.constraints.values(plan)]
 
-        def gradient(x: Array, *_: Array) -> list[Any]:
-            value, slope, _hessian = self.expand(x)
-            return [-value, ca.DM(-slope)]
+    def _gradient(self, x: Array, *_: Array) -> list[Array]:
+        value, slope, _hessian = self.expand(x)
+        return [np.array([-value]), -slope]
 
-        def hessian(x: Array, _p: Array, factor: Array, *_: Array) -> list[Any]:
-            return [ca.DM(upper, -float(factor[0]) * self.expand(x)[2][rows, columns])]
+    def _jacobian(self, x: Array, *_: Array) -> list[Array]:
+        plan = self.postures(x)
+        return [self.constraints.values(plan), self.constraints.jacobian(plan)]
 
-        multipliers = {"lam_f": scalar, "lam_g": none}
-        return (
-            Guarded("nlp", parameters, {"f": scalar, "g": none}, objective, self),
-            Guarded("grad_f", parameters, {"f": scalar, "grad_f_x": x}, gradient, self),
-            Guarded("hessian", parameters | multipliers, {"triu_hess_gamma_x_x": upper}, hessian, self),
-            Stop(size, 0, self),
-        )
-
-
-class Guarded(ca.Callback):
-    """A numpy function as a CasADi function. Failures become NaN, which IPOPT answers by a shorter step."""
-
-    def __init__(
-        self,
-        name: str,
-        inputs: dict[str, ca.Sparsity],
-        outputs: dict[str, ca.Sparsity],
-        function: Callable[..., list[Any]],
-        owner: Climber,
-    ) -> None:
-        ca.Callback.__init__(self)
-        self.inputs, self.outputs, self.function, self.owner = (
-            list(inputs.items()),
-            list(outputs.items()),
-            function,
-            owner,
-        )
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        return len(self.inputs)
-
-    def get_n_out(self) -> int:
-        return len(self.outputs)
-
-    def get_name_in(self, i: int) -> str:
-        return self.inputs[i][0]
-
-    def get_name_out(self, i: int) -> str:
-        return self.outputs[i][0]
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return self.inputs[i][1]
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return self.outputs[i][1]
-
-    def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:
-        try:
-            return self.function(*(np.asarray(a).ravel() for a in arguments))
-        except np.linalg.LinAlgError:
-            pass
-        except KeyboardInterrupt:  # an exception would be lost inside CasADi
-            self.owner.interrupted = True
-        return [ca.DM(sparsity, np.nan) for _, sparsity in self.outputs]
-
-
-class Stop(ca.Callback):
-    """Ends IPOPT when time is up or the user pressed Ctrl-C."""
-
-    def __init__(self, size: int, constraints: int, owner: Climber) -> None:
-        ca.Callback.__init__(self)
-        self.size, self.constraints, self.owner = size, constraints, owner
-        self.construct("stop", {})
-
-    def get_n_in(self) -> int:
-        return ca.nlpsol_n_out()
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        return ca.nlpsol_out(i)
-
-    def get_name_out(self, i: int) -> str:
-        return "ret"
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        rows = {"f": 1, "x": self.size, "lam_x": self.size, "g": self.constraints, "lam_g": self.constraints}
-        count = rows.get(ca.nlpsol_out(i), 0)
-        return ca.Sparsity.dense(count, 1) if count else ca.Sparsity(0, 0)
-
-    def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:
-        return [float(self.owner.interrupted or self.owner.budget.out_of_time)]
+    def _hessian(self, x: Array, _p: Array, factor: Array, multipliers: Array) -> list[Array]:
+        hessian = -float(factor[0]) * self.expand(x)[2] + self.constraints.hessian(self.postures(x), multipliers)
+        columns, rows = np.tril_indices(len(hessian))  # CasADi stores the upper triangle column by column
+        return [hessian[rows, columns]]

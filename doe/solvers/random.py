@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.problem import DesignProblem
-from doe.solvers.base import Budget, Offer, random_postures
+from doe.solvers.base import Budget, Offer
+from doe.solvers.feasible import random_postures
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,122 @@
+"""Fedorov's exchange on a list of allowed postures: choose m of N, for many starts at once.
+
+V. V. Fedorov, "Theory of Optimal Experiments", 1972. Every sweep visits every run and puts it at the best of all N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from doe.candidates import listed
+from doe.criteria.base import quick, values_after_adding
+from doe.problem import DesignProblem
+from doe.solvers.base import Budget, Offer
+from doe.solvers.exchange import IMPROVEMENT, SWEEPS, products
+from identification.arm import Array
+from identification.errors import InputError
+from identification.information import information_matrix
+
+CHUNK = 20_000  # starts x candidates compared at once: stays in the processor's cache
+
+
+@dataclass(frozen=True)
+class Fedorov:
+    """Exchange with all of `problem.choices` for every run, from random choices; each once unless repeats are allowed.
+
+    count : starts;  batch : starts that advance together
+    """
+
+    count: int = 30
+    batch: int = 10
+    name: str = "fedorov"
+
+    def starts_for(self, problem: DesignProblem) -> int:
+        """The same for every problem: each start is thorough."""
+        return self.count
+
+    def offers(
+        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
+    ) -> Iterator[Offer]:
+        """One offer per start. Raises `InputError` without choices, or with fewer of them than runs."""
+        postures, blocks = allowed_choices(problem, runs)
+        while True:
+            state = State(problem, blocks, initial(problem, len(blocks), (self.batch, runs), generator))
+            sweeps = 0
+            while state.running.size and sweeps < SWEEPS and not budget.out_of_time:
+                state.sweep(generator)
+                sweeps += 1
+            for chosen in state.chosen[np.argsort(-state.values, kind="stable")]:
+                yield Offer(postures[chosen], 1, independent=True)
+
+
+def allowed_choices(problem: DesignProblem, runs: int) -> tuple[Array, Array]:
+    """(N, n) choices within limits and constraints, and their (N, d, p) blocks."""
+    if problem.choices is None:
+        raise InputError("solver: fedorov chooses from a list of postures, none is given")
+    postures = listed(problem, problem.choices).postures
+    if problem.minimum_distance > 0.0:
+        postures = np.unique(postures, axis=0)
+        if len(postures) < runs:
+            raise InputError(f"runs: {runs} of {len(postures)} different allowed postures, allowed: at most as many")
+    return postures, problem.blocks(postures)
+
+
+def initial(
+    problem: DesignProblem, total: int, shape: tuple[int, int], generator: np.random.Generator
+) -> NDArray[np.intp]:
+    """(s, m) random rows of the list."""
+    if problem.minimum_distance > 0.0:
+        return np.array([generator.choice(total, shape[1], replace=False) for _ in range(shape[0])])
+    return generator.integers(total, size=shape)
+
+
+class State:
+    """A batch of choices.
+
+    chosen : (s, m) rows of the list;  values : (s,) criterion, or its quick stand-in;  running : starts still improving
+    """
+
+    def __init__(self, problem: DesignProblem, blocks: Array, chosen: NDArray[np.intp]) -> None:
+        self.problem, self.blocks, self.chosen = problem, blocks, chosen
+        kept = problem.kept
+        self.measured = 0.0 if kept is None or not len(kept) else information_matrix(problem.blocks(kept))
+        self.total = chosen.shape[1] + (0 if kept is None else len(kept))
+        self.criterion = quick(problem.criterion)
+        self.running = np.arange(len(chosen))
+        self.information = self._sum()
+        self.values = np.asarray(self.criterion.value(self.information))
+
+    def sweep(self, generator: np.random.Generator) -> None:
+        """Every run of every running start once."""
+        before = self.values.copy()
+        for run in generator.permutation(self.chosen.shape[1]):
+            for start in self.running:
+                self._exchange(int(start), int(run))
+        self.information = self._sum()
+        self.values = np.asarray(self.criterion.value(self.information))
+        improved = ~(self.values <= before + IMPROVEMENT) | np.isneginf(before)
+        self.running = np.flatnonzero(improved)
+
+    def _exchange(self, start: int, run: int) -> None:
+        old = self.chosen[start, run]
+        without = self.information[start] - products(self.blocks[old]) / self.total
+        values = np.concatenate(
+            [
+                values_after_adding(self.criterion, without[None], part[None] / np.sqrt(self.total))[0]
+                for part in np.array_split(self.blocks, -(-len(self.blocks) // CHUNK))
+            ]
+        )
+        now = values[old]
+        if self.problem.minimum_distance > 0.0:
+            values[self.chosen[start]] = -np.inf
+        best = int(np.argmax(values))
+        if values[best] > now + IMPROVEMENT:
+            self.chosen[start, run] = best
+            self.information[start] = without + products(self.blocks[best]) / self.total
+
+    def _sum(self) -> Array:
+        return (information_matrix(self.blocks[self.chosen]) + self.measured) / self.total
