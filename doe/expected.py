@@ -9,7 +9,7 @@ import numpy as np
 
 from doe.problem import DesignProblem
 from identification.arm import Array, readonly
-from identification.information import information_matrix, orientation_transform
+from identification.information import Spectrum, orientation_transform, spectrum
 
 
 @dataclass(frozen=True)
@@ -30,23 +30,33 @@ class ExpectedDeviations:
             object.__setattr__(self, name, readonly(getattr(self, name), -1))
 
 
-def covariance(problem: DesignProblem, postures: Array, sigma: float) -> Array:
-    """(p, p) sigma^2 (sum J^T J)^-1 of the parameters in their own units, measured postures (`kept`) included.
+def plan_spectrum(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Spectrum:
+    """What m runs tell, measured postures (`kept`) included: decomposition of their sensitivities (`problem.blocks`).
 
-    Raises numpy's `LinAlgError` where the information matrix is singular.
+    weights : (m,) shares of the m runs, None: one each. Its rank is right where det M is nothing but rounding.
     """
-    everything = postures if problem.kept is None else np.vstack([postures, problem.kept])
-    information = information_matrix(problem.blocks(everything))
-    scaled = np.linalg.inv(information)
-    return sigma**2 * scaled / np.outer(problem.model.scales, problem.model.scales)
+    blocks = problem.blocks(postures)
+    if weights is not None:
+        blocks = blocks * np.sqrt(len(blocks) * weights)[:, None, None]
+    if problem.kept is not None and len(problem.kept):
+        blocks = np.concatenate([blocks, problem.blocks(problem.kept)])
+    return spectrum(blocks, np.ones(problem.parameters))
 
 
-def expected_deviations(problem: DesignProblem, postures: Array, sigma: float | None) -> ExpectedDeviations | None:
-    """What the plan will give with `sigma` [mm] per coordinate; None without sigma or if the plan is not enough."""
-    if sigma is None or not np.isfinite(problem.objective(postures)):
+def expected_deviations(
+    problem: DesignProblem, postures: Array, sigma: float | None, weights: Array | None = None
+) -> ExpectedDeviations | None:
+    """What the plan will give with `sigma` [mm] per coordinate; None without sigma or if the plan is not enough.
+
+    weights : (m,) of an approximate design, for m runs shared out by them; None: one run per posture
+    """
+    if sigma is None:
         return None
-    names = problem.model.names
-    matrix = covariance(problem, postures, sigma)
+    told = plan_spectrum(problem, postures, weights)
+    if told.rank < problem.parameters:
+        return None
+    names, scales = problem.model.names, problem.model.scales
+    matrix = (sigma / scales)[:, None] * told.covariance * (sigma / scales)  # sigma^2 (sum J^T J)^-1, own units
     deviations = np.sqrt(np.diag(matrix))
     transform = orientation_transform(names)
     orientations = np.sqrt(np.einsum("jp,pq,jq->j", transform, matrix, transform))

@@ -13,11 +13,13 @@ from doe.bound import Bound
 from doe.certificate import CERTIFIED
 from doe.closed_form import table_1_max_residual
 from doe.criteria import D
-from doe.expected import ExpectedDeviations, expected_deviations
+from doe.expected import ExpectedDeviations, expected_deviations, plan_spectrum
 from doe.plan import Plan
 from doe.problem import DesignProblem
 from identification.arm import Array
 from identification.status import Status
+
+FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
 
 
 @dataclass(frozen=True)
@@ -46,12 +48,26 @@ class Design:
     @cached_property
     def value(self) -> float:
         """Criterion value, -inf if the plan cannot identify all parameters."""
-        return float(self.problem.criterion.value(self.information))
+        return float(self.problem.criterion.value(self.information)) if self.identifies_all else -np.inf
+
+    @cached_property
+    def identifies_all(self) -> bool:
+        """True if the plan tells every parameter, decided by rank as in `identify`: rounding can hide det M = 0."""
+        return plan_spectrum(self.problem, self.plan.postures, self.plan.weights).rank == self.problem.parameters
+
+    @cached_property
+    def outside(self) -> tuple[int, ...]:
+        """Runs (from 1) beyond a joint limit or a constraint by more than rounding: no bound holds for such a plan."""
+        q = self.plan.postures
+        breaks = np.any((q < self.problem.lower - FITS) | (q > self.problem.upper + FITS), axis=1)
+        for constraint in self.problem.constraints:
+            breaks |= np.any(constraint.margin(q) < -FITS, axis=1)
+        return tuple((np.flatnonzero(breaks) + 1).tolist())
 
     @cached_property
     def log_det(self) -> float:
         """log det M' (THEORY.md section 3), whatever the criterion."""
-        return float(D().value(self.information))
+        return float(D().value(self.information)) if self.identifies_all else -np.inf
 
     @cached_property
     def efficiency(self) -> float | None:
@@ -62,8 +78,9 @@ class Design:
 
     @property
     def certified_optimal(self) -> bool:
-        """True if no plan can be better by more than 1e-6 of efficiency."""
-        return self.efficiency is not None and self.efficiency >= CERTIFIED
+        """True if the plan is allowed and none that is can be better by more than 1e-6 of efficiency."""
+        efficiency = np.nan if self.efficiency is None else self.efficiency
+        return bool(np.isfinite(efficiency) and efficiency >= CERTIFIED and not self.outside)
 
     @cached_property
     def table_1_max_residual(self) -> float | None:
@@ -76,7 +93,7 @@ class Design:
     def deviations(self) -> ExpectedDeviations | None:
         """Expected standard deviations with the arm's sigma; None without sigma."""
         sigma = getattr(getattr(self.problem.model, "arm", None), "sigma", None)
-        return expected_deviations(self.problem, self.plan.postures, sigma)
+        return expected_deviations(self.problem, self.plan.postures, sigma, self.plan.weights)
 
     def to_json(self) -> dict[str, Any]:
         """The contract's keys of `design` and `score`: millimetres and degrees; None for what cannot be given."""
@@ -89,6 +106,7 @@ class Design:
             "bound": None if self.bound is None else self.bound.as_dict(),
             "efficiency": _number(self.efficiency),
             "certified_optimal": self.certified_optimal,
+            "outside_limits": list(self.outside),
             "postures_deg": np.degrees(self.plan.postures).tolist(),
             "table_1_max_residual": _number(self.table_1_max_residual),
             "std": _deviations_json(self.deviations),

@@ -17,6 +17,11 @@ from identification.errors import InputError
 
 Array = NDArray[np.float64]
 MAX_LINKS = 12
+# what files may say: beyond these, squares overflow and sines of angles are noise
+LENGTH_RANGE = (1e-6, 1e9)  # [mm] of a link
+LARGEST_LENGTH = LENGTH_RANGE[1]  # [mm] of a coordinate
+LARGEST_ANGLE = 1e6  # [deg]
+SIGMA_RANGE = (1e-9, 1e9)  # [mm]
 
 
 def readonly(values: ArrayLike, *shape: int) -> Array:

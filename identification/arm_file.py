@@ -65,6 +65,7 @@ def arm_from_tables(tables: dict[str, Any]) -> Arm:
     links = len(file.links_mm)
     limits = file.joint_limits_deg
     effects = effects_of(file)
+    names = file_names(links, effects)
     return Arm(
         lengths=readonly(file.links_mm),
         lower=None if limits is None else np.radians(limits.lower),  # type: ignore[arg-type]
@@ -74,7 +75,7 @@ def arm_from_tables(tables: dict[str, Any]) -> Arm:
         gravity=_gravity(file, links),
         constraints=tuple(_constraint(table) for table in file.constraints),
         effects=tuple(spec for spec, _ in effects),
-        calibration=None if file.calibration is None else _calibration(file.calibration, file_names(links, effects)),
+        calibration=None if file.calibration is None else _calibration(file.calibration, file.links_mm, names),
     )
 
 
@@ -206,10 +207,14 @@ def file_names(links: int, effects: Iterable[tuple[EffectSpec, Effect]]) -> list
     return names
 
 
-def _calibration(table: CalibrationTable, names: list[FileName]) -> Calibration:
-    links = sum(name.file.startswith("length_error:") for name in names)
+def _calibration(table: CalibrationTable, nominal: list[float], names: list[FileName]) -> Calibration:
+    links = len(nominal)
     for key in ("length_errors_mm", "joint_offsets_deg"):
         _require_count(f"calibration.{key}", getattr(table, key), links)
+    for j, (length, error) in enumerate(zip(nominal, table.length_errors_mm, strict=True), start=1):
+        if length + error <= 0.0:
+            found = f"found {error:g} for link {j} of {length:g} mm"
+            raise InputError(f"calibration.length_errors_mm: {found}, allowed: more than {-length:g}")
     by_file = {name.file: name for name in names}
     effects = {}
     for key, value in table.effects.items():

@@ -6,11 +6,14 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from identification.arm import MAX_LINKS
+from identification.arm import LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
 from identification.errors import InputError, nearest
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Positive = Annotated[float, Field(gt=0)]
+Length = Annotated[float, Field(ge=LENGTH_RANGE[0], le=LENGTH_RANGE[1])]
+Angle = Annotated[float, Field(ge=-LARGEST_ANGLE, le=LARGEST_ANGLE)]
+Sigma = Annotated[float, Field(ge=SIGMA_RANGE[0], le=SIGMA_RANGE[1])]
 NotNegative = Annotated[float, Field(ge=0)]
 
 
@@ -21,14 +24,14 @@ class _Table(BaseModel):
 class LimitsTable(_Table):
     """`[joint_limits_deg]`."""
 
-    lower: list[float] = Field(description="one angle [deg] for each link")
-    upper: list[float] = Field(description="one angle [deg] for each link")
+    lower: list[Angle] = Field(description=f"one angle [deg] for each link, up to {LARGEST_ANGLE:g}")
+    upper: list[Angle] = Field(description=f"one angle [deg] for each link, up to {LARGEST_ANGLE:g}")
 
 
 class MeasurementTable(_Table):
     """`[measurement]`."""
 
-    sigma_mm: Positive | None = Field(None, description="a number > 0 [mm]")
+    sigma_mm: Sigma | None = Field(None, description=f"a number > 0 [mm], {SIGMA_RANGE[0]:g} to {SIGMA_RANGE[1]:g}")
 
 
 class GravityTable(_Table):
@@ -116,8 +119,10 @@ ConstraintTable = Annotated[BoxTable | CircleTable | SightTable, Field(discrimin
 class ArmFile(_Table):
     """The whole file."""
 
-    links_mm: list[Positive] = Field(
-        min_length=1, max_length=MAX_LINKS, description=f"1 to {MAX_LINKS} link lengths > 0 [mm]"
+    links_mm: list[Length] = Field(
+        min_length=1,
+        max_length=MAX_LINKS,
+        description=f"1 to {MAX_LINKS} link lengths > 0 [mm], {LENGTH_RANGE[0]:g} to {LENGTH_RANGE[1]:g}",
     )
     name: str = Field("arm", description="a text")
     joint_limits_deg: LimitsTable | None = Field(None, description="a table with lower and upper")

@@ -109,6 +109,8 @@ def _checked_target(path: PathLike, force: bool) -> Path:
         raise InputError(f"{path}: is a directory, allowed: a file name")
     if target.exists() and not target.is_file():
         raise InputError(f"{path}: is not a regular file, allowed: a new file name")
+    if not os.access(target.parent, os.W_OK):
+        raise InputError(f"{path}: the folder cannot be written to, allowed: a file in a writable folder")
     if target.exists() and not force:
         raise InputError(f"{path}: the file exists, allowed: a new file name, or --force to replace it")
     return target

@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from identification.arm import MAX_LINKS, Arm, Array
+from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, MAX_LINKS, SIGMA_RANGE, Arm, Array
 from identification.errors import InputError, nearest
 from identification.files import PathLike
 from identification.measurements import Measurements
@@ -95,9 +95,16 @@ def read_postures(table: Table, links: int | None = None) -> Array:
     table.require(f"q{j}_deg" for j in range(1, n + 1) if j not in joints)
     postures = np.empty((len(table), n))
     for j, column in enumerate(columns):
-        values = table.floats(column, "a finite angle")
-        postures[:, j] = np.radians(values) if column.endswith("_deg") else values
+        in_degrees = column.endswith("_deg")
+        most = LARGEST_ANGLE if in_degrees else np.radians(LARGEST_ANGLE)
+        values = _up_to(table, column, "a finite angle", most)
+        postures[:, j] = np.radians(values) if in_degrees else values
     return postures
+
+
+def _up_to(table: Table, column: str, allowed: str, most: float) -> Array:
+    """(m,) finite numbers of at most this absolute value."""
+    return table.floats(column, f"{allowed}, up to {most:g}", lambda values: np.abs(values) <= most)
 
 
 def posture_columns(postures: Array) -> dict[str, NDArray[np.generic]]:
@@ -130,21 +137,28 @@ def warn_unknown(table: Table, known: Iterable[str]) -> None:
 
 
 # -- columns of measurements ------------------------------------------------------------------------------------------
-def _millimetres(table: Table, name: str, test: str = "a finite length") -> Array:
+def _millimetres(table: Table, name: str) -> Array:
     """(m,) column `x_mm`, or `x_m` converted."""
     if f"{name}_mm" in table and f"{name}_m" in table:
         raise InputError(f"{table.path}: found both {name}_mm and {name}_m, allowed: one of them")
     if f"{name}_m" in table:
-        return table.floats(f"{name}_m", test) * 1000.0
-    return table.floats(f"{name}_mm", test)
+        return _up_to(table, f"{name}_m", "a finite length", LARGEST_LENGTH / 1000.0) * 1000.0
+    return _up_to(table, f"{name}_mm", "a finite length", LARGEST_LENGTH)
 
 
 def _sigma(table: Table) -> Array | None:
     if "sigma_m" in table and "sigma_mm" in table:
         raise InputError(f"{table.path}: found both sigma_mm and sigma_m, allowed: one of them")
-    metres = _optional(table, "sigma_m", "> 0 [m]", lambda v: v > 0.0)
-    millimetres = _optional(table, "sigma_mm", "> 0 [mm]", lambda v: v > 0.0)
+    low, high = SIGMA_RANGE
+    metres = _optional(
+        table, "sigma_m", f"> 0 [m], {low / 1000.0:g} to {high / 1000.0:g}", lambda v: _within(v * 1000.0, SIGMA_RANGE)
+    )
+    millimetres = _optional(table, "sigma_mm", f"> 0 [mm], {low:g} to {high:g}", lambda v: _within(v, SIGMA_RANGE))
     return millimetres if metres is None else metres * 1000.0
+
+
+def _within(values: Array, limits: tuple[float, float]) -> NDArray[np.bool_]:
+    return (values >= limits[0]) & (values <= limits[1])
 
 
 def _optional(table: Table, column: str, allowed: str, test: object = None) -> Array | None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
 from doe.expected import expected_deviations
 from identification.arm import Arm
 from identification.model import Model
-from tests.doe.arms import FOUR, OFFSET, problem
+from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
 
 
 def fourier(runs: int, links: int) -> np.ndarray:
@@ -74,3 +76,23 @@ def test_measured_postures_help() -> None:
     assert together is not None
     assert apart is not None
     np.testing.assert_allclose(apart.length, together.length)
+
+
+def test_weights_share_the_runs_out() -> None:
+    plan = np.random.default_rng(1).uniform(FOUR.lower, FOUR.upper, (6, 4))
+    weights = np.array([3, 1, 1, 1, 1, 1]) / 8
+    shared = expected_deviations(problem(FOUR), plan, 0.1, weights)
+    repeated = expected_deviations(problem(FOUR), plan[[0, 0, 0, 1, 2, 3, 4, 5]], 0.1)
+    assert shared is not None
+    assert repeated is not None
+    # six runs instead of eight, shared out in the same way
+    np.testing.assert_allclose(shared.length, repeated.length * np.sqrt(8 / 6))
+    np.testing.assert_allclose(shared.joint_offset, repeated.joint_offset * np.sqrt(8 / 6))
+
+
+def test_none_where_only_rounding_makes_the_information_regular() -> None:
+    # two angles half a turn apart tell an eccentric encoder from a joint offset by rounding only, yet numpy inverts M
+    half_turn = (-1.2, np.pi - 1.2)
+    plan = np.array(list(product((-1.0, 1.0), half_turn, (-1.0, 1.0), (-1.0, 0.5))))
+    assert expected_deviations(problem(Arm(FOUR.lengths), ECCENTRICITY), plan, 0.1) is None
+    assert expected_deviations(problem(Arm(FOUR.lengths)), plan, 0.1) is not None

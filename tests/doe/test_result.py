@@ -11,7 +11,7 @@ from doe.bound import Bound
 from doe.plan import Plan
 from doe.result import score
 from doe.solvers import score_plan
-from identification.arm import Arm
+from identification.arm import Arm, EffectSpec
 from tests.doe.arms import ECCENTRICITY, FOUR, SIX, problem
 from tests.doe.test_closed_form import complex_log_det
 
@@ -76,3 +76,23 @@ def test_prints_well() -> None:
     found = score_plan(problem(SIX), np.random.default_rng(0).uniform(SIX.lower, SIX.upper, (9, 6)))
     assert "9 runs of a 6-link arm" in repr(found)
     assert found._repr_html_().count("<tr>") == 10
+
+
+def test_a_plan_outside_the_limits_is_never_certified() -> None:
+    runs = np.arange(5)
+    fourier = np.outer(2 * np.pi * runs / 5, np.ones(4))  # orthogonal columns, log det M' = 0: above the bound
+    found = score_plan(problem(FOUR), fourier)
+    assert found.value > found.bound.value
+    assert found.outside == (2, 3, 4, 5)
+    assert not found.certified_optimal
+    assert found.to_json()["outside_limits"] == [2, 3, 4, 5]
+    assert score_plan(problem(Arm(FOUR.lengths, *np.radians([[-360] * 4, [360] * 4]))), fourier).certified_optimal
+
+
+def test_a_plan_that_tells_a_combination_only_is_worth_nothing() -> None:
+    rotation = EffectSpec("base_rotation")  # an alias of joint_offset:1, whatever the plan
+    for seed in range(5):
+        plan = np.random.default_rng(seed).uniform(FOUR.lower, FOUR.upper, (12, 4))
+        data = score_plan(problem(FOUR, rotation), plan).to_json()
+        assert data["log_det"] is None
+        assert data["std"]["length_mm"] is None

@@ -387,6 +387,7 @@ angles = st.floats(-7.0, 7.0, allow_subnormal=False)
 def arms(draw: st.DrawFn) -> Arm:
     """Any arm that a file can describe."""
     n = draw(st.integers(1, 4))
+    lengths = draw(arrays(float, n, elements=st.floats(1e-3, 1e4)))
     lower = draw(arrays(float, n, elements=angles))
     names = [*(f"length_error:{j + 1}" for j in range(n)), *(f"joint_offset:{j + 1}" for j in range(n))]
     effects = (
@@ -395,7 +396,7 @@ def arms(draw: st.DrawFn) -> Arm:
     )
     names.append(f"encoder_eccentricity:{n}.b")
     calibration = Calibration(
-        length_errors=draw(arrays(float, n, elements=numbers)),
+        length_errors=lengths * draw(arrays(float, n, elements=st.floats(-0.9, 10.0))),
         joint_offsets=draw(arrays(float, n, elements=angles)),
         effects={f"encoder_eccentricity:{n}.b": draw(angles)},
         parameter_names=tuple(names),
@@ -404,7 +405,7 @@ def arms(draw: st.DrawFn) -> Arm:
     )
     masses, center = (draw(arrays(float, n, elements=st.floats(0, 1))) for _ in range(2))
     return Arm(
-        lengths=draw(arrays(float, n, elements=st.floats(1e-3, 1e4))),
+        lengths=lengths,
         lower=lower,
         upper=lower + draw(arrays(float, n, elements=st.floats(0.1, 7.0))),
         sigma=draw(st.none() | st.floats(1e-6, 10)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 
 import numpy as np
@@ -203,3 +204,10 @@ def test_floats_are_read_exactly(tmp_path_factory: pytest.TempPathFactory, value
     path = tmp_path_factory.mktemp("table") / "data.csv"
     path.write_text("a\n" + "\n".join(map(repr, values)) + "\n")
     np.testing.assert_array_equal(read_table(path).floats("a"), values)
+
+
+def test_a_read_only_folder_is_found_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # who runs the tests may be root, whom no mode bits stop
+    monkeypatch.setattr(os, "access", lambda path, mode: not (path == tmp_path.resolve() and mode == os.W_OK))
+    with pytest.raises(InputError, match="cannot be written to"):
+        files.check_writable(tmp_path / "plan.csv")

@@ -100,3 +100,48 @@ def test_unknown_verb(folder: Folder) -> None:
     done = folder.armcal("desing")
     assert done.code == 2
     assert "did you mean 'design'?" in done.err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["design", "arm.toml", "--runs", "0"],
+        ["design", "arm.toml", "--runs", "ten"],
+        ["design", "arm.toml"],
+        ["design", "arm.toml", "--runs", "8", "--seed", "-1"],
+        ["design", "arm.toml", "--runs", "8", "--seconds", "nan"],
+        ["design", "arm.toml", "--runs", "8", "--colour", "red"],
+        ["advise", "arm.toml", "--seconds", "nan"],
+        ["identify", "arm.toml"],
+    ],
+    ids=" ".join,
+)
+def test_usage(folder: Folder, words: list[str]) -> None:
+    refused(folder, words)
+
+
+def test_numbers_that_would_overflow(folder: Folder) -> None:
+    row = "0,0,0,0,660,0\n1,2,3,4,5,5\n2,3,4,5,6,7\n3,4,5,6,7,8\n"
+    for old, new, column in (("660", "1e200", "x_mm"), ("660", "-1e308", "x_mm"), ("0,0,0,0", "0,1e300,0,0", "q2_deg")):
+        folder.write("data.csv", HEADER + row.replace(old, new, 1))
+        refused(folder, ["identify", "arm.toml", "data.csv"], "row 1", column, "up to")
+    for old, new in (("sigma_mm = 0.1", "sigma_mm = 1e308"), ("100.0]", "1e300]"), ("-120.0", "-1e300")):
+        assert old in ARM
+        folder.write("arm.toml", ARM.replace(old, new, 1))
+        refused(folder, ["design", "arm.toml", "--runs", "8"], "arm.toml", "allowed")
+
+
+def test_a_calibration_that_turns_a_link_round(folder: Folder) -> None:
+    for error in (-180.0, -500.0):
+        table = f"length_errors_mm = [0.0, {error}, 0.0, 0.0]\njoint_offsets_deg = [0.0, 0.0, 0.0, 0.0]"
+        folder.write("arm.toml", f"{ARM}\n[calibration]\n{table}\n")
+        refused(folder, ["design", "arm.toml", "--runs", "8"], "calibration.length_errors_mm", "link 2", "-180")
+
+
+def test_a_plan_outside_the_limits_warns(folder: Folder) -> None:
+    rows = "".join(f"{run},{72 * run},{72 * run},{72 * run},{72 * run}\n" for run in range(5))
+    folder.write("fourier.csv", "run,q1_deg,q2_deg,q3_deg,q4_deg\n" + rows)
+    done = folder.armcal("score", "arm.toml", "fourier.csv")
+    assert done.code == 0
+    assert "outside joint limits" in done.err
+    assert "no: outside joint limits or constraints are runs 2, 3, 4, 5" in done.out

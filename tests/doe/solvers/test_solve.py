@@ -12,6 +12,7 @@ import pytest
 from doe.bound import Bound
 from doe.solvers import Offer, solve
 from doe.solvers.driver import AGREEMENT
+from identification.arm import EffectSpec
 from identification.errors import InputError, JobError
 from identification.status import Status
 from tests.doe.arms import FIVE, FOUR, OFFSET, problem
@@ -128,3 +129,13 @@ def test_bad_input() -> None:
         solve(problem(FOUR, OFFSET), 4)
     with pytest.raises(InputError, match="did you mean 'ipopt'"):
         solve(problem(FIVE), 8, "ipot")
+
+
+def test_what_no_posture_tells_apart_is_named() -> None:
+    lost = {
+        "base_rotation": r"joint_offset:1 \+ base_rotation.angle",
+        "base_drift": "base_drift.vx; base_drift.vy",
+    }
+    for name, combination in lost.items():
+        with pytest.raises(JobError, match=f"no posture tells apart: {combination}"):
+            solve(problem(FOUR, EffectSpec(name)), 12, "random")
