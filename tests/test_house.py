@@ -39,7 +39,9 @@ LAYERS = {
     "doe.executors": 11,
     "doe.child": 11,
     "doe.rows": 11,
+    "doe.order": 12,
     "doe.rows": 11,
+    "doe.order": 12,
     "doe.child": 11,
     "doe.problem": 12,
     "doe.constraints": 12,
@@ -50,6 +52,8 @@ LAYERS = {
     "doe.expected": 13,
     "doe.approximate": 13,
     "doe.continuous": 14,  # column generation over the box: a solver that gives bounds
+    "doe.order": 12,
+    "doe.observability": 13,
     "doe.certificate": 13,
     "doe.closed_form": 13,
     "doe.rounding": 13,

@@ -3,44 +3,108 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from doe.cli.common import FILE, Answer, Seconds, Session, force_option, out_option, verb
 
+if TYPE_CHECKING:
+    from identification.arm import Arm
+
 
 @verb("armcal design arm.toml --runs 20 --out plan.csv")
 @click.argument("arm", type=FILE)
-@click.option("--runs", type=click.IntRange(min=1), required=True, help="Number of measurements m.")
+@click.option("--runs", type=click.IntRange(min=1), required=True, help="Number of (new) measurements m.")
+@click.option("--criterion", default="D", show_default=True, help="D, A, E, I, Ds or Dstar.")
+@click.option("--test-poses", type=FILE, metavar="FILE", help="CSV of postures that matter, for criterion I.")
+@click.option("--subset", help="Parameters that matter, for Ds: length_error:1,joint_offset:2")
 @click.option("--solver", help="Method; left out: the best for the problem.")
 @click.option("--starts", type=click.IntRange(min=1), help="Number of starts.")
 @click.option("--seconds", type=Seconds(), help="Time budget [s].")
+@click.option("--discriminating", is_flag=True, help="A plan that can show missing effects, too.")
+@click.option("--loss", default=0.05, show_default=True, help="D-efficiency that --discriminating may give up.")
+@click.option("--keep", type=FILE, metavar="FILE", help="Postures measured already; the new ones go around them.")
+@click.option("--candidates", type=FILE, metavar="FILE", help="CSV of allowed postures to choose from.")
+@click.option("--repeats", is_flag=True, help="A posture may be measured more than once.")
+@click.option("--minimum-distance-deg", type=float, help="Postures differ by this in some joint (1 deg).")
+@click.option("--order", help="given, travel (least joint travel) or random.")
+@click.option("--picture", type=FILE, metavar="FILE", help="Draw the postures (.png, .svg, .pdf).")
 @out_option
 @force_option
 def command(
     session: Session,
     arm: Path,
     runs: int,
+    criterion: str,
+    test_poses: Path | None,
+    subset: str | None,
     solver: str | None,
     starts: int | None,
     seconds: float | None,
+    discriminating: bool,
+    loss: float,
+    keep: Path | None,
+    candidates: Path | None,
+    repeats: bool,
+    minimum_distance_deg: float | None,
+    order: str | None,
+    picture: Path | None,
     out: Path | None,
     force: bool,
 ) -> Answer:
     """Choose the RUNS postures that calibrate the arm best, with a certificate of how good they are."""
+    from dataclasses import replace
+
+    from doe.cli.problems import problem_of
+    from doe.order import check_order, ordered
     from doe.plan_file import plan_text
-    from doe.problem import DesignProblem
-    from doe.report.tables import design_tables
+    from doe.report.tables import design_tables, order_line
     from doe.solvers import solve
     from identification.arm_file import load_arm
     from identification.files import check_writable, write_whole
-    from identification.model import Model
 
     loaded = load_arm(arm)
     check_writable(out, force)
-    problem = DesignProblem.of(Model(loaded))
+    check_writable(picture, force)
+    check_order(order)
+    problem = problem_of(
+        loaded,
+        criterion,
+        test_poses=test_poses,
+        subset=subset,
+        keep=keep,
+        candidates=candidates,
+        repeats=repeats,
+        minimum_distance_deg=minimum_distance_deg,
+    )
+    data: dict[str, Any] = {}
+    extra: list[Any] = []
     with session.progress("design") as progress:
-        design = solve(problem, runs, solver, seed=session.seed, starts=starts, seconds=seconds, progress=progress)
+        if discriminating:
+            from doe.discriminating import discriminating as search
+            from doe.report.preflight_tables import discriminating_data, discriminating_tables
+
+            found = search(problem, loaded, runs, loss=loss, seed=session.seed, progress=progress)
+            design, data, extra = found.design, discriminating_data(found), discriminating_tables(found)
+        else:
+            design = solve(problem, runs, solver, seed=session.seed, starts=starts, seconds=seconds, progress=progress)
+    if order is not None:
+        sequence = ordered(design.plan, order, seed=session.seed)
+        data["travel_deg"] = sequence.to_json()
+        extra.append(order_line(sequence))
+        design = replace(design, plan=sequence.plan)
     if out is not None:
         write_whole(out, plan_text(design.plan), force=force)
-    return Answer(design.to_json(), [*design_tables(loaded, design), *([f"plan written to {out}"] if out else [])])
+        extra.append(f"plan written to {out}")
+    draw(loaded, design.plan.postures, picture, force)
+    return Answer(design.to_json() | data, [*design_tables(loaded, design), *extra])
+
+
+def draw(arm: Arm, postures: Any, picture: Path | None, force: bool) -> None:
+    """The plan as a picture, if one is asked for."""
+    if picture is None:
+        return
+    from doe.report.pictures import plan_figure, save
+
+    save(plan_figure(arm, postures), picture, force)

@@ -7,9 +7,10 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from doe.discriminating import DiscriminatingDesign
 from identification.gap.preflight import Preflight
 
-MOST_PAIRS = 8
+HIDDEN = 0.01
 
 
 def preflight_tables(sees: Preflight) -> list[Any]:
@@ -27,3 +28,28 @@ def preflight_tables(sees: Preflight) -> list[Any]:
     skipped = [Text(f"not judged: {key}: {why}") for key, why in sees.skipped.items()]
     never = [Text(f"never visible: {key}: the same as {why}") for key, why in sees.aliases.items()]
     return [table, Text(f"{sees.freedom} degrees of freedom to spare"), *skipped, *never]
+
+
+def discriminating_tables(found: DiscriminatingDesign) -> list[Any]:
+    """What the plan gives up, and what it shows for it."""
+    blind, clear = hidden(found.best_sees), hidden(found.sees)
+    lines = [
+        f"D-efficiency {found.relative_efficiency:.4f} of the best plan found",
+        f"effects it cannot see: {', '.join(clear) or 'none'} (the best plan: {', '.join(blind) or 'none'})",
+    ]
+    return [*(Text(line) for line in lines), *preflight_tables(found.sees)]
+
+
+def discriminating_data(found: DiscriminatingDesign) -> dict[str, Any]:
+    """The JSON keys that `--discriminating` adds."""
+    return {
+        "relative_efficiency": found.relative_efficiency,
+        "preflight": found.sees.to_json(),
+        "not_visible": hidden(found.sees),
+        "not_visible_in_best_plan": hidden(found.best_sees),
+    }
+
+
+def hidden(sees: Preflight) -> list[str]:
+    """Effects of which less than a hundredth of a column's norm is left for the tests to see."""
+    return [name for name, share in zip(sees.names, sees.shares, strict=True) if share < HIDDEN]

@@ -8,6 +8,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from doe.order import Ordered
 from doe.result import Design
 from identification.arm import Arm
 from identification.compensate import Compensation
@@ -134,3 +135,9 @@ def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     data = found.to_json()
     unreachable = f"; rows out of reach: {', '.join(map(str, data['unreachable'][:20]))}" if data["unreachable"] else ""
     return [f"{data['reached']} of {data['targets']} targets reached{unreachable}", table]
+
+
+def order_line(found: Ordered) -> Text:
+    """What the order of measurement costs."""
+    before, after = np.degrees([found.before, found.after])
+    return Text(f"order {found.order}: joint travel {before:.0f} -> {after:.0f} deg ({found.saved:.0%} saved)")
