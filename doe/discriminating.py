@@ -46,14 +46,20 @@ THEORY_PLANS, SHUFFLES, STEPS, STARTS, JITTERS = 64, 200, 9, 2, 5
 class DiscriminatingDesign:
     """A plan, what it loses against the best one, and what it can and cannot see.
 
+    arm : with its own effects
     design : judged by the criterion of the problem;  best : the best plan without regard to missing effects
     sees, best_sees : pre-flight of both
     """
 
+    arm: Arm
     design: Design
     best: Design
     sees: Preflight
     best_sees: Preflight
+
+    def with_design(self, design: Design) -> DiscriminatingDesign:
+        """Another design, such as the same postures in another order, and what that one sees."""
+        return replace(self, design=design, sees=preflight(self.arm, design.plan.postures))
 
     @property
     def relative_efficiency(self) -> float:
@@ -89,7 +95,7 @@ def discriminating(
         status = Status.interrupted
     plan = Plan(best_order(arm, chosen, generator))
     design = replace(best, plan=plan, solver="discriminating", status=status)
-    return DiscriminatingDesign(design, best, preflight(arm, plan.postures), best_sees)
+    return DiscriminatingDesign(arm, design, best, preflight(arm, plan.postures), best_sees)
 
 
 def wide_problem(problem: DesignProblem, arm: Arm) -> DesignProblem:

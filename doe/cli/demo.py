@@ -18,14 +18,18 @@ def command(session: Session, out: Path | None, force: bool) -> Answer:
     from doe.report.demo_page import demo_data, demo_page, demo_tables
     from doe.report.overview import overview_figure
     from doe.report.pictures import save
+    from identification.errors import JobError
     from identification.files import write_whole
 
     directory = next_free(Path("armcal-demo")) if out is None else out
     make_directory(directory, force)
-    with session.progress("demo") as progress:
-        demo = run_demo(directory, session.seed, progress)
-        write_whole(directory / "report.html", demo_page(demo), force=True)
-        save(overview_figure(demo), directory / "overview.png", force=True)
+    try:
+        with session.progress("demo") as progress:
+            demo = run_demo(directory, session.seed, progress)
+            write_whole(directory / "report.html", demo_page(demo), force=True)
+            save(overview_figure(demo), directory / "overview.png", force=True)
+    except KeyboardInterrupt:
+        raise JobError(f"stopped by Ctrl-C; the files in {directory} are whole, but not all there") from None
     return Answer(demo_data(demo, directory), demo_tables(demo, directory))
 
 

@@ -54,6 +54,8 @@ def verdict_table(data: dict[str, Any], sentence: str) -> Table:
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     bound = data["bound"]
     table.add_row("criterion", f"{data['criterion']}, {data['runs']} runs, {data['links']} links")
+    if data["criterion"] != "D":
+        table.add_row(f"value of {data['criterion']}", number(data["value"], 7))
     table.add_row("log det M'", number(data["log_det"], 7))
     table.add_row("upper bound", f"{number(bound['value'], 7)} ({bound['source']})" if bound else "-")
     table.add_row("efficiency", number(data["efficiency"], 6))
