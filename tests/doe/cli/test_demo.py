@@ -70,3 +70,15 @@ def test_a_second_demo_takes_another_directory(folder: Folder) -> None:
     refused = folder.armcal("demo", "--out", "armcal-demo-2")
     assert refused.code == 2
     assert "--force" in refused.err
+
+
+def test_ctrl_c_says_that_files_are_left(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("doe.demo.diagnose", stopped)
+    done = folder.armcal("demo", "--out", "half")
+    assert done.code == 1
+    assert "stopped by Ctrl-C; the files in half" in done.err
+    assert (folder.path / "half" / "data.csv").exists()
+    assert not (folder.path / "half" / "report.html").exists()
