@@ -12,6 +12,7 @@ from identification.arm import Array
 
 if TYPE_CHECKING:
     import polars
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 FLOOR = 1e-9  # losses below this are shown there
@@ -113,6 +114,7 @@ def profile_figure(rows: polars.DataFrame) -> Figure:
         x, y = np.r_[0.9, tau, end], np.r_[0.0, share, share[-1] if share.size else 0.0]
         axes.step(x, y, where="post", color=color, ls=dashes, label=label(setting))
     axes.set(xscale="log", xlim=(1.0, max(end, 1.1)), ylim=(-0.02, 1.02))
+    _plain_numbers(axes)
     axes.set(xlabel="time / time of the fastest", ylabel="share of instances at the best known value")
     figure.legend(fontsize=8, loc="outside right center")
     return figure
@@ -134,11 +136,21 @@ def time_figure(rows: polars.DataFrame) -> Figure:
             loss = np.maximum(runs["loss"].to_numpy(), FLOOR)
             axes.plot(runs["seconds"].to_numpy(), loss, marker, color=color, ms=5, alpha=0.7, label=label(setting))
         axes.set(xscale="log", yscale="log", ylim=(FLOOR / 2.0, 1.5), xlabel="time of a run [s]")
+        _plain_numbers(axes)
         axes.set_title(f"{problem[0]}, {problem[2]} runs", fontsize=9)
     panels[0].set_ylabel(f"efficiency lost to the best known plan (floor {FLOOR:g})")
     handles, names = panels[0].get_legend_handles_labels()
     figure.legend(handles, names, fontsize=8, loc="outside right center")
     return figure
+
+
+def _plain_numbers(axes: Axes) -> None:
+    """1, 2, 5, 10 along a logarithmic x axis: powers of ten crowd each other where there is less than a decade."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _styles(settings: list[Any]) -> dict[Setting, tuple[Any, str, str]]:
