@@ -20,7 +20,7 @@ FREE_ORDERS = np.arange(0.5, 160.5, 0.5)  # periods per turn, whole or not
 SMOOTH_ORDERS = np.arange(1, 6)
 CENTRES = 24
 WIDTHS = (0.2, 0.3, 0.45, 0.7, 1.0)  # rad
-STEPS = 40
+STEPS = 100  # in time: every row up to this many
 
 
 @dataclass(frozen=True)

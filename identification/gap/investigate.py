@@ -51,7 +51,7 @@ def investigate(
     seen: list[tuple[object, ...]] = []
     for number in range(PASSES):
         tell(f"testing the effects, pass {number + 1}")
-        search = Search(hypotheses, noisy.pick(~outlier))
+        search = Search(hypotheses, noisy.pick(~outlier), careful=bool(scatter))
         selection = select(search, draws, generator)
         again = _screen_rows(search, selection.chosen, noisy)
         plain = rows.pick(~again)
@@ -72,7 +72,7 @@ def investigate(
 def _other_noise(
     found: Findings, rows: Rows, noisy: Rows, named: Fit
 ) -> list[tuple[Rows, tuple[Finding, ...], NDArray[np.bool_]]]:
-    """The same data without outliers, or without serial correlation: all rows, their findings, the rows left out.
+    """The same data without outliers, without serial correlation, without a noise model: rows, findings, rows left out.
 
     An effect that moves a few postures only (a bump at one joint angle) looks like outliers, and a step in time like
     serial correlation; whichever explanation has the lower BIC is right.
@@ -81,8 +81,10 @@ def _other_noise(
     if found.outlier.any():
         others.append((noisy, found.scatter, np.zeros_like(found.outlier)))
     memoryless = tuple(f for f in found.scatter if f.name != "serial_correlation")
-    if len(memoryless) < len(found.scatter):
-        others.append((whitened(rows, named, memoryless), memoryless, found.outlier))
+    for kept in dict.fromkeys((memoryless, ())):  # not a set: its order would change from run to run
+        if kept == found.scatter:
+            continue
+        others.append((whitened(rows, named, kept), kept, found.outlier))
     return others
 
 
@@ -94,7 +96,7 @@ def _explained(
     draws: int,
     generator: np.random.Generator,
 ) -> Findings:
-    search = Search(hypotheses, rows.pick(~outlier))
+    search = Search(hypotheses, rows.pick(~outlier), careful=bool(scatter))
     selection = select(search, draws, generator)
     return Findings(search, selection, look(search, selection.chosen, generator), scatter, outlier)
 

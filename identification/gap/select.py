@@ -16,6 +16,7 @@ from identification.model import Model
 
 MOST = 4  # effects at once
 ALPHA_FIRST, ALPHA_NEXT = 0.04, 0.005
+CAREFUL = 0.5  # factor on the levels where the noise model, too, was estimated from the data
 MARGIN = 8.0  # linear BIC within which rivals are refitted
 REFITS = 6
 WINDOW = 6.0  # Delta BIC of the ambiguity set
@@ -33,10 +34,14 @@ class Test:
 
 @dataclass
 class Search:
-    """Fits of sets of effects to the same rows, kept so that none is made twice."""
+    """Fits of sets of effects to the same rows, kept so that none is made twice.
+
+    careful : the noise model of the rows was estimated from the same data, so every level is made stricter
+    """
 
     hypotheses: HypothesisSet
     rows: Rows
+    careful: bool = False
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
     tests: dict[frozenset[str], Test] = field(default_factory=dict)
 
@@ -152,7 +157,7 @@ def select(search: Search, draws: int, generator: np.random.Generator) -> Select
     chosen: Choice = ()
     first = tested = search.tested(chosen, draws, generator)
     while len(chosen) < MOST:
-        level = ALPHA_NEXT if chosen else ALPHA_FIRST
+        level = (ALPHA_NEXT if chosen else ALPHA_FIRST) * (CAREFUL if search.careful else 1.0)
         longer = best_of(search, chosen, tested.members, np.where(tested.gate.adjusted <= level, tested.change, np.inf))
         if longer is None or search.bic(longer) >= search.bic(chosen):
             break

@@ -9,7 +9,7 @@ import numpy as np
 from identification.arm import Array
 from identification.gap.atoms import Atom, atoms
 from identification.gap.linear import Dictionary, dictionary
-from identification.gap.select import Choice, Search
+from identification.gap.select import CAREFUL, Choice, Search
 
 LEVEL = 0.005
 DRAWS = 399
@@ -57,7 +57,7 @@ def look(search: Search, chosen: Choice, generator: np.random.Generator) -> Unkn
     if crowd is not None:
         options = [o for o in options if place_of_all(o[1], crowd) == 0] or options
         return _named(p, min(options, key=lambda option: option[0]), place=crowd)
-    if p <= LEVEL:
+    if p <= LEVEL * (CAREFUL if search.careful else 1.0):
         return _named(p, min(options, key=lambda option: option[0]))
     replacing = [o for o in options if len(o[1]) < len(chosen) and o[0] < best - ODDS[len(chosen) - len(o[1])]]
     if replacing:
@@ -96,7 +96,7 @@ def _options(search: Search, chosen: Choice, after: _Shapes) -> list[tuple[Choic
 def _reduced(chosen: Choice) -> list[Choice]:
     """The set without one member, without all members at one place, and the empty set."""
     sets = [chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))]
-    for place in {place_of(h.key) for h in chosen}:
+    for place in dict.fromkeys(place_of(h.key) for h in chosen):
         sets.append(tuple(h for h in chosen if place_of(h.key) != place))
     unique = {frozenset(h.label for h in s): s for s in [*sets, *([()] if chosen else [])]}
     return list(unique.values())

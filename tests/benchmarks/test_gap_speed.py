@@ -39,7 +39,7 @@ def test_two_hundred_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(CELLS, "speed", CellSpec(200, 8.0, effects=2, limits="paper"))
     data = case("speed", 1)
     seconds = best_of(lambda: diagnose(data.arm, data.measurements, draws=999), 3)
-    print(f"\nm = 200, 4 links, 999 draws: {seconds:.2f} s, bar {3.0 * max(1.0, scale()):.2f} s")  # noqa: T201
+    print(f"\nm = 200, 4 links, 999 draws: {seconds:.2f} s, bar {3.0 * max(1.0, scale()):.2f} s")
     assert seconds <= 3.0 * max(1.0, scale())
 
 
@@ -47,5 +47,5 @@ def test_two_hundred_rows(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_ur10() -> None:
     data = load()
     seconds = best_of(lambda: diagnose(ARM, data), 1)
-    print(f"\n2,773 rows: {seconds:.1f} s, bar {60.0 * max(1.0, scale()):.1f} s")  # noqa: T201
+    print(f"\n2,773 rows: {seconds:.1f} s, bar {60.0 * max(1.0, scale()):.1f} s")
     assert seconds <= 60.0 * max(1.0, scale())

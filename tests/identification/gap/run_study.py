@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 
 from identification.gap.blind_study import blind_study
 from tests.identification.gap.blind import CELLS, case
@@ -10,9 +11,12 @@ from tests.identification.gap.blind import CELLS, case
 
 def main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 400
-    study = blind_study(case, sys.argv[2:] or list(CELLS), count)
-    print(study)  # noqa: T201
-    for (hidden, named), times in study.confusion().most_common(60):
+    confusion: Counter[tuple[str, str]] = Counter()
+    for number, cell in enumerate(sys.argv[2:] or CELLS):
+        study = blind_study(case, [cell], count)
+        print("\n".join(str(study).splitlines()[number > 0 :]), flush=True)  # noqa: T201
+        confusion += study.confusion()
+    for (hidden, named), times in confusion.most_common(80):
         if hidden != named:
             print(f"{times:5}  {hidden}  ->  {named}")  # noqa: T201
 
