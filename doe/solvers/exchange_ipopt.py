@@ -56,6 +56,7 @@ class ExchangeIpopt:
                 polished = climb(plans[k])
                 best = self._elite(best, problem.objective(polished), polished)
                 yield Offer(polished, independent=not vary)
+                climb.pass_on_interrupt()
             yield Offer(plans[0], count - 1)
             left, vary = left - count, not vary and bool(best)
 

@@ -47,6 +47,7 @@ class Ipopt:
         climb = Climber(problem, runs, self, budget)
         while True:
             yield Offer(climb(random_postures(problem, runs, generator)), 1, independent=True)
+            climb.pass_on_interrupt()
 
     @property
     def options(self) -> dict[str, Any]:
@@ -90,15 +91,18 @@ class Climber:
         with interrupts_noted(self):
             ended = self.ipopt(x0=start, lbx=self.lower, ubx=self.upper, lbg=MARGIN, ubg=np.inf)
         found = np.asarray(ended["x"]).ravel()
-        if self.interrupted:
-            self.interrupted = False
-            raise KeyboardInterrupt
         inside = np.clip(found, self.lower, self.upper)
         snapped = np.where(inside - self.lower < NEAR_LIMIT, self.lower, inside)
         snapped = np.where(self.upper - inside < NEAR_LIMIT, self.upper, snapped)
         plans = [self.postures(x) for x in (snapped, inside, start)]
         allowed = [plan for plan in plans if self.problem.feasible(plan).all()] or plans[-1:]
         return max(allowed, key=self.problem.objective)
+
+    def pass_on_interrupt(self) -> None:
+        """Raises the `KeyboardInterrupt` that came while IPOPT ran, now that its plan so far has been offered."""
+        if self.interrupted:
+            self.interrupted = False
+            raise KeyboardInterrupt
 
     def postures(self, point: Array) -> Array:
         """(m, n) postures of the (m a,) variables."""

@@ -7,6 +7,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
+from doe.bound import Bound
 from doe.criteria import D
 from doe.criteria.base import values_after_adding
 from doe.solvers import Exchange, solve
@@ -56,7 +57,7 @@ def test_finds_the_best_of_all_grid_plans() -> None:
 
 def test_limits_are_on_the_grid_and_kept() -> None:
     case = problem(FOUR, ECCENTRICITY)
-    design = solve(case, 9, Exchange(levels=4), starts=20)
+    design = solve(case, 9, Exchange(levels=4), starts=20, bound=Bound(np.inf, "grid"))
     grid = np.linspace(case.lower, case.upper, 4)
     for joint in case.active_joints:
         assert np.all(np.isin(design.plan.postures[:, joint], grid[:, joint]))
@@ -66,7 +67,7 @@ def test_measured_postures_count() -> None:
     kept = np.tile((FOUR.lower + FOUR.upper) / 2, (10, 1))
     case = problem(FOUR, kept=kept)
     assert case.fewest_runs == 1  # 8 unknowns, 20 equations there: but all of one posture
-    design = solve(case, 4, "exchange", starts=50)
+    design = solve(case, 4, "exchange", starts=50, bound=Bound(np.inf, "grid"))
     blocks = case.blocks(np.vstack([design.plan.postures, kept])).reshape(28, 8)
     assert design.log_det == pytest.approx(np.linalg.slogdet(blocks.T @ blocks / 14)[1])
 

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from doe.bound import Bound
 from doe.solvers import Ipopt, solve
 from doe.solvers.base import Budget
 from doe.solvers.derivatives import PlanFunction
 from doe.solvers.ipopt import Climber
 from identification.status import Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, problem
+
+UNKNOWN = Bound(np.inf, "grid")  # spares the time to find one
 
 
 def test_ends_are_stationary_within_the_limits() -> None:
@@ -37,7 +40,7 @@ def test_ends_are_stationary_within_the_limits() -> None:
 
 def test_same_maximum_as_scipy_from_near_it() -> None:
     case = problem(FOUR, ECCENTRICITY)
-    start = solve(case, 7, "exchange", starts=20).plan.postures
+    start = solve(case, 7, "exchange", starts=20, bound=UNKNOWN).plan.postures
     shape = start.shape
     bounds = list(zip(np.tile(case.lower, 7), np.tile(case.upper, 7), strict=True))
     other = minimize(
@@ -61,12 +64,35 @@ def test_solve_reaches_the_bound_from_random_starts() -> None:
 
 
 def test_ctrl_c_inside_ipopt_returns_the_best_so_far() -> None:
-    timer = threading.Timer(1.0, signal.raise_signal, [signal.SIGINT])
-    timer.start()
-    design = solve(problem(FIVE), 40, "ipopt", starts=10**6)
+    timer = threading.Timer(0.1, signal.raise_signal, [signal.SIGINT])
+
+    def once_there_is_a_plan(*_: object) -> None:
+        if not timer.ident:
+            timer.start()
+
+    design = solve(problem(FIVE), 41, "ipopt", starts=10**6, progress=once_there_is_a_plan)
     timer.join()
     assert design.status is Status.interrupted
     assert np.isfinite(design.value)
+
+
+def test_ctrl_c_during_the_first_start_returns_what_there_is() -> None:
+    climb = Climber(problem(FIVE), 41, Ipopt(), Budget(1))
+    start = np.random.default_rng(0).uniform(FIVE.lower, FIVE.upper, (41, 5))
+    ends = climb(start)
+    calls = iter(range(10**6))
+    expand = climb.expand
+
+    def interrupted_in_step_three(point: np.ndarray) -> tuple:
+        if next(calls) == 6:
+            signal.raise_signal(signal.SIGINT)
+        return expand(point)
+
+    climb.expand = interrupted_in_step_three  # type: ignore[method-assign]
+    so_far = climb(start)
+    assert problem(FIVE).objective(start) <= problem(FIVE).objective(so_far) < problem(FIVE).objective(ends)
+    with pytest.raises(KeyboardInterrupt):
+        climb.pass_on_interrupt()
 
 
 def test_time_limit_inside_ipopt() -> None:
