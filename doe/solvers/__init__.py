@@ -23,6 +23,7 @@ from doe.solvers.feasible import random_postures
 from doe.solvers.fedorov import Fedorov
 from doe.solvers.ipopt import Ipopt
 from doe.solvers.random import Random
+from doe.solvers.relax_round import RelaxRound
 from identification.errors import InputError, JobError, nearest
 from identification.information import identifiability
 from identification.progress import Progress, silent
@@ -37,6 +38,7 @@ __all__ = [
     "Ipopt",
     "Offer",
     "Random",
+    "RelaxRound",
     "Solver",
     "named",
     "score_plan",
@@ -50,6 +52,7 @@ SOLVERS: dict[str, Solver] = {
     "fedorov": Fedorov(),
     "ipopt": Ipopt(),
     "random": Random(),
+    "relaxation_rounding": RelaxRound(),
     "best_of_random": Random(count=1000, name="best_of_random"),
 }
 
