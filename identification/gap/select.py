@@ -15,7 +15,7 @@ from identification.gap.whitening import Rows
 from identification.model import Model
 
 MOST = 4  # effects at once
-ALPHA_FIRST, ALPHA_NEXT = 0.04, 0.005
+ALPHA_FIRST, ALPHA_NEXT = 0.035, 0.005  # below 0.05 and 0.01: screening and the look for the unknown take their part
 CAREFUL = 0.5  # factor on the levels where the noise model, too, was estimated from the data
 MARGIN = 8.0  # linear BIC within which rivals are refitted
 REFITS = 6
