@@ -32,7 +32,7 @@ class CrossCheck:
         found = [("relaxation", "candidates", self.relaxed)]
         if self.continuous is not None:
             found.append(("column generation", "all postures", self.continuous))
-        rows = [
+        rows: list[dict[str, Any]] = [
             {
                 "method": f"{name}, {design.solver}",
                 "space": space,

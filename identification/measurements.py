@@ -111,7 +111,10 @@ class Measurements:
         return Conditions(self.payload, temperature, session_time(order), directions)
 
     def rows(self, index: Any) -> Self:
-        """Some of the rows (any numpy index); conditions that depend on all rows are fixed first."""
+        """Some of the rows (any numpy index), as a session of their own.
+
+        Directions stay what they were among all rows; session time and the mean temperature are those of the subset.
+        """
         names = ("postures", "positions", "order", "payload", "temperature", "directions", "sigma", "repeats")
         frozen = replace(self, directions=self.conditions.directions)
         return replace(frozen, **{n: getattr(frozen, n)[index] for n in names if getattr(frozen, n) is not None})

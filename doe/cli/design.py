@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @verb("armcal design arm.toml --runs 20 --out plan.csv")
 @click.argument("arm", type=FILE)
-@click.option("--runs", type=click.IntRange(min=1), required=True, help="Number of (new) measurements m.")
+@click.option("--runs", type=click.IntRange(1, 100_000), required=True, help="Number of (new) measurements m.")
 @click.option("--criterion", default="D", show_default=True, help="D, A, E, I, Ds or Dstar.")
 @click.option("--test-poses", type=FILE, metavar="FILE", help="CSV of postures that matter, for criterion I.")
 @click.option("--subset", help="Parameters that matter, for Ds: length_error:1,joint_offset:2")

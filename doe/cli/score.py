@@ -33,7 +33,11 @@ def command(session: Session, arm: Path, plan: Path, picture: Path | None, alias
     check_writable(picture, force)
     check_writable(aliases, force)
     given = load_plan(plan, loaded.links)
-    design = score_plan(DesignProblem.of(Model(loaded)), given)
+    problem = DesignProblem.of(Model(loaded))
+    if len(given) < problem.fewest_runs:
+        need = f"allowed: at least {problem.fewest_runs} for {problem.parameters} parameters"
+        raise InputError(f"{plan}: {len(given)} runs, {need}")
+    design = score_plan(problem, given)
     data, shown = design.to_json(), design_tables(loaded, design)
     if design.outside:
         found = f"{len(design.outside)} of {len(given)} runs are outside joint limits or constraints, the first is run"

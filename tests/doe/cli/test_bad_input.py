@@ -56,6 +56,15 @@ def test_measurements(folder: Folder, text: str, expected: tuple[str, ...]) -> N
     refused(folder, ["identify", "arm.toml", "data.csv", "--out", "out.file"], *expected)
 
 
+def test_score_of_fewer_runs_than_links(folder: Folder) -> None:
+    folder.write("short.csv", "run,q1_deg,q2_deg,q3_deg,q4_deg\n1,0,10,20,30\n2,0,40,50,60\n")
+    refused(folder, ["score", "arm.toml", "short.csv"], "short.csv", "2 runs", "at least 4")
+
+
+def test_more_runs_than_memory(folder: Folder) -> None:
+    refused(folder, ["design", "arm.toml", "--runs", "1000000000"], "--runs", "1000000000")
+
+
 def test_fewer_runs_than_links(folder: Folder) -> None:
     refused(folder, ["design", "arm.toml", "--runs", "3", "--out", "out.file"], "runs", "3", "4")
 
