@@ -16,6 +16,7 @@ LAYERS = {
     "identification.errors": 0,
     "identification.status": 0,
     "identification.progress": 0,
+    "identification.threads": 0,
     "identification.files": 1,
     "identification.table": 1,
     "identification.toml_text": 1,

@@ -28,6 +28,7 @@ from identification.errors import InputError, JobError, nearest
 from identification.information import identifiability
 from identification.progress import Progress, silent
 from identification.status import Status
+from identification.threads import single_thread
 
 __all__ = [
     "SOLVERS",
@@ -90,13 +91,14 @@ def solve(
     chosen = chosen_solver(problem, solver)
     check_runs(problem, runs)
     random_postures(problem, 1, np.random.default_rng(seed))  # says so where the constraints exclude everything
-    known = bound or known_bound(problem, runs)
-    if solver is None and known is not None and problem.choices is None:
-        theory = _search(problem, runs, Analytic(), seed, 1, seconds, known, silent)
-        if theory.status is Status.bound_reached:
-            return _told(finish(problem, theory, Analytic(), known, began, seed, throw=False), throw)
-    search = _search(problem, runs, chosen, seed, starts, seconds, known, progress)
-    return _told(finish(problem, search, chosen, known, began, seed, throw=False), throw)
+    with single_thread():
+        known = bound or known_bound(problem, runs)
+        if solver is None and known is not None and problem.choices is None:
+            theory = _search(problem, runs, Analytic(), seed, 1, seconds, known, silent)
+            if theory.status is Status.bound_reached:
+                return _told(finish(problem, theory, Analytic(), known, began, seed, throw=False), throw)
+        search = _search(problem, runs, chosen, seed, starts, seconds, known, progress)
+        return _told(finish(problem, search, chosen, known, began, seed, throw=False), throw)
 
 
 def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver:
