@@ -16,7 +16,7 @@ from doe.cli.common import FILE, Answer, Session, force_option, out_option, verb
 @force_option
 def command(session: Session, calibrated: Path, targets: Path, out: Path | None, force: bool) -> Answer:
     """Joint commands that reach TARGETS (x_mm,y_mm or nominal q1_deg..) on the CALIBRATED arm."""
-    from doe.report.tables import compensation_tables
+    from doe.report.identification_tables import compensation_tables
     from identification.arm_file import load_arm
     from identification.compensate import compensate
     from identification.errors import InputError

@@ -148,11 +148,11 @@ def known_bound(problem: DesignProblem, runs: int) -> Bound | None:
     None where the continuous problem cannot be solved, and for E, where that takes a minute; the bound over a list of
     choices is the relaxation's. Without a joint to choose, every plan is worth the same.
     """
-    from doe.solvers.column_generation import column_generation, continuous_bound
-
     closed = closed_form_bound(problem)
     if closed is not None and not problem.constraints and problem.choices is None:
         return closed
+    from doe.solvers.column_generation import column_generation, continuous_bound  # scipy: 0.3 s to import
+
     if isinstance(problem.criterion, E):
         return None
     if not problem.searched_joints:

@@ -48,6 +48,7 @@ class Exchange:
             count = max(1, min(self.batch, left))
             left -= count
             begun = self.begin(problem, count, runs, generator)
+            yield Offer(begun[0])  # something to return if the user stops during the first batch
             for plan in self.improve(problem, begun, generator, budget)[0]:
                 yield Offer(plan, 1, independent=True)
 

@@ -48,6 +48,7 @@ class ExchangeIpopt:
         while True:
             count = max(1, min(self.exchange.batch, left))
             begun = self.exchange.begin(problem, count, runs, generator)
+            yield Offer(begun[0])  # something to return if the user stops during the first batch
             if vary:
                 begun = self._varied(begun, [plan for _, plan in best], generator)
             plans, values = self.exchange.improve(problem, begun, generator, budget)
