@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from doe.bound import Bound
-from doe.candidates import Candidates, chunks
+from doe.candidates import Candidates, Index, chunks
 from doe.criteria import D
 from doe.plan import Plan
 from doe.problem import DesignProblem
@@ -27,8 +27,8 @@ class Mixture:
     """How new postures enter the information per run: M = share * sum_i w_i B_i^T B_i + offset.
 
     Without kept postures share = 1 and offset = None. With k of them and m new runs, share = m / (m + k) and
-    offset = (sum over the kept of B^T B) / (m + k). M stays a convex mixture of atoms F_i = share B_i^T B_i + offset, so
-    the equivalence theorem holds as it stands.
+    offset = (sum over the kept of B^T B) / (m + k). M stays a convex mixture of atoms F_i = share B_i^T B_i + offset,
+    so the equivalence theorem holds as it stands.
     """
 
     share: float = 1.0
@@ -140,7 +140,7 @@ def proper_weights(weights: Array) -> Array:
 
 def sensitivities(
     problem: DesignProblem, candidates: Candidates, gradient: Array, mixture: Mixture
-) -> Iterator[tuple[Array, Array, Array]]:
+) -> Iterator[tuple[Index, Array, Array]]:
     """Per chunk of candidates: index, postures, g = tr(G F). Never more than one chunk of blocks in memory."""
     root = np.linalg.cholesky(gradient) if _positive(gradient) else None
     constant = 0.0 if mixture.offset is None else float(np.sum(gradient * mixture.offset))
@@ -184,8 +184,8 @@ def assess(
     """What a weighted plan is worth, given `largest` >= max tr(G F) over the design space, G = `gradient`.
 
     gradient : (p, p), default the criterion's at the plan; E-optimality needs the one of its dual problem
-    A status other than `converged` gives no bound: the optimum was not reached, and the gap says by how much. The gap and
-    the efficiency hold for any weights, whoever made them.
+    A status other than `converged` gives no bound: the optimum was not reached, and the gap says by how much. The gap
+    and the efficiency hold for any weights, whoever made them.
     """
     information = mixture.information(problem.blocks(plan.postures), plan.shares)
     criterion = problem.criterion

@@ -104,8 +104,8 @@ def spread(candidates: Candidates, count: int) -> Array:
 def grid(problem: DesignProblem, levels: int) -> Grid:
     """`levels` values per joint from limit to limit, over the joints that matter, without what constraints forbid.
 
-    A joint that changes neither information nor constraints (q_1 of a free base model) stays at the middle of its range.
-    Raises InputError for fewer than two levels and where no candidate is left.
+    A joint that changes neither information nor constraints (q_1 of a free base model) stays in the middle of its
+    range. Raises InputError for fewer than two levels and where no candidate is left.
     """
     if levels < 2:
         raise InputError(f"grid: {levels} levels per joint, allowed: at least 2 (the joint limits)")
@@ -118,7 +118,7 @@ def grid(problem: DesignProblem, levels: int) -> Grid:
     everything = Grid(axes)
     if not problem.constraints:
         return everything
-    kept = [index[satisfied(problem, postures)] for index, postures in chunks(everything)]
+    kept = [index[problem.feasible(postures)] for index, postures in chunks(everything)]
     allowed = np.concatenate(kept)
     _require_some(len(allowed), len(everything))
     return Grid(axes, allowed, len(everything) - len(allowed))
@@ -137,17 +137,9 @@ def listed(problem: DesignProblem, postures: ArrayLike) -> PostureList:
         raise InputError(f"candidates: row {row + 1} is not finite, allowed: finite joint angles")
     inside = np.all((given >= problem.lower - OUTSIDE) & (given <= problem.upper + OUTSIDE), axis=1)
     clipped = problem.clip(given)
-    inside[inside] = satisfied(problem, clipped[inside])
+    inside[inside] = problem.feasible(clipped[inside])
     _require_some(int(inside.sum()), len(given))
     return PostureList(clipped[inside], len(given) - int(inside.sum()))
-
-
-def satisfied(problem: DesignProblem, postures: Array) -> NDArray[np.bool_]:
-    """(m,) True where a posture satisfies every constraint (joint limits apart)."""
-    allowed = np.ones(len(postures), dtype=bool)
-    for constraint in problem.constraints:
-        allowed &= np.all(np.reshape(constraint.margin(postures), (len(postures), -1)) >= 0.0, axis=1)
-    return allowed
 
 
 def _require_some(left: int, given: int) -> None:

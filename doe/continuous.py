@@ -1,8 +1,9 @@
-"""Postures worth adding, out of ALL postures within limits and constraints: multistart Newton ascent of d(q) = tr(G F(q)).
+"""Postures worth adding, out of ALL within limits and constraints: multistart Newton ascent of d(q) = tr(G F(q)).
 
-Every start climbs at the same time, on exact first and second derivatives of the blocks (CasADi, vectorised). Joints at a
-limit that would leave the box stay there. What is found is a numerical maximum; `doe.interval` makes it a theorem where
-the model allows.
+Every start climbs at the same time, on exact first and second derivatives of the blocks (CasADi, vectorised). Joints at
+a limit that would leave the box stay there. Constraints are kept by a logarithmic barrier, lowered step by step, so
+that a climb can follow a wall. What is found is a numerical maximum; `doe.interval` makes it a theorem where the model
+allows.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ import casadi as ca
 import numpy as np
 
 from doe.approximate import Mixture
-from doe.candidates import satisfied
 from doe.problem import DesignProblem
+from doe.solvers.feasible import random_postures
 from identification.arm import Array
 from identification.tape import vectorise
 
@@ -27,7 +28,10 @@ LANDMARKS = 2187  # 3^7: limits and middle of seven joints
 SAMPLES = 2000  # random postures beside the landmarks
 CLIMBERS = 64
 THOROUGH = 20_000  # random postures of a thorough search
-TRIES = 50  # rounds of rejection sampling under constraints
+# heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls, where
+# the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
+BARRIERS = ((1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9))
+ALIKE = 1e-6  # [rad] of postures nearer than this below a barrier, one climbs on
 SAME = 1e-7  # [rad] postures nearer than this are one
 
 
@@ -47,6 +51,16 @@ class ContinuousSet:
         second = ca.jacobian(ca.vec(first.T), q)
         outputs = [ca.densify(blocks), ca.densify(first), ca.densify(second)]
         return vectorise(ca.Function("derivatives", [q], ca.cse(outputs)))
+
+    @cached_property
+    def _walls(self) -> Callable[..., tuple[np.ndarray, ...]]:
+        """(m, n) -> margins of all constraints (m, k, 1), their derivatives (m, k, n) and second ones (m, k n, n)."""
+        q = ca.SX.sym("q", self.problem.joints)
+        margins = ca.vertcat(*(constraint.symbolic(q) for constraint in self.problem.constraints))
+        first = ca.jacobian(margins, q)
+        second = ca.jacobian(ca.vec(first.T), q)
+        outputs = [ca.densify(margins), ca.densify(first), ca.densify(second)]
+        return vectorise(ca.Function("walls", [q], ca.cse(outputs)))
 
     def sensitivities(self, postures: Array, gradient: Array) -> Array:
         """(m,) tr(G F(q))."""
@@ -72,18 +86,12 @@ class ContinuousSet:
         """(k, n) limits and middles of the joints that matter, and random postures, those that are feasible."""
         generator = np.random.default_rng(0)
         landmarks = self._landmarks(generator)
-        allowed = landmarks[satisfied(self.problem, landmarks)]
+        allowed = landmarks[self.problem.feasible(landmarks)]
         return np.concatenate([allowed, self.random(generator, SAMPLES)])
 
     def random(self, generator: np.random.Generator, count: int) -> Array:
-        """(count, n) feasible random postures; fewer, or none, where constraints leave very little room."""
-        found: list[Array] = []
-        for _ in range(TRIES):
-            postures = generator.uniform(self.problem.lower, self.problem.upper, (count, self.problem.joints))
-            found.append(postures[satisfied(self.problem, postures)])
-            if sum(map(len, found)) >= count:
-                break
-        return np.concatenate(found)[:count]
+        """(count, n) feasible random postures. Raises InputError where there are none, naming the constraints."""
+        return random_postures(self.problem, count, generator)
 
     def _landmarks(self, generator: np.random.Generator) -> Array:
         problem = self.problem
@@ -119,30 +127,63 @@ class ContinuousSet:
         return postures[order], values[order]
 
     def climb(self, postures: Array, gradient: Array) -> Array:
-        """Every posture moved uphill to a local maximum, within the limits; a step that breaks a constraint is not taken."""
+        """Every posture moved uphill to a local maximum, within limits and constraints."""
         q = self.problem.clip(postures)
-        values = self.sensitivities(q, gradient)
+        if not self.problem.constraints:
+            return self._ascend(q, gradient, 0.0)
+        scale = float(np.abs(self.sensitivities(q, gradient)).max(initial=0.0))
+        ends = []
+        for first, barriers in enumerate(BARRIERS):
+            some = q[first :: len(BARRIERS)]
+            for barrier in barriers:
+                some = self._ascend(some, gradient, barrier * scale)
+                some = some[distinct(some, ALIKE)]  # most starts share a maximum
+            ends.append(some)
+        return np.concatenate(ends)
+
+    def _ascend(self, q: Array, gradient: Array, barrier: float) -> Array:
+        """Newton steps with a reach per posture, which grows with success and shrinks with failure."""
+        q, values = q.copy(), self._height(q, gradient, barrier)
         reach = np.full(len(q), LONGEST)
-        moving = np.arange(len(q))
+        moving = np.flatnonzero(np.isfinite(values))
         for _ in range(STEPS):
-            slope, hessian = self.slopes(q[moving], gradient)
+            if not len(moving):
+                break
+            slope, hessian = self._slopes(q[moving], gradient, barrier)
             step = self._newton_step(q[moving], slope, hessian)
             length = np.abs(step).max(axis=1)
             step *= np.minimum(1.0, reach[moving] / np.maximum(length, 1e-300))[:, None]
             trial = self.problem.clip(q[moving] + step)
-            trial_values = self.sensitivities(trial, gradient)
-            gain = trial_values - values[moving]
-            better = (gain > 0.0) & satisfied(self.problem, trial)
+            heights = self._height(trial, gradient, barrier)
+            gain = heights - values[moving]
+            better = gain > 0.0
             accepted = moving[better]
-            q[accepted], values[accepted] = trial[better], trial_values[better]
-            reach[moving] = np.where(
-                better, np.minimum(2.0 * reach[moving], LONGEST), 0.25 * np.minimum(reach[moving], length)
-            )
-            arrived = better & (gain <= 1e-14 * np.abs(trial_values))
+            q[accepted], values[accepted] = trial[better], heights[better]
+            shorter = 0.25 * np.minimum(reach[moving], length)
+            reach[moving] = np.where(better, np.minimum(2.0 * reach[moving], LONGEST), shorter)
+            arrived = better & (gain <= 1e-14 * np.abs(heights) + 1e-3 * barrier)
             moving = moving[(reach[moving] > 1e-9) & (length > 1e-10) & ~arrived]
-            if not len(moving):
-                break
         return q
+
+    def _height(self, q: Array, gradient: Array, barrier: float) -> Array:
+        """(m,) tr(G F(q)) + barrier * sum of log margins; -inf outside."""
+        values = self.sensitivities(q, gradient)
+        if barrier == 0.0:
+            return values
+        margins = self._walls(q)[0][..., 0]
+        inside = np.all(margins > 0.0, axis=1) & self.problem.feasible(q)
+        logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
+        return np.where(inside, values + barrier * logarithms, -np.inf)
+
+    def _slopes(self, q: Array, gradient: Array, barrier: float) -> tuple[Array, Array]:
+        slope, hessian = self.slopes(q, gradient)
+        if barrier == 0.0:
+            return slope, hessian
+        margins, first, second = self._walls(q)  # (m, k, 1), (m, k, n), (m, k n, n)
+        relative = first / margins
+        bend = second.reshape(*first.shape, -1) / margins[..., None]
+        slope = slope + barrier * relative.sum(axis=1)
+        return slope, hessian + barrier * (bend.sum(axis=1) - np.swapaxes(relative, 1, 2) @ relative)
 
     def _newton_step(self, q: Array, slope: Array, hessian: Array) -> Array:
         """(m, n) ascent directions: |eigenvalues| of the Hessian, joints held at a limit left out."""

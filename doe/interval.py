@@ -2,14 +2,15 @@
 
 Two upper bounds hold on every box with centre c and half widths r, and the lower of them is used:
 
-    termwise   c_0 + sum_t |c_t| max cos(phase_t)       exact for a sum of waves of separate joints, which is what the
-                                                        sensitivity of the base model is at its optimum (H^-1 tridiagonal)
+    termwise   c_0 + sum_t |c_t| max cos(phase_t)
+               exact for a sum of waves of separate joints, which is what the sensitivity of the base model is at its
+               optimum (H^-1 is tridiagonal there)
     Taylor     v(x) + max_(q in box) v'(x)(q - x) + lambda/2 max |q - x|^2
-                                                        for a point x near the box's maximum; lambda >= 0 bounds the largest
-                                                        eigenvalue of the Hessian over the box
+               for x near the box's maximum; lambda >= 0 bounds the largest eigenvalue of the Hessian over the box
 
-Where a derivative cannot change its sign the box shrinks to its face. Rounding is covered by a margin: coefficients and
-cosines are correct to some 1e-15 of the sum of |c_t|, and the margin is 64 times the number of terms of that.
+Where a derivative cannot change its sign the box shrinks to its face. Rounding is covered by a margin: the standard
+bound on the error of sums of products (number of operations times 2.2e-16 times the sum of magnitudes), where the
+magnitudes are those before anything cancels.
 """
 
 from __future__ import annotations
@@ -86,17 +87,15 @@ class Waves:
     frequencies: Array  # (T, n)
     amplitudes: Array  # (T,)
     phases: Array  # (T,)
+    margin: float  # what rounding can have cost
 
     @classmethod
     def of(cls, polynomial: TrigonometricPolynomial) -> Waves:
         """|c_t| and arg c_t."""
         c = polynomial.coefficients
-        return cls(polynomial.constant, polynomial.frequencies.astype(float), np.abs(c), np.angle(c))
-
-    @property
-    def margin(self) -> float:
-        """What rounding can have cost, generously."""
-        return 64.0 * UNIT * (len(self.amplitudes) + 1) * (abs(self.constant) + float(self.amplitudes.sum()))
+        magnitude = polynomial.magnitude or abs(polynomial.constant) + float(np.abs(c).sum())
+        margin = UNIT * (polynomial.operations + len(c) + 64) * magnitude
+        return cls(polynomial.constant, polynomial.frequencies.astype(float), np.abs(c), np.angle(c), margin)
 
     def value(self, q: Array) -> Array:
         """(b,) values at (b, n) postures."""
@@ -188,4 +187,3 @@ class Waves:
         smaller[rows, widest] *= 0.5
         shift[rows, widest] = smaller[rows, widest]
         return np.concatenate([center - shift, center + shift]), np.concatenate([smaller, smaller])
-

@@ -2,8 +2,8 @@
 
 The blocks B(q) of a chain of revolute joints, planar or spatial, are sums of products of sines and cosines of whole
 combinations of joint angles; most effects keep that. Then d(q) = tr(G B^T B) = c_0 + sum_t Re(c_t exp(i f_t . q)) with
-whole f_t, and its maximum over a box can be bounded by a theorem (`doe.interval`). The walk over the instructions is the
-proof: anything that leaves the ring of trigonometric polynomials gives None.
+whole f_t, and its maximum over a box can be bounded by a theorem (`doe.interval`). The walk over the instructions is
+the proof: anything that leaves the ring of trigonometric polynomials gives None.
 """
 
 from __future__ import annotations
@@ -32,11 +32,17 @@ class Angle:
 
 @dataclass(frozen=True)
 class TrigonometricPolynomial:
-    """constant + sum_t Re(coefficients_t exp(i frequencies_t . q)); frequencies (T, n) whole, coefficients (T,)."""
+    """constant + sum_t Re(coefficients_t exp(i frequencies_t . q)); frequencies (T, n) whole, coefficients (T,).
+
+    magnitude, operations : sum of magnitudes that went into the coefficients before anything cancelled, and the number
+        of operations in a row, for a bound on the rounding error; 0: the coefficients are exact
+    """
 
     constant: float
     frequencies: NDArray[np.int64]
     coefficients: NDArray[np.complex128]
+    magnitude: float = 0.0
+    operations: int = 0
 
     def value(self, q: Array) -> Array:
         """(...) at postures (..., n)."""
@@ -56,11 +62,16 @@ class TrigonometricBlocks:
         pairs = np.einsum("fda,ab,gdb->fg", self.coefficients, share * gradient, self.coefficients, optimize=True)
         sums = (self.frequencies[:, None] + self.frequencies[None]).reshape(count * count, n)
         unique, place = np.unique(sums, axis=0, return_inverse=True)
-        values = np.zeros(len(unique), dtype=complex)
+        values = np.zeros(len(unique), dtype=np.complex128)
         np.add.at(values, place.ravel(), pairs.ravel())
         first = np.array([row[np.flatnonzero(row)[0]] if row.any() else 0 for row in unique])
         constant += float(values[first == 0].real.sum())
-        return TrigonometricPolynomial(constant, unique[first > 0], 2.0 * values[first > 0])
+        size = np.abs(self.coefficients).sum(axis=0)  # (d, p)
+        magnitude = abs(share) * float(np.sum((size @ np.abs(gradient)) * size)) + abs(constant)
+        operations = 4 * len(gradient) + 2 * self.coefficients.shape[1] + 2 * count + 16  # lengths of the sums, nested
+        return TrigonometricPolynomial(
+            constant, unique[first > 0], np.asarray(2.0 * values[first > 0]), magnitude, operations
+        )
 
 
 def trigonometric_blocks(problem: DesignProblem) -> TrigonometricBlocks | None:

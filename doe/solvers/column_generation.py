@@ -10,16 +10,16 @@ It ends when no posture is worth adding: that is the equivalence theorem, and it
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
 
 from doe.approximate import ApproximateDesign, Mixture, assess, sensitivities
 from doe.bound import Bound
-from doe.candidates import Candidates, Index, PostureList, spread
-from doe.criteria import Criterion
+from doe.candidates import Candidates, PostureList, spread
 from doe.continuous import ContinuousSet, distinct
+from doe.criteria import Criterion
 from doe.interval import maximum
 from doe.plan import Plan
 from doe.problem import DesignProblem
@@ -31,11 +31,12 @@ from identification.status import Status
 
 ROUNDS = 200
 NEAR = 0.2  # [rad] times the root of the relative gap
-DEAD = 1e-9  # weight below which a posture is dropped when it is also not worth having
+DEAD = 1e-9  # weight below which a posture is dropped
 PARTS = 256  # of the candidates, of which each may offer one posture per round: keeps new postures apart
 SAMPLE = 20_000  # of very many candidates, which are priced first
 COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
 FINE = 1e-6  # the same, before the first thorough search
+SEMIDEFINITE = 1e-6  # relative gap that a semidefinite program reaches reliably
 RANK = 1e-13  # reciprocal condition number of a matrix that has lost a rank
 MOST_BOXES = 8_000  # of branch and bound; about a second
 
@@ -68,9 +69,10 @@ class WorkingSet:
         information = mixture.information(self.blocks, self.solution.weights)
         return float(np.sum(self.solution.gradient * information))
 
-    def alive(self, mixture: Mixture, level: float) -> Index:
-        """Indices of postures that carry weight or would at the next step."""
-        return np.flatnonzero(sparsest(self.blocks, np.where(self.solution.weights > DEAD, self.solution.weights, 0.0)) > 0)
+    @property
+    def sparse(self) -> Array:
+        """(k,) weights of the same information on as few postures as possible."""
+        return sparsest(self.blocks, np.where(self.solution.weights > DEAD, self.solution.weights, 0.0))
 
 
 def column_generation(
@@ -84,6 +86,7 @@ def column_generation(
     """
     began = perf_counter()
     mixture = Mixture.of(problem, runs)
+    tolerance = _attainable(problem, tolerance)
     stages = [Stage(candidate_price(problem, candidates, mixture), tolerance)]
     if len(candidates) > 4 * SAMPLE:
         sample = PostureList(spread(candidates, SAMPLE))
@@ -109,6 +112,7 @@ def continuous_design(
     """
     began = perf_counter()
     mixture = Mixture.of(problem, runs)
+    tolerance = _attainable(problem, tolerance)
     everything = ContinuousSet(problem, mixture)
     starts = PostureList(everything.starts)
     climb = continuous_price(everything)
@@ -129,15 +133,20 @@ def continuous_design(
     return finish(problem, mixture, working, largest, None, max(tolerance, proof), began, rigorous=rigorous)
 
 
-def continuous_bound(problem: DesignProblem, *, runs: int | None = None, tolerance: float = 1e-10) -> Bound:
+def continuous_bound(problem: DesignProblem, *, runs: int | None = None, tolerance: float = 1e-8) -> Bound:
     """No design within limits and constraints is better: a theorem where `rigorous` is True, else numerical.
 
     Raises JobError where the optimum was not reached.
     """
-    design = continuous_design(problem, runs=runs, tolerance=tolerance)
+    design = continuous_design(problem, runs=runs, tolerance=tolerance, proof=tolerance)
     if design.bound is None:
         raise JobError(f"continuous bound: {design.status.name}, gap {design.gap:.2g}; {design.status.value}")
     return design.bound
+
+
+def _attainable(problem: DesignProblem, tolerance: float) -> float:
+    """E-optimal weights come from a semidefinite program, which is less accurate than Newton's method."""
+    return max(tolerance, SEMIDEFINITE) if problem.criterion.name == "E" else tolerance
 
 
 # -- pricing -----------------------------------------------------------------------------------------------------------
@@ -188,7 +197,7 @@ def generate(
         stage, level = stages[current], working.level(mixture)
         offers, largest = stage.price(working.solution.gradient, level, working.postures)
         if len(offers) and largest - level > stage.goal * abs(level):
-            working = _extend(problem, mixture, working, offers, level)
+            working = _extend(problem, mixture, working, offers)
             current -= stage.back
         elif current == len(stages) - 1:
             break
@@ -208,7 +217,7 @@ def _solve(problem: DesignProblem, mixture: Mixture, postures: Array, blocks: Ar
 
 
 def _diverges(criterion: Criterion, information: Array) -> bool:
-    """True where the criterion is -inf, rounding or not: its slope towards a missing direction is as 1/distance or more.
+    """True where the criterion is -inf, rounding or not: its slope along a missing direction is as 1/distance or more.
 
     A criterion with a prior, or of some parameters only, may be finite although the matrix is singular.
     """
@@ -222,9 +231,9 @@ def _diverges(criterion: Criterion, information: Array) -> bool:
     return not np.isfinite(criterion.value(information)) or steepest * distance > 1e-3
 
 
-def _extend(problem: DesignProblem, mixture: Mixture, working: WorkingSet, offers: Array, level: float) -> WorkingSet:
-    """Dead postures out, new ones in, solved again."""
-    alive = working.alive(mixture, level)
+def _extend(problem: DesignProblem, mixture: Mixture, working: WorkingSet, offers: Array) -> WorkingSet:
+    """Postures that need not carry weight out, new ones in, solved again."""
+    alive = np.flatnonzero(working.sparse > 0.0)
     postures = np.concatenate([working.postures[alive], offers])
     blocks = np.concatenate([working.blocks[alive], problem.blocks(offers)])
     once = np.sort(distinct(postures))
@@ -275,8 +284,7 @@ def finish(
     rigorous: bool,
 ) -> ApproximateDesign:
     """The design on as few postures as carry its information, judged afresh."""
-    weights = working.solution.weights
-    weights = sparsest(working.blocks, np.where(weights > DEAD, weights, 0.0))
+    weights = working.sparse
     support = np.flatnonzero(weights > 0.0)
     order = support[np.argsort(-weights[support], kind="stable")]
     plan = Plan(working.postures[order], weights[order])

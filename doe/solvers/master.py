@@ -3,8 +3,9 @@
     maximise Phi(M(w)),  M(w) = sum_i w_i F_i,  subject to  w >= 0, sum w = 1
 
 With g_i = tr(G F_i), G = dPhi/dM, and the slack s_i = nu - g_i >= 0, w is optimal exactly when w_i s_i = 0 for all i
-(the equivalence theorem on these postures). Newton's method on w_i s_i = mu, mu -> 0, takes some fifteen steps, each one
-Cholesky factorisation of the size of the support; Clarabel on the same problem takes ten times longer and stops at 1e-8.
+(the equivalence theorem on these postures). Newton's method on w_i s_i = mu, mu -> 0, takes some twenty steps, each one
+Cholesky factorisation of the size of the support, to a gap of 1e-13. Accuracy here saves work elsewhere: at the optimum
+the sensitivity of the base model is a sum of waves of separate joints, whose maximum is proven at a glance.
 """
 
 from __future__ import annotations

@@ -2,14 +2,16 @@
 
     maximise Phi(M),  M = sum_i w_i F_i,  w >= 0, sum w = 1
 
-The textbook's V diag(w) V^T takes 1.2 GB at a thousand candidates. Here M is a small variable, tied to the weights by as
-many equations as the F_i have dimensions (13 for four links), after a change of coordinates in which the average
+The textbook's V diag(w) V^T takes 1.2 GB at a thousand candidates. Here M is a small expression, tied to the weights by
+as many equations as the F_i have dimensions (13 for four links), after a change of coordinates in which the average
 posture has the unit matrix. The value and the bound are recomputed from the weights; the solver's own are not used.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from time import perf_counter
 from types import MappingProxyType
@@ -55,8 +57,8 @@ def relax(
     candidates : levels per joint of a grid from limit to limit, or (N, n) postures [rad], or `Candidates`
     solver : `clarabel`, `scs` or `column_generation`, which alone has no limit of size
     runs : number of new runs, needed where the problem keeps measured postures
-    Raises InputError for an unknown solver, too many candidates for it, no feasible candidate; JobError where the solver
-    returns no weights.
+    Raises InputError for an unknown solver, too many candidates for it, no feasible candidate; JobError where the
+    solver returns no weights.
     """
     if solver not in SOLVERS:
         raise InputError(f"solver: unknown name {solver!r}, {nearest(solver, SOLVERS)}")
@@ -136,32 +138,35 @@ def solve_program(rows: Array, criterion: Criterion, solver: str) -> Answer:
     root = _whitening(rows, p)
     basis, coordinates = _coordinates(_transformed(rows, root, p))
     weights = cp.Variable(len(rows), nonneg=True)
-    matrix = cp.Variable((p, p), symmetric=True)
     place = cp.Variable(basis.shape[1])
-    upper = np.ravel_multi_index(np.triu_indices(p), (p, p))
-    constraints = [
-        place == coordinates.T @ weights,
-        cp.vec(matrix, order="C")[upper] == basis @ place,
-        cp.sum(weights) == 1.0,
-    ]
-    objective, floor = _objective(criterion, matrix, np.linalg.inv(root))
-    program = cp.Problem(cp.Maximize(objective), constraints + ([] if floor is None else [floor]))
+    matrix = cp.reshape(_square(basis.T, p).reshape(-1, p * p).T @ place, (p, p), order="C")
+    objective, floor = _objective(criterion, matrix, np.asarray(np.linalg.inv(root)))
+    tied = [place == coordinates.T @ weights, cp.sum(weights) == 1.0]
+    program = cp.Problem(cp.Maximize(objective), tied if floor is None else [*tied, floor])
     status = _run(program, solver)
     if weights.value is None or not np.all(np.isfinite(weights.value)):
         return Answer(None, status)
     return Answer(np.asarray(weights.value), status, None if floor is None else _dual(floor.dual_value, root))
 
 
+# Clarabel fails on some of these programs with its own scaling of the rows and on others without it
+SETTINGS: Mapping[str, Sequence[Mapping[str, Any]]] = MappingProxyType(
+    {
+        "clarabel": ({"equilibrate_enable": False}, {}),
+        "scs": ({"eps": 1e-8, "max_iters": 20_000},),
+    }
+)
+
+
 def _run(program: Any, solver: str) -> str:
     import cvxpy as cp
 
-    try:
-        with warnings.catch_warnings():
+    for settings in SETTINGS[solver]:
+        with warnings.catch_warnings(), suppress(cp.error.SolverError):
             warnings.simplefilter("ignore")  # what cvxpy warns of is the status, which is reported
-            program.solve(solver=solver.upper(), **({"eps": 1e-8, "max_iters": 20_000} if solver == "scs" else {}))
-    except cp.error.SolverError:
-        return "solver_error"
-    return str(program.status)
+            program.solve(solver=solver.upper(), **settings)
+            return str(program.status)
+    return "solver_error"
 
 
 def _objective(criterion: Criterion, matrix: Any, unroot: Array) -> tuple[Any, Any]:
@@ -178,7 +183,7 @@ def _objective(criterion: Criterion, matrix: Any, unroot: Array) -> tuple[Any, A
         smallest = cp.Variable()
         return smallest, matrix - smallest * np.linalg.inv(unroot.T @ unroot) >> 0
     raise InputError(
-        f"criterion: {criterion.name} has no program here, allowed: D, A, I, E; solver column_generation knows the others"
+        f"criterion: {criterion.name} has no program for this solver, allowed: D, A, I, E; column_generation knows more"
     )
 
 
@@ -194,7 +199,9 @@ def _whitening(rows: Array, p: int) -> Array:
     """(p, p) R with R mean(F) R^T = I. Raises JobError where the mean is singular."""
     mean = _square(rows.mean(axis=0), p)
     if np.linalg.matrix_rank(mean) < p:
-        raise JobError("relaxation: the parameters are not identifiable on the candidates, drop an effect or allow more")
+        raise JobError(
+            "relaxation: the parameters are not identifiable on the candidates, drop an effect or allow more"
+        )
     return np.linalg.inv(np.linalg.cholesky(mean))
 
 
