@@ -57,7 +57,9 @@ class Model:
     def all_parameters(self) -> tuple[Parameter, ...]:
         """Every parameter, estimated or known: length errors, joint offsets, then those of the effects."""
         lengths = [Parameter(f"length_error:{j + 1}", "mm") for j in range(self.arm.links)]
-        offsets = [Parameter(f"joint_offset:{j + 1}", "rad", scale=float(l)) for j, l in enumerate(self.arm.lengths)]
+        offsets = [
+            Parameter(f"joint_offset:{j + 1}", "rad", scale=float(link)) for j, link in enumerate(self.arm.lengths)
+        ]
         return (*lengths, *offsets, *(p for effect in self.effects for p in effect.parameters))
 
     @cached_property
@@ -190,7 +192,7 @@ class Model:
 
     @property
     def neutral_conditions(self) -> Array:
-        """(3+n,) conditions of a posture about which nothing is said: the arm's payload, mean temperature, approach +1."""
+        """(3+n,) conditions where nothing is said: the arm's payload, mean temperature, mid-session, approach +1."""
         payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
         return Conditions().table(1, self.arm.links, payload)[0]
 

@@ -9,7 +9,7 @@ class Status(Enum):
     """Outcome of an iterative job; `name` goes into JSON, `value` is shown to people."""
 
     bound_reached = "The upper bound is reached: no plan with this many runs can be better."
-    starts_finished = "All starts are used up; more starts (--starts) or time (--seconds) might find a better plan."
+    starts_finished = "All starts are used up; more of them (--starts) might find a better plan."
     agreed = "Many independent starts ended at the same best value; more starts are unlikely to find a better plan."
     time_limit = "The time budget ended; the best plan so far is returned. Raise --seconds to search on."
     interrupted = "Stopped by the user (Ctrl-C); the best plan so far is returned."
@@ -19,7 +19,9 @@ class Status(Enum):
     almost_solved = "Stopped near a solution at reduced accuracy; look at the gap before relying on it."
     iteration_limit = "The iteration limit was reached before convergence; look at the residuals."
     solver_failed = "The solver failed; its result is not used."
-    not_identifiable = "Some parameters cannot be told apart; the others hold. Measure more varied postures, or fix one."
+    not_identifiable = (
+        "Some parameters cannot be told apart; the others hold. Measure more varied postures, or fix one."
+    )
     infeasible = "No feasible point was found."
 
     @property

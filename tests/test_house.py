@@ -41,9 +41,6 @@ LAYERS = {
     "doe.child": 11,
     "doe.rows": 11,
     "doe.order": 12,
-    "doe.rows": 11,
-    "doe.order": 12,
-    "doe.child": 11,
     "doe.problem": 12,
     "doe.constraints": 12,
     "doe.candidates": 12,
@@ -53,7 +50,6 @@ LAYERS = {
     "doe.expected": 13,
     "doe.approximate": 13,
     "doe.continuous": 14,  # column generation over the box: a solver that gives bounds
-    "doe.order": 12,
     "doe.observability": 13,
     "doe.certificate": 13,
     "doe.closed_form": 13,

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from doe.bound import Bound
 from doe.candidates import listed
 from doe.closed_form import closed_form_bound
-from doe.criteria import E
 from doe.plan import Plan
 from doe.problem import DesignProblem
 from doe.result import Design, score
@@ -145,16 +144,14 @@ def _search(
 def known_bound(problem: DesignProblem, runs: int) -> Bound | None:
     """The best upper bound that is known: the closed form; without one, or where constraints loosen it, the continuous.
 
-    None where the continuous problem cannot be solved, and for E, where that takes a minute; the bound over a list of
-    choices is the relaxation's. Without a joint to choose, every plan is worth the same.
+    None where the continuous problem cannot be solved; the bound over a list of choices is the relaxation's. Without a
+    joint to choose, every plan is worth the same.
     """
     closed = closed_form_bound(problem)
     if closed is not None and not problem.constraints and problem.choices is None:
         return closed
     from doe.solvers.column_generation import column_generation, continuous_bound  # scipy: 0.3 s to import
 
-    if isinstance(problem.criterion, E):
-        return None
     if not problem.searched_joints:
         return Bound(problem.objective(np.tile(problem.lower, (runs, 1))), "continuous", rigorous=True)
     found: Bound | None
