@@ -76,7 +76,8 @@ def maximum(
         center, half = np.concatenate([center[later], halves[0]]), np.concatenate([half[later], halves[1]])
         promise = np.concatenate([promise[later], bound[left], bound[left]])
     highest = max(settled, best, float(promise.max(initial=-np.inf))) + waves.margin
-    return Maximum(best, posture, highest, not len(center), boxes)
+    inside = np.clip(posture, lower, upper)  # the middle and half of a box are rounded
+    return Maximum(best, inside, highest, not len(center), boxes)
 
 
 @dataclass(frozen=True)
