@@ -16,6 +16,7 @@ from identification.gap.unknown import Unknown, look
 from identification.gap.whitening import Rows
 
 PASSES = 4
+CREDIT = 6.0  # BIC by which effects must beat a finding of the screening that they replace
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,8 @@ def investigate(
     unknown = look(search, selection.chosen, generator)
     found = Findings(search, selection, unknown, scatter, outlier)
     others = [_explained(hypotheses, r, s, o, draws, generator) for r, s, o in _other_noise(found, rows, noisy, named)]
-    return min([found, *others], key=lambda f: cost(f, len(rows)))
+    best = min(others, key=lambda f: cost(f, len(rows)), default=found)
+    return best if cost(best, len(rows)) < cost(found, len(rows)) - CREDIT else found
 
 
 def _other_noise(

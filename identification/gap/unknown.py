@@ -8,10 +8,12 @@ import numpy as np
 
 from identification.arm import Array
 from identification.gap.atoms import Atom, atoms
+from identification.gap.gate import wild_draws
 from identification.gap.linear import Dictionary, dictionary
 from identification.gap.select import CAREFUL, Choice, Search
 
 LEVEL = 0.005
+WILD = 0.05
 DRAWS = 399
 CROWD = 3  # effects at one joint
 # BIC that an unknown shape must gain on the effects of the library that it would replace: one effect is believed, two
@@ -48,7 +50,7 @@ class _Shapes:
 def look(search: Search, chosen: Choice, generator: np.random.Generator) -> Unknown:
     """General block test after the last accepted effect, then the place by BIC."""
     after = _shapes(search, chosen)
-    p = _adjusted(after, generator)
+    p = _adjusted(after, search.fit(chosen).residual, generator)
     best = search.bic(chosen)
     options = [
         (float(s.bic[k]), chosen_without, s.listed[k]) for chosen_without, s, k in _options(search, chosen, after)
@@ -127,10 +129,18 @@ def _shapes(search: Search, chosen: Choice) -> _Shapes:
     return _Shapes([listed[k] for k in keep], against, falls, bic, float(smallest))
 
 
-def _adjusted(shapes: _Shapes, generator: np.random.Generator) -> float:
-    """Adjusted p-value of the best atom: white Gaussian noise through the same projection."""
+def _adjusted(shapes: _Shapes, residual: Array, generator: np.random.Generator) -> float:
+    """Adjusted p-value of the best shape under white Gaussian noise, if the wild bootstrap does not object.
+
+    The wild bootstrap alone would have no power against a shape that moves a few postures only (their signs come out
+    alike too often), Gaussian noise alone would take scatter for waves; so the bootstrap is asked at `WILD` only.
+    """
     q = shapes.against.model_basis
-    drawn = generator.standard_normal((len(q), DRAWS))
-    drawn -= q @ (q.T @ drawn)
+    white = generator.standard_normal((len(q), DRAWS))
+    white -= q @ (q.T @ white)
+    return max(_tail(shapes, white), _tail(shapes, wild_draws(residual, q, DRAWS, generator)) * LEVEL / WILD)
+
+
+def _tail(shapes: _Shapes, drawn: Array) -> float:
     smallest = shapes.against.smallest_weighted(shapes.against.reductions(drawn), np.square(drawn).sum(axis=0))
     return float((1.0 + np.sum(smallest <= shapes.smallest)) / (DRAWS + 1.0))
