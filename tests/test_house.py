@@ -43,6 +43,7 @@ LAYERS = {
     "doe.order": 12,
     "doe.problem": 12,
     "doe.constraints": 12,
+    "doe.uncertain": 13,
     "doe.candidates": 12,
     "doe.trigonometric": 12,
     "doe.interval": 13,

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 @click.option("--candidates", type=FILE, metavar="FILE", help="CSV of allowed postures to choose from.")
 @click.option("--repeats", is_flag=True, help="A posture may be measured more than once.")
 @click.option("--minimum-distance-deg", type=float, help="Postures differ by this in some joint (1 deg).")
+@click.option("--uncertain", help="average or worst: a plan for an arm known only up to a prior (or its covariance).")
+@click.option("--draws", type=click.IntRange(1, 50), default=5, show_default=True, help="Arms drawn for --uncertain.")
 @click.option("--order", help="given, travel (least joint travel) or random.")
 @click.option("--picture", type=FILE, metavar="FILE", help="Draw the postures (.png, .svg, .pdf).")
 @out_option
@@ -48,6 +50,8 @@ def command(
     candidates: Path | None,
     repeats: bool,
     minimum_distance_deg: float | None,
+    uncertain: str | None,
+    draws: int,
     order: str | None,
     picture: Path | None,
     out: Path | None,
@@ -77,6 +81,9 @@ def command(
         candidates=candidates,
         repeats=repeats,
         minimum_distance_deg=minimum_distance_deg,
+        uncertain=uncertain,
+        draws=draws,
+        seed=session.seed,
     )
     data: dict[str, Any] = {}
     extra: list[Any] = []

@@ -20,6 +20,9 @@ def problem_of(
     candidates: Path | None = None,
     repeats: bool = False,
     minimum_distance_deg: float | None = None,
+    uncertain: str | None = None,
+    draws: int = 5,
+    seed: int = 0,
 ) -> DesignProblem:
     """The problem that the options describe. Raises `InputError` for files and names that do not fit."""
     import numpy as np
@@ -44,7 +47,13 @@ def problem_of(
         subset=None if subset is None else indices(subset, model.names),
         test_blocks=None if test_poses is None else plain.blocks(load_plan(test_poses, arm.links).postures),
     )
-    return DesignProblem.of(model, criterion=chosen, **options)
+    problem = DesignProblem.of(model, criterion=chosen, **options)
+    if uncertain is None:
+        return problem
+    from doe.uncertain import prior_draws
+    from doe.uncertain import uncertain as over_prior
+
+    return over_prior(problem, prior_draws(model, draws, np.random.default_rng(seed)), uncertain)
 
 
 def measured_postures(path: Path, arm: Arm) -> Any:
