@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doe.criteria import Criterion, D
-from doe.criteria.worst import Worst
+from doe.criteria.worst import Average, Worst
 from doe.problem import DesignProblem
 from identification.arm import Array, readonly
 from identification.errors import InputError, nearest
@@ -119,5 +119,5 @@ def uncertain(problem: DesignProblem, draws: Array, kind: str = "average") -> De
     if not isinstance(problem.model, Model):
         raise InputError("uncertain: the model is one of several arms already, allowed: the model of one arm")
     model = UncertainModel(problem.model, draws)
-    criterion: Criterion = problem.criterion if kind == "average" else Worst(len(model.draws))
+    criterion: Criterion = (Average if kind == "average" else Worst)(len(model.draws))
     return replace(problem, model=model, criterion=criterion)

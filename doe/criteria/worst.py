@@ -1,4 +1,7 @@
-"""The worst of several arms: max-min D-optimality over a prior (`doe.uncertain`)."""
+"""Several arms at once: D-optimality on average, or at worst, over a prior (`doe.uncertain`).
+
+M is block diagonal, M_k the information of arm k. Everything is done block by block.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,45 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.criteria.d import D
+from doe.criteria.principal_blocks import RIDGE
 from identification.arm import Array
+
+
+@dataclass(frozen=True)
+class Average:
+    """log det M = sum_k log det M_k: D-optimality of the whole, K^2 times cheaper.
+
+    count : K blocks on the diagonal of M
+    """
+
+    count: int
+    name: str = "average"
+
+    def value(self, information: Array) -> Array:
+        """(...) sum of log det M_k, -inf where one of them is singular."""
+        return np.sum([D().value(part) for part in split(information, self.count)], axis=0)
+
+    def gradient(self, information: Array) -> Array:
+        """(p, p) block diagonal of M_k^-1."""
+        return blocks_to_matrix([D().gradient(part) for part in split(information, self.count)])
+
+    def curvature(self, information: Array, directions: Array) -> Array:
+        """Sum of the blocks' own."""
+        pairs = zip(split(information, self.count), split(directions, self.count), strict=True)
+        return np.sum([D().curvature(part, moves) for part, moves in pairs], axis=0)
+
+    def values_after_adding(self, information: Array, blocks: Array) -> Array:
+        """(s, c) as of D, the sum over the arms."""
+        return np.sum(gains(information, blocks, self.count), axis=0)
+
+    def upper_bound(self, information: Array, largest: float) -> float:
+        """As of D."""
+        p = information.shape[-1]
+        return float(self.value(information)) + p * float(np.log(largest / p))
+
+    def efficiency(self, value: float, bound: float, parameters: int) -> float:
+        """exp((value - bound) / p), p of all arms together: the geometric mean of the arms' efficiencies."""
+        return float(np.exp((value - bound) / parameters)) if np.isfinite(value) else 0.0
 
 
 @dataclass(frozen=True)
@@ -30,6 +71,17 @@ class SoftWorst:
         with np.errstate(invalid="ignore"):
             total = np.sum(np.exp(-self.sharpness * (each - safe[..., None])), axis=-1)
         return np.where(np.isfinite(lowest), safe - np.log(total) / self.sharpness, -np.inf)
+
+    def values_after_adding(self, information: Array, blocks: Array) -> Array:
+        """(s, c) soft minimum of log det (M_k + B_k^T B_k); a singular M_k counts as nearly so."""
+        parts = split(information, self.count)
+        ridge = [
+            m + RIDGE * (1e-3 + np.trace(m, axis1=-2, axis2=-1)[..., None, None]) * np.eye(m.shape[-1]) for m in parts
+        ]
+        before = np.stack([D().value(m) for m in ridge])
+        each = before[..., None] + gains(information, blocks, self.count)
+        lowest = each.min(axis=0)
+        return lowest - np.log(np.sum(np.exp(-self.sharpness * (each - lowest)), axis=0)) / self.sharpness
 
     def shares(self, information: Array) -> Array:
         """(K,) weights of the blocks in the gradient: the worse, the more."""
@@ -83,6 +135,13 @@ class Worst(SoftWorst):
     def value(self, information: Array) -> Array:
         """(...) min_k log det M_k."""
         return np.min([D().value(part) for part in split(information, self.count)], axis=0)
+
+
+def gains(information: Array, blocks: Array, count: int) -> Array:
+    """(K, s, c) log det(A_k + B_k^T B_k) - log det A_k of plans (s, p, p) and candidates (s, c, K d, p)."""
+    d, p = blocks.shape[-2] // count, blocks.shape[-1] // count
+    own = [blocks[..., k * d : (k + 1) * d, k * p : (k + 1) * p] for k in range(count)]
+    return np.stack([D().values_after_adding(m, b) for m, b in zip(split(information, count), own, strict=True)])
 
 
 def split(information: Array, count: int) -> list[Array]:

@@ -22,6 +22,7 @@ from identification.information import information_matrix
 
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
 SWEEPS = 60
+WIDE = 16  # parameters from which starts are saved
 
 
 @dataclass(frozen=True)
@@ -36,8 +37,9 @@ class Exchange:
     name: str = "exchange"
 
     def starts_for(self, problem: DesignProblem) -> int:
-        """Thirty per pair of joints: the local optima multiply with the joints."""
-        return max(2 * self.batch, 30 * len(problem.searched_joints) ** 2)
+        """Thirty per pair of joints: the local optima multiply with them. Fewer of a wide model, where each costs p^3."""
+        wanted = max(2 * self.batch, 30 * len(problem.searched_joints) ** 2)
+        return max(10, round(wanted * min(1.0, (WIDE / problem.parameters) ** 2)))
 
     def offers(
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget

@@ -79,11 +79,11 @@ def loop(postures: np.ndarray, positions: np.ndarray, p: int, **options: object)
 
 
 def report(title: str, rows: list[tuple[str, float, float | None]]) -> None:
-    print(f"\n{title}\n{'':<44}{'us per fit':>12}{'fits per s':>12}{'ratio':>9}{'bar':>7}")  # noqa: T201
+    print(f"\n{title}\n{'':<44}{'us per fit':>12}{'fits per s':>12}{'ratio':>9}{'bar':>7}")
     ours = rows[0][1]
     for name, seconds, bar in rows:
         ratio = "" if bar is None else f"{seconds / ours:9.1f}{bar:7.0f}"
-        print(f"{name:<44}{1e6 * seconds:12.2f}{1 / seconds:12.0f}{ratio}")  # noqa: T201
+        print(f"{name:<44}{1e6 * seconds:12.2f}{1 / seconds:12.0f}{ratio}")
 
 
 def test_closed_form_against_a_loop_over_scipy() -> None:
@@ -135,8 +135,8 @@ def test_large_batches_in_bounded_time_and_memory() -> None:
     start = time.perf_counter()
     fits = estimate_batch(two, postures, positions)
     iterated = time.perf_counter() - start
-    print(f"\n1,000,000 closed-form fits: {closed:.2f} s (5), {memory:.2f} GB (2)")  # noqa: T201
-    print(f"100,000 fits with two effects: {iterated:.2f} s (20)")  # noqa: T201
+    print(f"\n1,000,000 closed-form fits: {closed:.2f} s (5), {memory:.2f} GB (2)")
+    print(f"100,000 fits with two effects: {iterated:.2f} s (20)")
     assert fits.converged.all()
     assert closed <= 5.0
     assert memory <= 2.0

@@ -1,4 +1,4 @@
-"""Real data: are 20 chosen postures of the 2,773 of a UR10 worth more than 20 random ones? The number, whatever it is."""
+"""Real data: are 20 chosen postures of the 2,773 of a UR10 worth more than 20 random ones?"""
 
 from __future__ import annotations
 
@@ -46,4 +46,4 @@ def test_chosen_postures_against_random_ones() -> None:
         assert distance[rows, np.arange(RUNS)].max() < 1e-9  # it chose from the list
         error = float(np.linalg.norm(estimates(data.postures[rows], data.positions[rows]) - full))
         nearer = float(np.mean(errors > error))
-        print(f"{name}-optimal: error {error:.3f} mm, nearer to the full fit than {nearer:.0%} of {DRAWS} random choices")
+        print(f"{name}-optimal: error {error:.3f} mm, nearer to the full fit than {nearer:.0%} of {DRAWS} random")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.criteria.worst import SoftWorst, Worst
+from doe.criteria.worst import Average, SoftWorst, Worst
 from doe.problem import DesignProblem
 from doe.solvers import solve
 from doe.uncertain import prior_draws, uncertain
@@ -55,8 +55,8 @@ def test_design_for_the_prior_beats_the_design_for_one_guess(kind: str) -> None:
         assert judge(each_log_det(other)) <= design.bound.value
 
 
-@pytest.mark.parametrize("criterion", [SoftWorst(3), SoftWorst(3, 5.0)])
-def test_derivatives_by_differences(criterion: SoftWorst) -> None:
+@pytest.mark.parametrize("criterion", [Average(3), SoftWorst(3), SoftWorst(3, 5.0)])
+def test_derivatives_by_differences(criterion: Average | SoftWorst) -> None:
     generator = np.random.default_rng(2)
     root = generator.normal(size=(12, 30))
     information = root @ root.T / 30
@@ -69,6 +69,18 @@ def test_derivatives_by_differences(criterion: SoftWorst) -> None:
     assert (value[1, 0] - value[-1, 0]) / (2 * size) == pytest.approx(slope, rel=1e-5)
     mixed = (value[1, 1] - value[1, -1] - value[-1, 1] + value[-1, -1]) / (4 * size**2)
     assert mixed == pytest.approx(criterion.curvature(information, steps)[0, 1], rel=1e-3)
+
+
+@pytest.mark.parametrize("criterion", [Average(3), SoftWorst(3)])
+def test_adding_a_run_ranks_as_the_value_does(criterion: Average | SoftWorst) -> None:
+    generator = np.random.default_rng(6)
+    model = uncertain(DesignProblem.of(MODEL), DRAWS).model
+    postures = generator.uniform(ARM.lower, ARM.upper, (20, 3))
+    blocks = model.jacobian(postures) / model.scales
+    information = np.einsum("kda,kdb->ab", blocks[:10], blocks[:10])
+    direct = np.array([float(criterion.value(information + b.T @ b)) for b in blocks[10:]])
+    quick = criterion.values_after_adding(information[None], blocks[None, 10:])[0]
+    np.testing.assert_allclose(quick - quick[0], direct - direct[0], atol=1e-5)  # the ridge is 1e-9 of the trace
 
 
 def test_soft_worst_is_below_the_worst_by_at_most_log_k_over_t() -> None:
