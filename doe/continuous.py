@@ -99,7 +99,7 @@ class ContinuousSet:
         middle = 0.5 * (problem.lower + problem.upper)
         levels = np.stack([problem.lower, problem.upper, middle])  # (3, n)
         if 3 ** len(active) <= LANDMARKS:
-            places = np.array(list(product(range(3), repeat=len(active)))).reshape(-1, len(active))
+            places = np.array(list(product(range(3), repeat=len(active))), dtype=int)
         else:
             places = generator.integers(0, 3, (LANDMARKS, len(active)))
         postures = np.tile(middle, (len(places), 1))

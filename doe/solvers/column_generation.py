@@ -1,78 +1,37 @@
 """Column generation: optimal weights on few postures, priced against very many, or against all of the joint box.
 
-    repeat:  weights   solve the small problem on the working set           (master.py)
-             price     find postures with tr(G F(q)) above tr(G M)          (all candidates; continuous.py; interval.py)
-             purge     drop postures that carry no weight
-
-It ends when no posture is worth adding: that is the equivalence theorem, and its gap is the certificate.
+The loop is in `working_set`. Here is what it is fed with: all of a million candidates, chunk by chunk, or the climbs of
+`doe.continuous` over every posture there is; and what the end is worth: a gap on the plan that is reported, proven by
+`doe.interval` where the model allows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from time import perf_counter
 
 import numpy as np
 
-from doe.approximate import ApproximateDesign, Mixture, assess, sensitivities
+from doe.approximate import ApproximateDesign, Mixture, assess, largest_sensitivity, sensitivities
 from doe.bound import Bound
 from doe.candidates import Candidates, PostureList, spread
 from doe.continuous import ContinuousSet, distinct
-from doe.criteria import Criterion
 from doe.interval import maximum
-from doe.plan import Plan
 from doe.problem import DesignProblem
-from doe.solvers.master import Weights, solve_weights, sparsest
+from doe.solvers.working_set import Price, Settled, Stage, generate, settle
 from doe.trigonometric import TrigonometricBlocks, trigonometric_blocks
 from identification.arm import Array
 from identification.errors import JobError
 from identification.status import Status
 
-ROUNDS = 200
 NEAR = 0.2  # [rad] times the root of the relative gap
-DEAD = 1e-9  # weight below which a posture is dropped
 PARTS = 256  # of the candidates, of which each may offer one posture per round: keeps new postures apart
 SAMPLE = 20_000  # of very many candidates, which are priced first
 COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
 FINE = 1e-6  # the same, before the first thorough search
 SEMIDEFINITE = 1e-6  # relative gap that a semidefinite program reaches reliably
-RANK = 1e-13  # reciprocal condition number of a matrix that has lost a rank
+PROOFS = 20  # attempts, each with a posture more that was missed
 MOST_BOXES = 8_000  # of branch and bound; about a second
-
-# price(gradient, level, working postures) -> postures worth adding (k, n), largest g over its whole set
-Price = Callable[[Array, float, Array], tuple[Array, float]]
-
-
-@dataclass(frozen=True)
-class Stage:
-    """One pricing, used until the gap it finds is below `goal` (relative).
-
-    back : stages to go back when it found something: what a dear search found, a cheaper one refines
-    """
-
-    price: Price
-    goal: float
-    back: int = 0
-
-
-@dataclass(frozen=True)
-class WorkingSet:
-    """The few postures of the master problem: postures (k, n), blocks (k, d, p), and its solution."""
-
-    postures: Array
-    blocks: Array
-    solution: Weights
-
-    def level(self, mixture: Mixture) -> float:
-        """tr(G M)."""
-        information = mixture.information(self.blocks, self.solution.weights)
-        return float(np.sum(self.solution.gradient * information))
-
-    @property
-    def sparse(self) -> Array:
-        """(k,) weights of the same information on as few postures as possible."""
-        return sparsest(self.blocks, np.where(self.solution.weights > DEAD, self.solution.weights, 0.0))
 
 
 def column_generation(
@@ -92,8 +51,10 @@ def column_generation(
         sample = PostureList(spread(candidates, SAMPLE))
         stages.insert(0, Stage(candidate_price(problem, sample, mixture), max(COARSE, tolerance)))
     start = spread(candidates, 6 * problem.parameters)
-    working, largest = generate(problem, mixture, start, stages)
-    return finish(problem, mixture, working, largest, len(candidates), tolerance, began, rigorous=True)
+    working, _ = generate(problem, mixture, start, stages)
+    ended = settle(problem, mixture, working)
+    largest = largest_sensitivity(problem, candidates, ended.gradient, mixture)
+    return finish(problem, mixture, ended, largest, len(candidates), tolerance, began, rigorous=True)
 
 
 def continuous_design(
@@ -125,12 +86,15 @@ def continuous_design(
         Stage(thorough, tolerance, back=1),
     ]
     start = spread(starts, 6 * problem.parameters)
-    working, largest = generate(problem, mixture, start, stages)
+    working, gap = generate(problem, mixture, start, stages)
+    ended = settle(problem, mixture, working)
+    largest = max(ended.level + gap, float(everything.best(ended.gradient, ended.plan.postures)[1][0]))
     blocks = trigonometric_blocks(problem) if proof > 0.0 and not problem.constraints else None
     rigorous = False
     if blocks is not None:
-        working, largest, rigorous = prove(everything, blocks, working, stages, max(tolerance, proof), most_boxes)
-    return finish(problem, mixture, working, largest, None, max(tolerance, proof), began, rigorous=rigorous)
+        proof = max(tolerance, proof)
+        ended, largest, rigorous = prove(everything, blocks, ended, largest, stages, proof, most_boxes)
+    return finish(problem, mixture, ended, largest, None, max(tolerance, proof), began, rigorous=rigorous)
 
 
 def continuous_bound(problem: DesignProblem, *, runs: int | None = None, tolerance: float = 1e-8) -> Bound:
@@ -186,96 +150,42 @@ def _worth_adding(postures: Array, values: Array, level: float, count: int, shar
     return postures[order], largest
 
 
-# -- the loop ----------------------------------------------------------------------------------------------------------
-def generate(
-    problem: DesignProblem, mixture: Mixture, start: Array, stages: Sequence[Stage]
-) -> tuple[WorkingSet, float]:
-    """The working set with its solution, and the largest g that the last pricing of the last stage found."""
-    working = _solve(problem, mixture, start, problem.blocks(start))
-    current, largest = 0, np.inf
-    for _ in range(ROUNDS):
-        stage, level = stages[current], working.level(mixture)
-        offers, largest = stage.price(working.solution.gradient, level, working.postures)
-        if len(offers) and largest - level > stage.goal * abs(level):
-            working = _extend(problem, mixture, working, offers)
-            current -= stage.back
-        elif current == len(stages) - 1:
-            break
-        else:
-            current += 1
-    return working, largest
-
-
-def _solve(problem: DesignProblem, mixture: Mixture, postures: Array, blocks: Array) -> WorkingSet:
-    information = mixture.information(blocks, np.full(len(blocks), 1.0 / len(blocks)))
-    if _diverges(problem.criterion, information):
-        raise JobError(
-            "approximate design: the information matrix is singular on these postures, the parameters cannot all be "
-            "identified; drop an effect or allow more postures"
-        )
-    return WorkingSet(postures, blocks, solve_weights(blocks, problem.criterion, mixture))
-
-
-def _diverges(criterion: Criterion, information: Array) -> bool:
-    """True where the criterion is -inf, rounding or not: its slope along a missing direction is as 1/distance or more.
-
-    A criterion with a prior, or of some parameters only, may be finite although the matrix is singular.
-    """
-    values, vectors = np.linalg.eigh(information)
-    missing = vectors[:, values <= RANK * values[-1]]
-    if not missing.shape[1]:
-        return False
-    distance = 1e2 * RANK * values[-1]
-    gradient = criterion.gradient(information + distance * np.eye(len(values)))
-    steepest = np.einsum("ak,ab,bk->k", missing, gradient, missing).max()
-    return not np.isfinite(criterion.value(information)) or steepest * distance > 1e-3
-
-
-def _extend(problem: DesignProblem, mixture: Mixture, working: WorkingSet, offers: Array) -> WorkingSet:
-    """Postures that need not carry weight out, new ones in, solved again."""
-    alive = np.flatnonzero(working.sparse > 0.0)
-    postures = np.concatenate([working.postures[alive], offers])
-    blocks = np.concatenate([working.blocks[alive], problem.blocks(offers)])
-    once = np.sort(distinct(postures))
-    return _solve(problem, mixture, postures[once], blocks[once])
-
-
-# -- the proof ---------------------------------------------------------------------------------------------------------
+# -- the end -----------------------------------------------------------------------------------------------------------
 def prove(
     everything: ContinuousSet,
     blocks: TrigonometricBlocks,
-    working: WorkingSet,
+    ended: Settled,
+    largest: float,
     stages: Sequence[Stage],
     tolerance: float,
     most_boxes: int,
-) -> tuple[WorkingSet, float, bool]:
-    """Branch and bound on the sensitivity; a posture that the multistart missed goes back into the working set."""
+) -> tuple[Settled, float, bool]:
+    """Branch and bound on the sensitivity; a posture that the multistart missed starts the loop again.
+
+    Returns the design, its largest sensitivity, and whether that is proven.
+    """
     problem, mixture = everything.problem, everything.mixture
-    for _ in range(5):
-        gradient, level = working.solution.gradient, working.level(mixture)
-        constant = 0.0 if mixture.offset is None else float(np.sum(gradient * mixture.offset))
-        polynomial = blocks.sensitivity(gradient, mixture.share, constant)
-        found = maximum(
-            polynomial,
-            problem.lower,
-            problem.upper,
-            known=working.postures,
-            tolerance=tolerance * abs(level),
-            most_boxes=most_boxes,
-        )
+    for _ in range(PROOFS):
+        constant = 0.0 if mixture.offset is None else float(np.sum(ended.gradient * mixture.offset))
+        polynomial = blocks.sensitivity(ended.gradient, mixture.share, constant)
+        close, known = tolerance * abs(ended.level), ended.plan.postures
+        found = maximum(polynomial, problem.lower, problem.upper, known=known, tolerance=close, most_boxes=most_boxes)
+        largest = max(largest, found.value)
         if not found.proven:
-            return working, float(everything.best(gradient, working.postures)[1].max()), False
-        if found.value <= level * (1.0 + tolerance):
-            return working, found.upper, True
-        start = np.concatenate([working.postures, found.posture[None]])
-        working, _ = generate(problem, mixture, start, stages[1:])
-    return working, found.upper, True
+            return ended, largest, False
+        if found.value <= ended.level + close:
+            return ended, found.upper, True
+        start = np.concatenate([known, found.posture[None]])
+        working, gap = generate(problem, mixture, start, stages[1:])
+        ended = settle(problem, mixture, working)
+        largest = ended.level + gap
+    return ended, found.upper, True
 
 
 def finish(
     problem: DesignProblem,
     mixture: Mixture,
-    working: WorkingSet,
+    ended: Settled,
     largest: float,
     candidates: int | None,
     tolerance: float,
@@ -283,19 +193,14 @@ def finish(
     *,
     rigorous: bool,
 ) -> ApproximateDesign:
-    """The design on as few postures as carry its information, judged afresh."""
-    weights = working.sparse
-    support = np.flatnonzero(weights > 0.0)
-    order = support[np.argsort(-weights[support], kind="stable")]
-    plan = Plan(working.postures[order], weights[order])
-    level = working.level(mixture)
-    solved = largest - level <= 10.0 * tolerance * abs(level)
+    """The certificate: `largest` >= max tr(G F) over the design space."""
+    solved = largest - ended.level <= 10.0 * tolerance * abs(ended.level)
     return assess(
         problem,
         mixture,
-        plan,
+        ended.plan,
         largest,
-        gradient=working.solution.gradient,
+        gradient=ended.gradient,
         candidates=candidates,
         rigorous=rigorous,
         status=Status.converged if solved else Status.almost_solved,

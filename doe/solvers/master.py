@@ -56,7 +56,10 @@ def solve_weights(
         best, stalled = (Weights(w, gradient, gap, iteration), 0) if gap < 0.9 * best.gap else (best, stalled + 1)
         if gap <= tolerance * abs(level) or stalled > STALLS:
             break
-        dw, ds, dnu = _newton(_curvature(blocks, w, gradient, criterion, mixture), w, s, g + s - nu)
+        change = _newton(_curvature(blocks, w, gradient, criterion, mixture), w, s, g + s - nu)
+        if change is None:
+            break
+        dw, ds, dnu = change
         step = min(1.0, FRACTION * _to_boundary(w, dw), FRACTION * _to_boundary(s, ds))
         w, s, nu = w + step * dw, s + step * ds, nu + step * dnu
         w = w / w.sum()
@@ -66,10 +69,16 @@ def solve_weights(
     return best
 
 
-def _newton(curvature: Array, w: Array, s: Array, residual: Array) -> tuple[Array, Array, float]:
-    """Step (dw, ds, dnu) towards w s = mu with sum dw = 0; `curvature` (k, k) is minus the Hessian of Phi."""
+def _newton(curvature: Array, w: Array, s: Array, residual: Array) -> tuple[Array, Array, float] | None:
+    """Step (dw, ds, dnu) towards w s = mu with sum dw = 0; `curvature` (k, k) is minus the Hessian of Phi.
+
+    None where rounding has made the matrix indefinite, which happens when the gap is down to rounding too.
+    """
     mu = SHRINK * float(w @ s) / len(w)
-    factor = cho_factor(curvature + np.diag(s / w), lower=True)
+    try:
+        factor = cho_factor(curvature + np.diag(s / w), lower=True)
+    except np.linalg.LinAlgError:
+        return None
     right = cho_solve(factor, np.stack([mu / w - s + residual, np.ones(len(w))], axis=1))
     dnu = float(right[:, 0].sum() / right[:, 1].sum())
     dw = right[:, 0] - dnu * right[:, 1]

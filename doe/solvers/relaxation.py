@@ -200,7 +200,7 @@ def _whitening(rows: Array, p: int) -> Array:
     mean = _square(rows.mean(axis=0), p)
     if np.linalg.matrix_rank(mean) < p:
         raise JobError(
-            "relaxation: the parameters are not identifiable on the candidates, drop an effect or allow more"
+            "relaxation: the candidates do not identify all parameters; drop an effect or allow more postures"
         )
     return np.linalg.inv(np.linalg.cholesky(mean))
 

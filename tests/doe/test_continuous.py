@@ -29,7 +29,8 @@ CASES = {
 
 def some_gradient(case, generator: np.random.Generator) -> Array:  # type: ignore[no-untyped-def]
     """M^-1 of a random design."""
-    return np.linalg.inv(case.information(generator.uniform(case.lower, case.upper, (3 * case.parameters, case.joints))))
+    postures = generator.uniform(case.lower, case.upper, (3 * case.parameters, case.joints))
+    return np.linalg.inv(case.information(postures))
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)

@@ -1,4 +1,4 @@
-"""The sensitivity as a trigonometric polynomial: equal to the blocks wherever the model is one, None where it is not."""
+"""The sensitivity as a trigonometric polynomial: equal to the blocks where the model is one, None where it is not."""
 
 from __future__ import annotations
 
