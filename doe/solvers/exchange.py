@@ -37,7 +37,7 @@ class Exchange:
     name: str = "exchange"
 
     def starts_for(self, problem: DesignProblem) -> int:
-        """Thirty per pair of joints: the local optima multiply with them. Fewer of a wide model, where each costs p^3."""
+        """Thirty per pair of joints: the local optima multiply with them. Fewer of a wide model: each costs p^3."""
         wanted = max(2 * self.batch, 30 * len(problem.searched_joints) ** 2)
         return max(10, round(wanted * min(1.0, (WIDE / problem.parameters) ** 2)))
 

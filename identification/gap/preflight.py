@@ -30,7 +30,9 @@ class Size:
     unit: str
 
     def __str__(self) -> str:
-        return "invisible" if self.value is None else f"{self.value:.3g} {self.unit}"
+        if self.value is None:
+            return "invisible"
+        return f"{self.value:.3g}" if self.unit == "1" else f"{self.value:.3g} {self.unit}"
 
 
 @dataclass(frozen=True)
