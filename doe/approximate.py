@@ -6,13 +6,13 @@ Everything here is recomputed from the stored problem; no number of a solver is 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from doe.bound import Bound
-from doe.candidates import Candidates, Index, chunks
+from doe.candidates import Candidates, chunks
 from doe.criteria import D
 from doe.plan import Plan
 from doe.problem import DesignProblem
@@ -20,6 +20,8 @@ from identification.arm import Array
 from identification.errors import InputError
 from identification.information import information_matrix
 from identification.status import Status
+
+KEPT_ENTRIES = 4_000_000  # of candidates' blocks that are kept between passes: 32 MB
 
 
 @dataclass(frozen=True)
@@ -138,24 +140,39 @@ def proper_weights(weights: Array) -> Array:
     return clipped / total
 
 
-def sensitivities(
-    problem: DesignProblem, candidates: Candidates, gradient: Array, mixture: Mixture
-) -> Iterator[tuple[Index, Array, Array]]:
-    """Per chunk of candidates: index, postures, g = tr(G F). Never more than one chunk of blocks in memory."""
+@dataclass(frozen=True)
+class CandidateBlocks:
+    """Candidates chunk by chunk with their blocks, which are kept from one pass to the next where they are few."""
+
+    problem: DesignProblem
+    candidates: Candidates
+    _kept: list[tuple[Array, Array]] = field(default_factory=list, repr=False)
+
+    def __iter__(self) -> Iterator[tuple[Array, Array]]:
+        """Postures (k, n) and blocks (k, d, p) of chunk after chunk."""
+        if self._kept:
+            yield from self._kept
+            return
+        entries = len(self.candidates) * self.problem.model.dimension * self.problem.parameters
+        made = ((postures, self.problem.blocks(postures)) for _, postures in chunks(self.candidates))
+        if entries > KEPT_ENTRIES:
+            yield from made
+            return
+        self._kept.extend(made)
+        yield from self._kept
+
+
+def sensitivities(blocks: CandidateBlocks, gradient: Array, mixture: Mixture) -> Iterator[tuple[Array, Array]]:
+    """Per chunk of candidates: postures (k, n) and g (k,) = tr(G F). Never more than one chunk of values in memory."""
     root = np.linalg.cholesky(gradient) if _positive(gradient) else None
     constant = 0.0 if mixture.offset is None else float(np.sum(gradient * mixture.offset))
-    for index, postures in chunks(candidates):
-        blocks = problem.blocks(postures)
+    for postures, some in blocks:
         if root is None:
-            yield index, postures, mixture.sensitivities(blocks, gradient)
+            yield postures, mixture.sensitivities(some, gradient)
             continue
-        k, d, p = blocks.shape
-        half = blocks.reshape(k * d, p) @ root  # tr(L L^T B^T B) = |B L|^2
-        yield (
-            index,
-            postures,
-            mixture.share * np.einsum("ij,ij->i", half.reshape(k, -1), half.reshape(k, -1)) + constant,
-        )
+        k, d, p = some.shape
+        half = (some.reshape(k * d, p) @ root).reshape(k, -1)  # tr(L L^T B^T B) = |B L|^2
+        yield postures, mixture.share * np.einsum("ij,ij->i", half, half) + constant
 
 
 def _positive(gradient: Array) -> bool:
@@ -163,8 +180,9 @@ def _positive(gradient: Array) -> bool:
 
 
 def largest_sensitivity(problem: DesignProblem, candidates: Candidates, gradient: Array, mixture: Mixture) -> float:
-    """max over the candidates of g = tr(G F), all of them visited."""
-    return max(float(g.max()) for _, _, g in sensitivities(problem, candidates, gradient, mixture))
+    """max over the candidates of g = tr(G F), all of them visited, their blocks computed afresh."""
+    fresh = CandidateBlocks(problem, candidates)
+    return max(float(g.max()) for _, g in sensitivities(fresh, gradient, mixture))
 
 
 def assess(

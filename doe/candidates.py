@@ -75,6 +75,16 @@ class Grid:
     def __len__(self) -> int:
         return prod(self.shape) if self.allowed is None else len(self.allowed)
 
+    @property
+    def landmarks(self) -> Index:
+        """(k,) candidates at a limit or in the middle of every axis."""
+        places = np.meshgrid(*(np.unique([0, size // 2, size - 1]) for size in self.shape), indexing="ij")
+        cells = np.ravel_multi_index(tuple(place.ravel() for place in places), self.shape)
+        if self.allowed is None:
+            return cells
+        found = np.minimum(np.searchsorted(self.allowed, cells), len(self.allowed) - 1)
+        return found[self.allowed[found] == cells]
+
     def take(self, index: Index) -> Array:
         """(k, n) postures [rad] of some candidates."""
         cell = np.asarray(index) if self.allowed is None else self.allowed[index]
@@ -93,12 +103,18 @@ def chunks(candidates: Candidates, size: int = CHUNK) -> Iterator[tuple[Index, A
 
 
 def spread(candidates: Candidates, count: int) -> Array:
-    """About `count` of the candidates (k, n): the first, the last and random ones; all of them if there are no more."""
+    """About `count` of the candidates (k, n), well spread; all of them if there are no more.
+
+    Of a grid, limits and middles of the axes are among them: the optimum is often made of these.
+    """
     total = len(candidates)
     if total <= count:
         return candidates.take(np.arange(total))
-    chosen = np.random.default_rng(0).integers(0, total, count)
-    return candidates.take(np.unique(np.append(chosen, [0, total - 1])))
+    generator = np.random.default_rng(0)
+    chosen = generator.integers(0, total, count)
+    marks = candidates.landmarks if isinstance(candidates, Grid) else np.array([0, total - 1])
+    few = marks if len(marks) <= count // 2 else generator.choice(marks, count // 2, replace=False)
+    return candidates.take(np.unique(np.concatenate([few, chosen[: count - len(few)]])))
 
 
 def grid(problem: DesignProblem, levels: int) -> Grid:

@@ -12,7 +12,7 @@ from time import perf_counter
 
 import numpy as np
 
-from doe.approximate import ApproximateDesign, Mixture, assess, largest_sensitivity, sensitivities
+from doe.approximate import ApproximateDesign, CandidateBlocks, Mixture, assess, largest_sensitivity, sensitivities
 from doe.bound import Bound
 from doe.candidates import Candidates, PostureList, spread
 from doe.continuous import ContinuousSet, distinct
@@ -117,10 +117,11 @@ def _attainable(problem: DesignProblem, tolerance: float) -> float:
 def candidate_price(problem: DesignProblem, candidates: Candidates, mixture: Mixture) -> Price:
     """Every candidate is looked at; each part of them offers its best."""
     part = max(16, -(-len(candidates) // PARTS))
+    blocks = CandidateBlocks(problem, candidates)
 
     def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
         offers, values = [near[:0]], [np.empty(0)]
-        for _, postures, g in sensitivities(problem, candidates, gradient, mixture):
+        for postures, g in sensitivities(blocks, gradient, mixture):
             edges = np.arange(0, len(g), part)
             top = np.array([edge + int(np.argmax(g[edge : edge + part])) for edge in edges])
             offers.append(postures[top])

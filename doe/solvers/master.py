@@ -21,7 +21,7 @@ from identification.arm import Array
 
 ITERATIONS = 100
 FRACTION = 0.99  # of the way to the boundary w = 0, s = 0
-SHRINK = 0.2  # of the complementarity asked for per step
+SHRINK = 0.1  # of the complementarity asked for per step
 STALLS = 5  # steps without a smaller gap: rounding is reached
 
 
@@ -35,16 +35,14 @@ class Weights:
     iterations: int
 
 
-def solve_weights(
-    blocks: Array, criterion: Criterion, mixture: Mixture, *, start: Array | None = None, tolerance: float = 1e-14
-) -> Weights:
+def solve_weights(blocks: Array, criterion: Criterion, mixture: Mixture, *, tolerance: float = 1e-14) -> Weights:
     """Optimal weights of (k, d, p) blocks, to a gap of `tolerance` times tr(G M) where rounding allows."""
     if criterion.name == "E":
         from doe.solvers.relaxation import smallest_eigenvalue_weights
 
         return smallest_eigenvalue_weights(blocks, mixture)
     k = len(blocks)
-    w = np.full(k, 1.0 / k) if start is None else start / start.sum()
+    w = np.full(k, 1.0 / k)
     gradient = criterion.gradient(mixture.information(blocks, w))
     g = mixture.sensitivities(blocks, gradient)
     level = float(w @ g)

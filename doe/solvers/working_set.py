@@ -24,6 +24,8 @@ from identification.arm import Array
 from identification.errors import JobError
 
 ROUNDS = 200
+ROUGH = 1e-4  # gap of the weights relative to that of the postures, until the end
+EXACT = 1e-14  # the same at the end: rounding
 DEAD = 1e-10  # weight below which a posture is dropped
 RANK = 1e-13  # reciprocal condition number of a matrix that has lost a rank
 
@@ -66,17 +68,22 @@ def generate(
     problem: DesignProblem, mixture: Mixture, start: Array, stages: Sequence[Stage]
 ) -> tuple[WorkingSet, float]:
     """The working set with its solution, and the gap (absolute) that the last pricing of the last stage found."""
-    working = _solve(problem, mixture, start, problem.blocks(start))
+    accuracy = EXACT  # of the weights; later, far from the end, exact ones would be wasted
+    working = _solve(problem, mixture, start, problem.blocks(start), accuracy)
     current, gap, smallest = 0, np.inf, np.inf
     for _ in range(ROUNDS):
         stage, level = stages[current], working.level(mixture)
         offers, largest = stage.price(working.solution.gradient, level, working.postures)
         gap = largest - level
         if len(offers) and gap > stage.goal * abs(level):
+            accuracy = max(ROUGH * gap / abs(level), EXACT)
             # dropping postures although the gap has not shrunk can go in circles
-            working = _extend(problem, mixture, working, offers, purge=gap < 0.9 * smallest)
+            working = _extend(problem, mixture, working, offers, accuracy, purge=gap < 0.9 * smallest)
             smallest = min(smallest, gap)
             current -= stage.back
+        elif accuracy > EXACT:
+            accuracy = EXACT
+            working = _solve(problem, mixture, working.postures, working.blocks, accuracy)
         elif current == len(stages) - 1:
             break
         else:
@@ -84,14 +91,14 @@ def generate(
     return working, gap
 
 
-def _solve(problem: DesignProblem, mixture: Mixture, postures: Array, blocks: Array) -> WorkingSet:
+def _solve(problem: DesignProblem, mixture: Mixture, postures: Array, blocks: Array, accuracy: float) -> WorkingSet:
     information = mixture.information(blocks, np.full(len(blocks), 1.0 / len(blocks)))
     if _diverges(problem.criterion, information):
         raise JobError(
             "approximate design: the information matrix is singular on these postures, the parameters cannot all be "
             "identified; drop an effect or allow more postures"
         )
-    return WorkingSet(postures, blocks, solve_weights(blocks, problem.criterion, mixture))
+    return WorkingSet(postures, blocks, solve_weights(blocks, problem.criterion, mixture, tolerance=accuracy))
 
 
 def _diverges(criterion: Criterion, information: Array) -> bool:
@@ -110,14 +117,14 @@ def _diverges(criterion: Criterion, information: Array) -> bool:
 
 
 def _extend(
-    problem: DesignProblem, mixture: Mixture, working: WorkingSet, offers: Array, *, purge: bool
+    problem: DesignProblem, mixture: Mixture, working: WorkingSet, offers: Array, accuracy: float, *, purge: bool
 ) -> WorkingSet:
     """Postures that need not carry weight out, new ones in, solved again."""
     alive = np.flatnonzero(working.sparse > 0.0) if purge else np.arange(len(working.postures))
     postures = np.concatenate([working.postures[alive], offers])
     blocks = np.concatenate([working.blocks[alive], problem.blocks(offers)])
     once = np.sort(distinct(postures))
-    return _solve(problem, mixture, postures[once], blocks[once])
+    return _solve(problem, mixture, postures[once], blocks[once], accuracy)
 
 
 @dataclass(frozen=True)
