@@ -8,7 +8,14 @@ from doe.plan import Plan
 from identification.arm import Array
 from identification.errors import InputError
 from identification.files import PathLike
-from identification.measurement_file import csv_text, joint_columns, posture_columns, read_postures, warn_unknown
+from identification.measurement_file import (
+    csv_text,
+    joint_columns,
+    posture_columns,
+    read_conditions,
+    read_postures,
+    warn_unknown,
+)
 from identification.table import Table, read_table
 
 SUM_TOLERANCE = 1e-6
@@ -22,8 +29,18 @@ def load_plan(path: PathLike, links: int | None = None) -> Plan:
     """
     table = read_table(path)
     plan = Plan(read_postures(table, links), _weights(table))
-    warn_unknown(table, ["run", *joint_columns(table), "weight"])
+    warn_unknown(table, ["run", *joint_columns(table), "weight", *condition_columns(plan.links)])
     return plan
+
+
+def load_plan_conditions(path: PathLike, links: int) -> dict[str, Array | None]:
+    """What else a plan may say of its rows: `payload` (m,) [kg], `temperature` (m,) [deg C], `directions` (m, n)."""
+    return read_conditions(read_table(path), links)
+
+
+def condition_columns(links: int) -> list[str]:
+    """Columns of a plan that say under which conditions a row is to be measured."""
+    return ["payload_kg", "temperature_C", *(f"direction{j}" for j in range(1, links + 1))]
 
 
 def plan_text(plan: Plan) -> str:

@@ -37,9 +37,7 @@ def load_measurements(path: PathLike, links: int | None = None) -> Measurements:
         postures=postures,
         positions=np.column_stack([_millimetres(table, "x"), _millimetres(table, "y")]),
         order=_order(table),
-        payload=_optional(table, "payload_kg", ">= 0 [kg]", lambda v: v >= 0.0),
-        temperature=_optional(table, "temperature_C", ">= -273.15 [deg C]", lambda v: v >= -273.15),
-        directions=_directions(table, n),
+        **read_conditions(table, n),
         sigma=_sigma(table),
         repeats=_repeats(table),
         provenance=MappingProxyType({"file": table.file_name, "sha256": table.sha256}),
@@ -134,6 +132,15 @@ def warn_unknown(table: Table, known: Iterable[str]) -> None:
     if unknown:
         columns = "column is" if len(unknown) == 1 else "columns are"
         warnings.warn(f"{table.path}: {columns} not used: {', '.join(unknown)}", UserWarning, stacklevel=3)
+
+
+def read_conditions(table: Table, n: int) -> dict[str, Array | None]:
+    """`payload` (m,) [kg], `temperature` (m,) [deg C] and `directions` (m, n), each None if the table has none."""
+    return {
+        "payload": _optional(table, "payload_kg", ">= 0 [kg]", lambda v: v >= 0.0),
+        "temperature": _optional(table, "temperature_C", ">= -273.15 [deg C]", lambda v: v >= -273.15),
+        "directions": _directions(table, n),
+    }
 
 
 # -- columns of measurements ------------------------------------------------------------------------------------------

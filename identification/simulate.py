@@ -22,13 +22,15 @@ def simulate(
     sigma: float | None = None,
     payload: Array | None = None,
     temperature: Array | None = None,
+    directions: Array | None = None,
 ) -> Measurements:
     """Measure `truth` once at each posture, in the given order.
 
     truth : arm whose calibration and effect values are the true ones; what has no value is zero
     postures : (m, n) commanded joint angles [rad]
     sigma : standard deviation per axis [mm], default the arm's; 0 gives exact positions
-    payload, temperature : (m,) conditions per row, where the truth needs them
+    payload, temperature : (m,) conditions per row, where the truth needs them [kg], [deg C]
+    directions : (m, n) of approach, +1 or -1; left out: they follow from the order
     """
     q = np.atleast_2d(np.asarray(postures, dtype=float))
     noise = truth.sigma if sigma is None else sigma
@@ -39,7 +41,8 @@ def simulate(
         raise InputError("temperature_C: an effect of the truth needs a temperature per row, none is given")
     deviation = None if temperature is None else temperature - np.mean(temperature)
     order = np.arange(len(q), dtype=float)
-    conditions = Conditions(payload, deviation, session_time(order), directions_from_order(q))
+    approach = directions_from_order(q) if directions is None else directions
+    conditions = Conditions(payload, deviation, session_time(order), approach)
     exact = model.position(q, conditions=conditions)
     errors = noise * generator.standard_normal(exact.shape)
     errors = disturbed(errors, truth, Measurements(q, exact, order), conditions, noise, generator)

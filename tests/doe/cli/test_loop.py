@@ -78,3 +78,23 @@ def test_tables_for_people(folder: Folder) -> None:
     assert "RMS" in done.out
     shown = folder.armcal("score", "arm.toml", "plan.csv")
     assert "efficiency" in shown.out
+
+
+def test_conditions_in_the_plan_reach_the_measurements(folder: Folder) -> None:
+    header, *rows = folder.read("plan.csv").splitlines()
+    warm = [f"{row},{20.0 + 0.5 * k}" for k, row in enumerate(rows)]
+    folder.write("warm.csv", "\n".join([header + ",temperature_C", *warm]) + "\n")
+    growth = '\n[[effects]]\nname = "thermal_growth"\na_per_K = 0.001\n'
+    folder.write("truth.toml", ARM.replace("sigma_mm = 0.1", "sigma_mm = 1e-9") + growth)
+    words = ["simulate", "arm.toml", "warm.csv", "--truth", "truth.toml", "--out", "data.csv"]
+    assert folder.armcal(*words).code == 0
+    header, *rows = folder.read("data.csv").splitlines()
+    table = np.array([[float(cell) for cell in row.split(",")] for row in rows])
+    column = {name: k for k, name in enumerate(header.split(","))}
+    theta = np.cumsum(np.radians(table[:, :4]), axis=1)
+    deviation = table[:, column["temperature_C"]] - table[:, column["temperature_C"]].mean()
+    tip = (np.array([260.0, 180.0, 120.0, 100.0]) * np.exp(1j * theta)).sum(axis=1) * (1.0 + 0.001 * deviation)
+    np.testing.assert_allclose(table[:, column["x_mm"]], tip.real, atol=1e-6)
+    refused = folder.armcal("simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "cold.csv")
+    assert refused.code == 2
+    assert "temperature_C" in refused.err
