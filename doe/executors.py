@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import multiprocessing
+import multiprocessing.connection
 import os
 import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -114,7 +116,7 @@ def choose(workers: int | None = None, address: str | None = None) -> Workers:
 def _process_pool(number: int) -> Iterator[Executor]:
     before = {name: os.environ.get(name) for name in SINGLE_THREAD}
     os.environ.update(SINGLE_THREAD)  # read by the linear algebra of the workers when they start
-    pool = ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=_end_at_once_on_interrupt)
+    pool = ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=_end_with_the_parent)
     try:
         yield pool
     finally:
@@ -126,8 +128,19 @@ def _process_pool(number: int) -> Iterator[Executor]:
                 os.environ[name] = value
 
 
-def _end_at_once_on_interrupt() -> None:
+def _end_with_the_parent() -> None:
+    """In a new worker: Ctrl-C ends it at once, and so does the death of the process that started it (kill -9 too)."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    sentinel = parent.sentinel
+
+    def watch() -> None:
+        multiprocessing.connection.wait([sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager

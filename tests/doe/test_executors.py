@@ -99,6 +99,27 @@ def test_a_task_that_kills_its_worker_each_time_is_a_row() -> None:
     assert frame.filter(pl.col("status") == "done")["value"].to_list() == expected(done)
 
 
+def test_killed_study_leaves_no_process_behind_and_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "rows.parquet"
+    code = (
+        "import os, signal, work\nfrom doe.executors import processes, run\nfrom doe.rows import RowTable\n"
+        "def kill(done, total, message):\n    if done == 6: os.kill(os.getpid(), signal.SIGKILL)\n"
+        f"with RowTable.open({str(path)!r}) as table:\n"
+        "    run(work.slow_draw, [{'task': k} for k in range(30)], table, processes(2), progress=kill)\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    # the workers hold standard output: it closes when the last of them is gone
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, timeout=60.0, check=False
+    )
+    assert done.returncode == -signal.SIGKILL
+    assert len(read_rows(path)) == 12
+    keys = [{"task": task} for task in range(30)]
+    with RowTable.open(path, resume=True) as table:
+        frame = run(work.draw, keys, table)
+    assert frame["value"].to_list() == expected(keys)
+
+
 def free_port() -> int:
     with socket.socket() as stream:
         stream.bind(("127.0.0.1", 0))
