@@ -74,6 +74,22 @@ class RowTable:
         finally:
             journal.close()
 
+    @classmethod
+    @contextmanager
+    def within(
+        cls, folder: PathLike | None, name: str, *, resume: bool = False, force: bool = False
+    ) -> Iterator[RowTable]:
+        """The table NAME in a folder, which is made; None keeps the rows in memory. As `open` otherwise."""
+        if folder is not None:
+            try:
+                Path(folder).mkdir(exist_ok=True)
+            except OSError as error:
+                raise InputError(
+                    f"{folder}: cannot be made ({error.strerror}), allowed: a folder in another one"
+                ) from None
+        with cls.open(None if folder is None else Path(folder) / name, resume=resume, force=force) as table:
+            yield table
+
     def add(self, key: Key, rows: Sequence[Row]) -> None:
         """The rows of one key, on the disk before this returns."""
         text = canonical(key)

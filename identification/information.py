@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from identification.arm import Array, readonly
 
 RANK_TOLERANCE = 1e-9  # singular values of columns of unit length below this share of the largest are zero
+CLEAR = 1e-8  # smallest eigenvalue of a normal matrix of unit columns that needs no closer look
 SHOWN = 0.02  # coefficients below this share of the largest are not shown, and such differences from 1 neither
 TOUCHED = 1e-3  # a parameter with less than this in every lost direction is estimable
 
@@ -95,6 +96,46 @@ def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE) 
 def covariance(jacobian: Array, scales: Array, sigma: float = 1.0, tolerance: float = RANK_TOLERANCE) -> Array:
     """(p, p) sigma^2 (sum J^T J)^-1 (eq. 17), never inverting what the data do not tell: see `Spectrum.covariance`."""
     return sigma**2 * spectrum(jacobian, scales, tolerance).covariance
+
+
+def full_rank(jacobians: Array, scales: Array) -> NDArray[np.bool_]:
+    """(K,) True where a plan tells every parameter: `spectrum(...).rank == p` of many Jacobians (K, m, d, p)."""
+    normal, lengths = _unit_normal(jacobians)
+    told = _clear(np.linalg.eigh(normal)[0], lengths, scales)
+    for k in np.flatnonzero(~told):
+        told[k] = spectrum(jacobians[k], scales).rank == len(scales)
+    return told
+
+
+def covariances(jacobians: Array, scales: Array, sigma: float = 1.0) -> Array:
+    """(K, p, p) `covariance` of many Jacobians (K, m, d, p); not a number where a plan loses something."""
+    normal, lengths = _unit_normal(jacobians)
+    values, vectors = np.linalg.eigh(normal)
+    clear = _clear(values, lengths, scales)
+    vectors = vectors / lengths[:, :, None]
+    found = (vectors / np.where(clear[:, None], values, np.nan)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    for k in np.flatnonzero(~clear):
+        one = spectrum(jacobians[k], scales)
+        found[k] = one.covariance if one.rank == len(scales) else np.nan
+    return sigma**2 * found
+
+
+def _unit_normal(jacobians: Array) -> tuple[Array, Array]:
+    """(K, p, p) E^T E of the columns scaled to unit length, and (K, p) their lengths, no less than a tiny number."""
+    count, m, d, p = jacobians.shape
+    rows = jacobians.reshape(count, m * d, p)
+    lengths = np.maximum(np.sqrt(np.einsum("kip,kip->kp", rows, rows)), np.finfo(float).tiny)
+    rows = rows / lengths[:, None, :]
+    return np.swapaxes(rows, 1, 2) @ rows, lengths
+
+
+def _clear(values: Array, lengths: Array, scales: Array) -> NDArray[np.bool_]:
+    """(K,) True where full rank is clear by far; a normal matrix holds half the digits, the rest needs singular values.
+
+    values : (K, p) eigenvalues, smallest first
+    """
+    sizes = lengths / scales
+    return (values[:, 0] > CLEAR) & (np.min(sizes, axis=1) > np.sqrt(CLEAR) * np.max(sizes, axis=1))
 
 
 @dataclass(frozen=True)

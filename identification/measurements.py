@@ -20,6 +20,7 @@ class Conditions:
     temperature : (m,) [K] deviation from the mean temperature, None: 0
     time : (m,) position in the session, -0.5..0.5, None: 0
     directions : (m, n) sign of the last motion of each joint, +1 or -1, None: +1
+    For K sessions at once, (K, m) and (K, m, n).
     """
 
     payload: Array | None = None
@@ -27,13 +28,14 @@ class Conditions:
     time: Array | None = None
     directions: Array | None = None
 
-    def table(self, m: int, n: int, payload: float) -> Array:
-        """(m, 3 + n) columns payload [kg], temperature [K], time, directions, with the neutral values filled in."""
-        table = np.empty((m, 3 + n))
-        table[:, 0] = payload if self.payload is None else self.payload
-        table[:, 1] = 0.0 if self.temperature is None else self.temperature
-        table[:, 2] = 0.0 if self.time is None else self.time
-        table[:, 3:] = 1.0 if self.directions is None else self.directions
+    def table(self, m: int | tuple[int, ...], n: int, payload: float) -> Array:
+        """(m, 3 + n) columns payload [kg], temperature [K], time, directions, with the neutral values filled in;
+        (K, m, 3 + n) for m = (K, m)."""
+        table = np.empty((*np.atleast_1d(m), 3 + n))
+        table[..., 0] = payload if self.payload is None else self.payload
+        table[..., 1] = 0.0 if self.temperature is None else self.temperature
+        table[..., 2] = 0.0 if self.time is None else self.time
+        table[..., 3:] = 1.0 if self.directions is None else self.directions
         return table
 
     def rows(self, index: Any) -> Conditions:
@@ -49,14 +51,18 @@ def session_time(order: Array) -> Array:
 
 
 def directions_from_order(postures: Array, order: Array | None = None) -> Array:
-    """(m, n) sign of the change from the posture measured before; first row +1, no change: as before (GAP.md)."""
-    sequence = np.arange(len(postures)) if order is None else np.argsort(order, kind="stable")
+    """(..., m, n) sign of the change from the posture measured before; first row +1, no change: as before (GAP.md).
+
+    postures : (m, n), or (K, m, n) of K sessions;  order : (m,), None: as they stand
+    """
+    m = postures.shape[-2]
+    sequence = np.arange(m) if order is None else np.argsort(order, kind="stable")
     signs = np.ones_like(postures)
-    signs[1:] = np.sign(np.diff(postures[sequence], axis=0))
+    signs[..., 1:, :] = np.sign(np.diff(postures[..., sequence, :], axis=-2))
     # the last row that moved, for every row: a running maximum of row numbers
-    moved = np.maximum.accumulate(np.where(signs != 0.0, np.arange(len(signs))[:, None], 0), axis=0)
+    moved = np.maximum.accumulate(np.where(signs != 0.0, np.arange(m)[:, None], 0), axis=-2)
     directions = np.empty_like(signs)
-    directions[sequence] = np.take_along_axis(signs, moved, axis=0)
+    directions[..., sequence, :] = np.take_along_axis(signs, moved, axis=-2)
     return directions
 
 

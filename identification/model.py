@@ -174,7 +174,10 @@ class Model:
     def position(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
     ) -> Array:
-        """(m, 2) tip positions [mm] at (m, n) postures [rad]; (K, m, 2) for (K, p) parameter sets."""
+        """(m, 2) tip positions [mm] at (m, n) postures [rad]; (K, m, 2) for (K, p) parameter sets.
+
+        Postures (K, m, n), with conditions (K, m), are K plans, each with its own parameter set or all with one.
+        """
         return self._position(*self._arguments(postures, parameters, conditions))[0][..., 0]
 
     def jacobian(
@@ -200,12 +203,12 @@ class Model:
         self, postures: ArrayLike, parameters: ArrayLike | None, conditions: Conditions | None
     ) -> tuple[Array, Array, Array]:
         q = np.atleast_2d(np.asarray(postures, dtype=float))
-        if q.ndim != 2 or q.shape[1] != self.arm.links:
+        if q.ndim not in (2, 3) or q.shape[-1] != self.arm.links:
             raise InputError(f"postures: shape {np.shape(postures)}, allowed: (m, {self.arm.links})")
         p = self.values if parameters is None else np.asarray(parameters, dtype=float)
         if p.shape[-1:] != (len(self.parameters),):
             raise InputError(f"parameters: shape {p.shape}, allowed: (..., {len(self.parameters)})")
-        table = (conditions or Conditions()).table(len(q), self.arm.links, float(self.neutral_conditions[0]))
+        table = (conditions or Conditions()).table(q.shape[:-1], self.arm.links, float(self.neutral_conditions[0]))
         return q, table, p[..., None, :]
 
 

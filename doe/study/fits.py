@@ -8,20 +8,19 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from doe.rows import Row
 from identification.arm import Array
 from identification.arm_file import arm_from_tables
 from identification.errors import JobError
-from identification.estimation import estimate_batch
-from identification.estimation.linear import as_complex, design, parameters_of
-from identification.information import covariance, orientation_transform
+from identification.estimation import estimate_batch, estimate_each
+from identification.estimation.own_plans import sessions
+from identification.information import covariance, covariances, orientation_transform
 from identification.measurements import Measurements
 from identification.model import Model
 
 Z_95 = 1.959963984540054  # two-sided 95 % of the normal distribution
-CHUNK = 2_000  # random plans at a time
+CHUNK = 20_000  # rows of random plans at a time
 
 
 @dataclass(frozen=True)
@@ -79,13 +78,14 @@ class Cell:
         return own + [(f"orientation_offset:{j}", "deg", 180.0 / np.pi) for j in orientations]
 
     @cached_property
-    def expected_std(self) -> Array | None:
-        """(p + n,) deviations by eq. 16 at the true values, API units; None for random plans."""
-        if self.postures_deg is None:
-            return None
+    def expected_std(self) -> Array:
+        """(p + n,) deviations by eq. 16 at the true values, of the cell's plan, API units."""
         jacobian = self.model.jacobian(self.plan.postures, self.true_values, self.plan.conditions)
-        matrix = covariance(jacobian, self.model.scales, self.sigma)
-        return np.sqrt(np.einsum("ij,jk,ik->i", self.transform, matrix, self.transform))
+        return self.deviations(covariance(jacobian, self.model.scales, self.sigma))
+
+    def deviations(self, matrices: Array) -> Array:
+        """(..., p + n) of what is reported, from covariances (..., p, p) of the parameters."""
+        return np.sqrt(np.sum((self.transform @ matrices) * self.transform, axis=-1))
 
 
 @lru_cache(maxsize=4)
@@ -100,101 +100,84 @@ def as_plan(postures: Array) -> Measurements:
 
 
 def block(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | str) -> list[Row]:
-    """Rows of one block: per reported parameter the number of fits, mean error, sum of squares about it, RMS, coverage.
+    """Rows of one block: per reported parameter the number of fits, mean error, sum of squares about it, coverage.
 
     cell : what to do; a text is the reason why it cannot be done (its plan could not be made)
     """
     if isinstance(cell, str):
         raise JobError(cell)
     cell = prepared(cell)
+    unknowns = len(cell.model.names)
+    if 2 * cell.runs < unknowns:
+        raise JobError(f"{cell.runs} runs are {2 * cell.runs} equations, allowed: at least {unknowns}, one per unknown")
     generator = np.random.default_rng(seed)
-    fit = _random_plans if cell.postures_deg is None else _one_plan
-    parameters, rss = fit(cell, generator, key["replications"])
-    good = np.isfinite(parameters).all(axis=1)
-    return _rows(cell, parameters[good], rss[good], int(np.sum(~good)))
+    fits = (_random_plans if cell.postures_deg is None else _one_plan)(cell, generator, key["replications"])
+    return _rows(cell, fits)
 
 
-def _one_plan(cell: Cell, generator: np.random.Generator, count: int) -> tuple[Array, Array]:
-    """(K, p) parameters and (K,) sums of squares [mm^2] of K data sets on the cell's plan."""
+@dataclass(frozen=True)
+class Fits:
+    """Fits of K data sets.
+
+    parameters : (K, p), not numbers where a fit failed;  rss : (K,) sums of squares [mm^2]
+    expected_std : (K, p + n) or (1, p + n) deviations by eq. 16, of each plan or of the one plan
+    """
+
+    parameters: Array
+    rss: Array
+    expected_std: Array
+
+
+def _one_plan(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
+    """Data sets on the cell's plan."""
     positions = cell.sigma * generator.standard_normal((count, cell.runs, 2))
     positions += cell.exact
     found = estimate_batch(cell.model, cell.plan, positions)
-    return np.where(found.converged[:, None], found.parameters, np.nan), np.array(found.rss)
+    parameters = np.where(found.converged[:, None], found.parameters, np.nan)
+    return Fits(parameters, np.array(found.rss), cell.expected_std[None])
 
 
-def _random_plans(cell: Cell, generator: np.random.Generator, count: int) -> tuple[Array, Array]:
-    """As `_one_plan`, with a plan of its own for each data set, uniform within the joint limits."""
-    parts = []
-    for start in range(0, count, CHUNK):
-        size = min(CHUNK, count - start)
-        arm = cell.model.arm
-        postures = generator.uniform(arm.lower, arm.upper, (size, cell.runs, arm.links))
-        noise = cell.sigma * generator.standard_normal((size, cell.runs, 2))
-        if cell.model.linear_in_links and not cell.true_model.needs:
-            flat = cell.true_model.position(postures.reshape(-1, arm.links))
-            parts.append(linear_fits(cell.model, postures, flat.reshape(noise.shape) + noise))
-        else:
-            parts.append(_single_fits(cell, postures, noise))
-    return np.concatenate([p for p, _ in parts]), np.concatenate([r for _, r in parts])
+def _random_plans(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
+    """A plan of its own for each data set, uniform within the joint limits."""
+    size = max(1, CHUNK // cell.runs)
+    parts = [_new_plans(cell, generator, min(size, count - start)) for start in range(0, count, size)]
+    return Fits(*(np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])))
 
 
-def linear_fits(model: Model, postures: Array, positions: Array) -> tuple[Array, Array]:
-    """(K, p) closed-form parameters (THEORY.md section 2) and (K,) sums of squares, each data set on its own plan.
-
-    postures : (K, m, n) [rad];  positions : (K, m, 2) [mm]
-    Raises `JobError` for fewer postures than unknowns.
-    """
-    columns, nominal = _designs(model, postures)
-    m, unknowns = columns.shape[1:]
-    if m < unknowns:
-        raise JobError(f"{m} runs cannot tell {unknowns} complex unknowns apart, allowed: at least {unknowns}")
-    rest = as_complex(positions)[..., None] - (columns @ nominal)[..., None]
-    change = np.linalg.pinv(columns, rcond=1e-13) @ rest
-    residuals = rest - columns @ change
-    return parameters_of(model, nominal + change[..., 0]), np.sum(np.abs(residuals[..., 0]) ** 2, axis=1)
+def _new_plans(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
+    arm, model = cell.model.arm, cell.model
+    postures = generator.uniform(arm.lower, arm.upper, (count, cell.runs, arm.links))
+    noise = cell.sigma * generator.standard_normal((count, cell.runs, 2))
+    conditions = sessions(postures)
+    found = estimate_each(model, postures, cell.true_model.position(postures, conditions=conditions) + noise)
+    jacobians = model.jacobian(postures, cell.true_values, conditions)
+    return Fits(found.parameters, found.rss, cell.deviations(covariances(jacobians, model.scales, cell.sigma)))
 
 
-def _designs(model: Model, postures: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    count, m, n = postures.shape
-    columns, nominal = design(model, postures.reshape(-1, n))
-    return columns.reshape(count, m, -1), nominal
-
-
-def _single_fits(cell: Cell, postures: Array, noise: Array) -> tuple[Array, Array]:
-    """One `estimate_batch` per plan; not a number where a plan cannot tell all parameters apart."""
-    parameters, rss = np.full((len(noise), len(cell.model.names)), np.nan), np.full(len(noise), np.nan)
-    for k, plan in enumerate(map(as_plan, postures)):
-        exact = cell.true_model.position(plan.postures, conditions=plan.conditions)
-        try:
-            found = estimate_batch(cell.model, plan, (exact + noise[k])[None])
-        except JobError:
-            continue
-        if found.converged[0]:
-            parameters[k], rss[k] = found.parameters[0], found.rss[0]
-    return parameters, rss
-
-
-def _rows(cell: Cell, parameters: Array, rss: Array, failed: int) -> list[Row]:
+def _rows(cell: Cell, fits: Fits) -> list[Row]:
     """The block's numbers, in file units (mm and degrees)."""
-    errors = (parameters - cell.true_values) @ cell.transform.T
+    good = np.isfinite(np.c_[fits.parameters, fits.rss]).all(axis=1)
+    good &= np.isfinite(fits.expected_std).all(axis=1)
+    errors = (fits.parameters[good] - cell.true_values) @ cell.transform.T
     turns = [k for k, (name, _, _) in enumerate(cell.reported) if name.startswith(("joint_", "orientation_"))]
     errors[:, turns] = (errors[:, turns] + np.pi) % (2.0 * np.pi) - np.pi  # known up to a whole turn
-    fit = {"failed": failed, "rms_mm": float(np.sqrt(np.mean(rss) / cell.runs)) if len(rss) else None}
-    rows = []
-    for k, (name, unit, factor) in enumerate(cell.reported):
-        error = errors[:, k] * factor
-        std = None if cell.expected_std is None else float(cell.expected_std[k]) * factor
-        mean = float(np.mean(error)) if len(error) else None
-        rows.append(
-            {
-                "parameter": name,
-                "unit": unit,
-                "fits": len(error),
-                "mean_error": mean,
-                "squares": float(np.sum((error - mean) ** 2)) if mean is not None else None,
-                "covered": None if std is None else int(np.sum(np.abs(error) <= Z_95 * std)),
-                "expected_std": std,
-                **fit,
-            }
-        )
-    return rows
+    stds = fits.expected_std if len(fits.expected_std) == 1 else fits.expected_std[good]
+    rms = float(np.sqrt(np.mean(fits.rss[good]) / cell.runs)) if len(errors) else None
+    fit = {"fits": len(errors), "failed": int(np.sum(~good)), "rms_mm": rms}
+    return [
+        {"parameter": name, "unit": unit, **fit, **_figures(errors[:, k] * factor, stds[:, k] * factor)}
+        for k, (name, unit, factor) in enumerate(cell.reported)
+    ]
+
+
+def _figures(error: Array, std: Array) -> Row:
+    """What a block keeps of the errors (K,) of one parameter and their expected deviations (K,) or (1,)."""
+    if error.size == 0:
+        return {"mean_error": None, "squares": None, "covered": 0, "expected_std": None}
+    mean = float(np.mean(error))
+    return {
+        "mean_error": mean,
+        "squares": float(np.sum((error - mean) ** 2)),
+        "covered": int(np.sum(np.abs(error) <= Z_95 * std)),
+        "expected_std": float(std[0]) if std.size == 1 else float(np.sqrt(np.mean(std**2))),
+    }

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import tomllib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -20,7 +19,7 @@ from doe.study.fits import Cell, block
 from doe.study.grid import DFT, RANDOM, Study
 from identification.arm import Arm
 from identification.arm_file import arm_from_tables, dump_arm
-from identification.errors import InputError, JobError
+from identification.errors import JobError
 from identification.files import PathLike
 from identification.model import Model
 from identification.progress import Progress, silent
@@ -68,14 +67,14 @@ def run_study(
     resume : go on with an interrupted or extended study in `folder`;  force : replace what is there
     Failures (no plan for so many runs, a plan that cannot identify the model) are rows with `status` and `error`.
     """
-    with _table(folder, PLANS, resume, force) as table:
+    with RowTable.within(folder, PLANS, resume=resume, force=force) as table:
         wanted = list(_plan_keys(study))
         arms = {_hash(text): text for text in map(dump_arm, study.arms)}
         plans = run(
             make_plan, wanted, table, workers, seed=seed, payload=lambda key: arms[key["inputs"]], progress=progress
         )
         made = {key: _postures(rows[0]) for key, rows in table.rows.items()}
-    with _table(folder, BLOCKS, resume, force) as table:
+    with RowTable.within(folder, BLOCKS, resume=resume, force=force) as table:
         tasks = dict(_tasks(study, {(k["arm"], k["plan"], k["runs"]): made[canonical(k)] for k in wanted}))
         keys = [dict(key) for key in tasks]
         blocks = run(block, keys, table, workers, seed=seed, payload=lambda key: tasks[_frozen(key)], progress=progress)
@@ -83,17 +82,6 @@ def run_study(
     if folder is not None:
         found.write_parquet(Path(folder) / CELLS)
     return StudyResult(found, blocks, plans)
-
-
-@contextmanager
-def _table(folder: PathLike | None, name: str, resume: bool, force: bool) -> Iterator[RowTable]:
-    if folder is not None:
-        try:
-            Path(folder).mkdir(exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be made ({error.strerror}), allowed: a folder in another one") from None
-    with RowTable.open(None if folder is None else Path(folder) / name, resume=resume, force=force) as table:
-        yield table
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
@@ -192,8 +180,9 @@ def cells(blocks: polars.DataFrame) -> polars.DataFrame:
     """One row per cell and parameter: blocks pooled.
 
     `fits`, `failed` : numbers of data sets;  `mean_error`, `std`, `rms` : of the errors, file units
-    `mean_error_se`, `std_se` : their standard errors (of the deviation for normal errors)
-    `expected_std` : eq. 16;  `coverage` : share of 95 % intervals, with the true sigma, that hold the true value
+    `mean_error_se`, `std_se` : their standard errors; the deviation's for normal errors, so null for random plans
+    `expected_std` : eq. 16; of random plans the root mean square over the plans, which `std` must equal
+    `coverage` : share of 95 % intervals, with the true sigma and each data set's own plan, that hold the true value
     `rms_mm` : of the fits' residuals per row;  `status`, `error` : of the first block that failed, else done
     """
     import polars as pl
@@ -207,23 +196,22 @@ def cells(blocks: polars.DataFrame) -> polars.DataFrame:
     mean = (pl.col("mean_error") * pl.col("fits")).sum() / n
     about = pl.col("squares").sum() + (pl.col("fits") * (pl.col("mean_error") - mean) ** 2).sum()
     std = (about / (n - 1)).sqrt()
+    expected = ((pl.col("expected_std") ** 2 * pl.col("fits")).sum() / n).sqrt()
     some = pl.col("status") == "done"
-    pooled = blocks.group_by(*CELL, "inputs", "parameter", "unit", maintain_order=True).agg(
+    return blocks.group_by(*CELL, "inputs", "parameter", "unit", maintain_order=True).agg(
         n.alias("fits"),
         pl.col("failed").sum(),
         pl.when(n > 0).then(mean).alias("mean_error"),
         pl.when(n > 1).then(std).alias("std"),
         pl.when(n > 0).then((about / n + mean**2).sqrt()).alias("rms"),
         pl.when(n > 1).then(std / n.sqrt()).alias("mean_error_se"),
-        pl.when(n > 1).then(std / (2.0 * (n - 1)).sqrt()).alias("std_se"),
-        pl.col("expected_std").first(),
+        pl.when((n > 1) & (pl.col("plan").first() != RANDOM)).then(std / (2.0 * (n - 1)).sqrt()).alias("std_se"),
+        pl.when(n > 0).then(expected).alias("expected_std"),
         pl.when(n > 0).then(pl.col("covered").sum() / n).alias("coverage"),
         pl.when(n > 0).then(((pl.col("rms_mm") ** 2 * pl.col("fits")).sum() / n).sqrt()).alias("rms_mm"),
         pl.when(some.all()).then(pl.lit("done")).otherwise(pl.lit("failed")).alias("status"),
         pl.col("error").drop_nulls().first().alias("error"),
     )
-    no_interval = pl.col("expected_std").is_null()
-    return pooled.with_columns(pl.when(no_interval).then(None).otherwise(pl.col("coverage")).alias("coverage"))
 
 
 def require_some(result: StudyResult) -> None:

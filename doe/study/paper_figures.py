@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from doe.rows import frame_of
-from doe.study.fits import linear_fits
 from doe.study.monte_carlo import dft_postures
 from doe.study.paper import (
     JOINT_OFFSETS_DEG,
@@ -18,7 +17,7 @@ from doe.study.paper import (
     paper_arm,
     paper_truth,
 )
-from identification.estimation import estimate_batch
+from identification.estimation import estimate_batch, estimate_each
 from identification.model import Model
 
 if TYPE_CHECKING:
@@ -92,7 +91,7 @@ def _errors(plans: Array, replications: int, generator: np.random.Generator) -> 
     if plans.ndim == 2:
         found = estimate_batch(model, plans, positions).parameters
     else:
-        found = linear_fits(model, plans, positions)[0]
+        found = estimate_each(model, plans, positions).parameters
     turned = np.cumsum(found[:, 4:] - np.radians(JOINT_OFFSETS_DEG), axis=1)
     turned = (turned + np.pi) % (2.0 * np.pi) - np.pi
     return np.hstack([found[:, :4] - LENGTH_ERRORS, np.degrees(turned)])

@@ -6,27 +6,47 @@ square the condition number; the gradient, which decides about convergence, is c
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from identification.arm import Array
 from identification.estimation.gauss_newton import MAX_DAMPING, MAX_ITERATIONS
 from identification.estimation.problem import GRADIENT_TOLERANCE, ROUNDING, Problem
+from identification.measurements import Conditions
 
 RIDGE = 1e-14  # keeps the factorisation alive when a bound leaves a singular rest
 
 
-def individual(problem: Problem, measured: Array, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Parameters (k, p), weighted sums of squares (k,) and converged (k,) of data sets (k, m, 2) from starts (k, p)."""
+class Plans(NamedTuple):
+    """Postures (m, n) [rad] and conditions that all data sets share, or (k, m, n) with one plan for each."""
+
+    postures: Array
+    conditions: Conditions
+
+    def rows(self, index: NDArray[np.int_]) -> Plans:
+        """The plans of some data sets."""
+        return self if self.postures.ndim == 2 else Plans(self.postures[index], self.conditions.rows(index))
+
+
+def individual(
+    problem: Problem, measured: Array, starts: Array, plans: Plans | None = None
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Parameters (k, p), weighted sums of squares (k,) and converged (k,) of data sets (k, m, 2) from starts (k, p).
+
+    plans : None: the problem's plan for all data sets
+    """
+    plans = plans or Plans(problem.measurements.postures, problem.conditions)
     lower, upper = problem.bounds
     x = np.clip(starts, lower, upper)
-    cost = _cost(problem, measured, x)
+    cost = _cost(problem, plans, measured, x)
     converged = np.zeros(len(x), dtype=bool)
     damping = np.zeros(len(x))
     rounding = ROUNDING * np.sqrt(np.einsum("kmd,m->k", measured**2, problem.weights))
     active = np.arange(len(x))
     for _ in range(2 * MAX_ITERATIONS):
-        normal, gradient, lengths = _normal_equations(problem, measured[active], x[active])
+        normal, gradient, lengths = _normal_equations(problem, plans.rows(active), measured[active], x[active])
         held = ((x[active] <= lower) & (gradient < 0.0)) | ((x[active] >= upper) & (gradient > 0.0))
         gradient = np.where(held, 0.0, gradient)
         small = GRADIENT_TOLERANCE * np.sqrt(cost[active]) + rounding[active]
@@ -39,7 +59,7 @@ def individual(problem: Problem, measured: Array, starts: Array) -> tuple[Array,
         blocked = (x[active] <= lower) * -1 + (x[active] >= upper)
         step = _step_inside(normal[going], gradient[going], held[going], damping[active], blocked)
         trial = np.clip(x[active] + step / lengths[going], lower, upper)
-        trial_cost = _cost(problem, measured[active], trial)
+        trial_cost = _cost(problem, plans.rows(active), measured[active], trial)
         better = trial_cost <= cost[active] + 2.0 * np.sqrt(cost[active]) * rounding[active]
         x[active[better]], cost[active[better]] = trial[better], trial_cost[better]
         relaxed = np.where(damping[active] > 1e-6, damping[active] / 10.0, 0.0)
@@ -47,14 +67,14 @@ def individual(problem: Problem, measured: Array, starts: Array) -> tuple[Array,
     return x, cost, converged
 
 
-def _cost(problem: Problem, measured: Array, parameters: Array) -> Array:
-    position = problem.model.position(problem.measurements.postures, parameters, problem.conditions)
+def _cost(problem: Problem, plans: Plans, measured: Array, parameters: Array) -> Array:
+    position = problem.model.position(plans.postures, parameters, plans.conditions)
     return np.einsum("kmd,m->k", (measured - position) ** 2, problem.weights)
 
 
-def _normal_equations(problem: Problem, measured: Array, parameters: Array) -> tuple[Array, Array, Array]:
+def _normal_equations(problem: Problem, plans: Plans, measured: Array, parameters: Array) -> tuple[Array, Array, Array]:
     """(k, p, p) E^T E, (k, p) E^T r and (k, p) column lengths of the weighted Jacobian, E of unit columns."""
-    position, jacobian = problem.model.linearise(problem.measurements.postures, parameters, problem.conditions)
+    position, jacobian = problem.model.linearise(plans.postures, parameters, plans.conditions)
     k, m, d, p = jacobian.shape
     rows = (problem.root_weights[:, :, None] * jacobian).reshape(k, m * d, p)
     residuals = (problem.root_weights * (measured - position)).reshape(k, m * d)

@@ -17,9 +17,10 @@ from doe.executors import processes
 from doe.plan import Plan
 from doe.rows import frame_of
 from doe.study import Fitted, Study, Truth, cells, dft_postures, load_study, run_study
-from doe.study.fits import Cell, linear_fits
+from doe.study.fits import Cell
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
+from identification.estimation import estimate_each
 from identification.model import Model
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
@@ -48,7 +49,8 @@ def test_fits_on_plans_of_their_own_equal_a_general_optimiser() -> None:
     postures = generator.uniform(-np.pi, np.pi, (3, 6, 4))
     offsets = np.array(PAPER.joint_offsets)
     measured = positions(postures, LENGTHS + PAPER.length_errors, offsets) + 0.1 * generator.standard_normal((3, 6, 2))
-    found, squares = linear_fits(Model(ARM), postures, measured)
+    fits = estimate_each(Model(ARM), postures, measured)
+    found, squares = fits.parameters, fits.rss
     for k in range(3):
         oracle = least_squares(
             lambda x, k=k: (positions(postures[k], LENGTHS + x[:4], x[4:]) - measured[k]).ravel(),
@@ -118,13 +120,30 @@ def test_random_plans_are_new_for_each_replication() -> None:
     postures = generator.uniform(-np.pi, np.pi, (30, 6, 4))
     measured = positions(postures, LENGTHS + PAPER.length_errors, np.array(PAPER.joint_offsets))
     measured += 0.2 * generator.standard_normal((30, 6, 2))
-    errors = []
+    errors, variances = [], []
     for q, p in zip(postures, measured, strict=True):
-        u = np.linalg.lstsq(np.exp(1j * np.cumsum(q, axis=1)), p[:, 0] + 1j * p[:, 1], rcond=None)[0]
+        columns = np.exp(1j * np.cumsum(q, axis=1))
+        u = np.linalg.lstsq(columns, p[:, 0] + 1j * p[:, 1], rcond=None)[0]
         errors.append(np.abs(u) - LENGTHS - PAPER.length_errors)
+        variances.append(0.04 * np.diag(np.linalg.inv(columns.conj().T @ columns)).real)  # THEORY.md section 3
     found = result.cells.filter(pl.col("parameter").str.starts_with("length"))
     np.testing.assert_allclose(found["mean_error"].to_numpy(), np.mean(errors, axis=0), atol=1e-10)
     np.testing.assert_allclose(found["std"].to_numpy(), np.std(errors, axis=0, ddof=1), rtol=1e-8)
+    np.testing.assert_allclose(found["expected_std"].to_numpy(), np.sqrt(np.mean(variances, axis=0)), rtol=1e-6)
+    covered = np.abs(errors) <= 1.959963984540054 * np.sqrt(variances)
+    np.testing.assert_allclose(found["coverage"].to_numpy(), covered.mean(axis=0))
+
+
+@pytest.mark.parametrize("effects", [(), (EffectSpec("encoder_eccentricity", 2),)])
+def test_random_plans_have_the_deviations_and_intervals_that_theory_says(effects: tuple[EffectSpec, ...]) -> None:
+    replications = 4_000
+    study = Study([ARM], ["random"], [16], truths=[PAPER], models=[Fitted("m", effects)], replications=replications)
+    found = run_study(study, seed=2).cells
+    # 14 ratios from one fixed seed; plans of 16 runs differ little, so the deviation of a normal error is near enough
+    ratio = found["std"].to_numpy() / found["expected_std"].to_numpy()
+    assert np.all(np.abs(ratio - 1.0) < 1.5 * 4.5 / np.sqrt(2 * replications))
+    assert np.all(np.abs(found["coverage"].to_numpy() - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / replications))
+    assert found["std_se"].null_count() == len(found)
 
 
 def test_missing_effect_biases_and_its_model_repairs() -> None:
@@ -144,7 +163,7 @@ def test_missing_effect_biases_and_its_model_repairs() -> None:
     assert base["rms_mm"][0] > full["rms_mm"][0]
 
 
-def test_effects_on_random_plans_are_fitted_one_by_one() -> None:
+def test_effects_on_random_plans() -> None:
     truth = replace(PAPER, name="slack", effects=(EffectSpec("backlash", 1, {"b": 0.001}),))
     models = [Fitted("full", (EffectSpec("backlash", 1),))]
     study = Study([ARM], ["random"], [12], truths=[truth], models=models, replications=40)
