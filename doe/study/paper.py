@@ -14,23 +14,19 @@ Simulation and theory must agree in every row, whatever the paper says: `consist
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from doe.closed_form import table_1 as table_1_sums
-from doe.executors import Workers
 from doe.rows import frame_of
 from doe.study.grid import Study, Truth
 from doe.study.monte_carlo import dft_postures, run_study
-from doe.study.named import NamedResult
 from identification.arm import Arm
 from identification.information import information_matrix
 from identification.model import Model
-from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
     import polars
@@ -42,6 +38,7 @@ SIGMA = 0.1  # [mm]
 REPLICATIONS = 10_000
 LIMITED = "4 links within joint limits"
 LIMITS_DEG = ((-180.0, 180.0), (-120.0, 120.0), (-100.0, 60.0), (-90.0, 90.0))  # THEORY.md section 4
+CASES = ("2 links", "3 links", "4 links", LIMITED)  # names of the arms of `table_3`
 LAST_DIGIT = 0.001  # Table III and the text print three decimals
 ALERT = 4.5  # standard errors between simulation and theory; 100 rows from one fixed seed: 1 in 1,500 by chance
 
@@ -135,32 +132,20 @@ def table_2(runs: int = 20) -> polars.DataFrame:
 
 
 # -- Table III and the text --------------------------------------------------------------------------------------------
-def table_3(
-    replications: int = REPLICATIONS,
-    seed: int = 0,
-    workers: Workers | None = None,
-    progress: Progress = silent,
-) -> polars.DataFrame:
+def table_3(replications: int = REPLICATIONS, seed: int = 0, cases: Sequence[str] = CASES) -> polars.DataFrame:
     """Table III by simulation, and what it leaves out: joint offsets, 4 links with 4 runs, joint limits.
 
     Theory is eq. 25 with the TRUE lengths l_j + dl_j, which simulation follows: a difference of 0.6 % at most.
     """
-    rows: list[dict[str, Any]] = []
-    for links in PRINTED:
-        study = Study([paper_arm(links)], ["dft"], [3, 4, 20], truths=[paper_truth(links)], replications=replications)
-        rows += _simulated(study, links, seed, workers, progress)
-    study = Study(
-        [paper_arm(4, limited=True)], ["exchange_ipopt"], [4, 20], truths=[paper_truth()], replications=replications
-    )
-    rows += _simulated(study, 4, seed, workers, progress)
-    return frame_of(rows)
+    return frame_of([row for case in cases for row in _simulated(case, replications, seed)])
 
 
-def _simulated(
-    study: Study, links: int, seed: int, workers: Workers | None, progress: Progress
-) -> Iterator[dict[str, Any]]:
-    found = run_study(study, None, workers, seed=seed, progress=progress).cells
-    limited = study.arms[0].name == LIMITED
+def _simulated(case: str, replications: int, seed: int) -> Iterator[dict[str, Any]]:
+    """Rows of the arm named `case`."""
+    limited, links = case == LIMITED, int(case[0])
+    plan, runs = ("exchange_ipopt", [4, 20]) if limited else ("dft", [3, 4, 20])
+    arm, truth = paper_arm(links, limited), paper_truth(links)
+    found = run_study(Study([arm], [plan], runs, truths=[truth], replications=replications), seed=seed).cells
     place = "joint limits" if limited else "Table III"
     for row in found.iter_rows(named=True):
         common = {"place": place, "links": links, "runs": row["runs"]}
@@ -241,65 +226,3 @@ def consistent(table: polars.DataFrame) -> bool:
     """Whether simulation and theory agree in every row that has both, to `ALERT` standard errors."""
     both = table.drop_nulls(["simulated", "theory"])
     return bool(((both["simulated"] - both["theory"]).abs() <= ALERT * both["standard_error"]).all())
-
-
-# -- armcal study paper ------------------------------------------------------------------------------------------------
-def study(
-    *,
-    folder: Path | None,
-    workers: Workers,
-    seed: int,
-    replications: int | None,
-    resume: bool,
-    force: bool,
-    progress: Progress,
-) -> NamedResult:
-    """Everything of the paper; passes if theory and simulation agree everywhere and every erratum is confirmed."""
-    from doe.report.paper import paper_tables, write_pictures
-    from doe.study.errata import errata
-    from doe.study.paper_figures import figure_1, figure_2
-    from identification.files import write_together
-
-    number = replications or REPLICATIONS
-    targets = [] if folder is None else [folder / f"{name}.parquet" for name in NAMES]
-    prepare(folder, targets, resume or force)
-    tables = {
-        "table_1": table_1(),
-        "table_2": table_2(),
-        "table_3": table_3(number, seed, workers, progress),
-        "text": text_figures(),
-        "errata": errata(number, seed),
-        "figure_1": figure_1(number, seed),
-        "figure_2": figure_2(number, seed),
-    }
-    passed = consistent(tables["table_3"]) and bool(tables["errata"]["confirmed"].all())
-    if folder is not None:
-        write_together({folder / f"{name}.parquet": _bytes(frame) for name, frame in tables.items()}, force=True)
-        write_pictures(folder, tables["figure_1"], tables["figure_2"])
-    return NamedResult(tables, tuple(paper_tables(tables, passed)), passed)
-
-
-NAMES = ("table_1", "table_2", "table_3", "text", "errata", "figure_1", "figure_2")
-
-
-def prepare(folder: Path | None, targets: list[Path], replace: bool) -> None:
-    """Makes the folder; raises `InputError` for files that exist unless they may be replaced."""
-    from identification.errors import InputError
-    from identification.files import check_writable
-
-    if folder is None:
-        return
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror}), allowed: a folder in another one") from None
-    for target in targets:
-        check_writable(target, replace)
-
-
-def _bytes(frame: polars.DataFrame) -> bytes:
-    import io
-
-    buffer = io.BytesIO()
-    frame.write_parquet(buffer)
-    return buffer.getvalue()

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from identification.arm import Array
 
 
+RUNS = tuple(range(4, 21))  # the axis of Figure 2
+
+
 def figure_1(plans: int = REPLICATIONS, seed: int = 0, runs: int = 10, links: int = 4) -> polars.DataFrame:
     """Figure 1: the determinants of random plans, one row per plan; the optimal plan has 1, 1 and 0.
 
@@ -45,9 +48,7 @@ def figure_1(plans: int = REPLICATIONS, seed: int = 0, runs: int = 10, links: in
     )
 
 
-def figure_2(
-    replications: int = REPLICATIONS, seed: int = 0, runs: tuple[int, ...] = tuple(range(4, 21))
-) -> polars.DataFrame:
+def figure_2(replications: int = REPLICATIONS, seed: int = 0, runs: tuple[int, ...] = RUNS) -> polars.DataFrame:
     """Figure 2: deviations of the length and the orientation of every link against m, one row per m and parameter.
 
     `optimal` : curve 1, eq. 25;  `optimal_simulated` : "x", simulated fits of the optimal plan

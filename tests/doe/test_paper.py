@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -11,10 +13,14 @@ import pytest
 from click.testing import CliRunner
 
 from doe.cli.study import command
+from doe.executors import processes, serial
 from doe.report.paper import figure_1_picture, figure_2_picture
+from doe.study import paper_run
 from doe.study.errata import Erratum, errata
 from doe.study.paper import consistent, joint_offset_std, table_1, table_2, table_3, text_figures, verdict
 from doe.study.paper_figures import figure_1, figure_2
+from identification.errors import JobError
+from identification.progress import silent
 
 L = np.array([260.0, 180.0, 120.0, 100.0])
 
@@ -169,6 +175,42 @@ def test_verb(tmp_path: Path) -> None:
     assert len(answer["errata"]) == 14
     names = {f.name for f in (tmp_path / "paper").iterdir()}
     tables = {f"{name}.parquet" for name in ("table_1", "table_2", "table_3", "text", "errata", "figure_1", "figure_2")}
-    assert names == {*tables, "figure_1.svg", "figure_2.svg"}
+    assert names == {*tables, "parts.parquet", "figure_1.svg", "figure_2.svg"}
     assert CliRunner().invoke(command, options).exit_code == 2
     assert "4 links" in CliRunner().invoke(command, [*options, "--force"]).output
+
+
+ARGUMENTS: dict[str, Any] = {"seed": 3, "replications": 60, "force": False, "progress": silent}
+
+
+def test_parts_make_the_same_tables_on_any_workers() -> None:
+    found = paper_run.study(folder=None, workers=processes(2), resume=False, **ARGUMENTS).frames
+    whole = (table_1(), table_2(), table_3(60, 3), text_figures(), errata(60, 3), figure_1(60, 3), figure_2(60, 3))
+    assert tuple(found) == paper_run.NAMES
+    for frame, other in zip(found.values(), whole, strict=True):
+        assert frame.equals(other)
+
+
+def test_resume_keeps_finished_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def stopped(replications: int, seed: int, numbers: Sequence[int]) -> pl.DataFrame:
+        asked.extend(numbers)
+        if numbers[0] == 5 and asked.count(5) == 1:
+            raise KeyboardInterrupt
+        if numbers[0] == 7 and asked.count(7) == 1:
+            raise ValueError("out of luck")
+        return errata(replications, seed, numbers)
+
+    monkeypatch.setattr(paper_run, "errata", stopped)
+    options: dict[str, Any] = {**ARGUMENTS, "folder": tmp_path / "out", "workers": serial()}
+    with pytest.raises(KeyboardInterrupt):
+        paper_run.study(resume=False, **options)
+    with pytest.raises(JobError, match=r"errata: ValueError: out of luck; go on with --resume"):
+        paper_run.study(resume=True, **options)
+    resumed = paper_run.study(resume=True, **options).frames
+    assert sorted(asked) == sorted([*range(14), 5, 7])  # nothing else twice
+    monkeypatch.undo()
+    for name, frame in paper_run.study(folder=None, workers=serial(), resume=False, **ARGUMENTS).frames.items():
+        assert frame.equals(resumed[name])
+        assert frame.equals(pl.read_parquet(tmp_path / "out" / f"{name}.parquet"))
