@@ -51,7 +51,8 @@ def command(
     """Simulate, identify and count: what plans, models and noise do to the accuracy.
 
     STUDY is a file, or the name of a study that comes with armcal: paper (every table, figure and number of the paper,
-    with errata). The folder gets cells.parquet (one row per cell and parameter: errors, deviations, coverage),
+    with errata), blind (diagnoses of data with hidden effects, compared with the truth afterwards; in a source
+    checkout). The folder gets cells.parquet (one row per cell and parameter: errors, deviations, coverage),
     blocks.parquet and plans.parquet; notebooks read them with polars.
     """
     one_thread_each()

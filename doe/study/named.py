@@ -46,7 +46,7 @@ class NamedStudy(Protocol):
 
 
 # name -> where the function is; imported when asked for
-STUDIES: Mapping[str, str] = MappingProxyType({"paper": "doe.study.paper_run:study"})
+STUDIES: Mapping[str, str] = MappingProxyType({"blind": "doe.study.blind:study", "paper": "doe.study.paper_run:study"})
 
 
 def named(name: str) -> NamedStudy:

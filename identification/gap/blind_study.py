@@ -14,31 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from identification.arm import Arm, EffectSpec
+from identification.gap.case import Case
 from identification.gap.diagnose import diagnose
 from identification.gap.diagnosis import Diagnosis
 from identification.gap.fit import fit, links_start
 from identification.gap.whitening import Rows
-from identification.measurements import Measurements
 from identification.model import Model
 from identification.progress import Progress, silent
-
-
-@dataclass(frozen=True)
-class Case:
-    """One data set with its hidden truth.
-
-    effects : keys of the hidden effects that the library has;  place : where an effect outside the library sits
-    specs : the hidden effects as an arm file has them, to fit the true model
-    """
-
-    arm: Arm
-    measurements: Measurements
-    holdout: Measurements | None
-    effects: tuple[str, ...]
-    place: str | None = None
-    specs: tuple[EffectSpec, ...] = ()
-
 
 Simulator = Callable[[str, int], Case]  # (cell, seed) -> case
 

@@ -15,6 +15,8 @@ import numpy as np
 from identification.arm import Array
 from identification.gap.linear import Dictionary
 
+Scatter = tuple[Array, Array]  # residual (N,) and basis (N, p) of the fit that left it
+
 
 @dataclass(frozen=True)
 class Gate:
@@ -45,21 +47,32 @@ def leverage_corrected(residual: Array, model_basis: Array) -> Array:
     return np.einsum("mij,mj->mi", matrices, residual.reshape(-1, 2))
 
 
-def wild_draws(residual: Array, model_basis: Array, draws: int, generator: np.random.Generator) -> Array:
-    """(N, draws) bootstrap residuals: corrected residuals with one random sign per posture, projected off the model."""
-    corrected = leverage_corrected(residual, model_basis)
+def wild_draws(
+    residual: Array, residual_basis: Array, model_basis: Array, draws: int, generator: np.random.Generator
+) -> Array:
+    """(N, draws) bootstrap residuals: corrected residuals with one random sign per posture, projected off the model.
+
+    residual_basis : of the model that left the residual, whose leverages are corrected for
+    """
+    corrected = leverage_corrected(residual, residual_basis)
     signs = generator.integers(0, 2, (len(corrected), draws)) * 2.0 - 1.0
     drawn = (corrected[:, :, None] * signs[:, None, :]).reshape(len(residual), draws)
     return drawn - model_basis @ (model_basis.T @ drawn)
 
 
-def gate(residual: Array, hypotheses: Dictionary, draws: int, generator: np.random.Generator) -> Gate:
-    """Test all hypotheses against the residual (N,) of the fitted model."""
+def gate(
+    residual: Array, hypotheses: Dictionary, draws: int, generator: np.random.Generator, scatter: Scatter | None = None
+) -> Gate:
+    """Test all hypotheses against the residual (N,) of the fitted model.
+
+    scatter : a fit whose residuals show how large the noise is at each posture; None: those of the model itself
+    """
     observed = residual[:, None] - hypotheses.model_basis @ (hypotheses.model_basis.T @ residual[:, None])
     squares = np.square(observed).sum(axis=0)
     falls = hypotheses.reductions(observed)
     p = hypotheses.p_values(falls, squares)[:, 0]
-    drawn = wild_draws(observed[:, 0], hypotheses.model_basis, draws, generator)
+    left, own = scatter or (observed[:, 0], hypotheses.model_basis)
+    drawn = wild_draws(left, own, hypotheses.model_basis, draws, generator)
     smallest = np.sort(hypotheses.smallest_weighted(hypotheses.reductions(drawn), np.square(drawn).sum(axis=0)))
     ranks = np.searchsorted(smallest, p / hypotheses.weights, side="right")
     f = hypotheses.f_values(falls, squares)[:, 0]

@@ -27,7 +27,8 @@ TIED = float(np.exp(-1.0))  # prior weight of equal parameters: costs 2 in BIC
 class Hypothesis:
     """One effect that might be missing.
 
-    weight : prior weight; 1 for an effect, 1/K for each of the K settings that are scanned
+    weight : prior weight; 1 for an effect of the whole arm, n^(-1/2) at each of n joints (between one for each joint
+        and one for all joints together), and of that 1/K for each of K settings that are scanned
     tied : all parameters of a family are taken as equal. Compliance in every joint is seen long before each joint's own
         compliance is, so it is tried with one parameter too; when it is named, each joint gets its own.
     """
@@ -188,7 +189,8 @@ def hypotheses(arm: Arm, given: frozenset[str]) -> HypothesisSet:
             if spec.key in own:
                 skipped[spec.key] = "already in the arm's model"
                 continue
-            members += _with_settings(cls, spec, arm)
+            share = 1.0 if joint is None else 1.0 / np.sqrt(arm.links)
+            members += [replace(h, weight=share * h.weight) for h in _with_settings(cls, spec, arm)]
     return HypothesisSet(arm, tuple(members), skipped, aliases)
 
 

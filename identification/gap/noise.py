@@ -22,6 +22,7 @@ OUTLIER = 6.0  # robust standard deviations of a posture's residual
 MOST_OUTLIERS = 0.15  # share of the rows; more is structure, not outliers
 LEVEL = 0.01  # of each finding, after Holm's correction
 DRAWS = 999
+HINT = 0.2  # Holm-adjusted p-value below which the noise may not be the same everywhere
 GRID = np.geomspace(0.05, 50.0, 31)  # noise variance of the finding relative to the common one
 
 
@@ -78,12 +79,20 @@ def studentised(residual: Array, columns: Array, kept: NDArray[np.bool_]) -> Arr
 
 
 def screen(found: Fit, rows: Rows, generator: np.random.Generator) -> tuple[Finding, ...]:
-    """Test the residuals of a fitted model for structure in their scatter.
+    """The findings about the scatter of a fitted model's residuals.
+
+    rows : with the relative sigma of the data only (no noise model yet)
+    """
+    return _findings(*scatter_tests(found, rows, generator))
+
+
+def scatter_tests(
+    found: Fit, rows: Rows, generator: np.random.Generator
+) -> tuple[dict[str, float], dict[str, Array], dict[str, Array], Array]:
+    """p-value of each kind of structure in the scatter of a fitted model's residuals; statistics, shapes and sample.
 
     Every statistic is a quadratic form of the residuals; its distribution under white Gaussian noise is drawn with the
     same projection off the Jacobian, so it is exact whatever the degrees of freedom.
-
-    rows : with the relative sigma of the data only (no noise model yet)
     """
     position, jacobian = found.model.linearise(rows.postures, found.values, rows.conditions)
     residual, columns = rows.whiten(rows.positions - position), rows.whiten(jacobian)
@@ -97,7 +106,12 @@ def screen(found: Fit, rows: Rows, generator: np.random.Generator) -> tuple[Find
     values["time_noise"] = np.abs(values["time_noise"])
     values["serial_correlation"] = lag_one(sample, rows)
     p = {name: (1.0 + np.sum(v[1:] >= v[0])) / (DRAWS + 1.0) for name, v in values.items()}
-    return _findings(p, values, forms, sample)
+    return p, values, forms, sample
+
+
+def calm(found: Fit, rows: Rows, generator: np.random.Generator) -> bool:
+    """True if nothing hints at noise that is larger at some postures."""
+    return min(holm(scatter_tests(found, rows, generator)[0]).values()) > HINT
 
 
 def variance_forms(rows: Rows, position: Array, jacobian: Array) -> dict[str, Array]:

@@ -8,9 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from identification.gap.fit import Fit, fit, links_start
-from identification.gap.gate import Gate, gate
+from identification.gap.gate import Gate, Scatter, gate
 from identification.gap.hypotheses import Hypothesis, HypothesisSet
-from identification.gap.linear import Dictionary, dictionary
+from identification.gap.linear import Dictionary, basis, dictionary
+from identification.gap.noise import calm
 from identification.gap.whitening import Rows
 from identification.model import Model
 
@@ -83,11 +84,28 @@ class Search:
         if key not in self.tests:
             found = self.fit(chosen)
             members, against = self.rivals(chosen)
-            result = gate(found.residual, against, draws, generator)
+            scatter = self.scatter(chosen, members, against, generator)
+            result = gate(found.residual, against, draws, generator, scatter)
             self.tests[key] = Test(
                 members, result, bic_change(result.falls, against, len(found.residual), found.squares)
             )
         return self.tests[key]
+
+    def scatter(
+        self, chosen: Choice, members: list[Hypothesis], against: Dictionary, generator: np.random.Generator
+    ) -> Scatter | None:
+        """What is left beside the strongest hypothesis, if that looks like the same noise everywhere; else None.
+
+        An effect that is there makes the residuals larger where it is strong, and a bootstrap of them expects just
+        that of chance. Where the noise itself may be larger at some postures, that caution is right.
+        """
+        if self.careful or not members:
+            return None
+        found = self.fit(chosen)
+        falls = against.reductions(found.residual[:, None])
+        p = against.p_values(falls, np.array([found.squares]))[:, 0] / against.weights
+        best = self.fit((*chosen, members[int(np.argmin(p))]))
+        return (best.residual, basis(best.jacobian)) if calm(best, self.rows, generator) else None
 
     def rivals(self, chosen: Choice) -> tuple[list[Hypothesis], Dictionary]:
         """Hypotheses that can still be added to a set, projected off its fit."""

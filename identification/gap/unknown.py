@@ -138,7 +138,7 @@ def _adjusted(shapes: _Shapes, residual: Array, generator: np.random.Generator) 
     q = shapes.against.model_basis
     white = generator.standard_normal((len(q), DRAWS))
     white -= q @ (q.T @ white)
-    return max(_tail(shapes, white), _tail(shapes, wild_draws(residual, q, DRAWS, generator)) * LEVEL / WILD)
+    return max(_tail(shapes, white), _tail(shapes, wild_draws(residual, q, q, DRAWS, generator)) * LEVEL / WILD)
 
 
 def _tail(shapes: _Shapes, drawn: Array) -> float:

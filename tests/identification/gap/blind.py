@@ -3,17 +3,18 @@
 The blind study simulates the truth with this file; diagnosis fits with `identification.model`. Nothing here calls the
 model or its effects. Positions are complex numbers x + iy in millimetres.
 
-The full study: python -m tests.identification.gap.run_study [count per cell] [cell ...]
+The study that uses it: armcal study blind.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.gap.blind_study import Case
+from identification.gap.case import Case
 from identification.measurements import Measurements
 
 G = 9.81
@@ -324,6 +325,7 @@ class CellSpec:
     outside: bool = False
     wrong_masses: bool = False
     families: bool = True  # compliance in all joints at once among the hidden effects
+    designed: bool = False  # the postures of a planner instead of random ones, the same for SAME_ARM sets
 
 
 CELLS = {
@@ -349,7 +351,11 @@ CELLS = {
     "outside, lambda 7": CellSpec(50, 7.0, outside=True),
     "outside, lambda 10": CellSpec(50, 10.0, outside=True),
     "three outliers, lambda 8": CellSpec(50, 8.0, noise="outliers"),
+    "one, lambda 6, discriminating plan": CellSpec(50, 6.0, designed=True),
+    "one, lambda 8, discriminating plan": CellSpec(50, 8.0, designed=True),
 }
+SAME_ARM = 10  # sets in a row that share arm and plan where plans are designed: a good one takes its time
+Planner = Callable[[Arm, int], np.ndarray]  # (arm, m) -> (m, n) postures
 GRAVITY = ("joint_compliance", "link_bending", "gravity_backlash")
 
 
@@ -417,31 +423,91 @@ def place_of(effect: tuple[str, int | None, dict]) -> str:
 
 
 def measure(truth: Truth, run: Session, rng: np.random.Generator, kind: str) -> Measurements:
-    p = position(truth, run) + noise(truth, run, rng, kind)
+    return recorded(truth, run, noise(truth, run, rng, kind))
+
+
+def recorded(truth: Truth, run: Session, error: np.ndarray) -> Measurements:
+    """What the instrument says."""
+    p = position(truth, run) + error
     order = np.arange(len(run.q), dtype=float)
     xy = np.column_stack([p.real, p.imag])
     return Measurements(run.q, xy, order, temperature=20.0 + run.warm, directions=run.s)
 
 
-def case(cell: str, seed: int) -> Case:
-    """The case of a cell; 200 fresh postures of the same session are held out."""
-    spec = CELLS[cell]
-    rng = np.random.default_rng([20261121, list(CELLS).index(cell), seed])
-    truth = truth_of(spec, rng)
-    m = max(spec.m, truth.n + 4)
-    run = session(truth, rng.uniform(truth.lower, truth.upper, (m, truth.n)), rng)
-    truth = replace(truth, effects=hidden(spec, truth, run, rng))
-    fresh = session(truth, rng.uniform(truth.lower, truth.upper, (200, truth.n)), rng)
+def measure_more(
+    truth: Truth,
+    run: Session,
+    data: Measurements,
+    postures: np.ndarray,
+    payload: np.ndarray | None,
+    directions: np.ndarray | None,
+    rng: np.random.Generator,
+) -> Measurements:
+    """The same session goes on: the data with (K) further postures at their end."""
+    m, count = len(data), len(postures)
+    q = np.vstack([data.postures, postures])
+    s = session(truth, q, rng).s[m:] if directions is None else directions
+    added = Session(
+        postures,
+        0.5 + np.arange(1, count + 1) / (m - 1),
+        rng.normal(0.0, 1.0, count),
+        s,
+        np.full(count, truth.payload) if payload is None else payload,
+    )
+    p = position(truth, added) + noise(truth, added, rng)
+    return Measurements(
+        q,
+        np.vstack([data.positions, np.column_stack([p.real, p.imag])]),
+        np.arange(m + count, dtype=float),
+        temperature=20.0 + np.concatenate([run.warm, added.warm]),
+        directions=np.vstack([data.directions, s]),
+        payload=np.concatenate([run.payload, added.payload]),
+    )
+
+
+def arm_of(spec: CellSpec, truth: Truth, rng: np.random.Generator) -> Arm:
+    """The arm as its maker describes it."""
     masses = truth.masses * rng.uniform(0.7, 1.3, truth.n) if spec.wrong_masses else truth.masses
     gravity = Gravity(np.array([0.0, -G]), masses, truth.center, truth.payload)
-    arm = Arm(truth.lengths, truth.lower, truth.upper, truth.sigma, gravity=gravity)
+    return Arm(truth.lengths, truth.lower, truth.upper, truth.sigma, gravity=gravity)
+
+
+def case(cell: str, seed: int, planner: Planner | None = None) -> Case:
+    """The case of a cell; 200 fresh postures of the same session are held out.
+
+    planner : makes the postures of cells whose plan is designed
+    """
+    spec = CELLS[cell]
+    rng = np.random.default_rng([20261121, list(CELLS).index(cell), seed])
+    shared = np.random.default_rng([20261122, list(CELLS).index(cell), seed // SAME_ARM]) if spec.designed else rng
+    truth = truth_of(spec, shared)
+    m = max(spec.m, truth.n + 4)
+    if spec.designed:
+        assert planner is not None
+        postures = planner(arm_of(spec, truth, shared), m)
+    else:
+        postures = rng.uniform(truth.lower, truth.upper, (m, truth.n))
+    run = session(truth, postures, rng)
+    truth = replace(truth, effects=hidden(spec, truth, run, rng))
+    fresh = session(truth, rng.uniform(truth.lower, truth.upper, (200, truth.n)), rng)
+    arm = arm_of(spec, truth, rng)
     outside = [e for e in truth.effects if e[0] in OUTSIDE]
     inside = [e for e in truth.effects if e[0] not in OUTSIDE]
+    error = noise(truth, run, rng, spec.noise)
+    data = recorded(truth, run, error)
+    wrong = np.flatnonzero(np.abs(error) > 10.0 * truth.sigma) + 1 if spec.noise == "outliers" else ()
+
+    def more(q: np.ndarray, payload: np.ndarray | None, directions: np.ndarray | None, number: int) -> Measurements:
+        later = np.random.default_rng([20261123, list(CELLS).index(cell), seed, number])
+        return measure_more(truth, run, data, q, payload, directions, later)
+
     return Case(
         arm,
-        measure(truth, run, rng, spec.noise),
+        data,
         measure(truth, fresh, rng, "white") if spec.lam is not None else None,
         tuple(key(e) for e in inside),
         place_of(outside[0]) if outside else None,
         tuple(EffectSpec(e[0], e[1], {"k": float(e[2]["k"])} if "k" in e[2] else {}) for e in inside),
+        tuple(map(int, wrong)),
+        more,
     )

@@ -23,7 +23,7 @@ def test_draws_are_orthogonal_to_the_model_and_keep_each_postures_direction() ->
     rng = np.random.default_rng(2)
     jacobian, residual = rng.normal(size=(12, 3)), rng.normal(size=12)
     q = basis(jacobian)
-    drawn = wild_draws(residual, q, 50, rng)
+    drawn = wild_draws(residual, q, q, 50, rng)
     np.testing.assert_allclose(q.T @ drawn, 0.0, atol=1e-12)
     corrected = leverage_corrected(residual, q).ravel()
     project = np.eye(12) - q @ q.T

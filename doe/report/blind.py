@@ -1,0 +1,167 @@
+"""The blind study: tables for a terminal and the confusion matrix as a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from doe.report.pictures import save
+from identification.arm import Array
+
+if TYPE_CHECKING:
+    import polars
+    from matplotlib.figure import Figure
+
+    from doe.study.blind_score import BlindStudy
+
+COLUMNS = {
+    "alarm": "alarm",
+    "exact": "exact",
+    "class": "class",
+    "in the set": "in set",
+    "size of the set": "size",
+    "located": "located",
+    "gap / true": "gap/true",
+}
+SHARES = ("alarm", "exact", "class", "in the set", "located")
+COLORS = {"met": "green", "within its error": "yellow", "missed": "red"}
+
+
+def blind_tables(found: BlindStudy) -> list[Any]:
+    """Verdict, cells, further postures, bars, and what was taken for what."""
+    return [str(found), cell_table(found.cells), *further_tables(found.cells), bar_table(found.bars), *mistakes(found)]
+
+
+def cell_table(cells: polars.DataFrame) -> Table:
+    """One row per cell, with the largest standard error of its shares; each figure's own is in the file."""
+    table = Table(title="Blind study", title_justify="left", box=SIMPLE_HEAD, padding=(0, 0, 0, 1))
+    table.add_column("hidden", no_wrap=True)
+    table.add_column("sets", justify="right", no_wrap=True)
+    for heading in COLUMNS.values():
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("+-", justify="right", no_wrap=True)
+    for part in cells.partition_by("cell", maintain_order=True):
+        figures = {row["measure"]: row for row in part.iter_rows(named=True)}
+        shown = ("" if name not in figures else f"{figures[name]['value']:.3f}" for name in COLUMNS)
+        error = max(row["standard_error"] for name, row in figures.items() if name in SHARES)
+        table.add_row(part["cell"][0], str(figures["alarm"]["count"]), *shown, f"{error:.3f}")
+    return table
+
+
+def with_error(row: dict[str, Any]) -> str:
+    """`.931(13)`: the value and its standard error in units of its last digit."""
+    value = f"{row['value']:.3f}".removeprefix("0" if row["value"] < 1.0 else "")
+    error = 1000.0 * row["standard_error"]
+    return f"{value}({error:.0f})" if np.isfinite(error) else value
+
+
+def further_tables(cells: polars.DataFrame) -> list[Table]:
+    """What further postures make of ambiguous sets."""
+    rows = {row["measure"]: row for row in cells.iter_rows(named=True) if row["measure"].split(" ")[0] in WAYS}
+    if not rows:
+        return []
+    count = next(iter(rows.values()))["count"]
+    table = Table(title=f"{count} ambiguous sets after further postures", title_justify="left")
+    for heading in ("postures", "right", "gravity", "others", "right and alone", "right class", "predicted"):
+        table.add_column(heading, justify="left" if heading == "postures" else "right")
+    for way, told in WAYS.items():
+        names = [f"{way} {measure}" for measure in FURTHER_MEASURES]
+        if names[0] in rows:
+            table.add_row(told, *(with_error(rows[name]) if name in rows else "" for name in names))
+    return [table]
+
+
+FURTHER_MEASURES = ("right", "right, gravity", "right, others", "right, alone", "class", "predicted")
+WAYS = {
+    "next_2": "2 of armcal discriminate",
+    "loaded_2": "2, two payloads",
+    "random_2": "2 at random",
+    "next_8": "8 of armcal discriminate",
+    "loaded_8": "8, two payloads",
+    "random_8": "8 at random",
+}
+
+
+def bar_table(bars: polars.DataFrame) -> Table:
+    """What is asked and how it came out."""
+    table = Table(title="Bars", title_justify="left")
+    for heading in ("cell", "measure", "asked", "measured", "outcome"):
+        table.add_column(heading, justify="right" if heading in ("asked", "measured") else "left")
+    for row in bars.iter_rows(named=True):
+        outcome = f"[{COLORS[row['outcome']]}]{row['outcome']}[/]"
+        table.add_row(row["cell"], row["measure"], row["asked"], with_error(row), outcome)
+    return table
+
+
+def mistakes(found: BlindStudy, most: int = 12) -> list[Table]:
+    """The most frequent wrong names, joints left out."""
+    pairs = found.confusion.iter_rows(named=True)
+    wrong = [row for row in pairs if row["hidden"] != row["named"] and not _flagged(row)]
+    if not wrong:
+        return []
+    table = Table(title="Most frequent mistakes between classes", title_justify="left")
+    for heading in ("hidden", "named", "sets"):
+        table.add_column(heading, justify="right" if heading == "sets" else "left")
+    for row in wrong[:most]:
+        table.add_row(row["hidden"], row["named"], str(row["count"]))
+    return [table]
+
+
+def _flagged(row: dict[str, Any]) -> bool:
+    return bool(row["hidden"] == "outside the library" and row["named"].endswith("unknown"))
+
+
+# -- picture -----------------------------------------------------------------------------------------------------------
+def write_pictures(folder: Path, found: BlindStudy) -> None:
+    """confusion.png in the folder, replaced if it is there."""
+    if len(found.confusion):
+        save(confusion_figure(found.confusion), folder / "confusion.png", force=True)
+
+
+def confusion_figure(confusion: polars.DataFrame) -> Figure:
+    """Share of the sets with a class hidden (row) in which a class was named (column); single classes only."""
+    from matplotlib.figure import Figure
+
+    rows, columns, shares, totals = matrix(confusion)
+    figure = Figure(figsize=(1.5 + 0.55 * len(columns), 1.8 + 0.42 * len(rows)), layout="constrained")
+    axes = figure.add_subplot()
+    axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    axes.set_xticks(range(len(columns)), columns, rotation=45, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(rows)), [f"{name} ({total})" for name, total in zip(rows, totals, strict=True)])
+    for (i, j), share in np.ndenumerate(shares):
+        if share >= 0.0005:
+            color = "white" if share > 0.5 else "black"
+            axes.text(j, i, f"{share:.3f}".lstrip("0"), ha="center", va="center", color=color, fontsize=7)
+    axes.set_xlabel("named")
+    axes.set_ylabel("hidden (data sets)")
+    axes.set_title("What was hidden and what was named: share of each row")
+    return figure
+
+
+def matrix(confusion: polars.DataFrame) -> tuple[list[str], list[str], Array, list[int]]:
+    """Row names, column names, shares and row totals; sets with several effects hidden are left out."""
+    counts = {(row["hidden"], row["named"]): row["count"] for row in confusion.iter_rows(named=True)}
+    hidden = _ordered({a for a, _ in counts if " + " not in a})
+    named = _ordered(({*hidden, "unknown"} - {"outside the library"}) | {_column(b) for a, b in counts if a in hidden})
+    shares = np.zeros((len(hidden), len(named)))
+    for (a, b), count in counts.items():
+        if a in hidden:
+            shares[hidden.index(a), named.index(_column(b))] += count
+    totals = shares.sum(axis=1)
+    return hidden, named, shares / totals[:, None], [int(total) for total in totals]
+
+
+def _column(named: str) -> str:
+    """Several names at once share a column, unless the rest of the gap stayed unknown."""
+    return "unknown" if named.endswith("unknown") else "several" if " + " in named else named
+
+
+def _ordered(names: set[str]) -> list[str]:
+    """Alphabetical, special ones last."""
+    last: Sequence[str] = ("nothing", "several", "outside the library", "unknown")
+    return sorted(names - set(last)) + [name for name in last if name in names]
