@@ -8,6 +8,7 @@ there.
 from __future__ import annotations
 
 import hashlib
+import logging
 import multiprocessing
 import multiprocessing.connection
 import os
@@ -16,7 +17,16 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    InvalidStateError,
+    ProcessPoolExecutor,
+    wait,
+)
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from itertools import count
@@ -87,19 +97,29 @@ def using(executor: Executor, at_once: int = 8) -> Workers:
 def cluster(address: str, patience: float = 10.0) -> Workers:
     """An existing dask cluster, `tcp://host:port` of its scheduler; its workers need this package installed.
 
-    patience : time to wait for an answer [s]
+    patience : time to wait for an answer, and for a first worker [s]
 
-    Raises `InputError` if dask is not installed or nothing answers there.
+    Raises `InputError` if dask is not installed, nothing answers there, or no worker is connected.
     """
     try:
         from distributed import Client
+        from distributed.comm import get_address_host_port
     except ImportError:
         raise InputError("--cluster: dask is not installed, allowed: pip install 'armcal[cluster]'") from None
     try:
+        get_address_host_port(address, strict=True)  # a client of a bad address hangs when it is thrown away
+    except (ValueError, TypeError, NotImplementedError):
+        raise InputError(f"--cluster: found {address!r}, allowed: an address as tcp://host:8786") from None
+    try:
         client = Client(address, timeout=patience, set_as_default=False)
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise InputError(f"--cluster {address}: no scheduler answers ({one_line(error)})") from None
     with client:
+        try:
+            client.wait_for_workers(1, timeout=patience)
+        except TimeoutError:
+            how = f"some, started with `dask worker {address}`"
+            raise InputError(f"--cluster {address}: the scheduler has no workers, allowed: {how}") from None
         threads = sum(client.nthreads().values())
     return Workers(lambda: _cluster_executor(address), max(threads, 1))
 
@@ -147,8 +167,19 @@ def _end_with_the_parent() -> None:
 def _cluster_executor(address: str) -> Iterator[Executor]:
     from distributed import Client
 
-    with Client(address, set_as_default=False) as client, client.get_executor() as executor:
-        yield executor
+    loop = logging.getLogger("tornado.application")
+    loop.addFilter(_not_a_cancellation)
+    try:
+        with Client(address, set_as_default=False) as client, client.get_executor() as executor:
+            yield executor
+    finally:
+        loop.removeFilter(_not_a_cancellation)
+
+
+def _not_a_cancellation(record: logging.LogRecord) -> bool:
+    """False for what dask's loop says of a task that finishes while Ctrl-C cancels it: nothing went wrong."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not isinstance(error, InvalidStateError | CancelledError)
 
 
 def run(

@@ -175,7 +175,7 @@ def test_cluster_with_a_killed_worker_gives_the_same_bits(tmp_path: Path) -> Non
 def ready(address: str, count: int) -> Workers:
     """The cluster, once its workers have come."""
     for _ in range(60):
-        workers = cluster(address)
+        workers = cluster(address, patience=30.0)
         if workers.count == count:
             return workers
         time.sleep(0.5)
@@ -186,6 +186,28 @@ def test_no_scheduler_is_one_line() -> None:
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match="no scheduler answers"):
         cluster("tcp://127.0.0.1:1", patience=1.0)
+
+
+@pytest.mark.parametrize("address", ["nonsense", "tcp://host", ""])
+def test_bad_address_is_one_line_at_once(address: str) -> None:
+    pytest.importorskip("distributed")
+    with pytest.raises(InputError, match=r"--cluster: found '.*', allowed: an address as tcp://host:8786"):
+        cluster(address)
+
+
+def test_scheduler_without_workers_is_one_line() -> None:
+    pytest.importorskip("distributed")
+    port = free_port()
+    address = f"tcp://127.0.0.1:{port}"
+    with ExitStack() as stack:
+        stack.enter_context(started(stack, "dask_scheduler", "--host", address, "--no-dashboard"))
+        for _ in range(300):
+            with socket.socket() as stream:
+                if stream.connect_ex(("127.0.0.1", port)) == 0:
+                    break
+            time.sleep(0.1)
+        with pytest.raises(InputError, match=f"the scheduler has no workers.*dask worker {address}"):
+            cluster(address, patience=1.0)
 
 
 def test_choice_of_workers() -> None:
