@@ -38,7 +38,7 @@ def _figures_table(title: str, rows: polars.DataFrame) -> Table:
     """Printed, theory and simulation side by side."""
     table = Table(title=title, title_justify="left")
     for heading in ("place", "links", "runs", "item"):
-        table.add_column(heading)
+        table.add_column(heading, no_wrap=heading == "item", overflow="fold")
     for heading in ("printed", "theory", "simulated"):
         table.add_column(heading, justify="right")
     table.add_column("unit")
@@ -74,6 +74,9 @@ def errata_table(rows: polars.DataFrame) -> Table:
     return table
 
 
+TICKS = [digit * 10.0**power for power in range(-4, 1) for digit in (1, 2, 5)]
+
+
 def figure_1_picture(data: polars.DataFrame) -> Figure:
     """Figure 1: determinants of random plans, the optimal plan marked."""
     from matplotlib.figure import Figure
@@ -106,6 +109,9 @@ def figure_2_picture(data: polars.DataFrame) -> Figure:
             axes.plot(m, rows["random_mean"].to_numpy(), "--", color=color, lw=1)
         axes.set(xlabel="measurements m", ylabel=f"standard deviation of the {kind.replace('_', ' ')} [{unit}]")
         axes.set(yscale="log", xticks=np.arange(4, 21, 4))
+        axes.set_yticks([tick for tick in TICKS if axes.get_ylim()[0] < tick < axes.get_ylim()[1]])
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("")
     panels[1].legend(fontsize=8)
     figure.suptitle(
         "line: eq. 25;  x: optimal plan, simulated;  o: one random plan, simulated;  dashed: mean over random plans",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -20,7 +21,8 @@ from identification.measurements import Measurements
 from identification.model import Model
 
 Z_95 = 1.959963984540054  # two-sided 95 % of the normal distribution
-CHUNK = 20_000  # rows of random plans at a time
+CHUNK = 20_000  # rows of random plans at a time: their arrays stay in the processor's cache
+MOST_ROWS = 4_000_000  # of one plan at a time: 64 MB of positions
 
 
 @dataclass(frozen=True)
@@ -111,8 +113,11 @@ def block(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | str) -
     if 2 * cell.runs < unknowns:
         raise JobError(f"{cell.runs} runs are {2 * cell.runs} equations, allowed: at least {unknowns}, one per unknown")
     generator = np.random.default_rng(seed)
-    fits = (_random_plans if cell.postures_deg is None else _one_plan)(cell, generator, key["replications"])
-    return _rows(cell, fits)
+    shared = cell.postures_deg is not None
+    fit, count = _one_plan if shared else _new_plans, key["replications"]
+    size = max(1, (MOST_ROWS if shared else CHUNK) // cell.runs)
+    parts = [fit(cell, generator, min(size, count - start)) for start in range(0, count, size)]
+    return _rows(cell, joined(parts, shared))
 
 
 @dataclass(frozen=True)
@@ -128,6 +133,16 @@ class Fits:
     expected_std: Array
 
 
+def joined(parts: Sequence[Fits], shared: bool) -> Fits:
+    """The fits of all parts, which share one plan or have plans of their own."""
+    expected = [part.expected_std for part in parts]
+    return Fits(
+        np.concatenate([part.parameters for part in parts]),
+        np.concatenate([part.rss for part in parts]),
+        expected[0] if shared else np.concatenate(expected),
+    )
+
+
 def _one_plan(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
     """Data sets on the cell's plan."""
     positions = cell.sigma * generator.standard_normal((count, cell.runs, 2))
@@ -137,14 +152,8 @@ def _one_plan(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
     return Fits(parameters, np.array(found.rss), cell.expected_std[None])
 
 
-def _random_plans(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
-    """A plan of its own for each data set, uniform within the joint limits."""
-    size = max(1, CHUNK // cell.runs)
-    parts = [_new_plans(cell, generator, min(size, count - start)) for start in range(0, count, size)]
-    return Fits(*(np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])))
-
-
 def _new_plans(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
+    """A plan of its own for each data set, uniform within the joint limits."""
     arm, model = cell.model.arm, cell.model
     postures = generator.uniform(arm.lower, arm.upper, (count, cell.runs, arm.links))
     noise = cell.sigma * generator.standard_normal((count, cell.runs, 2))

@@ -11,7 +11,7 @@ import numpy as np
 
 from doe.plan import Plan
 from doe.plan_file import load_plan
-from doe.study.schema import StudyFile, check
+from doe.study.schema import MOST_BLOCK, MOST_REPLICATIONS, MOST_RUNS, StudyFile, check
 from identification.arm import Arm, Calibration, EffectSpec, readonly
 from identification.arm_file import arm_from_tables, load_arm
 from identification.errors import InputError, nearest
@@ -19,6 +19,7 @@ from identification.files import PathLike, read_toml
 from identification.model import Model
 
 DFT, RANDOM = "dft", "random"
+MOST_TASKS = 100_000  # of a cell: each is a row of a table
 
 
 @dataclass(frozen=True)
@@ -100,8 +101,24 @@ class Study:
         names = [arm.name for arm in self.arms]
         if len(set(names)) < len(names):
             raise InputError(f"arms: two arms are named {max(names, key=names.count)!r}, allowed: names of their own")
+        self._check_numbers()
         for arm in self.arms:
             self._check(arm)
+
+    def _check_numbers(self) -> None:
+        """The same limits as in a file, for those who write Python."""
+        counts = [("replications", self.replications, MOST_REPLICATIONS), ("block", self.block, MOST_BLOCK)]
+        for name, value, most in [*counts, *(("runs", runs, MOST_RUNS) for runs in self.runs)]:
+            if not (isinstance(value, int | np.integer) and 1 <= value <= most):
+                raise InputError(f"{name}: found {value!r}, allowed: a whole number >= 1, at most {most:,}")
+        for sigma in self.sigma:
+            if not 0.0 < sigma < np.inf:
+                raise InputError(f"sigma_mm: found {sigma!r}, allowed: numbers > 0 [mm]")
+        if self.replications / self.block > MOST_TASKS:
+            least = -(-self.replications // MOST_TASKS)
+            raise InputError(
+                f"block: found {self.block}, allowed: at least {least} for {self.replications} replications"
+            )
 
     @property
     def _named(self) -> list[tuple[str, Sequence[Truth | Fitted]]]:

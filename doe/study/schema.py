@@ -10,6 +10,7 @@ from identification.errors import InputError, nearest
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
+MOST_RUNS, MOST_REPLICATIONS, MOST_BLOCK = 100_000, 1_000_000_000, 1_000_000  # of a cell, a cell, and a task
 
 
 class _Table(BaseModel):
@@ -37,10 +38,18 @@ class StudyFile(_Table):
 
     arms: list[str] = Field(min_length=1, description="names of arm files, at least one")
     plans: list[str] = Field(min_length=1, description="names of solvers, 'dft', 'random' or plan files, at least one")
-    runs: list[Count] = Field(default_factory=list, description="whole numbers >= 1")
-    sigma_mm: list[Positive] | None = Field(None, description="numbers > 0 [mm]; left out: the arm's own")
-    replications: Count = Field(10_000, description="a whole number >= 1")
-    block: Count = Field(10_000, description="a whole number >= 1: replications per task")
+    runs: list[Annotated[Count, Field(le=MOST_RUNS)]] = Field(
+        default_factory=list, description=f"whole numbers >= 1, at most {MOST_RUNS:,}"
+    )
+    sigma_mm: list[Positive] | None = Field(
+        None, min_length=1, description="numbers > 0 [mm], at least one; left out: the arm's own"
+    )
+    replications: Annotated[Count, Field(le=MOST_REPLICATIONS)] = Field(
+        10_000, description=f"a whole number >= 1, at most {MOST_REPLICATIONS:,}"
+    )
+    block: Annotated[Count, Field(le=MOST_BLOCK)] = Field(
+        10_000, description=f"a whole number >= 1, at most {MOST_BLOCK:,}: replications per task"
+    )
     solver_seconds: Positive = Field(60.0, description="a number > 0 [s]")
     truths: list[TruthTable] | None = Field(None, min_length=1, description="tables [[truths]], at least one")
     models: list[ModelTable] | None = Field(None, min_length=1, description="tables [[models]], at least one")

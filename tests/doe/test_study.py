@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -268,6 +269,11 @@ def test_file_is_read(folder: Path) -> None:
         ('plans = ["dft"', 'plans = ["dtf"', "did you mean 'dft'"),
         ("replications = 50", "replicatons = 50", "replicatons: unknown key, did you mean 'replications'"),
         ("replications = 50", "replications = 0", "replications: found 0, allowed: a whole number >= 1"),
+        ("replications = 50", f"replications = 1{23 * '0'}", "allowed: a whole number >= 1, at most 1,000,000,000"),
+        ("replications = 50", "replications = 1000000\nblock = 1", "block: found 1, allowed: at least 10 for"),
+        ("replications = 50", "sigma_mm = []", "sigma_mm: found [], allowed: numbers > 0 [mm], at least one"),
+        ("replications = 50", "sigma_mm = [nan]", "sigma_mm[1]: found nan, allowed: numbers > 0 [mm]"),
+        ("runs = [5]", "runs = [1000000000000]", "runs[1]: found 1000000000000, allowed: whole numbers >= 1, at most"),
         ("runs = [5]", "runs = [5, 2.5]", r"runs[2]: found 2.5, allowed: whole numbers >= 1"),
         ("runs = [5]", "", "runs: is missing"),
         ("length_errors_mm = [1.0,", "length_errors_mm = [1.0, 2.0,", "has 3 values for 2 links"),
@@ -292,6 +298,34 @@ def test_bad_file_is_one_line(folder: Path, old: str, new: str, found: str) -> N
 def test_noise_is_needed() -> None:
     with pytest.raises(InputError, match="sigma_mm: is missing"):
         Study([replace(ARM, sigma=None)], ["dft"], [4])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"replications": 0},
+        {"block": 2.5},
+        {"runs": [0]},
+        {"runs": [10**7]},
+        {"sigma": [float("nan")]},
+        {"sigma": [0.0]},
+    ],
+)
+def test_numbers_are_checked_in_python_too(wrong: dict[str, Any]) -> None:
+    good = {"arms": [ARM], "plans": ["dft"], "runs": [4]}
+    (name,) = wrong
+    with pytest.raises(InputError, match=rf"^{name}\w*: found .*, allowed: "):
+        Study(**{**good, **wrong})
+
+
+def test_parts_of_a_block_are_one_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Long plans go through memory in parts: the same draws, and sums that do not tell."""
+    study = Study([ARM], ["dft"], [6], truths=[PAPER], replications=50)
+    whole = run_study(study).cells
+    monkeypatch.setattr("doe.study.fits.MOST_ROWS", 6 * 7)
+    parts = run_study(study).cells
+    numbers = ["mean_error", "std", "expected_std", "coverage", "rms_mm"]
+    np.testing.assert_allclose(parts.select(numbers).to_numpy(), whole.select(numbers).to_numpy(), rtol=1e-9)
 
 
 def test_names_are_unique() -> None:
