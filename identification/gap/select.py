@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from scipy.special import fdtrc
 
 from identification.gap.fit import Fit, fit, links_start
 from identification.gap.gate import Gate, Scatter, gate
@@ -17,6 +18,9 @@ from identification.model import Model
 
 MOST = 4  # effects at once
 ALPHA_FIRST, ALPHA_NEXT = 0.035, 0.005  # below 0.05 and 0.01: screening and the look for the unknown take their part
+# Two effects can hide each other from the gate; both at once must then be far beyond chance, and one alone not absurd
+ALPHA_PAIR, PAIR_HINT = 1e-5, 0.35
+PAIR_STARTS = 3
 CAREFUL = 0.5  # factor on the levels where the noise model, too, was estimated from the data
 MARGIN = 8.0  # linear BIC within which rivals are refitted
 REFITS = 6
@@ -177,6 +181,8 @@ def select(search: Search, draws: int, generator: np.random.Generator) -> Select
     while len(chosen) < MOST:
         level = (ALPHA_NEXT if chosen else ALPHA_FIRST) * (CAREFUL if search.careful else 1.0)
         longer = best_of(search, chosen, tested.members, np.where(tested.gate.adjusted <= level, tested.change, np.inf))
+        if longer is None and not chosen and tested.gate.smallest <= PAIR_HINT:
+            longer = pair(search, tested, generator)
         if longer is None or search.bic(longer) >= search.bic(chosen):
             break
         chosen = swapped(search, longer)
@@ -185,6 +191,37 @@ def select(search: Search, draws: int, generator: np.random.Generator) -> Select
     if len(shorter) < len(chosen):
         chosen, tested = shorter, search.tested(shorter, draws, generator)
     return Selection(chosen, neighbours(search, chosen), first, tested)
+
+
+def pair(search: Search, tested: Test, generator: np.random.Generator) -> Choice | None:
+    """The best two effects at once, if together they are significant under noise that is the same everywhere.
+
+    F test of both against neither, times the weighted number of pairs (Bonferroni).
+    """
+    if search.careful:
+        return None
+    starts = [tested.members[k].free for k in np.argsort(tested.change, kind="stable")[:PAIR_STARTS]]
+    best = min((two for one in starts if (two := _with_second(search, one)) is not None), key=search.bic, default=None)
+    if best is None:
+        return None
+    before, after = search.fit(()), search.fit(best)
+    size = after.rank - before.rank
+    f = (before.squares - after.squares) / size / (after.squares / after.freedom)
+    pairs = sum(h.weight for h in search.hypotheses.members) ** 2 / 2.0 / np.prod([h.weight for h in best])
+    if fdtrc(size, after.freedom, f) * pairs > ALPHA_PAIR or not calm(after, search.rows, generator):
+        return None
+    return best
+
+
+def _with_second(search: Search, one: Hypothesis) -> Choice | None:
+    """A hypothesis and the one that lowers the linear BIC most beside it."""
+    found = search.fit((one,))
+    members, against = search.rivals((one,))
+    if not members:
+        return None
+    falls = against.reductions(found.residual[:, None])[:, 0]
+    change = bic_change(falls, against, len(found.residual), found.squares)
+    return (one, members[int(np.argmin(change))].free)
 
 
 def exchanges(search: Search, chosen: Choice) -> list[Choice]:
