@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from doe.problem import DesignProblem
 from doe.rows import Row
+from doe.solvers.feasible import random_postures
 from identification.arm import Array
 from identification.arm_file import arm_from_tables
 from identification.errors import JobError
@@ -43,6 +45,11 @@ class Cell:
     def model(self) -> Model:
         """What is fitted."""
         return Model(arm_from_tables(tomllib.loads(self.arm)))
+
+    @cached_property
+    def problem(self) -> DesignProblem:
+        """Where random postures may lie: joint limits and constraints."""
+        return DesignProblem.of(self.model)
 
     @cached_property
     def true_model(self) -> Model:
@@ -153,9 +160,9 @@ def _one_plan(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
 
 
 def _new_plans(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
-    """A plan of its own for each data set, uniform within the joint limits."""
-    arm, model = cell.model.arm, cell.model
-    postures = generator.uniform(arm.lower, arm.upper, (count, cell.runs, arm.links))
+    """A plan of its own for each data set, uniform over the allowed postures."""
+    model = cell.model
+    postures = random_postures(cell.problem, count * cell.runs, generator).reshape(count, cell.runs, -1)
     noise = cell.sigma * generator.standard_normal((count, cell.runs, 2))
     conditions = sessions(postures)
     found = estimate_each(model, postures, cell.true_model.position(postures, conditions=conditions) + noise)

@@ -67,8 +67,8 @@ class Study:
     """A Monte Carlo study.
 
     arms : nominal arms;  runs : numbers of measurements m
-    plans : solver names, "dft" (theta_j = 2 pi i j / m), "random" (a new plan for each replication), or given plans,
-        which have a number of runs of their own
+    plans : solver names, "dft" (theta_j = 2 pi i j / m), "random" (a new plan for each replication, uniform
+        over the allowed postures), or given plans, which have a number of runs of their own
     sigma : standard deviations of the measurement [mm], empty: each arm's own
     truths, models : what is simulated, and what is fitted
     replications : simulated data sets of each cell, done `block` at a time

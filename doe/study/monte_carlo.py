@@ -119,7 +119,10 @@ def _dft(arm: Arm, runs: int) -> np.ndarray | str:
     if runs < arm.links:
         return f"plan dft: {runs} runs cannot tell {arm.links} links apart, allowed: at least {arm.links}"
     outside = np.flatnonzero(np.any((postures < arm.lower) | (postures > arm.upper), axis=0))
-    return f"plan dft: joint {outside[0] + 1} would leave its limits" if outside.size else postures
+    if outside.size:
+        return f"plan dft: joint {outside[0] + 1} would leave its limits"
+    lost = np.flatnonzero(~DesignProblem.of(Model(arm)).feasible(postures))
+    return f"plan dft: posture {lost[0] + 1} would violate a constraint" if lost.size else postures
 
 
 def _postures(row: Row) -> np.ndarray | str:

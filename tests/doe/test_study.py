@@ -19,9 +19,9 @@ from doe.plan import Plan
 from doe.rows import frame_of
 from doe.study import Fitted, Study, Truth, cells, dft_postures, load_study, run_study
 from doe.study.fits import Cell
-from identification.arm import Arm, EffectSpec
+from identification.arm import Arm, EffectSpec, WorkspaceBox
 from identification.errors import InputError
-from identification.estimation import estimate_each
+from identification.estimation import BatchFit, estimate_each
 from identification.model import Model
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
@@ -171,6 +171,25 @@ def test_effects_on_random_plans() -> None:
     found = run_study(study).cells
     assert found["fits"][0] == 40
     assert ((found["mean_error"] / found["mean_error_se"]).abs() < 4.5).all()
+
+
+def test_plans_keep_to_the_constraints(monkeypatch: pytest.MonkeyPatch) -> None:
+    boxed = replace(ARM, constraints=(WorkspaceBox((-800.0, 800.0), (0.0, 800.0)),), name="boxed")
+    seen = []
+
+    def spy(model: Model, postures: np.ndarray, measured: np.ndarray) -> BatchFit:
+        seen.append(postures)
+        return estimate_each(model, postures, measured)
+
+    monkeypatch.setattr("doe.study.fits.estimate_each", spy)
+    found = run_study(Study([boxed], ["random", "dft"], [8], truths=[PAPER], replications=300)).cells
+    heights = positions(np.concatenate(seen), LENGTHS, np.zeros(4))[..., 1]
+    assert heights.shape == (300, 8)
+    assert heights.min() >= 0.0
+    assert found.filter(plan="random")["status"].to_list() == ["done"] * 12
+    (reason,) = set(found.filter(plan="dft")["error"])
+    assert "plan dft: posture" in reason
+    assert "would violate a constraint" in reason
 
 
 def small_study() -> Study:
