@@ -64,6 +64,8 @@ def test_studies_are_fast() -> None:
         ("Table III, 4 links, 20 points, 10,000", table_3, serial(), 0.5, 20.0),
         ("closed form, 1,000,000", replace(table_3, replications=1_000_000), serial(), 5.0, 60.0),
         ("two effects, 100,000, two cores", two, processes(2), 20.0, 2.0),
+        # new plans cost a Jacobian of their own, twice: for the fit and for the deviation that eq. 16 expects
+        ("the same on 100,000 random plans", replace(two, plans=["random"], runs=[20]), processes(2), 20.0, 0.5),
     ):
         began = time.perf_counter()
         result = run_study(study, None, workers)
