@@ -21,11 +21,9 @@ import numpy as np
 
 import identification
 from doe.executors import Workers, run
-from doe.rows import Key, Row, RowTable
+from doe.rows import Key, Row, RowTable, canonical
 from doe.study.blind_score import BlindStudy, score
 from doe.study.named import NamedResult
-from identification.arm import Arm, Array
-from identification.arm_file import arm_from_tables, dump_arm
 from identification.errors import InputError, nearest
 from identification.gap.case import Case
 from identification.gap.diagnose import diagnose
@@ -42,7 +40,7 @@ NULL_SETS, SETS = 1000, 400  # data sets per cell, without and with a hidden eff
 AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured further
 AMBIGUOUS_SETS = 1200  # about a third of them are ambiguous
 COMPARED = ("one, lambda 8, m=50", "one, lambda 8, discriminating plan")  # cells whose gap is compared with rivals'
-TRUTH, DIAGNOSES = "truth.parquet", "diagnoses.parquet"
+PLANS, TRUTH, DIAGNOSES = "plans.parquet", "truth.parquet", "diagnoses.parquet"
 
 
 def blind_study(
@@ -60,7 +58,7 @@ def blind_study(
     """Diagnose data sets with hidden effects and compare with the truth afterwards.
 
     cells : names of the simulator's cells, default all;  count : data sets per cell, default those of GAP.md's bars
-    folder : where truth.parquet and diagnoses.parquet go;  draws : of the bootstrap
+    folder : where plans.parquet, truth.parquet and diagnoses.parquet go;  draws : of the bootstrap
 
     Raises `InputError` for an unknown cell, and where the simulator, which is no part of the package, is missing.
     """
@@ -69,11 +67,19 @@ def blind_study(
         if cell not in known:
             raise InputError(f"cell: unknown name {cell!r}, {nearest(cell, known)}")
     keys = [dict(key) for cell in cells or known for key in _keys(cell, count, seed)]
+    to_plan = [key for key in keys if simulator().to_be_planned(key["cell"], _number(key)) is not None]
+    with RowTable.within(folder, PLANS, resume=resume, force=force) as table:
+        run(plan, to_plan, table, workers, progress=progress)
+        plans = {text: rows[0].get("postures_deg") for text, rows in table.rows.items()}
+
+    def planned(key: Key) -> list[list[float]] | None:
+        return plans.get(canonical({name: value for name, value in key.items() if name != "draws"}))
+
     with RowTable.within(folder, TRUTH, resume=resume, force=force) as table:
-        truth = run(hide, keys, table, workers, progress=progress)
+        truth = run(hide, keys, table, workers, payload=planned, progress=progress)
     keys = [{**key, "draws": draws} for key in keys]
     with RowTable.within(folder, DIAGNOSES, resume=resume, force=force) as table:
-        found = run(examine, keys, table, workers, progress=progress)
+        found = run(examine, keys, table, workers, payload=planned, progress=progress)
     return score(truth, found)
 
 
@@ -124,10 +130,21 @@ def simulator() -> ModuleType:
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------
-def hide(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
+def plan(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
+    """The postures that `armcal design --discriminating` gives for the arm of a block."""
+    from doe.discriminating import discriminating
+    from doe.problem import DesignProblem
+    from identification.model import Model
+
+    arm, runs = simulator().to_be_planned(key["cell"], _number(key))
+    found = discriminating(DesignProblem.of(Model(arm)), arm, runs)
+    return [{"postures_deg": np.degrees(found.design.plan.postures).tolist()}]
+
+
+def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[float]] | None = None) -> list[Row]:
     """What is hidden in each set of a block, and the held-out gap that knowing it would leave."""
     rows = []
-    for number, case in _cases(key):
+    for number, case in _cases(key, planned):
         wrong = list(case.wrong_rows)
         gap = None if case.holdout is None or case.place is not None else case.true_gap()
         hidden = {"hidden": sorted(case.effects), "place": case.place, "wrong_rows": wrong, "gap_true_mm": gap}
@@ -135,12 +152,12 @@ def hide(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
     return rows
 
 
-def examine(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
+def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[float]] | None = None) -> list[Row]:
     """What the diagnosis says of each set of a block."""
     from doe.study.blind_rivals import library_gap, process_gap
 
     rows = []
-    for number, case in _cases(key):
+    for number, case in _cases(key, planned):
         found = diagnose(case.arm, case.measurements, case.holdout, seed=number, draws=key["draws"])
         row = {"set": number, **_said(found), "gap_before_mm": found.gap.held_out_before}
         row["gap_named_mm"] = found.gap.held_out_after
@@ -191,24 +208,13 @@ def _appended(
 
 
 # -- cases -------------------------------------------------------------------------------------------------------------
-def _cases(key: dict[str, Any]) -> Iterator[tuple[int, Case]]:
-    """Number and case of every set of a block; the user's seed moves all of them."""
-    for number in range(key["first"], key["first"] + key["sets"]):
-        yield number, simulator().case(key["cell"], key["seed"] * 1_000_000 + number, planner)
+def _cases(key: dict[str, Any], planned: list[list[float]] | None) -> Iterator[tuple[int, Case]]:
+    """Number and case of every set of a block."""
+    postures = None if planned is None else np.radians(planned)
+    for k in range(key["sets"]):
+        yield key["first"] + k, simulator().case(key["cell"], _number(key) + k, postures)
 
 
-def planner(arm: Arm, runs: int) -> Array:
-    """(m, n) postures as `armcal design --discriminating` gives them."""
-    return _planned(dump_arm(arm), runs)
-
-
-@lru_cache(4)
-def _planned(text: str, runs: int) -> Array:
-    import tomllib
-
-    from doe.discriminating import discriminating
-    from doe.problem import DesignProblem
-    from identification.model import Model
-
-    arm = arm_from_tables(tomllib.loads(text))
-    return discriminating(DesignProblem.of(Model(arm)), arm, runs).design.plan.postures
+def _number(key: Key) -> int:
+    """The simulator's number of a block's first set; the user's seed moves all of them."""
+    return int(key["seed"]) * 1_000_000 + int(key["first"])

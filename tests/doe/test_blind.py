@@ -199,12 +199,11 @@ def test_the_seed_moves_the_data_and_nothing_else_does() -> None:
 
 def test_designed_plans_are_shared_by_neighbouring_sets() -> None:
     simulator = blind.simulator()
-
-    def random_plan(arm, runs):
-        return np.random.default_rng(arm.links).uniform(arm.lower, arm.upper, (runs, arm.links))
-
     cell = "one, lambda 6, discriminating plan"
-    one, two = (simulator.case(cell, seed, random_plan) for seed in (0, 1))
+    arm, runs = simulator.to_be_planned(cell, 0)
+    postures = np.random.default_rng(1).uniform(arm.lower, arm.upper, (runs, arm.links))
+    one, two = (simulator.case(cell, seed, postures) for seed in (0, 1))
+    np.testing.assert_array_equal(one.arm.lengths, arm.lengths)
     np.testing.assert_array_equal(one.measurements.postures, two.measurements.postures)
     assert one.effects != two.effects or not np.allclose(one.measurements.positions, two.measurements.positions)
 

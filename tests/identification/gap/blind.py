@@ -8,7 +8,6 @@ The study that uses it: armcal study blind.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -325,7 +324,7 @@ class CellSpec:
     outside: bool = False
     wrong_masses: bool = False
     families: bool = True  # compliance in all joints at once among the hidden effects
-    designed: bool = False  # the postures of a planner instead of random ones, the same for SAME_ARM sets
+    designed: bool = False  # postures of somebody's plan instead of random ones, the same for SAME_ARM sets
 
 
 CELLS = {
@@ -355,7 +354,7 @@ CELLS = {
     "one, lambda 8, discriminating plan": CellSpec(50, 8.0, designed=True),
 }
 SAME_ARM = 10  # sets in a row that share arm and plan where plans are designed: a good one takes its time
-Planner = Callable[[Arm, int], np.ndarray]  # (arm, m) -> (m, n) postures
+
 GRAVITY = ("joint_compliance", "link_bending", "gravity_backlash")
 
 
@@ -472,21 +471,34 @@ def arm_of(spec: CellSpec, truth: Truth, rng: np.random.Generator) -> Arm:
     return Arm(truth.lengths, truth.lower, truth.upper, truth.sigma, gravity=gravity)
 
 
-def case(cell: str, seed: int, planner: Planner | None = None) -> Case:
+def to_be_planned(cell: str, seed: int) -> tuple[Arm, int] | None:
+    """Arm and number of postures of a cell whose plan is designed; None where the postures are random."""
+    spec = CELLS[cell]
+    if not spec.designed:
+        return None
+    truth = shared_truth(cell, seed)
+    return arm_of(spec, truth, np.random.default_rng(0)), max(spec.m, truth.n + 4)
+
+
+def shared_truth(cell: str, seed: int) -> Truth:
+    """The arm that SAME_ARM sets in a row share."""
+    rng = np.random.default_rng([20261122, list(CELLS).index(cell), seed // SAME_ARM])
+    return truth_of(CELLS[cell], rng)
+
+
+def case(cell: str, seed: int, planned: np.ndarray | None = None) -> Case:
     """The case of a cell; 200 fresh postures of the same session are held out.
 
-    planner : makes the postures of cells whose plan is designed
+    planned : (m, n) the postures for the arm of `to_be_planned`
     """
     spec = CELLS[cell]
     rng = np.random.default_rng([20261121, list(CELLS).index(cell), seed])
-    shared = np.random.default_rng([20261122, list(CELLS).index(cell), seed // SAME_ARM]) if spec.designed else rng
-    truth = truth_of(spec, shared)
-    m = max(spec.m, truth.n + 4)
     if spec.designed:
-        assert planner is not None
-        postures = planner(arm_of(spec, truth, shared), m)
+        assert planned is not None
+        truth, postures = shared_truth(cell, seed), planned
     else:
-        postures = rng.uniform(truth.lower, truth.upper, (m, truth.n))
+        truth = truth_of(spec, rng)
+        postures = rng.uniform(truth.lower, truth.upper, (max(spec.m, truth.n + 4), truth.n))
     run = session(truth, postures, rng)
     truth = replace(truth, effects=hidden(spec, truth, run, rng))
     fresh = session(truth, rng.uniform(truth.lower, truth.upper, (200, truth.n)), rng)
