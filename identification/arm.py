@@ -73,7 +73,10 @@ Constraint = WorkspaceBox | KeepOutCircle | LineOfSight
 
 @dataclass(frozen=True)
 class EffectSpec:
-    """An effect that is part of the arm's model. `values` are known and stay fixed; the others are estimated."""
+    """An effect that is part of the arm's model. `values` are known and stay fixed; the others are estimated.
+
+    An arm may have several of one name at one joint if their settings differ (gear ripples of k = 20 and k = 29).
+    """
 
     name: str
     joint: int | None = None  # from 1
@@ -81,7 +84,7 @@ class EffectSpec:
 
     @property
     def key(self) -> str:
-        """`name` or `name:joint`, as it stands in reports."""
+        """`name` or `name:joint`: what and where. Effects that share it are told apart by `Effect.key`."""
         return self.name if self.joint is None else f"{self.name}:{self.joint}"
 
 
@@ -138,9 +141,6 @@ class Arm:
             )
         if self.sigma is not None:
             _require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
-        keys = [effect.key for effect in self.effects]
-        for key in keys:
-            _require(keys.count(key) == 1, f"effects: {key} is given {keys.count(key)} times, allowed: once")
         for field_name, value in (("lengths", lengths), ("lower", lower), ("upper", upper)):
             object.__setattr__(self, field_name, value)
 

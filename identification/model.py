@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.arm import Arm, Array, EffectSpec
-from identification.effects import Chain, Effect, Parameter, build, known_values
+from identification.effects import Chain, Effect, Parameter, build_all, known_values
 from identification.errors import InputError, nearest
 from identification.measurements import Conditions
 from identification.tape import vectorise
@@ -51,7 +51,8 @@ class Model:
 
     @cached_property
     def _built(self) -> tuple[tuple[Effect, EffectSpec], ...]:
-        return tuple((build(spec, self.arm.links, self.arm.lengths), spec) for spec in self.arm.effects)
+        effects = build_all(self.arm.effects, self.arm.links, self.arm.lengths)
+        return tuple(zip(effects, self.arm.effects, strict=True))
 
     @cached_property
     def all_parameters(self) -> tuple[Parameter, ...]:

@@ -35,7 +35,7 @@ def draw_gap(axes: Axes, demo: Demo) -> None:
 
 def draw_cause(axes: Axes, demo: Demo) -> None:
     """Residuals turned into the joint angle error they mean, against the joint that the diagnosis names."""
-    joint = next((int(e.rpartition(":")[2]) for e in demo.diagnosis.effects if ":" in e), 1)
+    joint = next((spec.joint for spec in demo.diagnosis.named.specs if spec.joint), 1)
     q = demo.fresh.postures[:, joint - 1]
     for found, color, name in ((demo.base, BEFORE, "identified"), (demo.extended, AFTER, "effect added")):
         predicted = found.model.position(demo.fresh.postures, found.parameters, demo.fresh.conditions)

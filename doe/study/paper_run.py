@@ -16,7 +16,7 @@ from doe.study.errata import CHECKS, errata
 from doe.study.named import NamedResult
 from doe.study.paper import CASES, REPLICATIONS, consistent, table_1, table_2, table_3, text_figures
 from doe.study.paper_figures import RUNS, figure_1, figure_2
-from identification.errors import JobError
+from identification.errors import InputError, JobError
 from identification.files import check_writable, write_together
 from identification.progress import Progress
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 NAMES = ("table_1", "table_2", "table_3", "text", "errata", "figure_1", "figure_2")
 PARTS = "parts.parquet"
+ALLOWED = 100, 100_000  # replications
 
 
 def study(
@@ -37,7 +38,13 @@ def study(
     force: bool,
     progress: Progress,
 ) -> NamedResult:
-    """Everything of the paper; passes if theory and simulation agree everywhere and every erratum is confirmed."""
+    """Everything of the paper; passes if theory and simulation agree everywhere and every erratum is confirmed.
+
+    Raises `InputError` for so few replications that a deviation means nothing, or so many that memory ends.
+    """
+    least, most = ALLOWED
+    if replications is not None and not least <= replications <= most:
+        raise InputError(f"--replications: found {replications}, allowed for the paper: {least} to {most:,}")
     from doe.report.paper import paper_tables, write_pictures
 
     targets = {} if folder is None else {name: folder / f"{name}.parquet" for name in NAMES}

@@ -6,7 +6,8 @@ A user's own effect is a subclass of `Effect` under the decorator `register`, or
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import entry_points
 from types import MappingProxyType
@@ -18,7 +19,7 @@ from identification.effects import aliases, instrument, joint, link, mounting, n
 from identification.effects.base import _LIBRARY, Chain, Effect, Parameter, known_values, register
 from identification.errors import InputError, nearest
 
-__all__ = ["Chain", "Effect", "Parameter", "build", "known_values", "library", "register"]
+__all__ = ["Chain", "Effect", "Parameter", "build", "build_all", "known_values", "library", "register"]
 
 
 @cache
@@ -33,7 +34,20 @@ def library() -> Mapping[str, type[Effect]]:
     return MappingProxyType(_LIBRARY)
 
 
-def build(spec: EffectSpec, links: int, lengths: Array | None = None) -> Effect:
+def build_all(specs: Sequence[EffectSpec], links: int, lengths: Array | None = None) -> tuple[Effect, ...]:
+    """The effects of an arm, each with a name of its own: where two share name and joint, the settings are added.
+
+    Raises `InputError` as `build` does, and for two effects that share name, joint and settings.
+    """
+    alike = Counter(spec.key for spec in specs)
+    effects = tuple(build(spec, links, lengths, tagged=alike[spec.key] > 1) for spec in specs)
+    for key, times in Counter(effect.key for effect in effects).items():
+        if times > 1:
+            raise InputError(f"effects: {key} is given {times} times, allowed: once")
+    return effects
+
+
+def build(spec: EffectSpec, links: int, lengths: Array | None = None, tagged: bool = False) -> Effect:
     """The effect that an arm file's `[[effects]]` entry asks for.
 
     Raises `InputError` for an unknown name, a joint that is missing, not allowed or out of range, an unknown parameter.
@@ -43,7 +57,7 @@ def build(spec: EffectSpec, links: int, lengths: Array | None = None) -> Effect:
     cls = library()[spec.name]
     _check_joint(cls, spec, links)
     chosen = {name: _check_setting(cls, name, spec) for name in cls.settings}
-    effect = cls(np.ones(links) if lengths is None else lengths, spec.joint, chosen)
+    effect = cls(np.ones(links) if lengths is None else lengths, spec.joint, chosen, tagged)
     allowed = {p.short for p in effect.parameters} | set(cls.settings)
     for short in spec.values:
         if short not in allowed:

@@ -40,7 +40,7 @@ FILE_UNITS: Mapping[str, tuple[str, float, str]] = MappingProxyType(
 class Parameter:
     """One number that an identification can estimate.
 
-    name : as it stands in reports, `length_error:1` or `EFFECT[:joint].PARAMETER`
+    name : as it stands in reports, `length_error:1` or `EFFECT[:joint].PARAMETER` (see `Effect.key`)
     unit : of the Python API (millimetres, radians); `file_unit` is what people read
     lower, upper : physical bounds, API unit
     scale : length [mm] that one unit moves the tip by, in order of magnitude; criteria that are not invariant to units
@@ -148,6 +148,9 @@ class Effect:
     settings : whole numbers that are chosen, not estimated, with their range
     alias : why no measurement of the tip can tell this effect from the base parameters, or None
     scatter : True for an effect on the noise, which the model of the mean ignores (`identification.effects.noise`)
+
+    tagged : whether the names say the settings, `transmission_ripple:1[k=20].a`: where an arm has another such effect
+        at the same joint (`build_all` knows)
     """
 
     name: ClassVar[str]
@@ -160,16 +163,25 @@ class Effect:
     alias: ClassVar[str | None] = None
     scatter: ClassVar[bool] = False
 
-    def __init__(self, lengths: Array, joint: int | None = None, chosen: Mapping[str, int] | None = None) -> None:
+    def __init__(
+        self, lengths: Array, joint: int | None = None, chosen: Mapping[str, int] | None = None, tagged: bool = False
+    ) -> None:
         self.lengths = lengths
         self.joint = joint
         self.chosen = dict(chosen or {})
+        self.tagged = tagged
         self.parameters: tuple[Parameter, ...] = self.define()
 
     @property
     def key(self) -> str:
-        """`name` or `name:joint`."""
-        return self.name if self.joint is None else f"{self.name}:{self.joint}"
+        """Name in reports: `name` or `name:joint`, with the settings where another effect has the same."""
+        return self.label if self.tagged else EffectSpec(self.name, self.joint).key
+
+    @property
+    def label(self) -> str:
+        """What makes two effects one and the same: name, joint and settings, `transmission_ripple:2[k=6]`."""
+        settings = ";".join(f"{name}={value}" for name, value in self.chosen.items())
+        return EffectSpec(self.name, self.joint).key + (f"[{settings}]" if settings else "")
 
     def parameter(self, short: str, unit: str, *, scale: float, lower: float = -inf, upper: float = inf) -> Parameter:
         """A parameter of this effect, with its full name."""

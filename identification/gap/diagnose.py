@@ -137,14 +137,15 @@ def describe(search: Search, chosen: Choice, delta: float, trial: tuple[float, f
     """A set of effects with its estimates."""
     found = search.fit(chosen)
     covariance = found.covariance()
-    added = {p.name for h in chosen for p in h.effect.parameters}
+    effects = found.model.effects[len(found.model.effects) - len(chosen) :]  # their names depend on the others
+    added = {p.name for effect in effects for p in effect.parameters}
     estimates = []
     for k, p in enumerate(found.model.parameters):
         if p.name in added:
             value, std = found.values[k] * p.to_file, np.sqrt(covariance[k, k]) * p.to_file
             estimates.append(Estimate(p.name, p.file_unit, float(value), float(std), *_interval(p, value, std)))
     return Candidate(
-        tuple(h.key for h in chosen),
+        tuple(effect.key for effect in effects),
         tuple(h.spec for h in chosen),
         tuple(sorted({h.family for h in chosen})),
         delta,

@@ -48,7 +48,8 @@ class Candidate:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of the contract."""
-        settings = {f"{s.key}.{name}": value for s in self.specs for name, value in s.values.items()}
+        named = zip(self.effects, self.specs, strict=True)
+        settings = {f"{key}.{name}": value for key, spec in named for name, value in spec.values.items()}
         return {
             "effects": list(self.effects),
             "classes": list(self.classes),

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from identification.arm import Arm, Array, EffectSpec
-from identification.effects import Chain, Effect, build, library
+from identification.effects import Chain, Effect, build, build_all, library
 from identification.gap.whitening import Rows
 from identification.model import Model
 from identification.tape import vectorise
@@ -45,16 +45,13 @@ class Hypothesis:
 
     @property
     def key(self) -> str:
-        """Name in reports: `name` or `name:joint`."""
+        """`name` or `name:joint`: what and where, whatever is scanned."""
         return self.spec.key
 
     @property
     def label(self) -> str:
         """The key with the scanned setting: `transmission_ripple:2[k=6]`."""
-        settings = ",".join(f"{name}={value:g}" for name, value in self.spec.values.items())
-        if self.tied:
-            return f"{self.key}[alike]"
-        return f"{self.key}[{settings}]" if settings else self.key
+        return f"{self.key}[alike]" if self.tied else self.effect.label
 
     @property
     def family(self) -> str:
@@ -170,7 +167,7 @@ def hypotheses(arm: Arm, given: frozenset[str]) -> HypothesisSet:
     given : what the data have beyond time and directions (which follow from the order): `temperature`
     """
     available = {"time", "directions"} | ({"gravity"} if arm.gravity is not None else set()) | (given & {"temperature"})
-    own = {spec.key for spec in arm.effects}
+    own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths)}
     members: list[Hypothesis] = []
     skipped: dict[str, str] = {}
     aliases: dict[str, str] = {}
@@ -186,11 +183,11 @@ def hypotheses(arm: Arm, given: frozenset[str]) -> HypothesisSet:
             continue
         for joint in _joints(cls, arm.links):
             spec = EffectSpec(name, joint)
-            if spec.key in own:
-                skipped[spec.key] = "already in the arm's model"
-                continue
             share = 1.0 if joint is None else 1.0 / np.sqrt(arm.links)
-            members += [replace(h, weight=share * h.weight) for h in _with_settings(cls, spec, arm)]
+            found = [h for h in _with_settings(cls, spec, arm) if h.effect.label not in own]
+            members += [replace(h, weight=share * h.weight) for h in found]
+            if not found:
+                skipped[spec.key] = "already in the arm's model"
     return HypothesisSet(arm, tuple(members), skipped, aliases)
 
 

@@ -179,14 +179,18 @@ def test_verb(tmp_path: Path) -> None:
     assert names == {*tables, "parts.parquet", "figure_1.svg", "figure_2.svg"}
     assert CliRunner().invoke(command, options).exit_code == 2
     assert "4 links" in CliRunner().invoke(command, [*options, "--force"]).output
+    for number in ("3", "1000000000"):
+        few = CliRunner().invoke(command, ["paper", "--out", str(tmp_path / "few"), "--replications", number])
+        assert few.exit_code == 2
+        assert f"--replications: found {number}, allowed for the paper: 100 to 100,000" in few.output
 
 
-ARGUMENTS: dict[str, Any] = {"seed": 3, "replications": 60, "force": False, "progress": silent}
+ARGUMENTS: dict[str, Any] = {"seed": 3, "replications": 100, "force": False, "progress": silent}
 
 
 def test_parts_make_the_same_tables_on_any_workers() -> None:
     found = paper_run.study(folder=None, workers=processes(2), resume=False, **ARGUMENTS).frames
-    whole = (table_1(), table_2(), table_3(60, 3), text_figures(), errata(60, 3), figure_1(60, 3), figure_2(60, 3))
+    whole = (table_1(), table_2(), table_3(100, 3), text_figures(), errata(100, 3), figure_1(100, 3), figure_2(100, 3))
     assert tuple(found) == paper_run.NAMES
     for frame, other in zip(found.values(), whole, strict=True):
         assert frame.equals(other)
