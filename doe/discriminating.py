@@ -131,9 +131,9 @@ def plans_worth_comparing(
     progress: Progress,
 ) -> Iterator[Array]:
     """Plans without loss; where none of them shows every effect, plans that pay for it."""
-    enough = False
+    enough, library = False, hypotheses(arm, frozenset())
     for postures in theory_plans(problem, runs, generator):
-        enough = enough or clear(preflight(arm, postures))
+        enough = enough or clear(preflight(arm, postures, library=library))
         yield postures
     if not enough:
         yield from robust_plans(problem, wide, runs, least, generator, progress)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
@@ -84,14 +85,22 @@ class Preflight:
         return "\n".join(lines)
 
 
-def preflight(arm: Arm, postures: Array, conditions: Conditions | None = None, sigma: float | None = None) -> Preflight:
+def preflight(
+    arm: Arm,
+    postures: Array,
+    conditions: Conditions | None = None,
+    sigma: float | None = None,
+    library: HypothesisSet | None = None,
+) -> Preflight:
     """What measuring the arm at (m, n) postures [rad] could show.
 
     sigma : [mm], default the arm's, else 1 (sizes are then per millimetre of noise). Temperature is taken into account
-    if `conditions` has it. Raises `InputError` with fewer than 4 spare degrees of freedom.
+    if `conditions` has it. library : the arm's hypotheses, for many plans of one arm. Raises `InputError` with fewer
+    than 4 spare degrees of freedom.
     """
     rows = _planned(postures, conditions)
-    library = hypotheses(arm, frozenset() if rows.conditions.temperature is None else frozenset({"temperature"}))
+    given = frozenset() if rows.conditions.temperature is None else frozenset({"temperature"})
+    library = library or hypotheses(arm, given)
     noise = sigma or arm.sigma or 1.0
     return assess(library, rows, library.base.jacobian(rows.postures, None, rows.conditions), {}, noise)
 
@@ -176,6 +185,7 @@ def _detectable(hypothesis: Hypothesis, raw: Array, tested: Dictionary, sigma: f
     return Size(float(needed * sigma / visible[-1] * parameter.to_file), parameter.file_unit)
 
 
+@lru_cache(4096)  # hundreds of hypotheses share a few cases
 def detectable_lambda(size: int, freedom: int, level: float, one_sided: bool = False) -> float:
     """Length lambda (in standard deviations) of a projected effect that a test at `level` finds with 90 % power.
 
