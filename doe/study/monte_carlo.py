@@ -213,7 +213,7 @@ def cells(blocks: polars.DataFrame) -> polars.DataFrame:
         pl.when(n > 0).then(pl.col("covered").sum() / n).alias("coverage"),
         pl.when(n > 0).then(((pl.col("rms_mm") ** 2 * pl.col("fits")).sum() / n).sqrt()).alias("rms_mm"),
         pl.when(some.all()).then(pl.lit("done")).otherwise(pl.lit("failed")).alias("status"),
-        pl.col("error").drop_nulls().first().alias("error"),
+        pl.col("error").cast(pl.String).drop_nulls().first().alias("error"),
     )
 
 
