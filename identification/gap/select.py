@@ -114,12 +114,12 @@ class Search:
     def rivals(self, chosen: Choice) -> tuple[list[Hypothesis], Dictionary]:
         """Hypotheses that can still be added to a set, projected off its fit."""
         found = self.fit(chosen)
-        used = {h.key for h in chosen}
+        used = {h.effect.label for h in chosen}
         columns = self.hypotheses.columns(self.rows, found.by_name, self.slopes)
         pairs = [
             (h, self.rows.whiten(c))
             for h, c in zip(self.hypotheses.members, columns, strict=True)
-            if h.key not in used and h.size < found.freedom
+            if h.effect.label not in used and h.size < found.freedom
         ]
         members = [h for h, _ in pairs]
         full = dictionary(
@@ -266,9 +266,9 @@ def neighbours(search: Search, chosen: Choice) -> tuple[tuple[Choice, float], ..
     if not chosen:
         return ()
     best = search.bic(chosen)
-    found: dict[frozenset[str], tuple[Choice, float]] = {}
+    found: dict[tuple[str, ...], tuple[Choice, float]] = {}
     for option in sorted([chosen, *exchanges(search, chosen)], key=search.bic):
         delta = search.bic(option) - best
         if delta <= WINDOW:
-            found.setdefault(frozenset(h.key for h in option), (option, delta))
+            found.setdefault(tuple(sorted(h.key for h in option)), (option, delta))
     return tuple(found.values())
