@@ -109,9 +109,11 @@ def with_effects(text: str, specs: Iterable[EffectSpec]) -> str:
     """
     text = text.removeprefix("\ufeff")
     before = tomllib.loads(text)
-    there = {EffectSpec(entry["name"], entry.get("joint")).key for entry in before.get("effects", ())}
-    new = [_effect_table(spec, len(before["links_mm"])) for spec in specs if spec.key not in there]
-    return append_tables(text, "effects", new) if new else text
+    file = check({key: value for key, value in before.items() if key != "calibration"})
+    there = {effect.label for _, effect in effects_of(file)}
+    built = _built(specs, len(file.links_mm))
+    tables = [_effect_table(spec, effect) for spec, effect in built if effect.label not in there]
+    return append_tables(text, "effects", tables) if tables else text
 
 
 def with_calibration(text: str, calibration: Calibration) -> str:
@@ -159,11 +161,20 @@ def _constraint(table: ConstraintTable) -> Constraint:
 # -- effects and the names of their parameters in files ---------------------------------------------------------------
 def effects_of(file: ArmFile) -> list[tuple[EffectSpec, Effect]]:
     """The `[[effects]]` entries with the effects they ask for; values in API units."""
-    return [_effect(table, f"effects[{k}]", len(file.links_mm)) for k, table in enumerate(file.effects, start=1)]
+    links = len(file.links_mm)
+    return _built([_spec(table, f"effects[{k}]", links) for k, table in enumerate(file.effects, start=1)], links)
 
 
-def _effect(table: EffectTable, place: str, links: int) -> tuple[EffectSpec, Effect]:
-    from identification.effects import build, library  # imports CasADi: only arms with effects pay for it
+def _built(specs: Iterable[EffectSpec], links: int) -> list[tuple[EffectSpec, Effect]]:
+    if not (listed := list(specs)):
+        return []
+    from identification.effects import build_all  # imports CasADi: only arms with effects pay for it
+
+    return list(zip(listed, build_all(listed, links), strict=True))
+
+
+def _spec(table: EffectTable, place: str, links: int) -> EffectSpec:
+    from identification.effects import build, library
 
     settings = getattr(library().get(table.name), "settings", {})
     chosen = {key: value for key, value in table.own.items() if key in settings}
@@ -179,7 +190,7 @@ def _effect(table: EffectTable, place: str, links: int) -> tuple[EffectSpec, Eff
         parameter = parameters[key]
         values[parameter.short] = value / parameter.to_file
         _require_bounds(f"{place}.{key}", value, parameter)
-    return EffectSpec(table.name, table.joint, MappingProxyType(values)), effect
+    return EffectSpec(table.name, table.joint, MappingProxyType(values))
 
 
 def _require_bounds(key: str, value: float, parameter: Parameter) -> None:
@@ -202,8 +213,8 @@ def file_names(links: int, effects: Iterable[tuple[EffectSpec, Effect]]) -> list
     """All parameters an arm's calibration may have: `length_error:1` (mm), `joint_offset:1` (deg), then of effects."""
     names = [FileName(f"length_error:{j}", f"length_error:{j}", 1.0) for j in range(1, links + 1)]
     names += [FileName(f"joint_offset:{j}", f"joint_offset:{j}", DEGREES) for j in range(1, links + 1)]
-    for spec, effect in effects:
-        names += [FileName(p.name, f"{spec.key}.{p.toml_key}", p.to_file) for p in effect.parameters]
+    for _, effect in effects:
+        names += [FileName(p.name, f"{effect.key}.{p.toml_key}", p.to_file) for p in effect.parameters]
     return names
 
 
@@ -284,10 +295,7 @@ def _constraint_table(constraint: Constraint) -> Plain:
     }
 
 
-def _effect_table(spec: EffectSpec, links: int) -> Plain:
-    from identification.effects import build
-
-    effect = build(spec, links)
+def _effect_table(spec: EffectSpec, effect: Effect) -> Plain:
     entry: Plain = {"name": spec.name} if spec.joint is None else {"name": spec.name, "joint": int(spec.joint)}
     parameters = {p.short: p for p in effect.parameters}
     for short, value in spec.values.items():
