@@ -12,18 +12,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
+from time import perf_counter
 
 import numpy as np
 
+from doe.criteria import D
 from doe.criteria.robust import Robust
 from doe.plan import Plan
 from doe.problem import DesignProblem
 from doe.result import Design
-from doe.solvers import solve
+from doe.solvers import Solver, solve
 from doe.solvers.analytic import Analytic
 from doe.solvers.base import Budget
 from doe.solvers.driver import worth
 from doe.solvers.exchange import Exchange
+from doe.solvers.fedorov import Fedorov
 from identification.arm import Arm, Array
 from identification.errors import InputError
 from identification.gap.hypotheses import hypotheses
@@ -69,16 +73,30 @@ class DiscriminatingDesign:
 
 
 def discriminating(
-    problem: DesignProblem, arm: Arm, runs: int, *, loss: float = 0.05, seed: int = 0, progress: Progress = silent
+    problem: DesignProblem,
+    arm: Arm,
+    runs: int,
+    *,
+    loss: float = 0.05,
+    solver: Solver | str | None = None,
+    seed: int = 0,
+    starts: int | None = None,
+    seconds: float | None = None,
+    progress: Progress = silent,
 ) -> DiscriminatingDesign:
     """The plan of `runs` measurements that shows missing effects best, at a D-efficiency within `loss` of the best.
 
     loss : share 0..1 of the D-efficiency that may be given up
-    Raises `InputError` for a loss outside 0..1 and for too few runs (4 spare degrees of freedom are needed).
+    solver, starts : of the search for the best plan, as in `solve`;  seconds : for both searches together
+    Raises `InputError` for a loss outside 0..1, a criterion other than D, and too few runs (4 spare degrees of freedom
+    are needed).
     """
     if not 0.0 <= loss < 1.0:
         raise InputError(f"loss: {loss}, allowed: 0 <= loss < 1")
-    best = solve(problem, runs, seed=seed)
+    if not isinstance(problem.criterion, D):
+        raise InputError(f"criterion: {problem.criterion.name} for a discriminating plan, allowed: D")
+    began = perf_counter()
+    best = solve(problem, runs, solver, seed=seed, starts=starts, seconds=seconds)
     best_sees = preflight(arm, best.plan.postures)
     generator = np.random.default_rng(seed)
     wide = wide_problem(problem, arm)
@@ -91,10 +109,13 @@ def discriminating(
             value = worth(problem, postures)
             if value >= least and (offered := judge.objective(postures) + TRADE * value) > score:
                 chosen, score = postures, offered
+            if seconds is not None and perf_counter() - began >= seconds:
+                status = Status.time_limit
+                break
     except KeyboardInterrupt:
         status = Status.interrupted
     plan = Plan(best_order(arm, chosen, generator))
-    design = replace(best, plan=plan, solver="discriminating", status=status)
+    design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
     return DiscriminatingDesign(arm, design, best, preflight(arm, plan.postures), best_sees)
 
 
@@ -140,7 +161,9 @@ def plans_worth_comparing(
 
 
 def theory_plans(problem: DesignProblem, runs: int, generator: np.random.Generator) -> Iterator[Array]:
-    """Random plans that attain the bound, joints that play no part at random angles."""
+    """Random plans that attain the bound, joints that play no part at random angles; none of a list of postures."""
+    if problem.choices is not None:
+        return
     offers = Analytic().offers(problem, runs, generator, Budget(1))
     free = [joint for joint in range(problem.joints) if joint not in problem.active_joints]
     for offer, _ in zip(offers, range(THEORY_PLANS), strict=False):
@@ -159,19 +182,29 @@ def robust_plans(
     progress: Progress,
 ) -> Iterator[Array]:
     """Exchanges of the robust criterion; the prior precision is halved in on the one that loses what may be lost."""
-    exchange, weak, strong = Exchange(), WEAKEST, STRONGEST
-    spacing = (wide.upper - wide.lower) / (exchange.levels - 1)
+    weak, strong = WEAKEST, STRONGEST
+    spacing = (wide.upper - wide.lower) / (Exchange().levels - 1)
+    jitters = np.linspace(0.0, 0.4, JITTERS) if problem.choices is None else [0.0]
     for step in range(STEPS):
         precision = float(np.sqrt(weak * strong))
         progress(step, STEPS, f"exchange with prior precision {precision:.3g}")
         robust = replace(wide, criterion=with_precision(wide, problem.parameters, precision))
-        begun = exchange.begin(robust, STARTS, runs, generator)
-        plans = exchange.improve(robust, begun, generator, Budget(1))[0]
+        plans = exchanged(robust, runs, generator)
         for plan in plans:
-            for size in np.linspace(0.0, 0.4, JITTERS):
+            for size in jitters:
                 yield problem.clip(plan + size * spacing * generator.uniform(-1.0, 1.0, plan.shape))
         affordable = max(problem.objective(plan) for plan in plans) >= least
         weak, strong = (weak, precision) if affordable else (precision, strong)
+
+
+def exchanged(robust: DesignProblem, runs: int, generator: np.random.Generator) -> list[Array]:
+    """Plans (m, n) that no exchange improves: on the grid of `Exchange`, or out of the list of choices."""
+    if robust.choices is not None:
+        offers = Fedorov(batch=STARTS).offers(robust, runs, generator, Budget(STARTS))
+        return [offer.postures for offer in islice(offers, STARTS)]
+    exchange = Exchange()
+    begun = exchange.begin(robust, STARTS, runs, generator)
+    return list(exchange.improve(robust, begun, generator, Budget(1))[0])
 
 
 def best_order(arm: Arm, postures: Array, generator: np.random.Generator) -> Array:

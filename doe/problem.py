@@ -66,6 +66,8 @@ class DesignProblem:
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):
             object.__setattr__(self, name, readonly(getattr(self, name), -1))
+        if not (np.isfinite(self.minimum_distance) and self.minimum_distance >= 0.0):
+            raise InputError(f"minimum distance: {np.degrees(self.minimum_distance):g} deg, allowed: a number >= 0")
         if not np.all(self.lower < self.upper):
             raise InputError("joint limits: lower >= upper, allowed: lower < upper for every joint")
 

@@ -85,6 +85,7 @@ def command(
         draws=draws,
         seed=session.seed,
     )
+    effort: dict[str, Any] = {"solver": solver, "seed": session.seed, "starts": starts, "seconds": seconds}
     data: dict[str, Any] = {}
     extra: list[Any] = []
     with session.progress("design") as progress:
@@ -92,10 +93,10 @@ def command(
             from doe.discriminating import discriminating as search
             from doe.report.preflight_tables import discriminating_data, discriminating_tables
 
-            found = search(problem, loaded, runs, loss=loss, seed=session.seed, progress=progress)
+            found = search(problem, loaded, runs, loss=loss, progress=progress, **effort)
             design, data, extra = found.design, discriminating_data(found), discriminating_tables(found)
         else:
-            design = solve(problem, runs, solver, seed=session.seed, starts=starts, seconds=seconds, progress=progress)
+            design = solve(problem, runs, progress=progress, **effort)
     if order is not None:
         sequence = ordered(design.plan, order, seed=session.seed)
         data["travel_deg"] = sequence.to_json()

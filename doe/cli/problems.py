@@ -32,12 +32,13 @@ def problem_of(
     from doe.problem import DesignProblem
     from identification.model import Model
 
+    check_needed(criterion_name, test_poses=test_poses, subset=subset)
     model = Model(arm)
     options: dict[str, Any] = {}
     if keep is not None:
         options["kept"] = measured_postures(keep, arm)
     if candidates is not None:
-        options["choices"] = load_plan(candidates, arm.links).postures
+        options["choices"] = allowed_postures(candidates, arm)
     if repeats or minimum_distance_deg is not None:
         options["minimum_distance"] = 0.0 if repeats else float(np.radians(minimum_distance_deg or 0.0))
     plain = DesignProblem.of(model, **options)
@@ -54,6 +55,34 @@ def problem_of(
     from doe.uncertain import uncertain as over_prior
 
     return over_prior(problem, prior_draws(model, draws, np.random.default_rng(seed)), uncertain)
+
+
+def check_needed(criterion_name: str, *, test_poses: Path | None, subset: str | None) -> None:
+    """Raises `InputError` for an option that the criterion would ignore."""
+    from doe.criteria import NAMES
+    from identification.errors import InputError
+
+    for option, given, needed in (("--test-poses", test_poses, "I"), ("--subset", subset, "Ds")):
+        if given is not None and criterion_name in NAMES and criterion_name != needed:
+            raise InputError(
+                f"{option}: criterion {criterion_name} has no use for it, allowed: with criterion {needed}"
+            )
+
+
+def allowed_postures(path: Path, arm: Arm) -> Any:
+    """(N, n) postures of a candidate file. Raises `InputError` if none is within limits and constraints."""
+    from doe.candidates import listed
+    from doe.plan_file import load_plan
+    from doe.problem import DesignProblem
+    from identification.errors import InputError
+    from identification.model import Model
+
+    postures = load_plan(path, arm.links).postures
+    try:
+        listed(DesignProblem.of(Model(arm)), postures)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return postures
 
 
 def measured_postures(path: Path, arm: Arm) -> Any:

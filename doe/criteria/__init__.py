@@ -40,7 +40,8 @@ def criterion(
         return I(test_blocks)
     if name == "Ds":
         if not subset or not set(subset) <= set(range(len(units) or max(subset) + 1)):
-            raise InputError(f"criterion: Ds needs a subset of the parameters, found {list(subset or [])}")
+            found = list(subset) if subset else "none"
+            raise InputError(f"criterion: Ds needs a subset of the parameters, found {found}, allowed: at least one")
         return Ds(tuple(subset))
     if name == "Dstar":
         return DStar.by_unit(units)

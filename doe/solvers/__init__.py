@@ -15,7 +15,7 @@ from doe.problem import DesignProblem
 from doe.result import Design, score
 from doe.solvers.analytic import Analytic
 from doe.solvers.base import Budget, Offer, Solver
-from doe.solvers.driver import Search, check_runs, finish, run_search
+from doe.solvers.driver import Search, check_runs, finish, run_search, worth
 from doe.solvers.exchange import Exchange
 from doe.solvers.exchange_ipopt import ExchangeIpopt
 from doe.solvers.feasible import random_postures
@@ -112,10 +112,13 @@ def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver
 
 
 def _told(design: Design, throw: bool) -> Design:
-    """The design, if it tells all parameters; else a `JobError` that names what no posture could tell apart."""
-    if np.isfinite(design.value) or not throw:
-        return design
+    """The design, if it is allowed and tells all parameters; else a `JobError` that says what no plan could do."""
     problem = design.problem
+    if not throw or np.isfinite(worth(problem, design.plan.postures)):
+        return design
+    if np.isfinite(design.value):
+        apart = f"postures {np.degrees(problem.minimum_distance):g} deg apart"
+        raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")
     p = problem.parameters
     many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
     lost = identifiability(problem.blocks(many), problem.model.names, np.ones(p)).combinations

@@ -17,7 +17,7 @@ from doe.certificate import REACHED
 from doe.plan import Plan
 from doe.problem import DesignProblem
 from doe.result import Design
-from doe.solvers.base import Budget, Offer, Solver, spread_free_joints
+from doe.solvers.base import Budget, Offer, Solver, distance_to_keep, spread_free_joints
 from doe.solvers.distinct import separated, too_near
 from identification.arm import Array
 from identification.errors import InputError, JobError
@@ -89,6 +89,23 @@ def check_runs(problem: DesignProblem, runs: int) -> None:
         raise InputError(
             f"runs: {runs} with {problem.parameters} parameters to identify, allowed: at least {problem.fewest_runs}"
         )
+    kept = 0 if problem.kept is None else len(problem.kept)
+    if runs + kept > (room := most_postures(problem, runs)):
+        apart = np.degrees(problem.minimum_distance)
+        raise InputError(f"runs: {runs + kept} postures {apart:g} deg apart, allowed: at most {room:.0f} in the limits")
+
+
+def most_postures(problem: DesignProblem, runs: int) -> float:
+    """No more postures than this fit into the joint limits at the minimum distance; infinite where that is zero.
+
+    Boxes of half the distance's side around the postures do not overlap, and one axis holds width / distance + 1.
+    """
+    distance = distance_to_keep(problem, runs)
+    if distance == 0.0:
+        return np.inf
+    joints = list(problem.searched_joints)
+    width = (problem.upper - problem.lower)[joints]
+    return float(np.prod(np.floor(width / distance * (1.0 + 1e-9)) + 1.0))
 
 
 def finish(

@@ -56,7 +56,7 @@ class Fedorov:
 def allowed_choices(problem: DesignProblem, runs: int) -> tuple[Array, Array]:
     """(N, n) choices within limits and constraints, and their (N, d, p) blocks."""
     if problem.choices is None:
-        raise InputError("solver: fedorov chooses from a list of postures, none is given")
+        raise InputError("solver: fedorov chooses from a list of postures, none is given, allowed: with candidates")
     postures = listed(problem, problem.choices).postures
     if problem.minimum_distance > 0.0:
         postures = np.unique(postures, axis=0)

@@ -92,3 +92,15 @@ def test_robust_criterion_derivatives_and_bound() -> None:
         other = root @ root.T / 7
         largest = float(np.sum(criterion.gradient(information) * other))
         assert criterion.value(other) <= criterion.upper_bound(information, largest) + 1e-12
+
+
+def test_out_of_a_list_of_postures_only_those() -> None:
+    arm = Arm(LENGTHS, np.radians([-180, -120, -100, -90]), np.radians([180, 120, 60, 90]), sigma=0.1)
+    choices = np.random.default_rng(3).uniform(arm.lower, arm.upper, (60, 4))
+    problem = DesignProblem.of(Model(arm), choices=choices)
+    found = discriminating(problem, arm, 10)
+    nearest = np.abs(found.design.plan.postures[:, None] - choices).max(axis=-1).argmin(axis=1)
+    np.testing.assert_array_equal(found.design.plan.postures, choices[nearest])
+    assert len(set(nearest.tolist())) == 10
+    lost = log_det(found.best.plan.postures) - log_det(found.design.plan.postures)
+    assert lost <= -8.0 * np.log(0.95) + 1e-9

@@ -61,6 +61,33 @@ def test_score_of_fewer_runs_than_links(folder: Folder) -> None:
     refused(folder, ["score", "arm.toml", "short.csv"], "short.csv", "2 runs", "at least 4")
 
 
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--minimum-distance-deg", "-1"], ("minimum distance", "-1 deg", ">= 0")),
+        (["--minimum-distance-deg", "nan"], ("minimum distance", "nan", ">= 0")),
+        # the joints to choose turn by 240, 160, 180 deg: room for 2 x 1 x 1 postures 200 deg apart
+        (["--minimum-distance-deg", "200"], ("runs", "8 postures 200 deg apart", "at most 2")),
+        (["--discriminating", "--criterion", "A"], ("criterion", "A", "discriminating", "allowed: D")),
+        (["--discriminating", "--uncertain", "average"], ("criterion", "average", "allowed: D")),
+        (["--test-poses", "plan.csv"], ("--test-poses", "criterion D", "criterion I")),
+        (["--subset", "length_error:1"], ("--subset", "criterion D", "criterion Ds")),
+        (["--criterion", "Ds"], ("subset", "none", "at least one")),
+        (["--solver", "fedorov"], ("fedorov", "list of postures", "allowed: with candidates")),
+        (["--candidates", "far.csv"], ("far.csv", "0 of 1", "at least one")),
+    ],
+)
+def test_options_that_do_not_fit(folder: Folder, words: list[str], expected: tuple[str, ...]) -> None:
+    folder.write("far.csv", "run,q1_deg,q2_deg,q3_deg,q4_deg\n1,0,170,0,0\n")
+    folder.write("plan.csv", "run,q1_deg,q2_deg,q3_deg,q4_deg\n1,0,10,0,0\n")
+    refused(folder, ["design", "arm.toml", "--runs", "8", "--out", "out.file", *words], *expected)
+
+
+def test_gravity_is_missed_in_the_file(folder: Folder) -> None:
+    folder.write("arm.toml", ARM + '\n[[effects]]\nname = "joint_compliance"\n')
+    refused(folder, ["design", "arm.toml", "--runs", "8"], "arm.toml", "joint_compliance", "[gravity]")
+
+
 def test_more_runs_than_memory(folder: Folder) -> None:
     refused(folder, ["design", "arm.toml", "--runs", "1000000000"], "--runs", "1000000000")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace, field
 from typing import Any
 
 import numpy as np
@@ -97,6 +97,13 @@ def test_a_solver_without_a_useful_plan() -> None:
     assert solve(problem(FOUR), 8, Scripted([singular]), throw=False).value == -np.inf
     with pytest.raises(JobError, match="scripted"):
         solve(problem(FOUR), 8, Scripted([]), throw=False)
+
+
+def test_a_plan_that_breaks_the_minimum_distance_is_no_result() -> None:
+    crowded = Scripted([Offer(np.random.default_rng(0).uniform(-0.1, 0.1, (12, 4)), 1)])  # tells all
+    apart = replace(problem(FOUR), minimum_distance=1.0)  # 12 such postures fit into the limits
+    with pytest.raises(JobError, match=r"postures 57.2958 deg apart was found by scripted"):
+        solve(apart, 12, crowded)
 
 
 def test_a_bound_may_be_given() -> None:
