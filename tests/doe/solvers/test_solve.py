@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -101,8 +101,8 @@ def test_a_solver_without_a_useful_plan() -> None:
 
 def test_a_plan_that_breaks_the_minimum_distance_is_no_result() -> None:
     crowded = Scripted([Offer(np.random.default_rng(0).uniform(-0.1, 0.1, (12, 4)), 1)])  # tells all
-    apart = replace(problem(FOUR), minimum_distance=1.0)  # 12 such postures fit into the limits
-    with pytest.raises(JobError, match=r"postures 57.2958 deg apart was found by scripted"):
+    apart = replace(problem(FOUR), minimum_distance=2.0)  # just 12 fit into the limits
+    with pytest.raises(JobError, match=r"postures 114.592 deg apart was found by scripted"):
         solve(apart, 12, crowded)
 
 
