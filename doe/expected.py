@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from doe.problem import DesignProblem
+from doe.problem import DesignProblem, InformationModel
+from doe.uncertain import UncertainModel
 from identification.arm import Array, readonly
 from identification.information import Spectrum, orientation_transform, spectrum
 
@@ -35,12 +37,17 @@ def plan_spectrum(problem: DesignProblem, postures: Array, weights: Array | None
 
     weights : (m,) shares of the m runs, None: one each. Its rank is right where det M is nothing but rounding.
     """
+    return spectrum(plan_blocks(problem, postures, weights), np.ones(problem.parameters))
+
+
+def plan_blocks(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Array:
+    """(m + k, d, p) sensitivities of m runs and of the k measured already."""
     blocks = problem.blocks(postures)
     if weights is not None:
         blocks = blocks * np.sqrt(len(blocks) * weights)[:, None, None]
     if problem.kept is not None and len(problem.kept):
         blocks = np.concatenate([blocks, problem.blocks(problem.kept)])
-    return spectrum(blocks, np.ones(problem.parameters))
+    return blocks
 
 
 def expected_deviations(
@@ -55,12 +62,40 @@ def expected_deviations(
     told = plan_spectrum(problem, postures, weights)
     if told.rank < problem.parameters:
         return None
-    names, scales = problem.model.names, problem.model.scales
+    return _deviations(told, problem.model, problem.joints, sigma)
+
+
+def deviations_per_draw(
+    problem: DesignProblem, model: UncertainModel, postures: Array, sigma: float | None, weights: Array | None = None
+) -> tuple[ExpectedDeviations, ...] | None:
+    """What the plan will give if the arm is that of draw 1, 2, ..., K; None as in `expected_deviations`.
+
+    model : the problem's own, of several arms: each is judged by its own block of the block-diagonal sensitivities
+    """
+    if sigma is None:
+        return None
+    stacked = plan_blocks(problem, postures, weights)
+    d, p = model.model.dimension, len(model.model.names)
+    each = range(len(model.draws))
+    told = [spectrum(stacked[:, k * d : (k + 1) * d, k * p : (k + 1) * p], np.ones(p)) for k in each]
+    if any(one.rank < p for one in told):
+        return None
+    return tuple(_deviations(one, model.model, problem.joints, sigma) for one in told)
+
+
+def over_draws(found: Sequence[ExpectedDeviations], judge: Callable[..., Array]) -> ExpectedDeviations:
+    """Mean (`np.mean`) or worst (`np.max`) of each deviation over the draws."""
+    names = ("length", "orientation", "joint_offset")
+    return ExpectedDeviations(*(judge([getattr(one, name) for one in found], axis=0) for name in names))
+
+
+def _deviations(told: Spectrum, model: InformationModel, joints: int, sigma: float) -> ExpectedDeviations:
+    names, scales = model.names, model.scales
     matrix = (sigma / scales)[:, None] * told.covariance * (sigma / scales)  # sigma^2 (sum J^T J)^-1, own units
     deviations = np.sqrt(np.diag(matrix))
     transform = orientation_transform(names)
     orientations = np.sqrt(np.einsum("jp,pq,jq->j", transform, matrix, transform))
-    length, joint_offset, orientation = (np.zeros(problem.joints) for _ in range(3))
+    length, joint_offset, orientation = (np.zeros(joints) for _ in range(3))
     row = 0
     for name, deviation in zip(names, deviations, strict=True):
         found = re.fullmatch(r"(length_error|joint_offset):(\d+)", name)

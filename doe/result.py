@@ -13,9 +13,16 @@ from doe.bound import Bound
 from doe.certificate import CERTIFIED
 from doe.closed_form import table_1_max_residual
 from doe.criteria import D
-from doe.expected import ExpectedDeviations, expected_deviations, plan_spectrum
+from doe.expected import (
+    ExpectedDeviations,
+    deviations_per_draw,
+    expected_deviations,
+    over_draws,
+    plan_spectrum,
+)
 from doe.plan import Plan
 from doe.problem import DesignProblem
+from doe.uncertain import UncertainModel
 from identification.arm import Array
 from identification.status import Status
 
@@ -91,12 +98,23 @@ class Design:
 
     @cached_property
     def deviations(self) -> ExpectedDeviations | None:
-        """Expected standard deviations with the arm's sigma; None without sigma."""
+        """Expected standard deviations with the arm's sigma, the mean over the draws of an uncertain arm."""
+        if self.deviations_per_draw is not None:
+            return over_draws(self.deviations_per_draw, np.mean)
         sigma = getattr(getattr(self.problem.model, "arm", None), "sigma", None)
         return expected_deviations(self.problem, self.plan.postures, sigma, self.plan.weights)
 
+    @cached_property
+    def deviations_per_draw(self) -> tuple[ExpectedDeviations, ...] | None:
+        """Expected standard deviations for every draw of an uncertain arm; None for a known arm, or without sigma."""
+        model = self.problem.model
+        if not isinstance(model, UncertainModel):
+            return None
+        return deviations_per_draw(self.problem, model, self.plan.postures, model.model.arm.sigma, self.plan.weights)
+
     def to_json(self) -> dict[str, Any]:
         """The contract's keys of `design` and `score`: millimetres and degrees; None for what cannot be given."""
+        worst = self.deviations_per_draw
         return {
             "criterion": self.problem.criterion.name,
             "runs": len(self.plan),
@@ -110,6 +128,7 @@ class Design:
             "postures_deg": np.degrees(self.plan.postures).tolist(),
             "table_1_max_residual": _number(self.table_1_max_residual),
             "std": _deviations_json(self.deviations),
+            **({} if worst is None else {"std_worst_draw": _deviations_json(over_draws(worst, np.max))}),
             "solver": self.solver,
             "status": self.status.name,
             "starts": self.starts,

@@ -39,9 +39,15 @@ def accuracy_table(arm: Arm, data: dict[str, Any]) -> Table | str:
         return "No expected standard deviations: the arm file has no sigma_mm."
     if any(d is None for d in deviations):
         return "No expected standard deviations: the plan does not tell every parameter."
-    table = Table(title=f"Expected standard deviations (sigma = {arm.sigma:g} mm)", title_justify="left")
+    worst = data.get("std_worst_draw")
+    over = "" if worst is None else ", mean over the draws of the arm and worst of them"
+    table = Table(title=f"Expected standard deviations (sigma = {arm.sigma:g} mm{over})", title_justify="left")
     table.add_column("link", justify="right")
-    for heading in ("length [mm]", "orientation [deg]", "joint offset [deg]"):
+    headings = ["length [mm]", "orientation [deg]", "joint offset [deg]"]
+    if worst is not None:
+        headings += [f"worst {heading}" for heading in headings]
+        deviations += list(worst.values())
+    for heading in headings:
         table.add_column(Text(heading), justify="right")
     for j, row in enumerate(zip(*deviations, strict=True), start=1):
         table.add_row(str(j), *(number(v, 5) for v in row))

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rich.table import Table
 
 from doe.criteria.worst import Average, SoftWorst, Worst
 from doe.problem import DesignProblem
+from doe.report.tables import accuracy_table
+from doe.result import score
 from doe.solvers import solve
 from doe.uncertain import prior_draws, uncertain
 from identification.arm import Arm, Calibration, EffectSpec
@@ -105,3 +108,25 @@ def test_bad_input() -> None:
         uncertain(plain, DRAWS, "wurst")
     with pytest.raises(InputError, match="draws"):
         uncertain(plain, DRAWS[:, :-1])
+
+
+def test_expected_deviations_are_those_of_every_arm_by_itself() -> None:
+    plan = np.random.default_rng(5).uniform(ARM.lower, ARM.upper, (9, 3))
+    design = score(uncertain(DesignProblem.of(MODEL), DRAWS), plan)
+    orientation = np.tri(3)  # dtheta_j = dq_1 + ... + dq_j, parameters 3..5
+    each = []
+    for draw in DRAWS:
+        jacobians = MODEL.jacobian(plan, draw)
+        covariance = 0.1**2 * np.linalg.inv(sum(j.T @ j for j in jacobians))
+        turned = orientation @ covariance[3:6, 3:6] @ orientation.T
+        each.append(np.sqrt([np.diag(covariance)[:3], np.diag(turned), np.diag(covariance)[3:6]]))
+    data = design.to_json()
+    for key, judge in (("std", np.mean), ("std_worst_draw", np.max)):
+        length, turn, joint = judge(each, axis=0)
+        np.testing.assert_allclose(data[key]["length_mm"], length, rtol=1e-8)
+        np.testing.assert_allclose(data[key]["orientation_deg"], np.degrees(turn), rtol=1e-8)
+        np.testing.assert_allclose(data[key]["joint_offset_deg"], np.degrees(joint), rtol=1e-8)
+    table = accuracy_table(ARM, data)
+    assert isinstance(table, Table)
+    assert len(table.columns) == 7
+    assert "std_worst_draw" not in score(DesignProblem.of(MODEL), plan).to_json()
