@@ -120,27 +120,26 @@ def dictionary(jacobian: Array, columns: list[Array], one_sided: NDArray[np.bool
     """
     q = basis(jacobian)
     sizes = np.array([c.shape[1] for c in columns], dtype=np.int64)
-    stacked = np.hstack(columns) if columns else np.zeros((len(q), 0))
-    norms = np.linalg.norm(stacked, axis=0)
-    stacked = stacked / np.where(norms > 0.0, norms, 1.0)
-    projected = stacked - q @ (q.T @ stacked)
-    projected -= q @ (q.T @ projected)
+    # a row for each column, so that what is worked on together lies together in memory
+    stacked = np.concatenate([np.zeros((0, len(q))), *(c.T for c in columns)])
+    norms = np.linalg.norm(stacked, axis=1, keepdims=True)
+    stacked /= np.where(norms > 0.0, norms, 1.0)
+    for _ in range(2):  # the second pass takes away what rounding left
+        stacked -= (stacked @ q) @ q.T
     starts = np.cumsum(sizes) - sizes
     shares, widths = np.zeros(len(sizes)), np.zeros(len(sizes), dtype=np.int64)
-    bases = np.zeros_like(projected)
-    seen = np.zeros(projected.shape[1], dtype=bool)
+    seen = np.zeros(len(stacked), dtype=bool)
     for size in np.unique(sizes):
         members = np.flatnonzero(sizes == size)
         index = starts[members][:, None] + np.arange(size)  # (members, d)
-        blocks = projected[:, index].transpose(1, 0, 2)  # (members, N, d)
-        squares, turn = np.linalg.eigh(blocks.transpose(0, 2, 1) @ blocks)  # ascending
+        blocks = stacked[index]  # (members, d, N)
+        squares, turn = np.linalg.eigh(blocks @ blocks.transpose(0, 2, 1))  # ascending
         lengths = np.sqrt(np.maximum(squares, 0.0))
         if size == 1:
             turn = np.ones_like(turn)  # a positive score is a positive parameter
         shares[members] = lengths[:, 0]
         widths[members] = np.sum(lengths > VISIBLE, axis=1)
         seen[index] = lengths > VISIBLE
-        unit = (blocks @ turn) / np.maximum(lengths, VISIBLE)[:, None, :]
-        bases[:, index] = unit.transpose(1, 0, 2)
-    whole = bases if seen.all() else bases[:, seen]
-    return Dictionary(q, whole, np.cumsum(widths) - widths, widths, shares, one_sided, weights)
+        stacked[index] = (turn / np.maximum(lengths, VISIBLE)[:, None, :]).transpose(0, 2, 1) @ blocks
+    bases = stacked.T if seen.all() else stacked[seen].T
+    return Dictionary(q, bases, np.cumsum(widths) - widths, widths, shares, one_sided, weights)
