@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import click
@@ -27,6 +28,7 @@ def whole_numbers(context: click.Context, parameter: click.Parameter, value: str
 @click.argument("arms", type=FILE, nargs=-1, required=True, metavar="ARM...")
 @click.option("--runs", callback=whole_numbers, required=True, help="Numbers of measurements m, as in 10,20.")
 @click.option("--solvers", help="Names, as in a,b; left out: all.")
+@click.option("--criterion", "criteria", default="D", show_default=True, help="D, A, E or Dstar; more as in D,A.")
 @click.option("--starts", callback=whole_numbers, help="Starts of one run, as in 1,10; left out: each solver's own.")
 @click.option("--repeats", type=click.IntRange(min=1), default=5, show_default=True, help="Runs of each, other seeds.")
 @click.option(
@@ -48,6 +50,7 @@ def command(
     arms: tuple[Path, ...],
     runs: list[int],
     solvers: str | None,
+    criteria: str,
     starts: list[int] | None,
     repeats: int,
     seconds: float,
@@ -63,18 +66,23 @@ def command(
     best value known. With --repeats 10 --starts 1 that is the share of good starts.
     """
     one_thread_each()
-    from doe.compare import Comparison, compare, summary
+    from doe.compare import Comparison, compare, problem_of, summary
     from doe.executors import choose
     from doe.report.comparison import comparison_tables
     from doe.rows import RowTable
-    from doe.solvers import SOLVERS
+    from doe.solvers import library
+    from doe.solvers.driver import check_runs
     from identification.arm_file import load_arm
     from identification.errors import InputError
 
     if resume and out is None:
         raise InputError("--resume: needs --out, allowed: the folder of an earlier comparison")
-    names = list(SOLVERS) if solvers is None else [name.strip() for name in solvers.split(",")]
-    comparison = Comparison([load_arm(arm) for arm in arms], runs, names, starts or [None], repeats, seconds)
+    names = list(library()) if solvers is None else [name.strip() for name in solvers.split(",")]
+    kinds = [name.strip() for name in criteria.split(",")]
+    loaded = [load_arm(arm) for arm in arms]
+    comparison = Comparison(loaded, runs, names, starts or [None], repeats, seconds, kinds)
+    for arm, number in product(loaded, runs):
+        check_runs(problem_of(arm, kinds[0]), number)
     table_file = rows_file(out)
     with (
         interruptible(table_file),

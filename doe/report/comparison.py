@@ -26,19 +26,22 @@ def comparison_tables(rows: polars.DataFrame) -> list[Any]:
     shown: list[Any] = []
     found = summary(rows)
     for part in found.partition_by(*PROBLEM, maintain_order=True):
-        arm, runs = part["arm"][0], part["runs"][0]
-        bounds = with_hits(rows).filter(arm=arm, runs=runs)["bound"].drop_nulls().to_list()
-        title = f"{arm}, {runs} runs" + (f", bound {min(bounds):.7f}" if bounds else "")
+        arm, criterion, runs = (part[name][0] for name in ("arm", "criterion", "runs"))
+        same = with_hits(rows).filter(arm_hash=part["arm_hash"][0], criterion=criterion, runs=runs)
+        bounds = same["bound"].drop_nulls().to_list()
+        title = f"{arm}, {criterion}, {runs} runs" + (f", bound {min(bounds):.7f}" if bounds else "")
         shown.append(_table(title, part))
     return [*shown, *_failures(rows)]
 
 
 def _failures(rows: polars.DataFrame) -> list[str]:
     """What went wrong, equal sentences once."""
-    failed = rows.filter(rows["status"] != "done")
-    kinds = failed.group_by("arm", "runs", *SETTING, "status", "error", maintain_order=True).len()
+    import polars as pl
+
+    failed = with_hits(rows).filter(pl.col("status") != "done")
+    kinds = failed.group_by("arm", "criterion", "runs", *SETTING, "status", "error", maintain_order=True).len()
     lines = [
-        f"{row['arm']}, {row['runs']} runs, {label((row['solver'], row['starts']))}: "
+        f"{row['arm']}, {row['criterion']}, {row['runs']} runs, {label((row['solver'], row['starts']))}: "
         f"{row['len']} x {row['status']}: {row['error']}"
         for row in kinds.iter_rows(named=True)
     ]
@@ -137,7 +140,7 @@ def time_figure(rows: polars.DataFrame) -> Figure:
             axes.plot(runs["seconds"].to_numpy(), loss, marker, color=color, ms=5, alpha=0.7, label=label(setting))
         axes.set(xscale="log", yscale="log", ylim=(FLOOR / 2.0, 1.5), xlabel="time of a run [s]")
         _plain_numbers(axes)
-        axes.set_title(f"{problem[0]}, {problem[2]} runs", fontsize=9)
+        axes.set_title(f"{problem[0]}, {problem[2]}, {problem[3]} runs", fontsize=9)
     panels[0].set_ylabel(f"efficiency lost to the best known plan (floor {FLOOR:g})")
     handles, names = panels[0].get_legend_handles_labels()
     figure.legend(handles, names, fontsize=8, loc="outside right center")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cache
 from time import perf_counter
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,6 +43,7 @@ __all__ = [
     "Random",
     "RelaxRound",
     "Solver",
+    "library",
     "named",
     "score_plan",
     "solve",
@@ -57,11 +61,27 @@ SOLVERS: dict[str, Solver] = {
 }
 
 
+def library() -> Mapping[str, Solver]:
+    """Name -> solver of every one known: ours, and those of installed packages (entry-point group `armcal.solvers`).
+
+    An entry point names a settings object, or a class that makes one without arguments.
+    """
+    return MappingProxyType({**_installed(), **SOLVERS})
+
+
+@cache
+def _installed() -> dict[str, Solver]:
+    from importlib.metadata import entry_points
+
+    found = {point.name: point.load() for point in entry_points(group="armcal.solvers")}
+    return {name: made() if isinstance(made, type) else made for name, made in found.items()}
+
+
 def named(name: str) -> Solver:
     """The solver of a name as in `--solver`. Raises `InputError` with the nearest name for an unknown one."""
-    if name not in SOLVERS:
-        raise InputError(f"solver: unknown name {name!r}, {nearest(name, SOLVERS)}")
-    return SOLVERS[name]
+    if name not in library():
+        raise InputError(f"solver: unknown name {name!r}, {nearest(name, library())}")
+    return library()[name]
 
 
 def solve(

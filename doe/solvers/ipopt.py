@@ -78,6 +78,7 @@ class Climber:
         self.lower, self.upper = (np.tile(limit[self.joints], runs) for limit in (problem.lower, problem.upper))
         self.interrupted = False
         self._expansion: tuple[bytes, tuple[float, Array, Array]] | None = None
+        self._latest: tuple[bytes, list[Array]] | None = None
         self._callbacks = self._build()
         nlp = self._callbacks.pop("nlp")
         self.ipopt = ca.nlpsol("ipopt", "ipopt", nlp, settings.options | self._callbacks | {"no_nlp_grad": True})
@@ -135,8 +136,13 @@ class Climber:
         return made
 
     def _objective(self, x: Array, *_: Array) -> list[Array]:
-        plan = self.postures(x)
-        return [np.array([-self.function.value(plan)]), self.constraints.values(plan)]
+        """f and g; IPOPT asks for them one by one, and often again where it has been."""
+        key = x.tobytes()
+        if self._latest is None or self._latest[0] != key:
+            plan = self.postures(x)
+            values = self.constraints.values(plan) if self.constraints.rows else np.empty(0)
+            self._latest = (key, [np.array([-self.function.value(plan)]), values])
+        return self._latest[1]
 
     def _gradient(self, x: Array, *_: Array) -> list[Array]:
         value, slope, _hessian = self.expand(x)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from doe.problem import DesignProblem
 from doe.report.comparison import comparison_tables, performance_profile, profile_figure, time_figure
 from doe.result import score
 from doe.rows import RowTable, frame_of
+from doe.solvers import Offer, Random, _installed, named
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.model import Model
@@ -124,9 +127,63 @@ def test_solvers_run_in_their_own_processes_and_failures_are_rows(tmp_path: Path
     assert "InputError" in few["error"][0] or "JobError" in few["error"][0]
 
 
-def test_unknown_solver_has_the_nearest_name() -> None:
+def test_bad_comparisons() -> None:
     with pytest.raises(InputError, match="did you mean 'exchange'"):
         Comparison([ARM], [4], ["exchnge"])
+    with pytest.raises(InputError, match="did you mean 'Dstar'"):
+        Comparison([ARM], [4], ["exchange"], criteria=["Dstr"])
+    with pytest.raises(InputError, match="allowed: each name once"):
+        Comparison([ARM], [4], ["random", Random()])
+
+
+@dataclass(frozen=True)
+class Fourier:
+    """A solver of somebody else's: angles 2 pi i / m for every joint, the columns of the DFT matrix."""
+
+    name: str = "fourier"
+
+    def starts_for(self, _: DesignProblem) -> int:
+        return 1
+
+    def offers(self, problem: DesignProblem, runs: int, *_: object) -> Iterator[Offer]:
+        turns = 2.0 * np.pi * np.arange(runs) / runs
+        yield Offer(np.remainder(np.tile(turns[:, None], problem.joints) + np.pi, 2.0 * np.pi) - np.pi, 1)
+
+
+def test_criterion_and_own_solver_are_settings() -> None:
+    free = Arm(ARM.lengths, sigma=0.1, name="free")
+    rows = compare(Comparison([free], [5], [Fourier(), "random"], criteria=["A", "D"], repeats=1))
+    assert rows["status"].to_list() == ["done"] * 4
+    own = rows.filter(solver="fourier")
+    assert own["criterion"].to_list() == ["A", "D"]
+    assert own["settings"].to_list() == ["Fourier(name='fourier')"] * 2
+    scaled = np.zeros((6, 6))  # of every posture: two rows per length (1) and joint offset (lever over length)
+    turns = 2.0 * np.pi * np.arange(5) / 5
+    for turn in turns:
+        e = np.exp(1j * turn * np.arange(1, 4))
+        lever = np.array([(1j * ARM.lengths * e)[j:].sum() for j in range(3)]) / ARM.lengths
+        both = np.r_[e, lever]
+        scaled += (np.outer(both.real, both.real) + np.outer(both.imag, both.imag)) / 5
+    assert own["value"][0] == pytest.approx(-np.trace(np.linalg.inv(scaled)), rel=1e-9)
+    assert own["value"][1] == pytest.approx(np.linalg.slogdet(scaled)[1], abs=1e-9)
+    found = with_hits(rows)
+    a_values = rows.filter(criterion="A")["value"].to_numpy()  # A: the efficiencies are as the traces
+    np.testing.assert_allclose(
+        found.filter(criterion="A")["loss"].to_numpy(), 1.0 - a_values.max() / a_values, atol=1e-9
+    )
+    assert len(summary(rows)) == 4
+    assert len(comparison_tables(rows)) == 2
+
+
+def test_solver_of_an_installed_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("fourier", f"{__name__}:Fourier", "armcal.solvers")
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == "armcal.solvers" else [])
+    _installed.cache_clear()
+    try:
+        assert named("fourier") == Fourier()
+        Comparison([ARM], [4], ["fourier"])
+    finally:
+        _installed.cache_clear()
 
 
 def test_verb(tmp_path: Path) -> None:
