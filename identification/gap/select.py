@@ -214,13 +214,17 @@ def pair(search: Search, tested: Test, generator: np.random.Generator) -> Choice
 
 
 def _with_second(search: Search, one: Hypothesis) -> Choice | None:
-    """A hypothesis and the one that lowers the linear BIC most beside it."""
+    """A hypothesis and the one that lowers the linear BIC most beside it.
+
+    Two settings of one effect are no pair: they do not hide each other, and joint noise makes ripples of any order.
+    """
     found = search.fit((one,))
     members, against = search.rivals((one,))
     if not members:
         return None
     falls = against.reductions(found.residual[:, None])[:, 0]
     change = bic_change(falls, against, len(found.residual), found.squares)
+    change = np.where([h.key == one.key for h in members], np.inf, change)
     return (one, members[int(np.argmin(change))].free)
 
 
