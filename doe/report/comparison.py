@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 FLOOR = 1e-9  # losses below this are shown there
 MOST = 10  # failures shown
+ACROSS = 3  # panels side by side
 Setting = tuple[str, int]  # solver and starts
 Curve = tuple[Array, Array]  # x and y of a step function
 
@@ -130,9 +131,14 @@ def time_figure(rows: polars.DataFrame) -> Figure:
     rows = with_hits(rows)
     problems = rows.select(PROBLEM).unique(maintain_order=True).rows()
     styles = _styles(rows.select(SETTING).unique(maintain_order=True).rows())
-    figure = Figure(figsize=(4.2 * len(problems) + 2.0, 4.0), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, len(problems), sharey=True))
-    for axes, problem in zip(panels, problems, strict=True):
+    across = min(len(problems), ACROSS)
+    down = -(-len(problems) // across)
+    figure = Figure(figsize=(4.2 * across + 2.0, 0.5 + 3.5 * down), layout="constrained")
+    grid = figure.subplots(down, across, sharey=True, squeeze=False)
+    panels = grid.ravel()
+    for unused in panels[len(problems) :]:
+        unused.set_axis_off()
+    for axes, problem in zip(panels, problems, strict=False):
         part = rows.filter("good", **dict(zip(PROBLEM, problem, strict=True)))
         for setting, (color, _, marker) in styles.items():
             runs = part.filter(**dict(zip(SETTING, setting, strict=True)))
@@ -141,7 +147,8 @@ def time_figure(rows: polars.DataFrame) -> Figure:
         axes.set(xscale="log", yscale="log", ylim=(FLOOR / 2.0, 1.5), xlabel="time of a run [s]")
         _plain_numbers(axes)
         axes.set_title(f"{problem[0]}, {problem[2]}, {problem[3]} runs", fontsize=9)
-    panels[0].set_ylabel(f"efficiency lost to the best known plan (floor {FLOOR:g})")
+    for first in grid[:, 0]:
+        first.set_ylabel(f"efficiency lost to the best (floor {FLOOR:g})")
     handles, names = panels[0].get_legend_handles_labels()
     figure.legend(handles, names, fontsize=8, loc="outside right center")
     return figure
