@@ -69,6 +69,42 @@ def test_estimate_is_near_the_truth() -> None:
         assert estimate.unit == "deg"
 
 
+def rippled(m: int = 120) -> Measurements:
+    """Two ripples at joint 2 and one at joint 1, plain waves of some 0.05 deg in noise of 0.05 mm."""
+    rng = np.random.default_rng(21)
+    run = blind.session(TRUTH, rng.uniform(-np.pi, np.pi, (m, 3)), rng)
+    waves = [(2, 20, 9e-4, 0.0), (1, 12, 4e-4, 4e-4), (2, 29, 0.0, -8e-4)]
+    effects = [("transmission_ripple", j, {"k": k, "a": a, "b": b}) for j, k, a, b in waves]
+    return blind.measure(replace(TRUTH, effects=effects), run, rng, "white")
+
+
+def test_two_ripples_of_one_joint_are_named_beside_a_third() -> None:
+    found = diagnose(ARM, rippled(), draws=199)
+    ripple = "transmission_ripple"
+    assert found.verdict == "named"
+    assert set(found.effects) == {f"{ripple}:1", f"{ripple}:2[k=20]", f"{ripple}:2[k=29]"}
+    truth = {f"{ripple}:2[k=20].a": 9e-4, f"{ripple}:2[k=29].b": -8e-4, f"{ripple}:1.a": 4e-4, f"{ripple}:1.b": 4e-4}
+    for estimate in found.named.parameters:
+        assert abs(estimate.value - np.degrees(truth.get(estimate.name, 0.0))) < 4.0 * estimate.std
+    said = found.to_json()["candidates"][0]
+    assert said["settings"] == {f"{ripple}:1.k": 12.0, f"{ripple}:2[k=20].k": 20.0, f"{ripple}:2[k=29].k": 29.0}
+    assert diagnose(found.extended_arm(), rippled(), draws=199).verdict == "none"
+
+
+def test_a_ripple_beside_one_that_is_in_the_arm() -> None:
+    known = [EffectSpec("transmission_ripple", j, {"k": k}) for j, k in ((1, 12.0), (2, 20.0))]
+    found = diagnose(ARM.with_effects(*known), rippled(), draws=199)
+    assert (found.verdict, found.effects) == ("named", ("transmission_ripple:2[k=29]",))
+
+
+def test_a_wave_of_no_whole_order_is_not_two_ripples() -> None:
+    rng = np.random.default_rng(22)
+    run = blind.session(TRUTH, rng.uniform(-np.pi, np.pi, (120, 3)), rng)
+    wave = ("free_ripple", 2, {"k": 20.5, "a": 6e-4, "b": 6e-4})
+    found = diagnose(ARM, blind.measure(replace(TRUTH, effects=[wave]), run, rng, "white"), draws=199)
+    assert (found.verdict, found.where, found.effects) == ("unknown", "joint:2", ())
+
+
 def test_nothing_missing_gives_the_sizes_excluded() -> None:
     found = diagnosed(None)
     assert found.verdict == "none"

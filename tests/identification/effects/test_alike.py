@@ -1,0 +1,127 @@
+"""Several effects of one name at one joint, told apart by their settings: gear ripples of different k."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm, Calibration, EffectSpec, readonly
+from identification.arm_file import dump_arm, load_arm, with_calibration, with_effects
+from identification.errors import InputError
+from identification.estimation import estimate
+from identification.gap.hypotheses import hypotheses
+from identification.measurements import Measurements
+from identification.model import Model
+
+RIPPLE = "transmission_ripple"
+LENGTHS = [300.0, 200.0, 100.0]
+
+
+def ripple(joint: int, k: int, **values: float) -> EffectSpec:
+    return EffectSpec(RIPPLE, joint, {"k": float(k), **values})
+
+
+ARM = Arm(LENGTHS, effects=(ripple(1, 20), ripple(2, 18), ripple(1, 29)))
+
+
+def entry(joint: int, k: int, more: str = "") -> str:
+    return f'\n[[effects]]\nname = "{RIPPLE}"\njoint = {joint}\nk = {k}\n{more}'
+
+
+def test_names_say_the_setting_only_where_they_must() -> None:
+    one, other = f"{RIPPLE}:1[k=20]", f"{RIPPLE}:1[k=29]"
+    expected = (f"{one}.a", f"{one}.b", f"{RIPPLE}:2.a", f"{RIPPLE}:2.b", f"{other}.a", f"{other}.b")
+    assert Model(ARM).names[6:] == expected
+    assert [p.short for p in Model(ARM).parameters[6:]] == ["a", "b"] * 3
+    alone = Model(ARM.with_effects(ripple(1, 20), EffectSpec("encoder_eccentricity", 1)))
+    assert alone.names[6:8] == (f"{RIPPLE}:1.a", f"{RIPPLE}:1.b")
+
+
+def test_position_is_the_sum_of_all_ripples() -> None:
+    generator = np.random.default_rng(3)
+    q, values = generator.uniform(-np.pi, np.pi, (5, 3)), generator.normal(0.0, 0.01, 6)
+    a, b = values[::2], values[1::2]
+    joint, k = np.array([0, 1, 0]), np.array([20, 18, 29])
+    angles = q.copy()
+    for i in range(3):
+        angles[:, joint[i]] += a[i] * np.cos(k[i] * q[:, joint[i]]) + b[i] * np.sin(k[i] * q[:, joint[i]])
+    tip = np.exp(1j * np.cumsum(angles, axis=1)) @ LENGTHS
+    found = Model(ARM).position(q, np.r_[np.zeros(6), values])
+    np.testing.assert_allclose(found, np.column_stack([tip.real, tip.imag]), atol=1e-9)
+
+
+def test_all_are_estimated_and_known_values_stay() -> None:
+    truth = ARM.with_effects(ripple(1, 20, a=1e-3, b=2e-3), ripple(2, 18, a=-2e-3, b=0.0), ripple(1, 29, a=0.0, b=3e-3))
+    q = np.random.default_rng(4).uniform(-np.pi, np.pi, (40, 3))
+    data = Measurements(q, Model(truth).position(q))
+    found = estimate(Model(ARM), data)
+    np.testing.assert_allclose(found.parameters[6:], [1e-3, 2e-3, -2e-3, 0.0, 0.0, 3e-3], atol=1e-10)
+    fixed = Model(ARM.with_effects(ripple(1, 20, a=1e-3), ripple(1, 29)))
+    assert dict(fixed.fixed) == {f"{RIPPLE}:1[k=20].a": 1e-3}
+    assert fixed.names[6:] == (f"{RIPPLE}:1[k=20].b", f"{RIPPLE}:1[k=29].a", f"{RIPPLE}:1[k=29].b")
+
+
+@pytest.mark.parametrize("twice", [[ripple(1, 20), ripple(1, 20)], [ripple(1, 20, a=1.0), ripple(2, 3), ripple(1, 20)]])
+def test_the_same_setting_twice_is_refused(twice: list[EffectSpec]) -> None:
+    with pytest.raises(InputError, match=r"^effects: transmission_ripple:1\[k=20\] is given 2 times, allowed: once$"):
+        _ = Model(ARM.with_effects(*twice)).names
+
+
+def test_effects_without_settings_are_there_once() -> None:
+    for spec in (EffectSpec("base_offset"), EffectSpec("backlash", 2)):
+        with pytest.raises(InputError, match=f"^effects: {spec.key} is given 2 times, allowed: once$"):
+            _ = Model(ARM.with_effects(spec, replace(spec, values={}))).names
+
+
+# -- files -------------------------------------------------------------------------------------------------------------
+def load(folder: Path, text: str) -> Arm:
+    (folder / "arm.toml").write_text(text)
+    return load_arm(folder / "arm.toml")
+
+
+def test_files_hold_them_all(tmp_path: Path) -> None:
+    names = Model(ARM).names
+    values = dict(zip(names[6:], np.linspace(0.001, 0.006, 6), strict=True))
+    zeros = readonly(np.zeros(3))
+    arm = replace(ARM, calibration=Calibration(zeros, zeros, values, names, readonly(np.diag(np.arange(1.0, 13.0)))))
+    text = dump_arm(arm)
+    again = load(tmp_path, text)
+    assert again.effects == arm.effects
+    assert again.calibration is not None
+    assert again.calibration.parameter_names == names
+    assert dict(again.calibration.effects) == pytest.approx(values, rel=1e-14)
+    np.testing.assert_allclose(again.calibration.covariance, arm.calibration.covariance, rtol=1e-14)
+    assert f'"{RIPPLE}:1[k=29].b_deg" = ' in text
+    assert f'"{RIPPLE}:2.a_deg" = ' in text
+
+
+def test_files_that_say_the_same_twice_are_refused(tmp_path: Path) -> None:
+    text = "links_mm = [300, 200, 100]\n" + entry(1, 20) + entry(1, 29)
+    assert [spec.values["k"] for spec in load(tmp_path, text).effects] == [20, 29]
+    with pytest.raises(InputError) as error:
+        load(tmp_path, text + entry(1, 20, "a_deg = 0.1\n"))
+    assert str(error.value) == f"{tmp_path / 'arm.toml'}: effects: {RIPPLE}:1[k=20] is given 2 times, allowed: once"
+
+
+def test_only_what_is_not_there_yet_is_added(tmp_path: Path) -> None:
+    text = "links_mm = [300, 200, 100]\n" + entry(1, 20)
+    added = with_effects(text, ARM.effects)
+    assert added == text + entry(2, 18) + entry(1, 29)
+    assert with_effects(added, ARM.effects) == added
+    values = {f"{RIPPLE}:1[k=20].a": 0.001}
+    zeros = readonly(np.zeros(3))
+    assert load(tmp_path, with_calibration(added, Calibration(zeros, zeros, values))).calibration is not None
+    with pytest.raises(InputError, match=r"unknown parameter 'transmission_ripple:1\[k=20\].a'"):
+        with_calibration(text, Calibration(zeros, zeros, values))  # alone it has no need of a tag
+
+
+# -- diagnosis ---------------------------------------------------------------------------------------------------------
+def test_only_the_same_setting_is_not_tried_again() -> None:
+    tried = {(h.spec.joint, h.spec.values["k"]) for h in hypotheses(ARM, frozenset()).members if h.spec.name == RIPPLE}
+    every = {(j, float(k)) for j in (1, 2, 3) for k in range(3, 65)}
+    assert tried == every - {(1, 20.0), (1, 29.0), (2, 18.0)}
+    alone = hypotheses(Arm(LENGTHS, effects=(EffectSpec("base_offset"),)), frozenset())
+    assert alone.skipped["base_offset"] == "already in the arm's model"
