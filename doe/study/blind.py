@@ -22,7 +22,7 @@ import numpy as np
 import identification
 from doe.executors import Workers, run
 from doe.rows import Key, Row, RowTable, canonical
-from doe.study.blind_score import BlindStudy, score
+from doe.study.blind_score import BARS, BlindStudy, score
 from doe.study.named import NamedResult
 from identification.errors import InputError, nearest
 from identification.gap.case import Case
@@ -39,6 +39,7 @@ DRAWS = 499  # of the bootstrap
 NULL_SETS, SETS = 1000, 400  # data sets per cell, without and with a hidden effect
 AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured further
 AMBIGUOUS_SETS = 1200  # about a third of them are ambiguous
+NULLS = tuple(bar.cell for bar in BARS if bar.measure == "alarm")
 COMPARED = ("one, lambda 8, m=50", "one, lambda 8, discriminating plan")  # cells whose gap is compared with rivals'
 PLANS, TRUTH, DIAGNOSES = "plans.parquet", "truth.parquet", "diagnoses.parquet"
 
@@ -57,7 +58,7 @@ def blind_study(
 ) -> BlindStudy:
     """Diagnose data sets with hidden effects and compare with the truth afterwards.
 
-    cells : names of the simulator's cells, default all;  count : data sets per cell, default those of GAP.md's bars
+    cells : names of the simulator's cells, default those of the full study;  count : data sets per cell, default those of GAP.md's bars
     folder : where plans.parquet, truth.parquet and diagnoses.parquet go;  draws : of the bootstrap
 
     Raises `InputError` for an unknown cell, and where the simulator, which is no part of the package, is missing.
@@ -66,7 +67,8 @@ def blind_study(
     for cell in cells or ():
         if cell not in known:
             raise InputError(f"cell: unknown name {cell!r}, {nearest(cell, known)}")
-    keys = [dict(key) for cell in cells or known for key in _keys(cell, count, seed)]
+    reported = [cell for cell, spec in simulator().CELLS.items() if spec.reported]
+    keys = [dict(key) for cell in cells or reported for key in _keys(cell, count, seed)]
     to_plan = [key for key in keys if simulator().to_be_planned(key["cell"], _number(key)) is not None]
     with RowTable.within(folder, PLANS, resume=resume, force=force) as table:
         run(plan, to_plan, table, workers, progress=progress)
@@ -106,7 +108,7 @@ def study(
 
 
 def _keys(cell: str, count: int | None, seed: int) -> Iterator[Key]:
-    total = count or (AMBIGUOUS_SETS if cell == AMBIGUOUS else NULL_SETS if cell.startswith("none") else SETS)
+    total = count or (AMBIGUOUS_SETS if cell == AMBIGUOUS else NULL_SETS if cell in NULLS else SETS)
     for first in range(0, total, BLOCK):
         yield {"cell": cell, "first": first, "sets": min(BLOCK, total - first), "seed": seed}
 
