@@ -58,7 +58,8 @@ def blind_study(
 ) -> BlindStudy:
     """Diagnose data sets with hidden effects and compare with the truth afterwards.
 
-    cells : names of the simulator's cells, default those of the full study;  count : data sets per cell, default those of GAP.md's bars
+    cells : names of the simulator's cells, default those of the full study
+    count : data sets per cell, default 1000 without a hidden effect where there is a bar, else 400
     folder : where plans.parquet, truth.parquet and diagnoses.parquet go;  draws : of the bootstrap
 
     Raises `InputError` for an unknown cell, and where the simulator, which is no part of the package, is missing.
