@@ -66,7 +66,6 @@ def arm_from_tables(tables: dict[str, Any]) -> Arm:
     limits = file.joint_limits_deg
     effects = effects_of(file)
     _check_gravity(file, effects)
-    _check_gravity(file, effects)
     names = file_names(links, effects)
     return Arm(
         lengths=readonly(file.links_mm),
@@ -209,13 +208,6 @@ class FileName:
     api: str
     file: str
     factor: float
-
-
-def _check_gravity(file: ArmFile, effects: Iterable[tuple[EffectSpec, Effect]]) -> None:
-    """Raises `InputError` for an effect of gravity in a plane without gravity."""
-    for spec, effect in effects:
-        if "gravity" in effect.needs and file.gravity is None:
-            raise InputError(f"effects: {spec.key} needs gravity torques, found no [gravity] table, allowed: with one")
 
 
 def _check_gravity(file: ArmFile, effects: Iterable[tuple[EffectSpec, Effect]]) -> None:
