@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.doe.cli.conftest import ARM, Folder
+from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
 
 DESIGN_KEYS = {
     "criterion", "runs", "links", "log_det", "bound", "efficiency", "certified_optimal", "postures_deg",
@@ -98,3 +98,43 @@ def test_conditions_in_the_plan_reach_the_measurements(folder: Folder) -> None:
     refused = folder.armcal("simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "cold.csv")
     assert refused.code == 2
     assert "temperature_C" in refused.err
+
+
+def test_two_ripples_of_one_joint_go_round_the_loop(folder: Folder) -> None:
+    ripples = "".join(
+        f'\n[[effects]]\nname = "transmission_ripple"\njoint = {j}\nk = {k}\na_deg = {a}\nb_deg = {b}\n'
+        for j, k, a, b in ((1, 20, 0.06, 0.0), (1, 29, 0.03, 0.05), (2, 18, 0.0, 0.08))
+    )
+    folder.write("truth.toml", ARM + ripples + CALIBRATION)
+    postures = np.random.default_rng(5).uniform([-180, -120, -100, -90], [180, 120, 60, 90], (120, 4))
+    rows = [",".join([str(k + 1), *(f"{a:.6f}" for a in posture)]) for k, posture in enumerate(postures)]
+    folder.write("plan.csv", "\n".join(["run,q1_deg,q2_deg,q3_deg,q4_deg", *rows]) + "\n")
+    folder.simulated()
+    words = ["diagnose", "arm.toml", "data.csv", "--draws", "199", "--json", "--out", "extended.toml"]
+    found = folder.armcal(*words).data
+    one, other = "transmission_ripple:1[k=20]", "transmission_ripple:1[k=29]"
+    assert (found["verdict"], set(found["effects"])) == ("named", {one, other, "transmission_ripple:2"})
+    again = folder.armcal("diagnose", "extended.toml", "data.csv", "--draws", "199", "--json").data
+    assert again["verdict"] == "none"
+    done = folder.armcal("identify", "extended.toml", "data.csv", "--json", "--out", "calibrated.toml")
+    assert done.code == 0, done.err
+    values = {p["name"]: p for p in done.data["parameters"]}
+    truth = {f"{one}.a": 0.06, f"{one}.b": 0.0, f"{other}.a": 0.03, f"{other}.b": 0.05, "transmission_ripple:2.b": 0.08}
+    for name, true in truth.items():
+        assert abs(values[name]["value"] - true) < 5 * values[name]["std"]
+    assert folder.armcal("score", "calibrated.toml", "plan.csv", "--json").code == 0
+    folder.write("targets.csv", "x_mm,y_mm\n350,250\n-200,300\n")
+    reached = folder.armcal("compensate", "calibrated.toml", "targets.csv", "--json").data
+    assert (reached["targets"], reached["reached"]) == (2, 2)
+
+
+def test_two_ripples_of_one_joint_in_a_design(folder: Folder) -> None:
+    ripples = "".join(f'[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = {k}\n' for k in (4, 7))
+    folder.write("two.toml", "links_mm = [300, 200]\n" + ripples)
+    words = ["design", "two.toml", "--runs", "8", "--criterion", "Ds", "--solver", "random", "--json", "--subset"]
+    done = folder.armcal(*words, ",".join(f"transmission_ripple:1[k=7].{short}" for short in "ab"))
+    assert done.code == 0, done.err
+    assert np.shape(done.data["postures_deg"]) == (8, 2)
+    refused = folder.armcal(*words, "transmission_ripple:1.a")
+    assert refused.code == 2
+    assert "did you mean 'transmission_ripple:1[k=" in refused.err
