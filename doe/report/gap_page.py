@@ -17,7 +17,7 @@ MOST_TRIALS = 12
 
 
 def candidate_sheet(diagnosis: Diagnosis) -> Sheet:
-    """The ambiguity set: effects, F, adjusted p, Delta BIC, estimates with 95 % intervals."""
+    """The ambiguity set, or what is named beside an unknown effect: F, adjusted p, Delta BIC, 95 % intervals."""
     rows = [
         [
             " + ".join(c.effects),
@@ -25,11 +25,12 @@ def candidate_sheet(diagnosis: Diagnosis) -> Sheet:
             f"{c.p_adjusted:.2g}",
             f"{c.delta_bic:.1f}",
             ", ".join(
-                f"{p.name.rpartition('.')[2]} = {p.value:.4g} [{p.low_95:.4g}, {p.high_95:.4g}] {p.unit}"
+                f"{p.name if len(c.effects) > 1 else p.name.rpartition('.')[2]} = "
+                f"{p.value:.4g} [{p.low_95:.4g}, {p.high_95:.4g}] {p.unit}"
                 for p in c.parameters
             ),
         ]
-        for c in diagnosis.candidates
+        for c in diagnosis.candidates or (diagnosis.named,)
     ]
     return Sheet(["effects", "F", "adjusted p", "Delta BIC", "estimates [95 % interval]"], rows)
 
@@ -70,7 +71,7 @@ def alias_sheet(diagnosis: Diagnosis) -> Sheet:
 def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     """Verdict first, then candidates, gap, and what else a person should know."""
     shown: list[Any] = [Text(diagnosis.sentence, style="bold"), as_table(gap_sheet(diagnosis))]
-    if diagnosis.candidates and diagnosis.candidates[0].effects:
+    if diagnosis.effects:
         shown.append(as_table(candidate_sheet(diagnosis)))
     else:
         shown.append(as_table(excluded_sheet(diagnosis)))
@@ -95,7 +96,7 @@ def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
     notes = [*(f"Scatter: {finding}." for finding in diagnosis.scatter), *(f"{n}." for n in diagnosis.notes)]
     if diagnosis.outlier_rows:
         notes.insert(0, f"Rows left out as outliers: {', '.join(map(str, diagnosis.outlier_rows))}.")
-    candidates = [candidate_sheet(diagnosis)] if diagnosis.candidates and diagnosis.candidates[0].effects else []
+    candidates = [candidate_sheet(diagnosis)] if diagnosis.effects else []
     return [
         Section(
             "What is missing",

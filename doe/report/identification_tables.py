@@ -26,7 +26,7 @@ def identification_tables(found: Identification) -> list[Any]:
     shown: list[Any] = [verdict, parameter_table(data)]
     if data["not_identifiable"]:
         shown.append("These cannot be told apart by this plan; measure other postures or fix one of each:")
-        shown.extend(f"  {combination}" for combination in data["not_identifiable"])
+        shown.extend(Text(f"  {combination}") for combination in data["not_identifiable"])
     return shown
 
 
@@ -39,7 +39,7 @@ def parameter_table(data: dict[str, Any]) -> Table:
     table.add_column("unit")
     for row in data["parameters"]:
         figures = [significant(row[key], row["std"]) for key in ("value", "std", "low_95", "high_95")]
-        table.add_row(row["name"], *figures, row["unit"])
+        table.add_row(Text(row["name"]), *figures, row["unit"])  # a name with [k=20] is no markup
     return table
 
 

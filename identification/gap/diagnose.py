@@ -56,7 +56,7 @@ def diagnose(
     chosen = found.unknown.chosen
     candidates = candidate_list(found, draws, generator)
     named = next((c for c in candidates if c.specs == tuple(h.spec for h in chosen)), None)
-    named = named or describe(found.search, chosen, 0.0, (0.0, 1.0))
+    named = named or describe(found.search, chosen, 0.0, trial_of(found.search, chosen, draws, generator))
     progress(7, STEPS, "confirming on held-out data")
     gap = confirm(found.search.fit(()), found.search.fit(chosen), measurements, ~found.outlier, holdout)
     result = Diagnosis(

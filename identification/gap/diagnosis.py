@@ -148,6 +148,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "sentence": self.sentence,
             "effects": list(self.effects),
+            "named": self.named.to_json(),
             "candidates": [c.to_json() for c in self.candidates],
             "classes": list(self.classes),
             "aliases": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.aliases],
@@ -165,7 +166,9 @@ class Diagnosis:
 
     def __str__(self) -> str:
         lines = [self.sentence]
-        for c in self.candidates:
+        for c in self.candidates or (self.named,):
+            if not c.effects:
+                continue
             figures = f"F = {c.f:.1f}, p = {c.p_adjusted:.2g}, Delta BIC = {c.delta_bic:.1f}"
             lines.append(f"  {' + '.join(c.effects)}: {figures}; {'; '.join(str(p) for p in c.parameters)}")
         lines += [f"  scatter: {f}" for f in self.scatter]

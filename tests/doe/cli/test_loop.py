@@ -118,6 +118,7 @@ def test_two_ripples_of_one_joint_go_round_the_loop(folder: Folder) -> None:
     assert again["verdict"] == "none"
     done = folder.armcal("identify", "extended.toml", "data.csv", "--json", "--out", "calibrated.toml")
     assert done.code == 0, done.err
+    assert f"{one}.a" in folder.armcal("identify", "extended.toml", "data.csv").out  # brackets are no markup
     values = {p["name"]: p for p in done.data["parameters"]}
     truth = {f"{one}.a": 0.06, f"{one}.b": 0.0, f"{other}.a": 0.03, f"{other}.b": 0.05, "transmission_ripple:2.b": 0.08}
     for name, true in truth.items():
