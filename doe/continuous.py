@@ -37,10 +37,14 @@ SAME = 1e-7  # [rad] postures nearer than this are one
 
 @dataclass(frozen=True)
 class ContinuousSet:
-    """All postures within the limits (and constraints) of a problem, as something whose best postures can be found."""
+    """All postures within the limits (and constraints) of a problem, as something whose best postures can be found.
+
+    also : (k, n) starts beside the landmarks and random ones
+    """
 
     problem: DesignProblem
     mixture: Mixture
+    also: Array | None = None
 
     @cached_property
     def _derivatives(self) -> Callable[..., tuple[np.ndarray, ...]]:
@@ -87,7 +91,8 @@ class ContinuousSet:
         generator = np.random.default_rng(0)
         landmarks = self._landmarks(generator)
         allowed = landmarks[self.problem.feasible(landmarks)]
-        return np.concatenate([allowed, self.random(generator, SAMPLES)])
+        more = [] if self.also is None else [np.atleast_2d(self.also)]
+        return np.concatenate([allowed, *more, self.random(generator, SAMPLES)])
 
     def random(self, generator: np.random.Generator, count: int) -> Array:
         """(count, n) feasible random postures. Raises InputError where there are none, naming the constraints."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from time import perf_counter
 from types import MappingProxyType
@@ -61,6 +62,9 @@ SOLVERS: dict[str, Solver] = {
 }
 
 
+BEATEN = 1e-8  # relative excess over a bound that is not rounding
+
+
 def library() -> Mapping[str, Solver]:
     """Name -> solver of every one known: ours, and those of installed packages (entry-point group `armcal.solvers`).
 
@@ -117,7 +121,26 @@ def solve(
             if theory.status is Status.bound_reached:
                 return _told(finish(problem, theory, Analytic(), known, began, seed, throw=False), throw)
         search = _search(problem, runs, chosen, seed, starts, seconds, known, progress)
-        return _told(finish(problem, search, chosen, known, began, seed, throw=False), throw)
+        design = finish(problem, search, chosen, known, began, seed, throw=False)
+        return _told(design if bound is not None else with_true_bound(design), throw)
+
+
+def with_true_bound(design: Design) -> Design:
+    """The design itself, unless it is better than its bound: then one that its own postures helped to find, or none.
+
+    A numerical bound rests on the largest sensitivity that a search found. A better design proves that the search
+    missed a posture, and one of the design's own has a greater sensitivity (the criterion is concave).
+    """
+    bound = design.bound
+    if bound is None or design.value <= bound.value + BEATEN * max(1.0, abs(bound.value)):
+        return design
+    from doe.solvers.column_generation import continuous_bound
+
+    try:
+        again = continuous_bound(design.problem, runs=len(design.plan), also=design.plan.postures)
+    except JobError:
+        return replace(design, bound=None)
+    return replace(design, bound=again if again.value >= design.value - BEATEN * max(1.0, abs(again.value)) else None)
 
 
 def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver:

@@ -64,17 +64,19 @@ def continuous_design(
     tolerance: float = 1e-10,
     proof: float = 1e-10,
     most_boxes: int = MOST_BOXES,
+    also: Array | None = None,
 ) -> ApproximateDesign:
     """Optimal weights over ALL postures within limits and constraints: no grid at all.
 
     Works for any model. Where the sensitivity is a trigonometric polynomial and there are no constraints, the gap is
     proven by branch and bound and `bound.rigorous` is True; else the largest sensitivity is the best of a multistart.
     tolerance : relative gap at which to stop;  proof : relative gap that branch and bound must prove, 0: do not try
+    also : (k, n) postures from which the multistart starts as well
     """
     began = perf_counter()
     mixture = Mixture.of(problem, runs)
     tolerance = _attainable(problem, tolerance)
-    everything = ContinuousSet(problem, mixture)
+    everything = ContinuousSet(problem, mixture, also)
     starts = PostureList(everything.starts)
     climb = continuous_price(everything)
     thorough = continuous_price(everything, np.random.default_rng(0))
@@ -97,12 +99,15 @@ def continuous_design(
     return finish(problem, mixture, ended, largest, None, max(tolerance, proof), began, rigorous=rigorous)
 
 
-def continuous_bound(problem: DesignProblem, *, runs: int | None = None, tolerance: float = 1e-8) -> Bound:
+def continuous_bound(
+    problem: DesignProblem, *, runs: int | None = None, tolerance: float = 1e-8, also: Array | None = None
+) -> Bound:
     """No design within limits and constraints is better: a theorem where `rigorous` is True, else numerical.
 
+    also : (k, n) postures that the search must look at
     Raises JobError where the optimum was not reached.
     """
-    design = continuous_design(problem, runs=runs, tolerance=tolerance, proof=tolerance)
+    design = continuous_design(problem, runs=runs, tolerance=tolerance, proof=tolerance, also=also)
     if design.bound is None:
         raise JobError(f"continuous bound: {design.status.name}, gap {design.gap:.2g}; {design.status.value}")
     return design.bound

@@ -24,6 +24,7 @@ from identification.arm import Array
 from identification.errors import JobError
 
 ROUNDS = 200
+CROWD = 30  # postures per parameter
 ROUGH = 1e-4  # gap of the weights relative to that of the postures, until the end
 EXACT = 1e-14  # the same at the end: rounding
 DEAD = 1e-10  # weight below which a posture is dropped
@@ -77,8 +78,9 @@ def generate(
         gap = largest - level
         if len(offers) and gap > stage.goal * abs(level):
             accuracy = max(ROUGH * gap / abs(level), EXACT)
-            # dropping postures although the gap has not shrunk can go in circles
-            working = _extend(problem, mixture, working, offers, accuracy, purge=gap < 0.9 * smallest)
+            # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
+            crowded = len(working.postures) > CROWD * problem.parameters
+            working = _extend(problem, mixture, working, offers, accuracy, purge=crowded or gap < 0.9 * smallest)
             smallest = min(smallest, gap)
             current -= stage.back
         elif accuracy > EXACT:

@@ -1,0 +1,40 @@
+"""A design that is better than its numerical bound shows that the bound is wrong: it is never reported."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doe import DesignProblem, solve
+from doe.bound import Bound
+from doe.closed_form import closed_form_log_det
+from doe.solvers import with_true_bound
+from identification.arm import Arm, EffectSpec
+from identification.model import Model
+
+BOX = Arm([300.0, 200.0, 150.0], lower=np.radians([-180, -120, -100]), upper=np.radians([180, 60, 90]), sigma=0.1)
+
+
+def test_a_bound_that_is_beaten_is_found_again_and_equals_the_closed_form() -> None:
+    problem = DesignProblem.of(Model(BOX))
+    design = solve(problem, 12, seed=1)
+    wrong = replace(design, bound=Bound(design.value - 0.1, "continuous"))
+    assert wrong.efficiency > 1.0
+    bound = with_true_bound(wrong).bound
+    assert bound is not None
+    assert bound.value == pytest.approx(closed_form_log_det(problem), abs=1e-6)
+    assert bound.value >= design.value - 1e-9
+
+
+def test_a_bound_that_holds_is_kept() -> None:
+    design = solve(DesignProblem.of(Model(BOX)), 12, seed=1)
+    assert with_true_bound(design) is design
+    assert with_true_bound(replace(design, bound=None)).bound is None
+
+
+def test_with_a_fast_ripple_no_design_is_better_than_its_bound() -> None:
+    arm = BOX.with_effects(EffectSpec("transmission_ripple", 2, {"k": 23.0}))
+    design = solve(DesignProblem.of(Model(arm)), 12, seed=1, starts=10, seconds=20)
+    assert design.efficiency is None or design.efficiency <= 1.0 + 1e-8
