@@ -9,7 +9,7 @@ import numpy as np
 from identification.arm import Arm, Array, Calibration, readonly
 from identification.effects import Chain, Parameter
 from identification.errors import InputError
-from identification.gap.confirm import check_holdout, confirm, residuals
+from identification.gap.confirm import Gap, check_holdout, check_same_arm, confirm, residuals
 from identification.gap.diagnosis import Candidate, Diagnosis, Estimate, Residuals, Trial
 from identification.gap.fit import Fit
 from identification.gap.hypotheses import HypothesisSet, hypotheses
@@ -41,13 +41,15 @@ def diagnose(
     draws : bootstrap draws
 
     Raises `InputError` for data of another arm, effects without the data they need, fewer than 4 spare degrees of
-    freedom, a hold-out that shares rows with the data.
+    freedom, one posture or one position only, a hold-out of another arm or one that shares rows with the data.
     """
     check_input(arm, measurements, holdout)
     library = hypotheses(arm, varying(measurements))
     rows = Rows.of(measurements)
     first = Search(library, rows).fit(())
     require_spare(first.freedom, len(rows))
+    if holdout is not None:
+        check_same_arm(first, measurements, holdout)
     generator = np.random.default_rng(seed)
     progress(1, STEPS, "base model fitted")
     found = investigate(library, rows, draws, generator, lambda message: progress(2, STEPS, message))
@@ -77,7 +79,7 @@ def diagnose(
         preflight=before,
         residuals=show_residuals(arm, measurements, found.search.fit(()), found.search.fit(chosen)),
         sigma=found.search.fit(chosen).sigma,
-        notes=tuple(notes(arm, measurements, found, holdout)),
+        notes=tuple(notes(arm, measurements, found, holdout, gap)),
     )
     progress(STEPS, STEPS, result.sentence)
     return result
@@ -87,6 +89,9 @@ def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | No
     """Raise `InputError` for data that do not belong to the arm or lack what its effects need."""
     if measurements.links != arm.links:
         raise InputError(f"measurements: {measurements.links} joints, allowed: {arm.links} as in the arm file")
+    for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
+        if np.all(np.ptp(table, axis=0) == 0.0):
+            raise InputError(f"measurements: the same {name} in all {len(table)} rows, allowed: several {name}s")
     needs = Model(arm).needs
     if "temperature" in needs and measurements.temperature is None:
         raise InputError("temperature_C: an effect in the arm file needs it, the measurements have no such column")
@@ -136,7 +141,7 @@ def candidate_list(found: Findings, draws: int, generator: np.random.Generator) 
 def describe(search: Search, chosen: Choice, delta: float, trial: tuple[float, float]) -> Candidate:
     """A set of effects with its estimates."""
     found = search.fit(chosen)
-    covariance = found.covariance()
+    covariance = found.covariance(held=False)
     effects = found.model.effects[len(found.model.effects) - len(chosen) :]  # their names depend on the others
     added = {p.name for effect in effects for p in effect.parameters}
     estimates = []
@@ -226,7 +231,7 @@ def torques(arm: Arm, measurements: Measurements) -> Array:
     return np.asarray(vectorise(function)(measurements.postures, table)[0][..., 0])
 
 
-def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measurements | None) -> list[str]:
+def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measurements | None, gap: Gap) -> list[str]:
     """What a person should know before trusting the verdict."""
     said = [f"{key} was not tried: {why}" for key, why in found.search.hypotheses.skipped.items()]
     if measurements.directions is None:
@@ -240,6 +245,9 @@ def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measur
         ratio = found.search.fit(found.unknown.chosen).sigma / arm.sigma
         if measurements.sigma is None and not 0.67 < ratio < 1.5:
             said.append(f"the scatter is {ratio:.2f} times the sigma_mm of the arm file; the tests use the scatter")
+    if gap.held_out_after is not None and gap.predicted is not None and gap.held_out_after > 3.0 * gap.predicted:
+        times = gap.held_out_after / gap.predicted
+        said.append(f"the held-out rows are {times:.2g} times farther off than predicted: another range or set-up?")
     drifts = any("drift" in effect for effect in (h.key for h in found.unknown.chosen))
     if drifts and holdout is not None:
         said.append("a drift of one session says nothing of another: judge it by a hold-out from the same session")

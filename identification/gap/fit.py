@@ -57,14 +57,17 @@ class Fit:
         """Parameter name -> value."""
         return dict(zip(self.model.names, map(float, self.values), strict=True))
 
-    def covariance(self) -> Array:
-        """(p, p) of the estimates; rows and columns of parameters at a bound are zero."""
-        scaled = self.jacobian[:, self.free] / self.model.scales[self.free]
+    def covariance(self, held: bool = True) -> Array:
+        """(p, p) of the estimates, [unit of row x unit of column].
+
+        held : parameters at a bound count as known, their rows and columns are zero, which suits predictions; False:
+        as without bounds, which suits intervals: a bound that was met does not tell the value behind it
+        """
+        free = self.free if held else np.ones(len(self.values), dtype=bool)
+        scaled = self.jacobian[:, free] / self.model.scales[free]
         inverse = np.linalg.pinv(scaled.T @ scaled) * self.sigma**2
         full = np.zeros((len(self.values), len(self.values)))
-        full[np.ix_(self.free, self.free)] = inverse / np.outer(
-            self.model.scales[self.free], self.model.scales[self.free]
-        )
+        full[np.ix_(free, free)] = inverse / np.outer(self.model.scales[free], self.model.scales[free])
         return full
 
 

@@ -12,8 +12,11 @@ import pytest
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import library
 from identification.errors import InputError
-from identification.gap.diagnose import diagnose
+from identification.gap.diagnose import describe, diagnose
 from identification.gap.diagnosis import Diagnosis
+from identification.gap.hypotheses import hypotheses
+from identification.gap.select import Search
+from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from tests.identification.gap import blind
 
@@ -205,6 +208,52 @@ def test_bad_input() -> None:
         diagnose(ARM.with_effects(EffectSpec("thermal_growth")), no_temperature)
     with pytest.raises(InputError, match="gravity"):
         diagnose(replace(ARM, gravity=None).with_effects(EffectSpec("link_bending")), data)
+
+
+def test_one_posture_or_one_position_is_refused() -> None:
+    data = measured(None)
+    for name in ("postures", "positions"):
+        same = np.tile(getattr(data, name)[:1], (60, 1))
+        with pytest.raises(InputError, match=f"the same {name[:-1]} in all 60 rows"):
+            diagnose(ARM, replace(data, **{name: same}))
+
+
+def test_a_holdout_of_another_arm_is_refused() -> None:
+    data, fresh = measured("encoder_eccentricity"), measured("encoder_eccentricity", seed=2, m=30)
+    with pytest.raises(InputError, match="another arm"):
+        diagnose(ARM, data, replace(fresh, positions=1.2 * fresh.positions), draws=99)
+    turn = np.array([[0.985, 0.174], [-0.174, 0.985]])
+    with pytest.raises(InputError, match="another arm"):  # the base turned by 10 deg between the two sessions
+        diagnose(ARM, data, replace(fresh, positions=fresh.positions @ turn), draws=99)
+    bumped = fresh.positions.copy()
+    bumped[:5] += 50.0  # a few outliers are not another arm
+    found = diagnose(ARM, data, replace(fresh, positions=bumped), draws=99)
+    assert any("times farther off than predicted" in note for note in found.notes)
+    assert not any("farther off" in note for note in diagnose(ARM, data, fresh, draws=99).notes)
+
+
+def test_a_rounded_copy_is_no_holdout() -> None:
+    data = measured(None)
+    with pytest.raises(InputError, match="60 of 60 rows are also in the data"):
+        diagnose(ARM, data, replace(data, positions=np.round(data.positions, 3)))
+
+
+def test_an_estimate_at_its_bound_has_an_interval() -> None:
+    # one link that rises under its load instead of sagging: p = l exp(i (q + c tau)), c < 0, so the estimate is 0.
+    # Columns dp/d(l, offset, c) = e, i l e, i l tau e with e = exp(iq): the variance of c without its bound follows
+    # from tau less its mean alone, var = sigma^2 / (l^2 sum (tau - mean)^2)
+    rng = np.random.default_rng(5)
+    arm = Arm([300.0], gravity=Gravity(np.array([0.0, -9.81]), np.array([10.0]), np.array([0.5]), 5.0))
+    q = rng.uniform(-3.0, 3.0, (60, 1))
+    tau = -9.81 * (10.0 * 0.15 + 5.0 * 0.3) * np.cos(q[:, 0])
+    p = 300.0 * np.exp(1j * (q[:, 0] - 2e-5 * tau)) + 0.02 * rng.normal(size=(60, 2)) @ [1, 1j]
+    search = Search(hypotheses(arm, frozenset()), Rows.of(Measurements(q, np.column_stack([p.real, p.imag]))))
+    chosen = tuple(h for h in search.hypotheses.members if h.key == "joint_compliance:1")
+    (estimate,) = describe(search, chosen, 0.0, (1.0, 1.0)).parameters
+    std = search.fit(chosen).sigma / (300.0 * np.sqrt(np.sum((tau - tau.mean()) ** 2)))
+    assert estimate.value == estimate.low_95 == 0.0
+    assert estimate.std == pytest.approx(std, rel=1e-3)  # the link is 300 mm to 1e-4
+    assert estimate.high_95 == pytest.approx(1.96 * std, rel=1e-3)
 
 
 def test_poor_data_do_not_crash() -> None:
