@@ -21,14 +21,17 @@ def command(
 ) -> Answer:
     """The next RUNS postures that tell the candidates of an ambiguous diagnosis apart, with their chance of success."""
     from doe.discriminate import discriminate
-    from doe.report.next_postures import next_data, next_tables, next_text
+    from doe.report.next_postures import missing_payload, next_data, next_tables, next_text
     from identification.arm_file import load_arm
+    from identification.errors import InputError
     from identification.files import check_writable, write_whole
     from identification.gap.diagnose import diagnose
 
     loaded = load_arm(arm)
     check_writable(out, force)
     masses = None if payloads is None else payload_list(payloads)
+    if masses is not None and loaded.gravity is None:
+        raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
     measurements = read_measurements(data, loaded)
     with session.progress("discriminate") as progress:
         diagnosis = diagnose(loaded, measurements, seed=session.seed, progress=progress)
@@ -40,6 +43,7 @@ def command(
     if out is not None:
         write_whole(out, next_text(found), force=force)
         shown.append(f"next postures written to {out}; measure them and append the rows to {data}")
+    shown += missing_payload(loaded, measurements, found)
     return Answer(next_data(diagnosis, found), shown)
 
 

@@ -11,7 +11,7 @@ from rich.text import Text
 from doe.report.gap_figures import against_figure, alias_figure, workspace_figure
 from doe.report.page import Section, Sheet, page
 from doe.report.tables import number
-from identification.gap.diagnosis import Diagnosis, Estimate
+from identification.gap.diagnosis import Candidate, Diagnosis, Estimate
 
 MOST_TRIALS = 12
 
@@ -24,21 +24,26 @@ def candidate_sheet(diagnosis: Diagnosis) -> Sheet:
             f"{c.f:.1f}",
             f"{c.p_adjusted:.2g}",
             f"{c.delta_bic:.1f}",
-            ", ".join(
-                f"{p.name if len(c.effects) > 1 else p.name.rpartition('.')[2]} = "
-                f"{p.value:.4g} [{p.low_95:.4g}, {p.high_95:.4g}] {p.unit}"
-                for p in c.parameters
-            ),
+            ", ".join([*setting_texts(c), *(estimate_text(p, full=len(c.effects) > 1) for p in c.parameters)]),
         ]
         for c in diagnosis.candidates or (diagnosis.named,)
     ]
     return Sheet(["effects", "F", "adjusted p", "Delta BIC", "estimates [95 % interval]"], rows)
 
 
-def estimate_text(estimate: Estimate) -> str:
-    """`a = 0.061 [0.052, 0.071] deg`."""
-    short, unit = estimate.name.rpartition(".")[2], "" if estimate.unit == "1" else f" {estimate.unit}"
-    return f"{short} = {estimate.value:.4g} [{estimate.low_95:.4g}, {estimate.high_95:.4g}]{unit}"
+def setting_texts(candidate: Candidate) -> list[str]:
+    """`k = 12`: what was chosen and not estimated, where the name does not say it already."""
+    full = len(candidate.effects) > 1
+    named = zip(candidate.effects, candidate.specs, strict=True)
+    shown = ((f"{key}.{name}" if full else name, value) for key, spec in named for name, value in spec.values.items())
+    return [f"{name} = {value:g}" for name, value in shown if f"[{name.rpartition('.')[2]}=" not in name]
+
+
+def estimate_text(estimate: Estimate, full: bool = False) -> str:
+    """`a = 0.061 [0.052, 0.071] deg`; in `full` with the name of the effect."""
+    name = estimate.name if full else estimate.name.rpartition(".")[2]
+    unit = "" if estimate.unit == "1" else f" {estimate.unit}"
+    return f"{name} = {estimate.value:.4g} [{estimate.low_95:.4g}, {estimate.high_95:.4g}]{unit}"
 
 
 def gap_sheet(diagnosis: Diagnosis) -> Sheet:

@@ -10,8 +10,10 @@ from rich.table import Table
 from rich.text import Text
 
 from doe.discriminate import NextPostures
+from identification.arm import Arm
 from identification.gap.diagnosis import Diagnosis
 from identification.measurement_file import csv_text, posture_columns
+from identification.measurements import Measurements
 
 
 def next_columns(found: NextPostures) -> dict[str, NDArray[np.generic]]:
@@ -23,6 +25,13 @@ def next_columns(found: NextPostures) -> dict[str, NDArray[np.generic]]:
     if found.directions is not None:
         columns |= {f"direction{j + 1}": column for j, column in enumerate(found.directions.T)}
     return columns
+
+
+def missing_payload(arm: Arm, measurements: Measurements, found: NextPostures) -> list[str]:
+    """What to do before the rows can be appended: data without a payload column mean the arm's own payload."""
+    if found.payload is None or measurements.payload is not None or arm.gravity is None:
+        return []
+    return [f"note: the measured rows need a column payload_kg too: {arm.gravity.payload:g} in each of them"]
 
 
 def next_text(found: NextPostures) -> str:

@@ -104,6 +104,18 @@ def test_effect_without_its_data(folder: Folder) -> None:
     refused(folder, ["identify", "arm.toml", "data.csv"], "joint_compliance", "[gravity]")
 
 
+def test_one_file_for_two_outputs(folder: Folder) -> None:
+    folder.write("data.csv", HEADER + "0,0,0,0,660,0\n")
+    words = ["diagnose", "arm.toml", "data.csv", "--out", "out.file", "--report", "./out.file"]
+    refused(folder, words, "--report", "out.file", "another name")
+
+
+def test_payloads_without_gravity(folder: Folder) -> None:
+    folder.write("data.csv", HEADER + "0,0,0,0,660,0\n")
+    words = ["discriminate", "arm.toml", "data.csv", "--runs", "2", "--payloads", "0,5"]
+    refused(folder, words, "--payloads", "[gravity]")
+
+
 def test_unknown_names(folder: Folder) -> None:
     folder.simulated()
     refused(folder, ["design", "arm.toml", "--runs", "8", "--solver", "ipotp"], "ipotp", "ipopt")
