@@ -25,7 +25,13 @@ __all__ = ["Chain", "Effect", "Parameter", "build", "build_all", "known_values",
 @cache
 def _load_entry_points() -> None:
     for point in entry_points(group="armcal.effects"):
-        register(point.load())
+        try:
+            found = point.load()
+        except (ImportError, AttributeError) as error:
+            raise InputError(f"entry point armcal.effects: {point.name} = {point.value}: {error}") from None
+        if not (isinstance(found, type) and issubclass(found, Effect)):
+            raise InputError(f"entry point armcal.effects: {point.name} = {point.value}, allowed: a class under Effect")
+        register(found)
 
 
 def library() -> Mapping[str, type[Effect]]:

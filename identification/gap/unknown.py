@@ -50,13 +50,13 @@ class _Shapes:
 def look(search: Search, chosen: Choice, generator: np.random.Generator) -> Unknown:
     """General block test after the last accepted effect, then the place by BIC."""
     after = _shapes(search, chosen)
-    p = _adjusted(after, search.fit(chosen).residual, generator)
+    p = _adjusted(after, search.fit(chosen).residual, generator) if after.listed else 1.0
     best = search.bic(chosen)
     options = [
         (float(s.bic[k]), chosen_without, s.listed[k]) for chosen_without, s, k in _options(search, chosen, after)
     ]
     crowd = _crowded(chosen)
-    if crowd is not None:
+    if crowd is not None and options:
         options = [o for o in options if place_of_all(o[1], crowd) == 0] or options
         return _named(p, min(options, key=lambda option: option[0]), place=crowd)
     if p <= LEVEL * (CAREFUL if search.careful else 1.0):
@@ -87,12 +87,9 @@ def _crowded(chosen: Choice) -> str | None:
 
 
 def _options(search: Search, chosen: Choice, after: _Shapes) -> list[tuple[Choice, _Shapes, int]]:
-    """An atom added to the chosen set, or put in the place of some of its members."""
-    found = [(chosen, after, int(np.argmin(after.bic)))]
-    for rest in _reduced(chosen):
-        shapes = _shapes(search, rest)
-        found.append((rest, shapes, int(np.argmin(shapes.bic))))
-    return found
+    """An atom added to the chosen set, or put in the place of some of its members; few rows may leave none."""
+    sets = [(chosen, after), *((rest, _shapes(search, rest)) for rest in _reduced(chosen))]
+    return [(rest, shapes, int(np.argmin(shapes.bic))) for rest, shapes in sets if shapes.listed]
 
 
 def _reduced(chosen: Choice) -> list[Choice]:

@@ -274,6 +274,20 @@ def test_poor_data_do_not_crash() -> None:
     assert diagnose(ARM, repeated, draws=99).preflight.freedom == 96 - 6
 
 
+@pytest.mark.parametrize("m", [6, 7, 8])
+def test_hardly_any_rows_do_not_crash(m: int) -> None:
+    # 4 links, 8 parameters: from 6 rows on there are the 4 spare degrees of freedom that are asked for, and with an
+    # effect named hardly any of them left for shapes
+    for seed in range(10):
+        rng = np.random.default_rng([m, seed])
+        q = rng.uniform(-2.0, 2.0, (m, 4))
+        p = np.exp(1j * np.cumsum(q, axis=1)) @ [260.0, 180.0, 120.0, 100.0] + rng.normal(size=(m, 2)) @ [0.1, 0.1j]
+        found = diagnose(
+            Arm([260.0, 180.0, 120.0, 100.0]), Measurements(q, np.column_stack([p.real, p.imag])), draws=99
+        )
+        assert found.preflight.freedom == 2 * m - 8
+
+
 def test_one_link_lists_its_exact_aliases() -> None:
     arm = Arm([300.0], gravity=Gravity(np.array([0.0, -9.81]), np.array([10.0]), np.array([0.5]), 5.0))
     q = np.linspace(-3.0, 3.0, 40)[:, None]

@@ -1,0 +1,60 @@
+"""Effects of installed packages: found by their entry point; a broken one is one line that names it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from identification import effects
+from identification.effects import base, library
+from identification.errors import InputError
+
+SOURCE = '''
+from identification.effects import Effect
+
+class Bump(Effect):
+    """A bump."""
+    name = "my_bump"
+    summary = "bump"
+
+    def define(self):
+        return (self.parameter("h", "rad", scale=1.0),)
+'''
+
+
+@pytest.fixture(autouse=True)
+def forget(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(base, "_LIBRARY", kept := dict(base._LIBRARY))
+    monkeypatch.setattr(effects, "_LIBRARY", kept)
+    effects._load_entry_points.cache_clear()
+    yield
+    effects._load_entry_points.cache_clear()
+
+
+def install(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
+    point = EntryPoint("my_bump", value, "armcal.effects")
+    monkeypatch.setattr(effects, "entry_points", lambda group: [point] if group == "armcal.effects" else [])
+
+
+def test_found_by_its_entry_point(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    (tmp_path / "bump_package_for_test.py").write_text(SOURCE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    install(monkeypatch, "bump_package_for_test:Bump")
+    assert library()["my_bump"].__name__ == "Bump"
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("no_such_package_at_all:Bump", "No module named"),
+        ("math:Bump", "no attribute 'Bump'"),
+        ("math:sqrt", "allowed: a class under Effect"),
+        ("pathlib:Path", "allowed: a class under Effect"),
+    ],
+)
+def test_a_broken_one_is_named(monkeypatch: pytest.MonkeyPatch, value: str, expected: str) -> None:
+    install(monkeypatch, value)
+    with pytest.raises(InputError, match=f"my_bump = {value}.*{expected}"):
+        library()
