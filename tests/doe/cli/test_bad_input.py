@@ -110,6 +110,13 @@ def test_one_file_for_two_outputs(folder: Folder) -> None:
     refused(folder, words, "--report", "out.file", "another name")
 
 
+def test_one_file_for_two_pictures(folder: Folder) -> None:
+    folder.write("plan.csv", "run,q1_deg,q2_deg,q3_deg,q4_deg\n" + "".join(f"{k},{k},0,{k},0\n" for k in range(9)))
+    words = ["score", "arm.toml", "plan.csv", "--picture", "out.png", "--aliases", "out.png"]
+    refused(folder, words, "--aliases", "out.png", "another name")
+    assert not (folder.path / "out.png").exists()
+
+
 def test_payloads_without_gravity(folder: Folder) -> None:
     folder.write("data.csv", HEADER + "0,0,0,0,660,0\n")
     words = ["discriminate", "arm.toml", "data.csv", "--runs", "2", "--payloads", "0,5"]
