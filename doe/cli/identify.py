@@ -28,7 +28,9 @@ def command(session: Session, arm: Path, data: Path, method: str | None, out: Pa
     measurements = read_measurements(data, loaded)
     found = estimate(Model(loaded), measurements, method=method)
     shown = identification_tables(found)
-    if out is not None:
+    if out is not None and found.not_identifiable:
+        shown.append(f"{out} was not written: numbers that the data do not tell are no calibration")
+    elif out is not None:
         write_whole(out, with_calibration(read_text(arm), found.calibration()), force=force)
         shown.append(f"calibrated arm written to {out}")
     return Answer(found.to_json(), shown, exit_code=1 if found.not_identifiable else 0)

@@ -68,7 +68,8 @@ BEATEN = 1e-8  # relative excess over a bound that is not rounding
 def library() -> Mapping[str, Solver]:
     """Name -> solver of every one known: ours, and those of installed packages (entry-point group `armcal.solvers`).
 
-    An entry point names a settings object, or a class that makes one without arguments.
+    An entry point names a settings object, or a class that makes one without arguments. Raises `InputError` for one
+    that cannot be loaded.
     """
     return MappingProxyType({**_installed(), **SOLVERS})
 
@@ -77,8 +78,20 @@ def library() -> Mapping[str, Solver]:
 def _installed() -> dict[str, Solver]:
     from importlib.metadata import entry_points
 
-    found = {point.name: point.load() for point in entry_points(group="armcal.solvers")}
-    return {name: made() if isinstance(made, type) else made for name, made in found.items()}
+    found: dict[str, Solver] = {}
+    for point in entry_points(group="armcal.solvers"):
+        where = f"entry point armcal.solvers: {point.name} = {point.value}"
+        try:
+            made = point.load()
+            solver = made() if isinstance(made, type) else made
+        except (ImportError, AttributeError, TypeError) as error:
+            raise InputError(f"entry point armcal.solvers: {point.name} = {point.value}: {error}") from None
+        if not callable(getattr(solver, "offers", None)):
+            raise InputError(
+                f"entry point armcal.solvers: {point.name} = {point.value}, allowed: a solver with offers()"
+            )
+        found[point.name] = solver
+    return found
 
 
 def named(name: str) -> Solver:

@@ -243,10 +243,17 @@ class Effect:
 
 
 _LIBRARY: dict[str, type[Effect]] = {}
+OWN = "identification.effects"
 
 
 def register(cls: type[Effect]) -> type[Effect]:
-    """Class decorator that makes an effect known by its name, everywhere."""
+    """Class decorator that makes an effect known by its name, everywhere.
+
+    A class of the user's own may be defined again, as notebooks do. Raises `InputError` for a name of the library's.
+    """
+    taken = _LIBRARY.get(cls.name)
+    if taken is not None and taken.__module__.startswith(OWN) and not cls.__module__.startswith(OWN):
+        raise InputError(f"effect: the name {cls.name!r} is taken by the library, allowed: another name")
     _LIBRARY[cls.name] = cls
     return cls
 

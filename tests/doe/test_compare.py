@@ -186,6 +186,21 @@ def test_solver_of_an_installed_package(monkeypatch: pytest.MonkeyPatch) -> None
         _installed.cache_clear()
 
 
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [("no_such_package_at_all:Mine", "No module named"), ("math:pi", "a solver with offers"), ("math:tau2", "tau2")],
+)
+def test_a_broken_solver_of_a_package_is_named(monkeypatch: pytest.MonkeyPatch, value: str, expected: str) -> None:
+    point = EntryPoint("mine", value, "armcal.solvers")
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
+    _installed.cache_clear()
+    try:
+        with pytest.raises(InputError, match=f"mine = {value}.*{expected}"):
+            named("mine")
+    finally:
+        _installed.cache_clear()
+
+
 def test_verb(tmp_path: Path) -> None:
     arm = tmp_path / "arm.toml"
     arm.write_text("links_mm = [260.0, 180.0]\n")

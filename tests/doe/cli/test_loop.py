@@ -64,8 +64,9 @@ def test_same_seed_same_data(folder: Folder) -> None:
 def test_not_identifiable_is_named_and_exits_1(folder: Folder) -> None:
     folder.simulated()
     folder.write("arm.toml", ARM + '\n[[effects]]\nname = "base_rotation"\n')
-    done = folder.armcal("identify", "arm.toml", "data.csv", "--json")
+    done = folder.armcal("identify", "arm.toml", "data.csv", "--json", "--out", "calibrated.toml")
     assert done.code == 1
+    assert not (folder.path / "calibrated.toml").exists()
     assert any("joint_offset:1" in c and "base_rotation" in c for c in done.data["not_identifiable"])
     for parameter in done.data["parameters"]:
         assert parameter["std"] is None or parameter["std"] < 10.0

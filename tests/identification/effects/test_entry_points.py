@@ -58,3 +58,19 @@ def test_a_broken_one_is_named(monkeypatch: pytest.MonkeyPatch, value: str, expe
     install(monkeypatch, value)
     with pytest.raises(InputError, match=f"my_bump = {value}.*{expected}"):
         library()
+
+
+def test_a_name_of_the_library_cannot_be_taken(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    (tmp_path / "thief_package_for_test.py").write_text(SOURCE.replace('"my_bump"', '"backlash"'))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    install(monkeypatch, "thief_package_for_test:Bump")
+    with pytest.raises(InputError, match="'backlash' is taken by the library"):
+        library()
+
+
+def test_an_own_effect_may_be_defined_again() -> None:
+    one = type("Mine", (base.Effect,), {"name": "mine", "__module__": "notebook"})
+    other = type("Mine", (base.Effect,), {"name": "mine", "__module__": "notebook"})
+    base.register(one)
+    base.register(other)
+    assert base._LIBRARY["mine"] is other
