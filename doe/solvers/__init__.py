@@ -85,11 +85,9 @@ def _installed() -> dict[str, Solver]:
             made = point.load()
             solver = made() if isinstance(made, type) else made
         except (ImportError, AttributeError, TypeError) as error:
-            raise InputError(f"entry point armcal.solvers: {point.name} = {point.value}: {error}") from None
+            raise InputError(f"{where}: {error}") from None
         if not callable(getattr(solver, "offers", None)):
-            raise InputError(
-                f"entry point armcal.solvers: {point.name} = {point.value}, allowed: a solver with offers()"
-            )
+            raise InputError(f"{where}, allowed: a solver with offers()")
         found[point.name] = solver
     return found
 
