@@ -65,7 +65,8 @@ class Fit:
         """
         free = self.free if held else np.ones(len(self.values), dtype=bool)
         scaled = self.jacobian[:, free] / self.model.scales[free]
-        inverse = np.linalg.pinv(scaled.T @ scaled) * self.sigma**2
+        root = np.linalg.pinv(scaled, rcond=1e-9) * self.sigma  # never a negative variance
+        inverse = root @ root.T
         full = np.zeros((len(self.values), len(self.values)))
         full[np.ix_(free, free)] = inverse / np.outer(self.model.scales[free], self.model.scales[free])
         return full
