@@ -63,8 +63,8 @@ def residual(problem: DesignProblem, design: ApproximateDesign) -> float | None:
 
 
 def cross_check(problem: DesignProblem, relaxed: ApproximateDesign, runs: int, *, seed: int = 0) -> CrossCheck:
-    """The relaxation's answer beside an exact plan, the continuous optimum and the closed form."""
-    exact = solve(problem, runs, seed=seed)
+    """The relaxation's answer beside an exact plan of IPOPT, the continuous optimum and the closed form."""
+    exact = solve(problem, runs, "exchange_ipopt" if problem.choices is None else None, seed=seed)
     theorem = closed_form_bound(problem)
     try:
         continuous = continuous_design(problem, runs=runs)

@@ -1,0 +1,29 @@
+"""Relaxation, IPOPT and closed form give one answer, each on its own way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from doe.cross_check import cross_check
+from doe.problem import DesignProblem
+from doe.solvers.relaxation import relax
+from identification.arm import Arm
+from identification.model import Model
+
+# THEORY.md section 4: only joint 3 with 160 deg is too narrow, 2 log(sin 80 deg) for each of its two tied links
+EXPECTED = 4.0 * np.log(np.sin(np.radians(80.0)))
+
+
+def test_three_answers_agree() -> None:
+    lower, upper = np.radians([-180, -120, -100, -90]), np.radians([180, 120, 60, 90])
+    problem = DesignProblem.of(Model(Arm([260.0, 180.0, 120.0, 100.0], lower=lower, upper=upper)))
+    relaxed = relax(problem, 5, "clarabel")
+    found = cross_check(problem, relaxed, 8)
+    assert found.exact.solver == "exchange_ipopt"
+    for value in (relaxed.value, found.exact.value, found.closed_form):
+        assert value == pytest.approx(EXPECTED, abs=1e-4)
+    assert found.continuous is not None
+    assert found.continuous.value == pytest.approx(EXPECTED, abs=1e-8)
+    assert found.exact.value == pytest.approx(EXPECTED, abs=1e-7)
+    assert len(found.rows()) == 4
