@@ -20,8 +20,6 @@ from identification.gap.whitening import Rows
 from identification.model import Model
 from identification.tape import vectorise
 
-TIED = float(np.exp(-1.0))  # prior weight of equal parameters: costs 2 in BIC
-
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -41,7 +39,7 @@ class Hypothesis:
     @property
     def free(self) -> Hypothesis:
         """The hypothesis that is named when this one is found."""
-        return replace(self, tied=False, weight=1.0) if self.tied else self
+        return replace(self, tied=False) if self.tied else self
 
     @property
     def key(self) -> str:
@@ -201,7 +199,7 @@ def _with_settings(cls: type[Effect], spec: EffectSpec, arm: Arm) -> list[Hypoth
     if not cls.settings:
         effect = build(spec, arm.links, arm.lengths)
         alike = len(effect.parameters) > 1 and all(p.lower == 0.0 for p in effect.parameters)
-        tied = [Hypothesis(effect, spec, TIED, tied=True)] if alike else []
+        tied = [Hypothesis(effect, spec, tied=True)] if alike else []
         return [Hypothesis(effect, spec), *tied]
     ranges = [range(low, high + 1) for low, high in cls.settings.values()]
     found = []

@@ -12,9 +12,9 @@ from identification.gap.gate import wild_draws
 from identification.gap.linear import Dictionary, dictionary
 from identification.gap.select import CAREFUL, Choice, Search
 
-LEVEL = 0.005
+LEVEL = 0.001
 WILD = 0.05
-DRAWS = 399
+DRAWS = (399, 1999)  # the second number only where the first shows nothing as strange
 CROWD = 3  # effects at one joint
 # BIC that an unknown shape must gain on the effects of the library that it would replace: one effect is believed, two
 # have no credit left, three or four at once are the series expansion of something else
@@ -133,11 +133,16 @@ def _adjusted(shapes: _Shapes, residual: Array, generator: np.random.Generator) 
     alike too often), Gaussian noise alone would take scatter for waves; so the bootstrap is asked at `WILD` only.
     """
     q = shapes.against.model_basis
-    white = generator.standard_normal((len(q), DRAWS))
-    white -= q @ (q.T @ white)
-    return max(_tail(shapes, white), _tail(shapes, wild_draws(residual, q, q, DRAWS, generator)) * LEVEL / WILD)
+    scatter = _tail(shapes, wild_draws(residual, q, q, DRAWS[0], generator)) * LEVEL / WILD
+    white = 1.0
+    for draws in DRAWS:
+        drawn = generator.standard_normal((len(q), draws))
+        white = _tail(shapes, drawn - q @ (q.T @ drawn))
+        if white > 1.0 / (draws + 1.0):
+            break
+    return max(white, scatter)
 
 
 def _tail(shapes: _Shapes, drawn: Array) -> float:
     smallest = shapes.against.smallest_weighted(shapes.against.reductions(drawn), np.square(drawn).sum(axis=0))
-    return float((1.0 + np.sum(smallest <= shapes.smallest)) / (DRAWS + 1.0))
+    return float((1.0 + np.sum(smallest <= shapes.smallest)) / (1.0 + drawn.shape[1]))
