@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -70,6 +70,10 @@ class DesignProblem:
             raise InputError(f"minimum distance: {np.degrees(self.minimum_distance):g} deg, allowed: a number >= 0")
         if not np.all(self.lower < self.upper):
             raise InputError("joint limits: lower >= upper, allowed: lower < upper for every joint")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What pickles: the CasADi functions do not, and are built anew where they are needed."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @classmethod
     def of(cls, model: Model, **changes: Any) -> DesignProblem:

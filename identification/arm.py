@@ -5,6 +5,7 @@ Joints and links are counted from 1 for people (`Effect.joint`, names) and from 
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -22,6 +23,14 @@ LENGTH_RANGE = (1e-6, 1e9)  # [mm] of a link
 LARGEST_LENGTH = LENGTH_RANGE[1]  # [mm] of a coordinate
 LARGEST_ANGLE = 1e6  # [deg]
 SIGMA_RANGE = (1e-9, 1e9)  # [mm]
+
+
+def _read_only_mapping(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(values)
+
+
+# Python pickles no read-only mapping by itself; with this, arms and results travel to workers and into caches
+copyreg.pickle(MappingProxyType, lambda proxy: (_read_only_mapping, (dict(proxy),)))
 
 
 def readonly(values: ArrayLike, *shape: int) -> Array:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -42,6 +43,10 @@ class Model:
         for name in self.known or {}:
             if name not in names:
                 raise InputError(f"parameter: unknown name {name!r}, {nearest(name, names)}")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What pickles: the CasADi functions do not, and are built anew where they are needed."""
+        return {"arm": self.arm, "known": self.known}
 
     # -- parameters ------------------------------------------------------------------------------------------------
     @cached_property

@@ -47,6 +47,8 @@ def command(session: Session, arm: Path, plan: Path, picture: Path | None, alias
     try:
         sees = preflight(loaded, given.postures)
     except InputError as error:  # too few runs to test for effects is a fact about the plan, not bad input
+        if aliases is not None:
+            raise InputError(f"--aliases: {plan}: {error}") from error
         data["preflight"] = None
         shown.append(f"missing effects: {error}")
     else:

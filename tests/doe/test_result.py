@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -96,3 +97,11 @@ def test_a_plan_that_tells_a_combination_only_is_worth_nothing() -> None:
         data = score_plan(problem(FOUR, rotation), plan).to_json()
         assert data["log_det"] is None
         assert data["std"]["length_mm"] is None
+
+
+def test_travels_to_workers_and_caches() -> None:
+    """Also after use, when CasADi functions hang on the problem, and with effects, whose values are read-only."""
+    found = score_plan(problem(FOUR, ECCENTRICITY), some_plan())
+    again = pickle.loads(pickle.dumps(found))
+    assert again.problem.objective(some_plan()) == found.problem.objective(some_plan())
+    assert again.to_json() == found.to_json()
