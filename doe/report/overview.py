@@ -25,11 +25,14 @@ def overview_figure(demo: Demo) -> Figure:
 def draw_gap(axes: Axes, demo: Demo) -> None:
     """RMS on fresh random postures: drawing, identified, with the effect that the diagnosis names."""
     heights = [demo.drawing_gap, demo.gap(demo.base), demo.gap(demo.extended)]
-    bars = axes.bar(["drawing", "identified", "effect added"], heights, color=[LIMIT, BEFORE, AFTER], width=0.6)
-    axes.bar_label(bars, [f"{height:.2f} mm" for height in heights], label_type="center", color="white", fontsize=10)
-    axes.axhline(demo.noise, color="k", ls="--", lw=1)
-    axes.set(yscale="log", ylim=(0.05, 10.0), ylabel="RMS distance [mm]")
-    axes.text(1.98, demo.noise * 1.1, "noise", ha="center", fontsize=9)
+    names = ["drawing", "identified", "effect\nadded"]
+    axes.plot(names, heights, color="0.8", lw=1, zorder=1)
+    axes.scatter(names, heights, color=[LIMIT, BEFORE, AFTER], s=90, zorder=2)
+    for name, height in zip(names, heights, strict=True):
+        axes.annotate(f"{height:.2f} mm", (name, height), (0, 9), textcoords="offset points", ha="center", fontsize=10)
+    axes.axhline(demo.noise, color="k", ls="--", lw=1, zorder=0)
+    axes.set(yscale="log", xlim=(-0.5, 2.5), ylim=(0.08, 9.0), ylabel="RMS distance [mm]")
+    axes.text(-0.42, demo.noise * 1.07, f"noise {demo.noise:.2f} mm", fontsize=9)
     axes.set_title("2. gap between model and reality,\non 200 postures no fit has seen", fontsize=10)
 
 
