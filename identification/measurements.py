@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Self
@@ -9,7 +10,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import Array, readonly
+from identification.arm import MAX_LINKS, Array, readonly
+from identification.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,29 @@ def directions_from_order(postures: Array, order: Array | None = None) -> Array:
     return directions
 
 
+_Test = Callable[[Array], NDArray[np.bool_]]
+_OPTIONAL = ("order", "payload", "temperature", "directions", "sigma", "repeats")
+# columns, sentence and test of what is allowed, for every field of `Measurements`; all of them finite
+_VALUES: dict[str, tuple[str, str, _Test]] = {
+    "postures": ("joints", "finite angles [rad]", np.isfinite),
+    "positions": ("two", "finite coordinates [mm]", np.isfinite),
+    "order": ("one", "finite numbers", np.isfinite),
+    "payload": ("one", "numbers >= 0 [kg]", lambda v: v >= 0.0),
+    "temperature": ("one", "numbers >= -273.15 [deg C]", lambda v: v >= -273.15),
+    "directions": ("joints", "+1 or -1", lambda v: np.abs(v) == 1.0),
+    "sigma": ("one", "numbers > 0 [mm]", lambda v: v > 0.0),
+    "repeats": ("one", "whole numbers", lambda v: v == np.round(v)),
+}
+
+
+def _numbers(name: str, values: Any) -> Array:
+    """A read-only float copy; raises `InputError` for what are no numbers, or rows of different lengths."""
+    try:
+        return readonly(values)
+    except (TypeError, ValueError):
+        raise InputError(f"measurements.{name}: not an array of numbers, allowed: real numbers") from None
+
+
 @dataclass(frozen=True)
 class Measurements:
     """m measured postures of an n-link arm, in the order of the file.
@@ -76,6 +101,8 @@ class Measurements:
     sigma : (m,) standard deviation per row and axis [mm], None: not given per row
     repeats : (m,) equal numbers mark repeats of one posture, None: not given
     given : names of the optional columns that the data really has
+
+    Raises `InputError` for no rows, other shapes (nothing is broadcast), and values that no measurement can have.
     """
 
     postures: Array
@@ -89,10 +116,27 @@ class Measurements:
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        for name in ("postures", "positions", "order", "payload", "temperature", "directions", "sigma"):
+        postures = _numbers("postures", self.postures)
+        if postures.ndim != 2 or not (len(postures) and 1 <= postures.shape[1] <= MAX_LINKS):
+            allowed = f"(m, n) with m >= 1 rows and n = 1 to {MAX_LINKS} joints"
+            raise InputError(f"measurements.postures: shape {postures.shape}, allowed: {allowed}")
+        m, n = postures.shape
+        for name, (columns, allowed, test) in _VALUES.items():
             value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, readonly(value))
+            if value is None and name in _OPTIONAL:
+                continue
+            shape = {"one": (m,), "two": (m, 2), "joints": (m, n)}[columns]
+            array = _numbers(name, value)
+            if array.shape != shape:
+                found = f"shape {array.shape} for {m} postures of {n} joints"
+                raise InputError(f"measurements.{name}: {found}, allowed: {shape}")
+            if not bool(np.all(good := np.isfinite(array) & test(array))):
+                row = int(np.argmin(np.all(good.reshape(m, -1), axis=1)))
+                raise InputError(f"measurements.{name}: row {row + 1} has {array[row].tolist()}, allowed: {allowed}")
+            if name == "repeats":
+                array = array.astype(np.int64)
+                array.setflags(write=False)
+            object.__setattr__(self, name, array)
 
     def __len__(self) -> int:
         return len(self.postures)
@@ -105,8 +149,7 @@ class Measurements:
     @property
     def given(self) -> frozenset[str]:
         """Names of the optional columns the data has: payload, temperature, directions, order, sigma, repeats."""
-        names = ("order", "payload", "temperature", "directions", "sigma", "repeats")
-        return frozenset(name for name in names if getattr(self, name) is not None)
+        return frozenset(name for name in _OPTIONAL if getattr(self, name) is not None)
 
     @property
     def conditions(self) -> Conditions:
@@ -121,6 +164,5 @@ class Measurements:
 
         Directions stay what they were among all rows; session time and the mean temperature are those of the subset.
         """
-        names = ("postures", "positions", "order", "payload", "temperature", "directions", "sigma", "repeats")
         frozen = replace(self, directions=self.conditions.directions)
-        return replace(frozen, **{n: getattr(frozen, n)[index] for n in names if getattr(frozen, n) is not None})
+        return replace(frozen, **{n: getattr(frozen, n)[index] for n in _VALUES if getattr(frozen, n) is not None})

@@ -69,14 +69,12 @@ def estimate(
 
 
 def check(model: Model, measurements: Measurements) -> None:
-    """Raises `InputError` for the wrong number of joints, data that effects need and lack, and too few equations."""
+    """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations."""
+    _check_kind("model", model, Model, "a Model, as in Model(arm)")
+    _check_kind("measurements", measurements, Measurements, "Measurements, as load_measurements(path) gives")
     n, m, p = model.arm.links, len(measurements), len(model.parameters)
     if measurements.links != n:
         raise InputError(f"measurements: {measurements.links} joints for an arm of {n} links, allowed: {n}")
-    for name, values in (("postures", measurements.postures), ("positions", measurements.positions)):
-        if not np.all(np.isfinite(values)):
-            row = int(np.flatnonzero(~np.all(np.isfinite(values), axis=1))[0])
-            raise InputError(f"measurements: row {row + 1} of {name} is not finite, allowed: finite numbers")
     if p == 0:
         raise InputError("model: every parameter is known, allowed: at least one to estimate")
     for effect in model.effects:
@@ -89,6 +87,11 @@ def check(model: Model, measurements: Measurements) -> None:
     if DIMENSION * m < p:
         found = f"{DIMENSION} m = {DIMENSION * m} < p = {p}"
         raise InputError(f"measurements: fewer equations than unknowns: {found}, allowed: m >= {-(-p // DIMENSION)}")
+
+
+def _check_kind(name: str, value: object, kind: type, allowed: str) -> None:
+    if not isinstance(value, kind):
+        raise InputError(f"{name}: found {type(value).__name__}, allowed: {allowed}")
 
 
 def weighting(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.measurements import directions_from_order, session_time
+from identification.errors import InputError
+from identification.measurements import Measurements, directions_from_order, session_time
 
 
 @given(st.integers(0, 2**32), st.integers(1, 15), st.booleans())
@@ -31,3 +33,52 @@ def test_directions_are_the_last_motion(seed: int, m: int, shuffled: bool) -> No
 def test_session_time_runs_from_minus_to_plus_a_half() -> None:
     np.testing.assert_allclose(session_time(np.array([10.0, 20.0, 15.0])), [-0.5, 0.5, 0.0])
     np.testing.assert_array_equal(session_time(np.array([3.0, 3.0])), [0.0, 0.0])
+
+
+Q = np.random.default_rng(5).uniform(-2.0, 2.0, (20, 4))
+X = np.ones((20, 2))
+
+
+def changed(values: np.ndarray, row: int, value: float) -> np.ndarray:
+    copy = np.array(values, dtype=float)
+    copy[row] = value
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"positions": X[:1]}, "measurements.positions: shape (1, 2) for 20 postures of 4 joints, allowed: (20, 2)"),
+        ({"positions": X[:19]}, "measurements.positions: shape (19, 2) for 20 postures of 4 joints, allowed: (20, 2)"),
+        ({"positions": X[:, :1]}, "measurements.positions: shape (20, 1) for 20 postures"),
+        ({"positions": None}, "measurements.positions: shape () for"),
+        ({"positions": "data.csv"}, "measurements.positions: not an array of numbers, allowed: real numbers"),
+        ({"positions": changed(X, 6, np.nan)}, "measurements.positions: row 7 has [nan, nan], allowed: finite"),
+        ({"postures": changed(Q, 2, np.inf)}, "measurements.postures: row 3 has [inf, inf, inf, inf], allowed: finite"),
+        ({"postures": Q[:0], "positions": X[:0]}, "measurements.postures: shape (0, 4), allowed: (m, n) with m >= 1"),
+        ({"postures": Q[0]}, "measurements.postures: shape (4,), allowed: (m, n)"),
+        ({"postures": np.zeros((20, 13))}, "measurements.postures: shape (20, 13), allowed: (m, n)"),
+        ({"postures": [[1.0, 2.0], [1.0]]}, "measurements.postures: not an array of numbers"),
+        ({"order": np.arange(19)}, "measurements.order: shape (19,) for 20 postures of 4 joints, allowed: (20,)"),
+        ({"payload": changed(np.ones(20), 0, -1.0)}, "measurements.payload: row 1 has -1.0, allowed: numbers >= 0"),
+        ({"temperature": 20.0}, "measurements.temperature: shape () for"),
+        ({"temperature": np.full(20, -300.0)}, "measurements.temperature: row 1 has -300.0, allowed: numbers >= -273"),
+        ({"directions": np.ones(20)}, "measurements.directions: shape (20,) for 20 postures of 4 joints, allowed: (20"),
+        ({"directions": changed(np.ones((20, 4)), 4, 0.0)}, "measurements.directions: row 5 has [0.0, 0.0, 0.0, 0.0]"),
+        ({"sigma": np.zeros(20)}, "measurements.sigma: row 1 has 0.0, allowed: numbers > 0 [mm]"),
+        ({"repeats": np.full(20, 0.5)}, "measurements.repeats: row 1 has 0.5, allowed: whole numbers"),
+    ],
+)
+def test_what_no_session_can_be_is_one_line(given: dict, sentence: str) -> None:
+    with pytest.raises(InputError) as caught:
+        Measurements(**{"postures": Q, "positions": X, **given})
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_lists_are_measurements_too_and_nothing_can_be_written_to() -> None:
+    measured = Measurements([[0.1, 0.2]], [[1, 2]], sigma=[0.1], directions=[[1, -1]], repeats=[3])
+    assert measured.repeats.dtype == np.int64
+    for name in ("postures", "positions", "sigma", "directions", "repeats"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(measured, name)[0] = 1

@@ -284,8 +284,12 @@ def test_bad_arguments() -> None:
             estimate(model, measurements, weights=weights)
     positions = measurements.positions.copy()
     positions[6, 1] = np.inf
-    with pytest.raises(InputError, match="row 7 of positions is not finite"):
+    with pytest.raises(InputError, match=r"positions: row 7 has .*inf.*, allowed: finite"):
         estimate(model, replace(measurements, positions=positions))
+    with pytest.raises(InputError, match=r"model: found Arm, allowed: a Model, as in Model\(arm\)"):
+        estimate(arm(), measurements)
+    with pytest.raises(InputError, match=r"measurements: found str, allowed: Measurements, as load_measurements\("):
+        estimate(model, "data.csv")
 
 
 # -- real data -------------------------------------------------------------------------------------------------------
