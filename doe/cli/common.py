@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 import time
 import warnings
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from identification.measurements import Measurements
 
 FILE = click.Path(path_type=Path)
+OUTPUTS = frozenset({"out", "picture", "aliases", "report"})  # options that write a file; every other one is read
 
 
 class Seconds(click.FloatRange):
@@ -117,8 +119,29 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
     return decorate
 
 
+def check_outputs(context: click.Context) -> None:
+    """Raises `InputError` for an output of the call that is one of its inputs or another output: one would be lost."""
+    from identification.errors import InputError
+
+    taken = {os.path.realpath(path): name for name, path in _paths(context, written=False)}
+    for name, path in _paths(context, written=True):
+        other = taken.setdefault(os.path.realpath(path), name)
+        if other != name:
+            raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
+
+
+def _paths(context: click.Context, *, written: bool) -> Iterator[tuple[str, Path]]:
+    """The files that a call writes, or those that it reads, with the name of the option or argument."""
+    for parameter in context.command.params:
+        if isinstance(parameter.type, click.Path) and (parameter.name in OUTPUTS) is written:
+            name = parameter.opts[0] if isinstance(parameter, click.Option) else parameter.human_readable_name
+            given = context.params[parameter.name or ""]
+            yield from ((name, path) for path in (given if isinstance(given, tuple) else (given,)) if path is not None)
+
+
 def _guarded(function: Callable[..., Answer], session: Session, options: dict[str, Any]) -> Answer:
     try:
+        check_outputs(click.get_current_context())
         return function(session, **options)
     except ArmcalError as error:
         click.echo(f"armcal: {error}", err=True)

@@ -30,15 +30,12 @@ def command(
     """Find where model and measurements disagree, name the missing effect, and show the gap shrink."""
     from doe.report.gap_page import diagnosis_tables, gap_page
     from identification.arm_file import load_arm, with_calibration, with_effects
-    from identification.errors import InputError
     from identification.files import PathLike, check_writable, read_text, write_together
     from identification.gap.diagnose import diagnose
 
     loaded = load_arm(arm)
     check_writable(out, force)
     check_writable(report, force)
-    if out is not None and report is not None and out.resolve() == report.resolve():
-        raise InputError(f"--report: {report} is the file of --out too, allowed: another name")
     measurements = read_measurements(data, loaded)
     held_out = None if holdout is None else read_measurements(holdout, loaded)
     with session.progress("diagnose") as progress:

@@ -32,8 +32,6 @@ def command(session: Session, arm: Path, plan: Path, picture: Path | None, alias
     loaded = load_arm(arm)
     check_writable(picture, force)
     check_writable(aliases, force)
-    if picture is not None and aliases is not None and picture.resolve() == aliases.resolve():
-        raise InputError(f"--aliases: {aliases} is the file of --picture too, allowed: another name")
     given = load_plan(plan, loaded.links)
     problem = DesignProblem.of(Model(loaded))
     if len(given) < problem.fewest_runs:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import click
 import pytest
 
+from doe.cli import main
+from doe.cli.common import OUTPUTS
 from tests.doe.cli.conftest import ARM, Folder
 
 HEADER = "q1_deg,q2_deg,q3_deg,q4_deg,x_mm,y_mm\n"
@@ -111,17 +114,42 @@ def test_effect_without_its_data(folder: Folder) -> None:
     refused(folder, ["identify", "arm.toml", "data.csv"], "joint_compliance", "[gravity]")
 
 
-def test_one_file_for_two_outputs(folder: Folder) -> None:
+CLASHES = [
+    ("diagnose arm.toml data.csv --out out.file --report ./out.file", "--report", "out.file"),
+    ("score arm.toml plan.csv --picture out.file --aliases out.file", "--aliases", "out.file"),
+    ("design arm.toml --runs 8 --picture same.png --out same.png", "--picture", "same.png"),
+    ("design arm.toml --runs 8 --keep plan.csv --out plan.csv", "--keep", "plan.csv"),
+    ("design arm.toml --runs 8 --candidates plan.csv --picture ./plan.csv", "--candidates", "plan.csv"),
+    ("design arm.toml --runs 8 --criterion I --test-poses plan.csv --out plan.csv", "--test-poses", "plan.csv"),
+    ("identify arm.toml data.csv --out data.csv", "DATA", "data.csv"),
+    ("identify arm.toml data.csv --out link.toml", "ARM", "link.toml"),
+    ("simulate arm.toml plan.csv --truth arm.toml --out plan.csv", "PLAN", "plan.csv"),
+    ("simulate arm.toml plan.csv --truth truth.toml --out truth.toml", "--truth", "truth.toml"),
+    ("compensate truth.toml plan.csv --out truth.toml", "CALIBRATED", "truth.toml"),
+    ("diagnose arm.toml data.csv --holdout plan.csv --report plan.csv", "--holdout", "plan.csv"),
+    ("compare arm.toml rows.parquet --runs 8 --out rows.parquet", "ARM", "rows.parquet"),
+]
+
+
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize(("words", "other", "file"), CLASHES, ids=[words for words, *_ in CLASHES])
+def test_an_output_that_is_another_file_of_the_call(
+    folder: Folder, words: str, other: str, file: str, force: bool
+) -> None:
+    (folder.path / "link.toml").symlink_to("arm.toml")
     folder.write("data.csv", HEADER + "0,0,0,0,660,0\n")
-    words = ["diagnose", "arm.toml", "data.csv", "--out", "out.file", "--report", "./out.file"]
-    refused(folder, words, "--report", "out.file", "another name")
+    before = {path.name: path.read_bytes() for path in folder.path.iterdir()}
+    refused(folder, [*words.split(), *["--force"][:force]], other, file, "allowed: another name")
+    assert {path.name: path.read_bytes() for path in folder.path.iterdir()} == before
 
 
-def test_one_file_for_two_pictures(folder: Folder) -> None:
-    folder.write("plan.csv", "run,q1_deg,q2_deg,q3_deg,q4_deg\n" + "".join(f"{k},{k},0,{k},0\n" for k in range(9)))
-    words = ["score", "arm.toml", "plan.csv", "--picture", "out.png", "--aliases", "out.png"]
-    refused(folder, words, "--aliases", "out.png", "another name")
-    assert not (folder.path / "out.png").exists()
+def test_every_file_of_a_verb_is_known_as_read_or_written() -> None:
+    """The check above goes by names: an option that is new here belongs to one side."""
+    read = {"arm", "arms", "data", "plan", "truth", "calibrated", "targets", "holdout", "keep", "candidates"}
+    for verb in main.commands.values():
+        for parameter in verb.params:
+            if isinstance(parameter.type, click.Path):
+                assert parameter.name in OUTPUTS | read | {"test_poses"}, (verb.name, parameter.name)
 
 
 def test_payloads_without_gravity(folder: Folder) -> None:
