@@ -67,6 +67,7 @@ LAYERS = {
     "doe.demo": 16,
     "doe.study": 16,
     "doe.cli": 17,
+    "doe.__main__": 17,
 }
 
 

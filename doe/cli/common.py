@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from identification.errors import ArmcalError
+from identification.errors import ArmcalError, InputError, JobError
 from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class Session:
     @contextmanager
     def progress(self, title: str) -> Iterator[Progress]:
         """A progress bar on standard error, shown when the work takes longer than half a second."""
-        if self.quiet or not sys.stderr.isatty():
+        if self.quiet or sys.stderr is None or not sys.stderr.isatty():  # None: closed, as by 2>&-
             yield silent
             return
         from rich.console import Console
@@ -107,7 +107,7 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
             session = Session(as_json, quiet, seed)
             with _warnings_as_lines(quiet):
                 answer = _guarded(function, session, options)
-            _print(answer, as_json)
+            _deliver(answer, as_json)
             sys.exit(answer.exit_code)
 
         run = click.option("--quiet", is_flag=True, help="No progress and no warnings on standard error.")(run)
@@ -121,8 +121,6 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
 
 def check_outputs(context: click.Context) -> None:
     """Raises `InputError` for an output of the call that is one of its inputs or another output: one would be lost."""
-    from identification.errors import InputError
-
     taken = {os.path.realpath(path): name for name, path in _paths(context, written=False)}
     for name, path in _paths(context, written=True):
         other = taken.setdefault(os.path.realpath(path), name)
@@ -141,6 +139,8 @@ def _paths(context: click.Context, *, written: bool) -> Iterator[tuple[str, Path
 
 def _guarded(function: Callable[..., Answer], session: Session, options: dict[str, Any]) -> Answer:
     try:
+        if sys.stdout is None:
+            raise JobError("standard output is closed; send it to a file or to /dev/null")
         check_outputs(click.get_current_context())
         return function(session, **options)
     except ArmcalError as error:
@@ -167,6 +167,19 @@ def _warnings_as_lines(quiet: bool) -> Iterator[None]:
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = show
         yield
+
+
+def _deliver(answer: Answer, as_json: bool) -> None:
+    """Print the answer; a full disk is one line. A closed pipe (`| head`) ends quietly, by click."""
+    try:
+        _print(answer, as_json)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        click.echo(f"armcal: standard output cannot be written ({error.strerror})", err=True)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries again when it ends
+        sys.exit(1)
 
 
 def _print(answer: Answer, as_json: bool) -> None:

@@ -1,0 +1,49 @@
+"""Standard streams that cannot be written to: one line, exit 1, no traceback."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.doe.cli.conftest import Folder
+
+FULL = Path("/dev/full")
+ROOT = Path(__file__).parents[3]
+
+
+def shell(folder: Folder, words: str, redirection: str) -> subprocess.CompletedProcess[str]:
+    """A command in a process of its own, as a shell starts it."""
+    line = ["sh", "-c", f'"$0" -m doe {words} {redirection}', sys.executable]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(line, cwd=folder.path, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_the_command_is_a_module_too(folder: Folder) -> None:
+    assert shell(folder, "--help", "").stdout.startswith("Usage: armcal")
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="no full device here")
+@pytest.mark.parametrize("words", ["score arm.toml plan.csv", "score arm.toml plan.csv --json"])
+def test_a_full_device(folder: Folder, words: str) -> None:
+    done = shell(folder, words, f"> {FULL}")
+    assert done.returncode == 1, done.stderr
+    assert done.stderr == "armcal: standard output cannot be written (No space left on device)\n"
+
+
+def test_a_closed_output(folder: Folder) -> None:
+    done = shell(folder, "score arm.toml plan.csv --picture plan.png", ">&-")
+    assert done.returncode == 1, done.stderr
+    assert done.stderr == "armcal: standard output is closed; send it to a file or to /dev/null\n"
+    assert not (folder.path / "plan.png").exists()
+
+
+def test_closed_errors_and_a_pipe_that_ends_early(folder: Folder) -> None:
+    done = shell(folder, "score arm.toml plan.csv --json", "2>&-")
+    assert done.returncode == 0
+    assert done.stdout.startswith("{")
+    done = shell(folder, "score arm.toml plan.csv --json", "| true")
+    assert done.stderr == ""
