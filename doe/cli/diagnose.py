@@ -13,7 +13,7 @@ from doe.cli.common import FILE, Answer, Session, force_option, out_option, read
 @click.argument("arm", type=FILE)
 @click.argument("data", type=FILE)
 @click.option("--holdout", type=FILE, help="Measurements used for nothing but the confirmation.")
-@click.option("--draws", type=click.IntRange(min=99), default=999, show_default=True, help="Bootstrap draws.")
+@click.option("--draws", type=click.IntRange(min=399), default=999, show_default=True, help="Bootstrap draws.")
 @click.option("--report", type=FILE, metavar="FILE", help="Write an HTML page with pictures.")
 @out_option
 @force_option

@@ -20,6 +20,7 @@ FREE_ORDERS = np.arange(0.5, 160.5, 0.5)  # periods per turn, whole or not
 SMOOTH_ORDERS = np.arange(1, 6)
 CENTRES = 24
 WIDTHS = (0.2, 0.3, 0.45, 0.7, 1.0)  # rad
+PERIODS = (2.0, 1.5, 1.0, 0.75, 0.5, 0.35)  # of waves over the workspace, in units of the reach
 STEPS = 100  # in time: every row up to this many
 
 
@@ -87,7 +88,7 @@ def _shared_shapes(postures: Array, j: int) -> list[tuple[str, Array]]:
         if k != j:
             other = postures[:, k]
             found.append((f"product with joint {k + 1}", (postures[:, j] * other)[:, None]))
-            found.append((f"wave of joint {k + 1}", np.column_stack([np.cos(other), np.sin(other)])))
+            found.append((f"wave over joint {k + 1}", np.column_stack([np.cos(other), np.sin(other)])))
     return found
 
 
@@ -101,8 +102,7 @@ def _time_atoms(time: Array, position: Array) -> list[Atom]:
         listed.append(Atom("time", shape, values[:, None, None] * np.eye(2)))
         listed.append(Atom("time", f"rotation {shape}", (values[:, None] * turn)[:, :, None]))
     for k in (1, 2, 3):
-        waves = np.stack([np.cos(2 * np.pi * k * time), np.sin(2 * np.pi * k * time)], axis=1)
-        columns = (np.eye(2)[None, :, :, None] * waves[:, None, None, :]).reshape(len(time), 2, 4)
+        columns = (np.eye(2)[None, :, :, None] * _waves(k * time)[:, None, None, :]).reshape(len(time), 2, 4)
         listed.append(Atom("time", f"wave of {k} per session", columns))
     return listed
 
@@ -115,4 +115,27 @@ def _workspace_atoms(position: Array) -> list[Atom]:
             dent = np.exp(-0.5 * ((x - cx) ** 2 + (y - cy) ** 2) / 0.5**2)
             if np.sum(dent > 0.3) >= 3:
                 shapes.append((f"dent near ({cx:g}, {cy:g}) rms reach", dent))
-    return [Atom("workspace", shape, values[:, None, None] * np.eye(2)) for shape, values in shapes]
+    listed = [Atom("workspace", shape, values[:, None, None] * np.eye(2)) for shape, values in shapes]
+    return listed + _instrument_atoms(position)
+
+
+def _instrument_atoms(position: Array) -> list[Atom]:
+    """What bends an instrument's frame: the cubic distortion of a lens, waves along an axis or along the radius."""
+    radius = np.linalg.norm(position, axis=1)
+    reach = max(float(radius.max()), 1e-300)
+    listed = [Atom("workspace", "lens distortion", (position * radius[:, None] ** 2)[:, :, None])]
+    outward = position / np.maximum(radius, 1e-12 * reach)[:, None]
+    for period in PERIODS:
+        for name, values in (("x", position[:, 0]), ("y", position[:, 1])):
+            columns = (np.eye(2)[None, :, :, None] * _waves(values / reach / period)[:, None, None, :]).reshape(
+                -1, 2, 4
+            )
+            listed.append(Atom("workspace", f"wave of {period:g} reach along {name}", columns))
+        columns = outward[:, :, None] * _waves(radius / reach / period)[:, None, :]
+        listed.append(Atom("workspace", f"wave of {period:g} reach along the radius", columns))
+    return listed
+
+
+def _waves(turns: Array) -> Array:
+    """(m, 2) cosine and sine."""
+    return np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)], axis=1)

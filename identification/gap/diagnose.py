@@ -15,14 +15,15 @@ from identification.gap.fit import Fit
 from identification.gap.hypotheses import HypothesisSet, hypotheses
 from identification.gap.investigate import Findings, investigate
 from identification.gap.noise import repeat_finding
-from identification.gap.preflight import NEAR, Preflight, assess, require_spare
-from identification.gap.select import Choice, Search, trial_of
+from identification.gap.preflight import EXACT, NEAR, Preflight, assess, require_spare
+from identification.gap.select import ALPHA_NEXT, CAREFUL, Choice, Search, trial_of
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.progress import Progress, silent
 
 STEPS = 8
+FEWEST_DRAWS = round(1.0 / (ALPHA_NEXT * CAREFUL)) - 1  # the strictest level must be within reach: p >= 1/(draws + 1)
 
 
 def diagnose(
@@ -38,11 +39,13 @@ def diagnose(
     arm : effects in it are part of the base model, everything they do not fix is estimated again
     holdout : measurements of the same arm that are used for nothing but the confirmation
     seed : of the bootstrap; the same seed gives the same diagnosis
-    draws : bootstrap draws
+    draws : bootstrap draws, at least 399
 
     Raises `InputError` for data of another arm, effects without the data they need, fewer than 4 spare degrees of
     freedom, one posture or one position only, a hold-out of another arm or one that shares rows with the data.
     """
+    if draws < FEWEST_DRAWS:
+        raise InputError(f"draws: {draws}, allowed: at least {FEWEST_DRAWS}, or no effect can pass the strictest test")
     check_input(arm, measurements, holdout)
     library = hypotheses(arm, varying(measurements))
     rows = Rows.of(measurements)
@@ -57,6 +60,7 @@ def diagnose(
     before = assess_data(library, found)
     chosen = found.unknown.chosen
     candidates = candidate_list(found, draws, generator)
+    hidden = hidden_orders(found.search, chosen)
     named = next((c for c in candidates if c.specs == tuple(h.spec for h in chosen)), None)
     named = named or describe(found.search, chosen, 0.0, trial_of(found.search, chosen, draws, generator))
     progress(7, STEPS, "confirming on held-out data")
@@ -67,7 +71,7 @@ def diagnose(
         candidates=candidates,
         named=named,
         classes=named.classes,
-        aliases=alias_list(before, candidates),
+        aliases=(*hidden, *alias_list(before, candidates)),
         where=found.unknown.place,
         shape=found.unknown.shape,
         p_unknown=found.unknown.p,
@@ -79,7 +83,7 @@ def diagnose(
         preflight=before,
         residuals=show_residuals(arm, measurements, found.search.fit(()), found.search.fit(chosen)),
         sigma=found.search.fit(chosen).sigma,
-        notes=tuple(notes(arm, measurements, found, holdout, gap)),
+        notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap)),
     )
     progress(STEPS, STEPS, result.sentence)
     return result
@@ -130,11 +134,12 @@ def assess_data(library: HypothesisSet, found: Findings) -> Preflight:
 
 def candidate_list(found: Findings, draws: int, generator: np.random.Generator) -> tuple[Candidate, ...]:
     """The ambiguity set as results; with an unknown effect, only what stays named beside it."""
+    rivals = found.selection.rivals
     if found.unknown.place is not None:
-        return ()
+        rivals = ((found.unknown.chosen, 0.0),) if found.unknown.chosen else ()
     return tuple(
         describe(found.search, chosen, delta, trial_of(found.search, chosen, draws, generator))
-        for chosen, delta in found.selection.rivals
+        for chosen, delta in rivals
     )
 
 
@@ -183,6 +188,41 @@ def alias_list(before: Preflight, candidates: tuple[Candidate, ...]) -> tuple[tu
     named = {key for c in candidates for key in c.effects}
     pairs = [pair for pair in before.pairs(NEAR) if pair[0] in named]
     return (*pairs, *((name, like, 1.0) for name, like in before.aliases.items()))
+
+
+def hidden_orders(search: Search, chosen: Choice) -> tuple[tuple[str, str, float], ...]:
+    """Gear ripples that these postures cannot tell from a named effect of the same joint: effect, ripple, likeness.
+
+    On a grid of angles a ripple of 15 periods per turn may be the very column of an eccentric encoder, and the
+    diagnosis names the likelier one.
+    """
+    listed = []
+    for k, member in enumerate(chosen):
+        members, against = search.rivals(chosen[:k] + chosen[k + 1 :])
+        places = {h.label: i for i, h in enumerate(members)}
+        if member.label not in places or member.spec.joint is None:
+            continue
+        mine = against.block(places[member.label])
+        for label, i in places.items():
+            other = members[i]
+            if label != member.label and other.spec.values and other.spec.joint == member.spec.joint:
+                alike = float(np.linalg.norm(against.block(i).T @ mine) / np.sqrt(mine.shape[1]))
+                if alike >= NEAR:
+                    settings = ", ".join(f"{name} = {value:g}" for name, value in other.spec.values.items())
+                    listed.append((member.key, f"{other.key} ({settings})", min(alike, 1.0)))
+    return tuple(sorted(listed, key=lambda row: -row[2]))
+
+
+def order_notes(hidden: tuple[tuple[str, str, float], ...]) -> list[str]:
+    """One line per named effect that a ripple imitates on these postures."""
+    said = []
+    for key in dict.fromkeys(key for key, _, _ in hidden):
+        likes = [(other, alike) for own, other, alike in hidden if own == key]
+        word = "is the same as" if likes[0][1] >= EXACT else "is much like"
+        more = f" and {len(likes) - 3} more" if len(likes) > 3 else ""
+        listed = ", ".join(other for other, _ in likes[:3])
+        said.append(f"on these postures {key} {word} {listed}{more}: only angles off their grid can tell")
+    return said
 
 
 def trial_list(found: Findings) -> tuple[Trial, ...]:

@@ -46,6 +46,11 @@ class Candidate:
     parameters: tuple[Estimate, ...]
     calibration: Calibration
 
+    @property
+    def title(self) -> str:
+        """The effects with the settings that were found: `transmission_ripple:2 (k = 18)`."""
+        return " + ".join(_titled(key, spec) for key, spec in zip(self.effects, self.specs, strict=True))
+
     def to_json(self) -> dict[str, Any]:
         """Keys of the contract."""
         named = zip(self.effects, self.specs, strict=True)
@@ -59,6 +64,11 @@ class Candidate:
             "parameters": [vars(p) for p in self.parameters],
             "settings": settings,
         }
+
+
+def _titled(key: str, spec: EffectSpec) -> str:
+    settings = ", ".join(f"{name} = {value:g}" for name, value in spec.values.items())
+    return f"{key} ({settings})" if settings and "[" not in key else key
 
 
 @dataclass(frozen=True)
@@ -82,6 +92,7 @@ class Residuals:
     positions: Array
 
 
+WIDE = 3.0  # times the sigma of the arm file: no verdict should be read without it
 VERDICTS = {
     "none": "none: nothing is missing that these data could show; larger effects than the sizes listed are excluded",
     "named": "named: {effects} is missing from the model",
@@ -125,16 +136,19 @@ class Diagnosis:
     @property
     def sentence(self) -> str:
         """The verdict in one line."""
-        options = " | ".join(" + ".join(c.effects) for c in self.candidates)
-        beside = f", beside {' + '.join(self.effects)}" if self.effects else ""
-        shape = f" ({self.shape})" if self.shape else ""
-        return VERDICTS[self.verdict].format(
-            effects=" + ".join(self.effects),
+        options = " | ".join(c.title for c in self.candidates)
+        beside = f", beside {self.named.title}" if self.effects else ""
+        shape = f" (shape: {self.shape})" if self.shape else ""
+        times = 1.0 if self.arm.sigma is None else self.sigma / self.arm.sigma
+        wide = f"; but the scatter is {times:.3g} times sigma_mm" if times > WIDE else ""
+        verdict = VERDICTS[self.verdict].format(
+            effects=self.named.title,
             count=len(self.candidates),
             options=options,
             where=f"{self.where}{shape}",
             beside=beside,
         )
+        return verdict + wide
 
     def extended_arm(self, candidate: Candidate | None = None) -> Arm:
         """The arm with the effects of the best set (or of `candidate`) in its model, to be estimated, and the fitted
@@ -170,7 +184,7 @@ class Diagnosis:
             if not c.effects:
                 continue
             figures = f"F = {c.f:.1f}, p = {c.p_adjusted:.2g}, Delta BIC = {c.delta_bic:.1f}"
-            lines.append(f"  {' + '.join(c.effects)}: {figures}; {'; '.join(str(p) for p in c.parameters)}")
+            lines.append(f"  {c.title}: {figures}; {'; '.join(str(p) for p in c.parameters)}")
         lines += [f"  scatter: {f}" for f in self.scatter]
         if self.outlier_rows:
             lines.append(f"  outliers: rows {', '.join(map(str, self.outlier_rows))} are left out")

@@ -67,6 +67,10 @@ class Dictionary:
             self.weights[keep],
         )
 
+    def block(self, k: int) -> Array:
+        """(N, d) orthonormal basis of one hypothesis."""
+        return self.bases[:, self.starts[k] : self.starts[k] + self.sizes[k]]
+
     def reductions(self, residuals: Array) -> Array:
         """(H, B) fall of the sum of squares for residuals (N, B) orthogonal to the model; 0 for the forbidden sign."""
         if len(self) == 0:

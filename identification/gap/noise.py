@@ -19,7 +19,7 @@ from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 
 OUTLIER = 6.0  # robust standard deviations of a posture's residual
-MOST_OUTLIERS = 0.15  # share of the rows; more is structure, not outliers
+MOST_OUTLIERS = 0.25  # share of the rows; more is structure, not outliers
 LEVEL = 0.01  # of each finding, after Holm's correction
 DRAWS = 999
 HINT = 0.2  # Holm-adjusted p-value below which the noise may not be the same everywhere

@@ -21,6 +21,9 @@ SPARE = 4  # degrees of freedom below which nothing is tested
 POWER = 0.9
 LEVEL = 0.05
 EXACT, NEAR = 0.9999, 0.9  # correlations that make an alias
+LARGEST = (
+    0.1  # of the reach: an effect that must move the tip farther to be seen is invisible, and beyond linear theory
+)
 
 
 @dataclass(frozen=True)
@@ -143,7 +146,8 @@ def assess(
     for k, hypothesis in enumerate(members):
         if hypothesis.tied:
             continue
-        size = _detectable(hypothesis, raw[k], tested, sigma, threshold * hypothesis.weight)
+        limit = LARGEST * float(np.sum(library.arm.lengths))
+        size = _detectable(hypothesis, raw[k], tested, sigma, threshold * hypothesis.weight, limit)
         before = detectable.get(hypothesis.key)
         detectable[hypothesis.key] = size if before is None else _larger(before, size)
     return Preflight(
@@ -165,7 +169,7 @@ def _larger(one: Size, other: Size) -> Size:
 
 def likeness(tested: Dictionary, members: list[int]) -> Array:
     """(H, H) root mean square share of each member's visible space that each other member's space holds."""
-    blocks = [tested.bases[:, tested.starts[k] : tested.starts[k] + tested.sizes[k]] for k in members]
+    blocks = [tested.block(k) for k in members]
     matrix = np.zeros((len(blocks), len(blocks)))
     for i, one in enumerate(blocks):
         for j, other in enumerate(blocks):
@@ -174,7 +178,9 @@ def likeness(tested: Dictionary, members: list[int]) -> Array:
     return np.minimum(matrix, 1.0)
 
 
-def _detectable(hypothesis: Hypothesis, raw: Array, tested: Dictionary, sigma: float, level: float) -> Size:
+def _detectable(
+    hypothesis: Hypothesis, raw: Array, tested: Dictionary, sigma: float, level: float, limit: float
+) -> Size:
     parameter = hypothesis.effect.parameters[0]
     projected = raw - tested.model_basis @ (tested.model_basis.T @ raw)
     visible = np.linalg.svd(projected, compute_uv=False)
@@ -182,7 +188,10 @@ def _detectable(hypothesis: Hypothesis, raw: Array, tested: Dictionary, sigma: f
     if whole == 0.0 or visible[-1] <= 1e-6 * whole or tested.freedom <= hypothesis.size:
         return Size(None, parameter.file_unit)
     needed = detectable_lambda(hypothesis.size, tested.freedom - hypothesis.size, level, hypothesis.one_sided)
-    return Size(float(needed * sigma / visible[-1] * parameter.to_file), parameter.file_unit)
+    size = needed * sigma / visible[-1]
+    if size * whole / np.sqrt(len(raw) / 2) > limit:  # root mean square distance [mm] that it would move the tip
+        return Size(None, parameter.file_unit)
+    return Size(float(size * parameter.to_file), parameter.file_unit)
 
 
 @lru_cache(4096)  # hundreds of hypotheses share a few cases

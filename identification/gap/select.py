@@ -244,10 +244,8 @@ def exchanges(search: Search, chosen: Choice) -> list[Choice]:
 
 
 def swapped(search: Search, chosen: Choice) -> Choice:
-    """The best set that single exchanges lead to."""
+    """The best set that single exchanges lead to: the gate says that something is missing, BIC says what."""
     for _ in range(MOST):
-        if len(chosen) < 2:
-            return chosen
         best = min(exchanges(search, chosen), key=search.bic, default=chosen)
         if search.bic(best) >= search.bic(chosen) - 1e-9:
             return chosen

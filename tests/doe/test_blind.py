@@ -36,7 +36,7 @@ def check(what: str, value: float, alert: float, fail: float) -> None:
 
 
 def run(cell: str, count: int = COUNT) -> BlindStudy:
-    return blind_study([cell], count, draws=199)
+    return blind_study([cell], count, draws=399)
 
 
 # -- the study in reduced form -----------------------------------------------------------------------------------------
@@ -173,7 +173,7 @@ def test_the_confusion_matrix_counts_every_set_once() -> None:
 
 # -- tasks -------------------------------------------------------------------------------------------------------------
 def test_the_diagnoses_table_knows_nothing_of_the_truth(tmp_path: Path) -> None:
-    blind_study(["outside, lambda 7"], 2, tmp_path / "study", draws=99)
+    blind_study(["outside, lambda 7"], 2, tmp_path / "study", draws=399)
     said = polars.read_parquet(tmp_path / "study" / blind.DIAGNOSES)
     assert {"hidden", "place", "wrong_rows", "gap_true_mm"}.isdisjoint(said.columns)
     truth = polars.read_parquet(tmp_path / "study" / blind.TRUTH)
@@ -182,9 +182,9 @@ def test_the_diagnoses_table_knows_nothing_of_the_truth(tmp_path: Path) -> None:
 
 def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path) -> None:
     folder = tmp_path / "study"
-    first = blind_study(["none m=20"], 10, folder, draws=99)
+    first = blind_study(["none m=20"], 10, folder, draws=399)
     before = polars.read_parquet(folder / blind.DIAGNOSES)
-    more = blind_study(["none m=20"], 20, folder, draws=99, resume=True)
+    more = blind_study(["none m=20"], 20, folder, draws=399, resume=True)
     after = polars.read_parquet(folder / blind.DIAGNOSES)
     assert (len(first.sets), len(more.sets)) == (10, 20)
     assert after.head(10)["seconds"].to_list() == before["seconds"].to_list()  # not done again

@@ -44,7 +44,7 @@ def measured(name: str | None, seed: int = 1, m: int = 60, **changes: object) ->
 
 @cache
 def diagnosed(name: str | None) -> Diagnosis:
-    return diagnose(ARM, measured(name), draws=199)
+    return diagnose(ARM, measured(name), draws=399)
 
 
 CLEAR = [n for n in (*blind.LIBRARY_JOINT, *blind.LIBRARY_WHOLE) if n not in ("joint_compliance*", "joint_compliance")]
@@ -56,7 +56,7 @@ def test_names_a_clear_effect_and_the_extended_arm_has_nothing_missing(name: str
     joint = None if name in blind.LIBRARY_WHOLE else 2
     assert found.effects == (name if joint is None else f"{name}:2",)
     assert found.gap.rms_after < found.gap.rms_before
-    again = diagnose(found.extended_arm(), measured(name), draws=199)
+    again = diagnose(found.extended_arm(), measured(name), draws=399)
     assert again.verdict == "none"
 
 
@@ -82,7 +82,7 @@ def rippled(m: int = 120) -> Measurements:
 
 
 def test_two_ripples_of_one_joint_are_named_beside_a_third() -> None:
-    found = diagnose(ARM, rippled(), draws=199)
+    found = diagnose(ARM, rippled(), draws=399)
     ripple = "transmission_ripple"
     assert found.verdict == "named"
     assert set(found.effects) == {f"{ripple}:1", f"{ripple}:2[k=20]", f"{ripple}:2[k=29]"}
@@ -91,12 +91,12 @@ def test_two_ripples_of_one_joint_are_named_beside_a_third() -> None:
         assert abs(estimate.value - np.degrees(truth.get(estimate.name, 0.0))) < 4.0 * estimate.std
     said = found.to_json()["candidates"][0]
     assert said["settings"] == {f"{ripple}:1.k": 12.0, f"{ripple}:2[k=20].k": 20.0, f"{ripple}:2[k=29].k": 29.0}
-    assert diagnose(found.extended_arm(), rippled(), draws=199).verdict == "none"
+    assert diagnose(found.extended_arm(), rippled(), draws=399).verdict == "none"
 
 
 def test_a_ripple_beside_one_that_is_in_the_arm() -> None:
     known = [EffectSpec("transmission_ripple", j, {"k": k}) for j, k in ((1, 12.0), (2, 20.0))]
-    found = diagnose(ARM.with_effects(*known), rippled(), draws=199)
+    found = diagnose(ARM.with_effects(*known), rippled(), draws=399)
     assert (found.verdict, found.effects) == ("named", ("transmission_ripple:2[k=29]",))
 
 
@@ -104,7 +104,7 @@ def test_a_wave_of_no_whole_order_is_not_two_ripples() -> None:
     rng = np.random.default_rng(22)
     run = blind.session(TRUTH, rng.uniform(-np.pi, np.pi, (120, 3)), rng)
     wave = ("free_ripple", 2, {"k": 20.5, "a": 6e-4, "b": 6e-4})
-    found = diagnose(ARM, blind.measure(replace(TRUTH, effects=[wave]), run, rng, "white"), draws=199)
+    found = diagnose(ARM, blind.measure(replace(TRUTH, effects=[wave]), run, rng, "white"), draws=399)
     assert (found.verdict, found.where, found.effects) == ("unknown", "joint:2", ())
 
 
@@ -147,12 +147,12 @@ def test_json_has_the_keys_of_the_contract_and_no_nan() -> None:
 
 
 def test_same_seed_same_diagnosis() -> None:
-    again = diagnose(ARM, measured("backlash"), draws=199)
+    again = diagnose(ARM, measured("backlash"), draws=399)
     assert again.to_json() == diagnosed("backlash").to_json()
 
 
 def test_held_out_gap_shrinks_to_the_noise() -> None:
-    found = diagnose(ARM, measured("encoder_eccentricity"), measured("encoder_eccentricity", seed=2, m=200), draws=199)
+    found = diagnose(ARM, measured("encoder_eccentricity"), measured("encoder_eccentricity", seed=2, m=200), draws=399)
     # the two sets have effects of the same lambda, not of the same size: only the base and noise figures are exact
     assert found.gap.held_out_before is not None
     assert found.gap.noise_floor == pytest.approx(0.05 * np.sqrt(2.0), rel=0.3)
@@ -163,12 +163,12 @@ def test_order_of_rows_does_not_matter_when_conditions_are_given() -> None:
     data = measured("base_drift")
     mixed = np.random.default_rng(3).permutation(len(data))
     shuffled = data.rows(mixed)
-    assert diagnose(ARM, shuffled, draws=199).effects == ("base_drift",)
+    assert diagnose(ARM, shuffled, draws=399).effects == ("base_drift",)
 
 
 def test_sigma_of_the_data_sheet_does_not_decide() -> None:
     for sigma in (None, 0.005, 5.0):
-        found = diagnose(replace(ARM, sigma=sigma), measured(None), draws=199)
+        found = diagnose(replace(ARM, sigma=sigma), measured(None), draws=399)
         assert found.verdict == "none"
     assert any("times the sigma_mm" in note for note in found.notes)
 
@@ -177,7 +177,7 @@ def test_outliers_are_listed_and_left_out() -> None:
     data = measured("backlash")
     positions = data.positions.copy()
     positions[[4, 20, 33]] += 1.5
-    found = diagnose(ARM, replace(data, positions=positions), draws=199)
+    found = diagnose(ARM, replace(data, positions=positions), draws=399)
     assert found.outlier_rows == (5, 21, 34)
     assert found.effects == ("backlash:2",)
 
@@ -186,7 +186,7 @@ def test_many_far_rows_are_structure_not_outliers() -> None:
     data = measured(None)
     positions = data.positions.copy()
     positions[:12] += 2.0  # 40 sigma: the tracker was bumped after the twelfth row
-    found = diagnose(ARM, replace(data, positions=positions), draws=199)
+    found = diagnose(ARM, replace(data, positions=positions), draws=399)
     assert (found.verdict, found.where) == ("unknown", "time")
     assert found.outlier_rows == ()
 
@@ -221,15 +221,15 @@ def test_one_posture_or_one_position_is_refused() -> None:
 def test_a_holdout_of_another_arm_is_refused() -> None:
     data, fresh = measured("encoder_eccentricity"), measured("encoder_eccentricity", seed=2, m=30)
     with pytest.raises(InputError, match="another arm"):
-        diagnose(ARM, data, replace(fresh, positions=1.2 * fresh.positions), draws=99)
+        diagnose(ARM, data, replace(fresh, positions=1.2 * fresh.positions), draws=399)
     turn = np.array([[0.985, 0.174], [-0.174, 0.985]])
     with pytest.raises(InputError, match="another arm"):  # the base turned by 10 deg between the two sessions
-        diagnose(ARM, data, replace(fresh, positions=fresh.positions @ turn), draws=99)
+        diagnose(ARM, data, replace(fresh, positions=fresh.positions @ turn), draws=399)
     bumped = fresh.positions.copy()
     bumped[:5] += 50.0  # a few outliers are not another arm
-    found = diagnose(ARM, data, replace(fresh, positions=bumped), draws=99)
+    found = diagnose(ARM, data, replace(fresh, positions=bumped), draws=399)
     assert any("times farther off than predicted" in note for note in found.notes)
-    assert not any("farther off" in note for note in diagnose(ARM, data, fresh, draws=99).notes)
+    assert not any("farther off" in note for note in diagnose(ARM, data, fresh, draws=399).notes)
 
 
 def test_a_rounded_copy_is_no_holdout() -> None:
@@ -263,15 +263,15 @@ def test_poor_data_do_not_crash() -> None:
     run = blind.Session(still, data.order, data.temperature, data.directions, np.full(60, TRUTH.payload))
     truth = replace(TRUTH, effects=[])
     p = blind.position(truth, run) + 0.05 * np.random.default_rng(1).normal(size=(60, 2)) @ [1.0, 1.0j]
-    found = diagnose(ARM, Measurements(still, np.column_stack([p.real, p.imag])), draws=99)
+    found = diagnose(ARM, Measurements(still, np.column_stack([p.real, p.imag])), draws=399)
     assert found.verdict == "none"
     assert any("joint 2 never moves" in note for note in found.notes)
     massless = replace(ARM, gravity=Gravity(np.array([0.0, -9.81]), np.zeros(3), np.full(3, 0.5), 0.0))
-    assert diagnose(massless, data, draws=99).excluded["link_bending"].value is None
+    assert diagnose(massless, data, draws=399).excluded["link_bending"].value is None
     constant = replace(data, temperature=np.full(60, 21.0), directions=np.ones((60, 3)))
-    assert diagnose(ARM, constant, draws=99).verdict == "none"
+    assert diagnose(ARM, constant, draws=399).verdict == "none"
     repeated = data.rows(np.repeat(np.arange(8), 6))
-    assert diagnose(ARM, repeated, draws=99).preflight.freedom == 96 - 6
+    assert diagnose(ARM, repeated, draws=399).preflight.freedom == 96 - 6
 
 
 @pytest.mark.parametrize("m", [6, 7, 8])
@@ -283,7 +283,7 @@ def test_hardly_any_rows_do_not_crash(m: int) -> None:
         q = rng.uniform(-2.0, 2.0, (m, 4))
         p = np.exp(1j * np.cumsum(q, axis=1)) @ [260.0, 180.0, 120.0, 100.0] + rng.normal(size=(m, 2)) @ [0.1, 0.1j]
         found = diagnose(
-            Arm([260.0, 180.0, 120.0, 100.0]), Measurements(q, np.column_stack([p.real, p.imag])), draws=99
+            Arm([260.0, 180.0, 120.0, 100.0]), Measurements(q, np.column_stack([p.real, p.imag])), draws=399
         )
         assert found.preflight.freedom == 2 * m - 8
 
@@ -293,7 +293,7 @@ def test_one_link_lists_its_exact_aliases() -> None:
     q = np.linspace(-3.0, 3.0, 40)[:, None]
     torque = -9.81 * (10.0 * 0.15 + 5.0 * 0.3) * np.cos(q[:, 0])
     p = 300.0 * np.exp(1j * (q[:, 0] + 1e-4 * torque)) + 0.02 * np.random.default_rng(1).normal(size=(40, 2)) @ [1, 1j]
-    found = diagnose(arm, Measurements(q, np.column_stack([p.real, p.imag])), draws=199)
+    found = diagnose(arm, Measurements(q, np.column_stack([p.real, p.imag])), draws=399)
     assert found.verdict == "ambiguous"
     assert {"joint_compliance", "joint_compliance:1"} <= {c.effects[0] for c in found.candidates}
 
@@ -317,5 +317,5 @@ def test_a_users_own_effect_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     theta[:, 1] += 5e-4 * theta[:, 1] ** 2
     p = blind.position(TRUTH, blind.session(TRUTH, theta, np.random.default_rng(0)))
     positions = np.column_stack([p.real, p.imag]) + 0.05 * np.random.default_rng(2).normal(size=(60, 2))
-    found = diagnose(ARM, replace(data, positions=positions), draws=199)
+    found = diagnose(ARM, replace(data, positions=positions), draws=399)
     assert "cable_square:2" in [c.effects[0] for c in found.candidates]
