@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.arm import Array, readonly
+from identification.arm import Array, ByValue, readonly
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, eq=False)
+class Plan(ByValue):
     """m postures of an n-link arm.
 
     postures : (m, n) joint angles [rad]

@@ -6,8 +6,9 @@ Joints and links are counted from 1 for people (`Effect.joint`, names) and from 
 from __future__ import annotations
 
 import copyreg
+import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -23,6 +24,7 @@ LENGTH_RANGE = (1e-6, 1e9)  # [mm] of a link
 LARGEST_LENGTH = LENGTH_RANGE[1]  # [mm] of a coordinate
 LARGEST_ANGLE = 1e6  # [deg]
 SIGMA_RANGE = (1e-9, 1e9)  # [mm]
+MANY_TURNS = 10.0 * np.pi + 1e-6  # [rad] no arm turns a joint farther; degrees do
 
 
 def _read_only_mapping(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
@@ -42,14 +44,47 @@ def readonly(values: ArrayLike, *shape: int) -> Array:
     return array
 
 
-@dataclass(frozen=True)
-class Gravity:
+class ByValue:
+    """Base of frozen dataclasses that hold arrays or mappings: equal if class and fields are, to the last bit."""
+
+    def __eq__(self, other: object) -> bool:
+        if type(self) is not type(other):
+            return NotImplemented
+        return all(_same(value, getattr(other, name)) for name, value in _fields(self).items())
+
+    def __hash__(self) -> int:
+        return hash((type(self), *map(_hashable, _fields(self).values())))
+
+
+def _fields(item: Any) -> dict[str, Any]:
+    return {entry.name: getattr(item, entry.name) for entry in fields(item)}
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        return one is not None and other is not None and np.array_equal(one, other)
+    return bool(one == other)
+
+
+def _hashable(value: Any) -> Any:
+    """Equal for equal values: of a mapping its keys, of an array its shape, which tell most things apart."""
+    if isinstance(value, np.ndarray | Mapping):
+        return np.shape(value) if isinstance(value, np.ndarray) else frozenset(value)
+    return value
+
+
+@dataclass(frozen=True, eq=False)
+class Gravity(ByValue):
     """Loads of an arm that moves in a vertical plane; gravity torques need it."""
 
     acceleration: Array  # (2,) [m/s^2] in the base frame
     link_masses: Array  # (n,) [kg]
     center_of_mass: Array  # (n,) fraction of the link from its joint
     payload: float = 0.0  # [kg] at the tip
+
+    def __post_init__(self) -> None:
+        for name in ("acceleration", "link_masses", "center_of_mass"):
+            object.__setattr__(self, name, readonly(getattr(self, name)))
 
 
 @dataclass(frozen=True)
@@ -80,8 +115,8 @@ class LineOfSight:
 Constraint = WorkspaceBox | KeepOutCircle | LineOfSight
 
 
-@dataclass(frozen=True)
-class EffectSpec:
+@dataclass(frozen=True, eq=False)
+class EffectSpec(ByValue):
     """An effect that is part of the arm's model. `values` are known and stay fixed; the others are estimated.
 
     An arm may have several of one name at one joint if their settings differ (gear ripples of k = 20 and k = 29).
@@ -97,8 +132,8 @@ class EffectSpec:
         return self.name if self.joint is None else f"{self.name}:{self.joint}"
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, eq=False)
+class Calibration(ByValue):
     """What an identification found; written by `armcal identify --out`."""
 
     length_errors: Array  # (n,) [mm]
@@ -108,15 +143,20 @@ class Calibration:
     covariance: Array | None = None  # (p, p), API units
     provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
+    def __post_init__(self) -> None:
+        for name in ("length_errors", "joint_offsets", "covariance"):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, readonly(value))
 
-@dataclass(frozen=True)
-class Arm:
+
+@dataclass(frozen=True, eq=False)
+class Arm(ByValue):
     """A planar arm of n links.
 
     Parameters
     ----------
     lengths : (n,) nominal link lengths [mm]
-    lower, upper : (n,) joint limits [rad]; left out: -pi..pi
+    lower, upper : (n,) joint limits [rad]; left out: -pi..pi. Warns (`UserWarning`) of what looks like degrees
     sigma : standard deviation of one measured coordinate [mm]; None: estimated from the data
     """
 
@@ -148,6 +188,7 @@ class Arm:
             raise InputError(
                 f"joint_limits_deg: joint {j + 1} has lower {low:g} >= upper {high:g}, allowed: lower < upper"
             )
+        _warn_if_degrees(lower, upper)
         if self.sigma is not None:
             _require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
         for field_name, value in (("lengths", lengths), ("lower", lower), ("upper", upper)):
@@ -161,6 +202,15 @@ class Arm:
     def with_effects(self, *effects: EffectSpec) -> Arm:
         """The same arm with these effects instead of its own."""
         return replace(self, effects=tuple(effects))
+
+
+def _warn_if_degrees(lower: Array, upper: Array) -> None:
+    limits = np.where(-lower > upper, lower, upper)  # the farther one of each joint
+    if (far := np.abs(limits) > MANY_TURNS).any():
+        j = int(np.argmax(far))
+        found = f"limit {limits[j]:g} of joint {j + 1} is {abs(limits[j]) / (2.0 * np.pi):.0f} turns"
+        message = f"Arm: {found} and looks like degrees; lower and upper are in radians"
+        warnings.warn(message, UserWarning, stacklevel=4)
 
 
 def _require(condition: bool, message: str) -> None:

@@ -10,12 +10,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import MAX_LINKS, Array, readonly
+from identification.arm import MAX_LINKS, Array, ByValue, readonly
 from identification.errors import InputError
 
 
-@dataclass(frozen=True)
-class Conditions:
+@dataclass(frozen=True, eq=False)
+class Conditions(ByValue):
     """What a posture is measured under, one row per posture. None: the neutral value.
 
     payload : (m,) [kg], None: the arm's own payload
@@ -91,8 +91,8 @@ def _numbers(name: str, values: Any) -> Array:
         raise InputError(f"measurements.{name}: not an array of numbers, allowed: real numbers") from None
 
 
-@dataclass(frozen=True)
-class Measurements:
+@dataclass(frozen=True, eq=False)
+class Measurements(ByValue):
     """m measured postures of an n-link arm, in the order of the file.
 
     postures : (m, n) commanded joint angles [rad]
