@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from identification.arm import Arm, Array
-from identification.effects import build
+from identification.effects import build, build_all
 from identification.effects.noise import NoiseEffect, Scene
 from identification.errors import InputError
 from identification.measurements import Conditions, Measurements, directions_from_order, session_time
@@ -26,7 +26,8 @@ def simulate(
 ) -> Measurements:
     """Measure `truth` once at each posture, in the given order.
 
-    truth : arm whose calibration and effect values are the true ones; what has no value is zero
+    truth : arm whose calibration and effect values are the true ones; what has no value is zero, but an effect on the
+        scatter needs all of its values
     postures : (m, n) commanded joint angles [rad]
     sigma : standard deviation per axis [mm], default the arm's; 0 gives exact positions
     payload, temperature : (m,) conditions per row, where the truth needs them [kg], [deg C]
@@ -34,8 +35,9 @@ def simulate(
     """
     q = np.atleast_2d(np.asarray(postures, dtype=float))
     noise = truth.sigma if sigma is None else sigma
-    if noise is None or noise < 0.0:
-        raise InputError(f"sigma_mm: {noise}, allowed: >= 0, in the arm file or given here")
+    if noise is None or not 0.0 <= noise < np.inf:
+        raise InputError(f"sigma: found {noise}, allowed: a number >= 0 [mm], given here or with the arm")
+    _check_scatter(truth)
     model = Model(truth)
     if "temperature" in model.needs and temperature is None:
         raise InputError("temperature_C: an effect of the truth needs a temperature per row, none is given")
@@ -47,6 +49,14 @@ def simulate(
     errors = noise * generator.standard_normal(exact.shape)
     errors = disturbed(errors, truth, Measurements(q, exact, order), conditions, noise, generator)
     return Measurements(q, exact + errors, order, payload, temperature, conditions.directions)
+
+
+def _check_scatter(truth: Arm) -> None:
+    """Raises `InputError` for an effect on the scatter without its values: it would be none."""
+    for effect, spec in zip(build_all(truth.effects, truth.links, truth.lengths), truth.effects, strict=True):
+        missing = [p.toml_key for p in effect.parameters if p.short not in spec.values]
+        if effect.scatter and missing:
+            raise InputError(f"effects: {spec.key}: no value of {', '.join(missing)}, allowed: a number for each")
 
 
 def disturbed(

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from doe.cli.common import FILE, Answer, Session, force_option, verb
+
+if TYPE_CHECKING:
+    from identification.arm import Arm
 
 
 @verb("armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv")
@@ -34,8 +39,28 @@ def command(session: Session, arm: Path, plan: Path, truth: Path, out: Path, for
         raise InputError(f"{truth}: {true_arm.links} links, allowed: {loaded.links} as in {arm}")
     postures = load_plan(plan, loaded.links).postures
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
+    if sigma is None:
+        raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")
+    for sentence in without_values(true_arm):
+        warnings.warn(f"{truth}: {sentence}", UserWarning, stacklevel=2)
     conditions = load_plan_conditions(plan, loaded.links)
-    data = simulate(true_arm, postures, np.random.default_rng(session.seed), sigma=sigma, **conditions)
+    try:
+        data = simulate(true_arm, postures, np.random.default_rng(session.seed), sigma=sigma, **conditions)
+    except InputError as error:
+        raise InputError(f"{truth}: {error}") from None
     write_whole(out, measurement_text(data), force=force)
     summary = {"rows": len(data), "links": data.links, "sigma_mm": sigma, "out": out}
     return Answer(summary, [f"{len(data)} measurements, sigma {sigma:g} mm, written to {out}"])
+
+
+def without_values(truth: Arm) -> list[str]:
+    """A sentence for every effect on the mean that neither its own values nor the calibration make more than zero."""
+    from identification.effects import build_all
+
+    given = {} if truth.calibration is None else truth.calibration.effects
+    built = zip(build_all(truth.effects, truth.links, truth.lengths), truth.effects, strict=True)
+    return [
+        f"{effect.key} has no value and does nothing; it has {', '.join(p.toml_key for p in effect.parameters)}"
+        for effect, spec in built
+        if not effect.scatter and not any(p.short in spec.values or p.name in given for p in effect.parameters)
+    ]

@@ -91,4 +91,4 @@ def test_limits_that_look_like_degrees_warn() -> None:
     assert caught[0].filename == __file__
     with pytest.warns(UserWarning, match=r"limit -90 of joint 2"):
         Arm([200.0, 100.0], lower=[-3.0, -90.0])
-    Arm([200.0], lower=[-10.0 * np.pi], upper=[10.0 * np.pi])  # five turns either way: no warning (they are errors here)
+    Arm([200.0], lower=[-10.0 * np.pi], upper=[10.0 * np.pi])  # five turns either way: no warning

@@ -235,3 +235,41 @@ def test_a_plan_outside_the_limits_warns(folder: Folder) -> None:
     assert done.code == 0
     assert "outside joint limits" in done.err
     assert "no: outside joint limits or constraints are runs 2, 3, 4, 5" in done.out
+
+
+@pytest.mark.parametrize(
+    ("effect", "missing"),
+    [
+        ('name = "outliers"', "no value of share, size"),
+        ('name = "outliers"\nshare = 0.1', "no value of size"),
+        ('name = "joint_noise"\njoint = 2', "no value of std_deg"),
+    ],
+)
+def test_scatter_without_values_is_no_truth(folder: Folder, effect: str, missing: str) -> None:
+    folder.write("truth.toml", ARM + f"\n[[effects]]\n{effect}\n")
+    words = ["simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "out.file"]
+    refused(folder, words, "truth.toml: effects:", missing, "allowed: a number for each")
+
+
+def test_a_truth_that_is_none_warns(folder: Folder) -> None:
+    effect = '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 2\n'
+    folder.write("truth.toml", ARM + effect)
+    words = ["simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out"]
+    done = folder.armcal(*words, "empty.csv")
+    assert done.code == 0
+    sentence = "truth.toml: encoder_eccentricity:2 has no value and does nothing; it has a_deg, b_deg"
+    assert done.err == f"armcal: warning: {sentence}\n"
+    folder.write("truth.toml", ARM + effect + "a_deg = 0.1\n")
+    assert folder.armcal(*words, "known.csv").err == ""
+    calibrated = "\n[calibration]\nlength_errors_mm = [0, 0, 0, 0.0]\njoint_offsets_deg = [0, 0, 0, 0.0]\n"
+    values = '\n[calibration.effects]\n"encoder_eccentricity:2.a_deg" = 0.1\n'
+    folder.write("truth.toml", ARM + effect + calibrated + values)
+    assert folder.armcal(*words, "calibrated.csv").err == ""
+
+
+def test_a_truth_without_sigma(folder: Folder) -> None:
+    bare = ARM.partition("[measurement]")[0]
+    folder.write("arm.toml", bare)
+    folder.write("truth.toml", bare)
+    words = ["simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "out.file"]
+    refused(folder, words, "arm.toml: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in truth.to")
