@@ -68,6 +68,7 @@ def command(
     from identification.arm_file import load_arm
     from identification.files import check_writable, write_whole
 
+    check_used(click.get_current_context())
     loaded = load_arm(arm)
     check_writable(out, force)
     check_writable(picture, force)
@@ -107,6 +108,16 @@ def command(
         extra.append(f"plan written to {out}")
     draw(loaded, design.plan.postures, picture, force)
     return Answer(design.to_json() | data, [*design_tables(loaded, design), *extra])
+
+
+def check_used(context: click.Context) -> None:
+    """Raises `InputError` for a number that is given without the option it belongs to."""
+    from identification.errors import InputError
+
+    for name, needed in (("loss", "discriminating"), ("draws", "uncertain")):
+        given = context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+        if given and not context.params[needed]:
+            raise InputError(f"--{name}: has no use here, allowed: with --{needed}")
 
 
 def draw(arm: Arm, postures: Any, picture: Path | None, force: bool) -> None:
