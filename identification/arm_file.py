@@ -33,6 +33,7 @@ from identification.arm_schema import (
     ConstraintTable,
     EffectTable,
     check,
+    check_covariance,
 )
 from identification.errors import InputError, nearest
 from identification.files import PathLike, read_toml
@@ -267,7 +268,9 @@ def _covariance(table: CalibrationTable, factors: Array) -> Array | None:
     _require_count("calibration.covariance", table.covariance, p, "rows for", "parameters")
     for row in table.covariance:
         _require_count("calibration.covariance", row, p, "values in a row for", "parameters")
-    return readonly(np.array(table.covariance).reshape(p, p) / np.outer(factors, factors))
+    matrix = np.array(table.covariance).reshape(p, p)
+    check_covariance(matrix, table.parameters)
+    return readonly(matrix / np.outer(factors, factors))
 
 
 def _require_count(key: str, values: list[Any], count: int, what: str = "values for", whose: str = "links") -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from identification.arm import LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
+from identification.arm import LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Array
 from identification.errors import InputError, nearest
 
+ROUNDED = 1e-5  # of a correlation, where a covariance is written with six digits
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Positive = Annotated[float, Field(gt=0)]
 Length = Annotated[float, Field(ge=LENGTH_RANGE[0], le=LENGTH_RANGE[1])]
@@ -214,3 +216,23 @@ def _shown(detail: Any) -> str:
         return str(value).lower()
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def check_covariance(matrix: Array, names: list[str]) -> None:
+    """Raises `InputError` for a (p, p) matrix that no numbers can have as their covariance, but for rounding."""
+    variances = np.diag(matrix)
+    if np.any(variances < 0.0):
+        k = int(np.argmax(variances < 0.0))
+        raise InputError(f"calibration.covariance: found variance {variances[k]:g} of {names[k]}, allowed: >= 0")
+    largest = np.outer(np.sqrt(variances), np.sqrt(variances))
+    scale = np.where(largest > 0.0, largest, 1.0)
+    beyond = np.abs(matrix) > (1.0 + ROUNDED) * largest
+    uneven = np.abs(matrix - matrix.T) > ROUNDED * largest
+    for wrong, allowed in ((beyond, "a correlation of -1 to 1"), (uneven, "a symmetric matrix")):
+        if np.any(wrong):
+            i, j = (int(k) for k in np.argwhere(wrong)[0])
+            found = f"{matrix[i, j]:g} and {matrix[j, i]:g} of {names[i]} and {names[j]}"
+            raise InputError(f"calibration.covariance: found {found}, allowed: {allowed}")
+    if matrix.size and (least := float(np.linalg.eigvalsh(matrix / scale)[0])) < -ROUNDED * len(matrix):
+        found = f"a combination of variance {least:.3g} (of correlations)"
+        raise InputError(f"calibration.covariance: found {found}, allowed: no negative one")

@@ -170,6 +170,11 @@ def test_limits_that_look_like_radians_warn(tmp_path: Path) -> None:
 # -- bad input ---------------------------------------------------------------------------------------------------------
 LIMITS = "[joint_limits_deg]\nlower = {}\nupper = {}\n"
 GRAVITY = "[gravity]\nacceleration_m_s2 = [0, -9.81]\n"
+TWO = "[calibration]\nlength_errors_mm = [0, 0]\njoint_offsets_deg = [0, 0]\n"
+TWO += 'parameters = ["length_error:1", "joint_offset:2"]\n'
+THREE = (
+    TWO.replace('", "', '", "length_error:2", "') + "covariance = [[1, -0.6, -0.6], [-0.6, 1, -0.6], [-0.6, -0.6, 1]]\n"
+)
 CALIBRATION = "[calibration]\nlength_errors_mm = [0, 0]\njoint_offsets_deg = [0, 0]\n"
 BASE = '[[effects]]\nname = "base_offset"\n'
 BAD = [
@@ -269,6 +274,12 @@ BAD = [
         PLAIN + CALIBRATION + 'parameters = ["length_error:1"]\ncovariance = [[1, 2]]\n',
         ["calibration.covariance", "found 2 values in a row", "allowed: 1"],
     ),
+    (PLAIN + TWO + "covariance = [[1, 0], [0, -2]]\n", ["variance -2 of joint_offset:2", "allowed: >= 0"]),
+    (PLAIN + TWO + "covariance = [[4, 1], [0, 1]]\n", ["found 1 and 0 of length_error:1 and joint_o", "symmetric"]),
+    (PLAIN + TWO + "covariance = [[1, 2], [2, 1]]\n", ["found 2 and 2 of length_error:1", "correlation of -1 to 1"]),
+    (PLAIN + TWO + "covariance = [[1, 1], [1, 0]]\n", ["found 1 and 1 of length_error:1", "correlation of -1 to 1"]),
+    # correlations -0.6 of each two of three: the sum has variance 3 - 6 * 0.6 = -0.6, a third of it per unit vector
+    (PLAIN + THREE, ["combination of variance -0.2", "allowed: no negative one"]),
     (
         PLAIN + CALIBRATION + 'parameters = ["lenght_error:1"]\n',
         ["calibration.parameters", "did you mean 'length_error:1'"],
@@ -395,12 +406,14 @@ def arms(draw: st.DrawFn) -> Arm:
         EffectSpec("encoder_eccentricity", n, {"a": draw(angles)}),
     )
     names.append(f"encoder_eccentricity:{n}.b")
+    steps = st.integers(-1000, 1000).map(lambda step: 0.01 * step)
+    root = draw(arrays(float, (2 * n + 1, 2), elements=steps))  # singular: parameters may be tied
     calibration = Calibration(
         length_errors=lengths * draw(arrays(float, n, elements=st.floats(-0.9, 10.0))),
         joint_offsets=draw(arrays(float, n, elements=angles)),
         effects={f"encoder_eccentricity:{n}.b": draw(angles)},
         parameter_names=tuple(names),
-        covariance=draw(arrays(float, (2 * n + 1, 2 * n + 1), elements=numbers)),
+        covariance=root @ root.T,
         provenance={"file": draw(st.text(st.characters(codec="utf-8"))), "rms_mm": draw(numbers)},
     )
     masses, center = (draw(arrays(float, n, elements=st.floats(0, 1))) for _ in range(2))
@@ -415,6 +428,11 @@ def arms(draw: st.DrawFn) -> Arm:
         effects=effects,
         calibration=draw(st.none() | st.just(calibration)),
     )
+
+
+def test_a_rounded_covariance_is_read(tmp_path: Path) -> None:
+    text = PLAIN + TWO + "covariance = [[0.333333, 0.577350], [0.577351, 1.0]]\n"  # of 1/3 and 1, correlation 1
+    assert load(tmp_path, text).calibration.covariance.shape == (2, 2)
 
 
 @given(arms())
