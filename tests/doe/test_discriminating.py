@@ -121,3 +121,15 @@ def test_no_number_of_periods_hides_behind_another_on_joints_that_turn_all_the_w
                 left = ripple - columns @ np.linalg.lstsq(columns, ripple, rcond=None)[0]
                 assert np.linalg.norm(left) > 0.5 * np.linalg.norm(ripple)
     assert found.relative_efficiency >= 0.95
+
+
+def test_under_joint_limits_no_two_ripples_are_the_same_and_none_is_an_eccentric_encoder() -> None:
+    """Least-squares share of every wave of 1 to 64 periods that every other one explains, joint by joint."""
+    found = designed([-180, -120, -100, -90], [180, 120, 100, 90], 30)
+    for q in found.design.plan.postures.T:
+        waves = [np.column_stack([np.cos(k * q), np.sin(k * q)]) for k in range(1, 65)]
+        bases = [np.linalg.qr(wave - wave.mean(axis=0))[0] for wave in waves]
+        for k, one in enumerate(bases[:-1]):
+            assert max(np.linalg.norm(one.T @ other, 2) for other in bases[k + 1 :]) < 1.0 - 1e-3
+            assert max(np.linalg.norm(one.T @ other) / np.sqrt(2.0) for other in bases[k + 1 :]) < 0.9
+    assert found.relative_efficiency >= 0.95 - 1e-9
