@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from itertools import chain
 from time import perf_counter
 from types import MappingProxyType
 
@@ -17,7 +18,7 @@ from doe.closed_form import closed_form_bound
 from doe.plan import Plan
 from doe.problem import DesignProblem
 from doe.result import Design, score
-from doe.solvers.analytic import Analytic
+from doe.solvers.analytic import Analytic, NearlyAnalytic
 from doe.solvers.base import Budget, Offer, Solver
 from doe.solvers.driver import Search, check_runs, finish, run_search, worth
 from doe.solvers.exchange import Exchange
@@ -63,6 +64,7 @@ SOLVERS: dict[str, Solver] = {
 
 
 BEATEN = 1e-8  # relative excess over a bound that is not rounding
+MANY, PATIENCE = 100, 30.0  # runs above which a search has a time budget of its own [s]
 
 
 def library() -> Mapping[str, Solver]:
@@ -116,6 +118,7 @@ def solve(
     solver : settings object, or name; left out: a plan from theory if that attains the bound, else exchange + IPOPT
     seed : the same seed gives the same plan, unless the time limit binds
     starts, seconds : budget; left out: the solver's own number of starts, fewer when many of them agree; no time limit
+        up to 100 runs, 30 s for more
     bound : upper bound of the criterion; left out: the best that is known, see `known_bound`
     throw : raise `JobError` where no plan identifies all parameters; False: return the last one, value -inf
 
@@ -131,7 +134,9 @@ def solve(
             theory = _search(problem, runs, Analytic(), seed, 1, seconds, known, silent)
             if theory.status is Status.bound_reached:
                 return _told(finish(problem, theory, Analytic(), known, began, seed, throw=False), throw)
-        search = _search(problem, runs, chosen, seed, starts, seconds, known, progress)
+        if runs > MANY and starts is None and seconds is None:
+            seconds = PATIENCE
+        search = _search(problem, runs, chosen, seed, starts, seconds, known, progress, begin=solver is None)
         design = finish(problem, search, chosen, known, began, seed, throw=False)
         return _told(design if bound is not None else with_true_bound(design), throw)
 
@@ -191,10 +196,15 @@ def _search(
     seconds: float | None,
     bound: Bound | None,
     progress: Progress,
+    *,
+    begin: bool = False,
 ) -> Search:
     deadline = None if seconds is None else perf_counter() + seconds
     budget = Budget(starts or solver.starts_for(problem), deadline, may_agree=starts is None)
-    offers = solver.offers(problem, runs, np.random.default_rng(seed), budget)
+    generator = np.random.default_rng(seed)
+    offers = solver.offers(problem, runs, generator, budget)
+    if begin and runs > MANY and problem.choices is None:
+        offers = chain(NearlyAnalytic().offers(problem, runs, generator, budget), offers)
     return run_search(problem, offers, budget, bound, progress)
 
 

@@ -1,46 +1,37 @@
-"""D-optimal plans from theory: characters of a finite group, where the joint limits and the number of runs allow.
+"""D-optimal plans from theory, where the joint limits and the number of runs allow any: no search.
 
-Number the m runs by the elements of a group G = Z_2^t x Z_(m / 2^t). A joint moves in one of two ways.
-
-- *Turning*: q_j = phase + angle of a character g_j of G: k equally spaced angles, k the order of g_j, in a range of
-  (1 - 1/k) 2 pi at least. A character other than 1 has mean zero over G.
-- *Two levels*: range below pi; q_j at its lower or upper limit, chosen by a character s_j of order two:
-  exp(i q_j) = exp(i middle) (cos h + i s_j sin h), 2 h the range.
-
-The bound (`doe.closed_form`) is attained when every E exp(i (q_(j+1) + ... + q_k)) is the product of its factors'
-means. Multiplied out, that is a sum of characters, each the turning joints' product times a subset of the s_j; all of
-them but the empty one must differ from 1. Let R be the characters that occur in the sums ending at joint j, and 1
-itself. A turning joint needs -g_j outside R, a two-level joint s_j outside R; then R becomes (R + g_j) + {0}, or
-R + (R + s_j).
-
-With no limits this gives theta_j = 2 pi i f_j / m with distinct random frequencies f_j and random phases: any columns
-of the DFT matrix (THEORY.md section 3), in shuffled order, since the plan f_j = j hides missing effects (GAP.md). With
-all ranges below pi it gives the two-level factorial, 2^(joints) runs or a multiple.
+One block of m runs (`doe.solvers.blocks`), or blocks of smaller sizes, each with its own phases, that make up m. With
+no limits a block of m runs is theta_j = 2 pi i f_j / m with distinct random frequencies f_j and random phases: any
+columns of the DFT matrix (THEORY.md section 3), in shuffled order, since the plan f_j = j hides missing effects
+(GAP.md). With all ranges below pi it is the two-level factorial, 2^(joints) runs or a multiple.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import gcd, lcm
+from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from doe.closed_form import applies, chain_joints
 from doe.problem import DesignProblem
 from doe.solvers.base import Budget, Offer, free_values
+from doe.solvers.blocks import Block, blocks
+from doe.solvers.exchange import Exchange
 from identification.arm import Array
 
-Character = tuple[int, ...]
-ROUNDING = 1e-9  # [rad] by which a range may fall short of what a character needs
+WHOLE = 2048  # runs up to which one block is tried
+SMALL = 48  # runs of the blocks that are put together, or as many as the factorial of all joints has
+PATTERNS = 16  # different blocks of one size
+NEARLY = 64  # runs by which a plan may exceed one from theory to be begun from it
 
 
 @dataclass(frozen=True)
 class Analytic:
     """Random plans that attain the closed-form bound; none where the limits or the number of runs do not allow any."""
 
-    tries: int = 100
+    tries: int = 60
     name: str = "analytic"
 
     def starts_for(self, problem: DesignProblem) -> int:
@@ -53,97 +44,94 @@ class Analytic:
         """One plan per start, as long as any is found."""
         if not applies(problem) or problem.constraints:
             return
-        while (plan := self._plan(problem, runs, generator)) is not None:
-            yield Offer(plan, 1)
-
-    def _plan(self, problem: DesignProblem, runs: int, generator: np.random.Generator) -> Array | None:
-        groups = [Group(moduli) for moduli in moduli_of(runs)]
-        for _ in range(self.tries):
-            group = groups[generator.integers(len(groups))]
-            angles = chain(problem, group, generator)
-            if angles is not None:
-                plan = np.tile(free_values(problem), (runs, 1))
-                plan[:, list(chain_joints(problem))] = angles
-                return generator.permutation(plan)
-        return None
+        composed = Composition(problem, runs, self.tries, generator)
+        while (angles := composed.plan()) is not None:
+            plan = np.tile(free_values(problem), (runs, 1))
+            plan[:, list(chain_joints(problem))] = angles
+            yield Offer(generator.permutation(plan), 1)
 
 
-def moduli_of(runs: int) -> list[Character]:
-    """The groups Z_2^t x Z_(m / 2^t) of m elements, as lists of moduli."""
-    groups: list[Character] = [(runs,)]
-    twos = 0
-    while runs % 2 ** (twos + 1) == 0:
-        twos += 1
-        groups.append((2,) * twos + (runs // 2**twos,))
-    return groups
+@dataclass(frozen=True)
+class NearlyAnalytic:
+    """A plan from theory of a few runs less, the others chosen by exchange; nothing where there is none."""
+
+    name: str = "nearly_analytic"
+
+    def starts_for(self, problem: DesignProblem) -> int:
+        """One."""
+        return 1
+
+    def offers(
+        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
+    ) -> Iterator[Offer]:
+        """The plan before and after exchange."""
+        exchange = Exchange()
+        for fewer in range(runs - 1, max(runs - NEARLY, problem.fewest_runs) - 1, -1):
+            known = next(Analytic(tries=12).offers(problem, fewer, generator, budget), None)
+            if known is not None:
+                plan = np.vstack([known.postures, exchange.begin(problem, 1, runs - fewer, generator)[0]])
+                yield Offer(plan)
+                yield Offer(exchange.improve(problem, plan[None], generator, budget)[0][0], 1)
+                return
+            if budget.out_of_time:
+                return
 
 
-class Group:
-    """A finite abelian group, its elements and its characters, both as tuples of residues."""
+class Composition:
+    """Blocks found so far for one number of runs."""
 
-    def __init__(self, moduli: Character) -> None:
-        self.moduli = moduli
-        self.elements = np.indices(moduli).reshape(len(moduli), -1).T
-        self.zero: Character = (0,) * len(moduli)
+    def __init__(self, problem: DesignProblem, runs: int, tries: int, generator: np.random.Generator) -> None:
+        joints = list(chain_joints(problem))
+        self.lower, self.upper = problem.lower[joints], problem.upper[joints]
+        self.runs, self.tries, self.generator = runs, tries, generator
+        self.whole = runs <= WHOLE  # until proven otherwise
+        self.patterns: dict[int, list[Block]] | None = None
 
-    @property
-    def characters(self) -> list[Character]:
-        """All characters but 1."""
-        return [c for c in map(tuple, self.elements.tolist()) if c != self.zero]
-
-    def order(self, character: Character) -> int:
-        """Number of different values of a character."""
-        return lcm(*(m // gcd(c, m) for c, m in zip(character, self.moduli, strict=True)))
-
-    def add(self, a: Character, b: Character) -> Character:
-        """Product of two characters."""
-        return tuple((x + y) % m for x, y, m in zip(a, b, self.moduli, strict=True))
-
-    def minus(self, a: Character) -> Character:
-        """Inverse of a character."""
-        return tuple(-x % m for x, m in zip(a, self.moduli, strict=True))
-
-    def steps(self, character: Character) -> NDArray[np.int64]:
-        """(m,) whole numbers r in 0..k-1: the character's angle at every element is 2 pi r / k."""
-        k = self.order(character)
-        turns = np.array(character) * k // np.array(self.moduli)  # whole numbers, by the definition of the order k
-        return np.asarray(self.elements @ turns % k)
-
-
-def chain(problem: DesignProblem, group: Group, generator: np.random.Generator) -> Array | None:
-    """(m, joints) angles of one random choice of characters, or None where it runs into a dead end."""
-    reached = {group.zero}
-    columns = []
-    for joint in chain_joints(problem):
-        lower, upper = problem.lower[joint], problem.upper[joint]
-        if upper - lower < np.pi - ROUNDING:
-            free = [c for c in group.characters if group.order(c) == 2 and c not in reached]
-        else:
-            free = [
-                c
-                for c in group.characters
-                if group.minus(c) not in reached and room(upper - lower, group.order(c)) >= -ROUNDING
-            ]
-        if not free:
+    def plan(self) -> Array | None:
+        """(m, J) angles of a random plan, None where none is found."""
+        if self.whole:
+            found = next(self._blocks(self.runs), None)
+            if found is not None:
+                return found.placed(self.lower, self.upper, self.generator)
+            self.whole = False
+        if self.patterns is None:
+            self.patterns = self._small_blocks()
+        if not self.patterns:
             return None
-        chosen = free[generator.integers(len(free))]
-        moved = {group.add(c, chosen) for c in reached}
-        if upper - lower < np.pi - ROUNDING:
-            columns.append(np.where(group.steps(chosen) == 1, upper, lower))
-            reached |= moved
-        else:
-            columns.append(turning(lower, upper, group, chosen, generator))
-            reached = moved | {group.zero}
-    return np.array(columns).T
+        chosen = [self.patterns[size] for size in composed(list(self.patterns), self.runs, self.generator)]
+        picked = [patterns[self.generator.integers(len(patterns))] for patterns in chosen]
+        return np.vstack([block.placed(self.lower, self.upper, self.generator) for block in picked])
+
+    def _blocks(self, size: int) -> Iterator[Block]:
+        return blocks(self.upper - self.lower, size, self.tries, self.generator)
+
+    def _small_blocks(self) -> dict[int, list[Block]]:
+        """Size -> blocks, the smallest sizes that make up the number of runs; empty where none do."""
+        found: dict[int, list[Block]] = {}
+        for size in range(len(self.lower) + 1, min(self.runs // 2, max(SMALL, 2 ** len(self.lower))) + 1):
+            if found and size % np.gcd.reduce(list(found)) == 0:
+                continue  # nothing that the smaller sizes cannot make, but for the smallest multiples
+            some = list(islice(self._blocks(size), PATTERNS))
+            if some:
+                found[size] = some
+            if found and makes(list(found), self.runs)[self.runs]:
+                return found
+        return {}
 
 
-def room(width: float, order: int) -> float:
-    """What `order` equally spaced angles leave of a range of this width [rad]."""
-    return width - (1.0 - 1.0 / order) * 2.0 * np.pi
+def makes(sizes: list[int], runs: int) -> list[bool]:
+    """(runs + 1) True for numbers that are sums of these sizes."""
+    made = [True] + [False] * runs
+    for total in range(1, runs + 1):
+        made[total] = any(size <= total and made[total - size] for size in sizes)
+    return made
 
 
-def turning(lower: float, upper: float, group: Group, character: Character, generator: np.random.Generator) -> Array:
-    """(m,) angles of a turning joint, phase and direction random."""
-    order = group.order(character)
-    phase = lower + generator.uniform(0.0, max(room(upper - lower, order), 0.0))
-    return np.minimum(phase + 2.0 * np.pi * group.steps(character) / order, upper)
+def composed(sizes: list[int], runs: int, generator: np.random.Generator) -> list[int]:
+    """Random sizes that add up to the number of runs, which they can make."""
+    made, chosen, left = makes(sizes, runs), [], runs
+    while left:
+        fitting = [size for size in sizes if size <= left and made[left - size]]
+        chosen.append(fitting[generator.integers(len(fitting))])
+        left -= chosen[-1]
+    return chosen

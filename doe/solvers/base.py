@@ -75,22 +75,22 @@ def free_values(problem: DesignProblem) -> Array:
 
 
 def distance_to_keep(problem: DesignProblem, runs: int) -> float:
-    """[rad] by which postures must differ in a searched joint; 0 where spreading a free joint sets them apart."""
-    if problem.choices is not None:  # the list says which postures are different
-        return 0.0
-    free = [j for j in range(problem.joints) if j not in problem.searched_joints]
-    step = max(((problem.upper[j] - problem.lower[j]) / runs for j in free), default=0.0)
-    return 0.0 if step >= problem.minimum_distance else problem.minimum_distance
+    """[rad] by which a search keeps postures apart in its joints; 0 where spreading a free joint sets them apart."""
+    return problem.minimum_distance if 1.0 == room_for_alike(problem) < runs else 0.0
 
 
-def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
-    """The same plan with joints that play no part spread evenly over their limits in shuffled order.
+def free_joints(problem: DesignProblem) -> list[int]:
+    """Joints (from 0) that play no part, the one with the widest range first."""
+    free = [joint for joint in range(problem.joints) if joint not in problem.searched_joints]
+    return sorted(free, key=lambda joint: problem.lower[joint] - problem.upper[joint])
 
-    They cost nothing there and help to see missing effects (GAP.md), instead of staying at a constant.
+
+def room_for_alike(problem: DesignProblem) -> float:
+    """How many postures that are alike in the searched joints a free joint can set apart; infinite: repeats are fine.
+
+    A list of postures says itself which are different.
     """
-    spread = np.array(postures)
-    m = len(spread)
-    for joint in set(range(problem.joints)) - set(problem.searched_joints):
-        shares = (generator.permutation(m) + 0.5) / m
-        spread[:, joint] = problem.lower[joint] + shares * (problem.upper[joint] - problem.lower[joint])
-    return spread
+    if problem.choices is not None or problem.minimum_distance == 0.0:
+        return float("inf")
+    width = max((problem.upper[j] - problem.lower[j] for j in free_joints(problem)), default=0.0)
+    return float(max(1.0, np.floor(width / problem.minimum_distance * (1.0 + 1e-9))))

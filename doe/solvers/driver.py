@@ -17,8 +17,8 @@ from doe.certificate import REACHED
 from doe.plan import Plan
 from doe.problem import DesignProblem
 from doe.result import Design
-from doe.solvers.base import Budget, Offer, Solver, distance_to_keep, spread_free_joints
-from doe.solvers.distinct import separated, too_near
+from doe.solvers.base import Budget, Offer, Solver, room_for_alike
+from doe.solvers.distinct import separated, spread_free_joints, too_near
 from identification.arm import Array
 from identification.errors import InputError, JobError
 from identification.progress import Progress
@@ -100,12 +100,12 @@ def most_postures(problem: DesignProblem, runs: int) -> float:
 
     Boxes of half the distance's side around the postures do not overlap, and one axis holds width / distance + 1.
     """
-    distance = distance_to_keep(problem, runs)
-    if distance == 0.0:
+    alike = room_for_alike(problem)
+    if alike >= runs:
         return np.inf
     joints = list(problem.searched_joints)
     width = (problem.upper - problem.lower)[joints]
-    return float(np.prod(np.floor(width / distance * (1.0 + 1e-9)) + 1.0))
+    return alike * float(np.prod(np.floor(width / problem.minimum_distance * (1.0 + 1e-9)) + 1.0))
 
 
 def finish(

@@ -22,6 +22,7 @@ from identification.information import information_matrix
 
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
 SWEEPS = 60
+TOGETHER = 20_000  # runs of all starts of a batch, at most: what stays small in memory and quick in time
 WIDE = 16  # parameters from which starts are saved
 
 
@@ -47,7 +48,7 @@ class Exchange:
         """The plans of each batch, best first."""
         left = budget.starts
         while True:
-            count = max(1, min(self.batch, left))
+            count = max(1, min(self.batch, left, TOGETHER // runs))
             left -= count
             begun = self.begin(problem, count, runs, generator)
             yield Offer(begun[0])  # something to return if the user stops during the first batch
@@ -60,7 +61,7 @@ class Exchange:
         """Plans (s, m, n) that no single exchange improves, and their values (s,), best first."""
         search = Search(problem, self.grid(problem), plans)
         while search.running.size and not budget.out_of_time and search.sweeps < SWEEPS:
-            search.sweep(generator)
+            search.sweep(generator, budget)
         values = np.asarray(problem.criterion.value(search.information))
         order = np.argsort(-values, kind="stable")
         return search.plans[order], values[order]
@@ -94,10 +95,12 @@ class Search:
         self.running = np.arange(len(plans) if problem.searched_joints else 0)
         self.sweeps = 0
 
-    def sweep(self, generator: np.random.Generator) -> None:
-        """Every run of every running start once."""
+    def sweep(self, generator: np.random.Generator, budget: Budget) -> None:
+        """Every run of every running start once, as long as there is time."""
         before = self.values[self.running]
         for run in generator.permutation(self.plans.shape[1]):
+            if budget.out_of_time:
+                break
             self._exchange(run)
         self.information[self.running] = self._sum(self.running)  # no rounding piles up
         self.values[self.running] = self._value(self.running)

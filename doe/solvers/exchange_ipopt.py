@@ -9,10 +9,11 @@ import numpy as np
 
 from doe.problem import DesignProblem
 from doe.solvers.base import Budget, Offer
-from doe.solvers.exchange import Exchange
+from doe.solvers.exchange import TOGETHER, Exchange
 from doe.solvers.ipopt import Climber, Ipopt
 from identification.arm import Array
 
+MOST = 1500  # variables of IPOPT, whose second derivatives are dense: more are left to the exchange
 SAME = 1e-7  # exchange plans of the same value are taken for the same plan up to symmetry, and polished once
 
 
@@ -41,12 +42,15 @@ class ExchangeIpopt:
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
     ) -> Iterator[Offer]:
         """Per batch its best plan as it is, then polished ones."""
+        if runs * len(problem.searched_joints) > MOST:
+            yield from self.exchange.offers(problem, runs, generator, budget)
+            return
         climb = Climber(problem, runs, self.ipopt, budget)
         seen: list[float] = []
         best: list[tuple[float, Array]] = []
         left, vary = budget.starts, False
         while True:
-            count = max(1, min(self.exchange.batch, left))
+            count = max(1, min(self.exchange.batch, left, TOGETHER // runs))
             begun = self.exchange.begin(problem, count, runs, generator)
             yield Offer(begun[0])  # something to return if the user stops during the first batch
             if vary:

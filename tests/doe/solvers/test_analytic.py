@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from doe.closed_form import closed_form_log_det
 from doe.solvers import Analytic, Random, solve
@@ -11,7 +13,7 @@ from doe.solvers.base import Budget
 from identification.arm import Arm
 from identification.errors import JobError
 from identification.status import Status
-from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, SIX, problem
+from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, SIX, problem, random_box
 from tests.doe.test_closed_form import complex_log_det
 
 
@@ -35,6 +37,59 @@ def test_with_limits(arm: Arm, runs: int) -> None:
         assert np.all(offer.postures >= arm.lower)
         assert np.all(offer.postures <= arm.upper)
         assert complex_log_det(offer.postures) == pytest.approx(closed_form_log_det(problem(arm)), abs=1e-12)
+
+
+def smallest_gap(postures: np.ndarray) -> float:
+    """[rad] least difference of two postures, each in the joint where it is greatest."""
+    return min(np.abs(postures[k + 1 :] - postures[k]).max(axis=1).min() for k in range(len(postures) - 1))
+
+
+def check(arm: Arm, runs: int) -> None:
+    """Optimal by complex arithmetic, within the limits, without repeats."""
+    design = solve(problem(arm), runs)
+    postures = design.plan.postures
+    assert (design.solver, design.status, len(postures)) == ("analytic", Status.bound_reached, runs)
+    assert complex_log_det(postures) == pytest.approx(closed_form_log_det(problem(arm)), abs=1e-9)
+    assert np.all(postures >= arm.lower)
+    assert np.all(postures <= arm.upper)
+    assert smallest_gap(postures) >= np.radians(1.0) * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("runs", [4, 20, 28, 100, 360, 364, 500, 3000])
+def test_multiples_of_four_with_the_limits_of_the_issue(runs: int) -> None:
+    """THEORY.md section 4: m = 4 attains the bound, and so do blocks of four, however many."""
+    check(FOUR, runs)
+
+
+@pytest.mark.parametrize("runs", [100, 360, 361, 364, 500])
+def test_many_runs_without_limits(runs: int) -> None:
+    check(Arm(FOUR.lengths), runs)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(2, 6), st.integers(0, 2**32 - 1))
+def test_whole_factorials_in_random_limits(links: int, seed: int) -> None:
+    """The two-level factorial of joints 2..n attains the bound (THEORY.md section 4): so do multiples of its size."""
+    generator = np.random.default_rng(seed)
+    size, box = 2 ** (links - 1), random_box(generator, links)
+    arm = Arm(box.lengths, np.r_[-np.pi, box.lower[1:]], np.r_[np.pi, box.upper[1:]])  # joint 1 is free to tell apart
+    check(arm, size * int(generator.integers(max(1, links // size + 1), 500 // size + 1)))
+
+
+def test_other_numbers_of_many_runs_begin_from_theory() -> None:
+    """361 is odd, so joint 3 cannot be at both limits equally often; 360 runs can, and one more costs 1/361 at most.
+
+    M' of 361 runs is at least 360/361 of that of 360: log det is lower by 8 log(361/360) at most.
+    """
+    design = solve(problem(FOUR), 361, seconds=2.0)
+    assert complex_log_det(design.plan.postures) >= closed_form_log_det(problem(FOUR)) - 8.0 * np.log(361 / 360)
+    assert smallest_gap(design.plan.postures) >= np.radians(1.0) * (1 - 1e-9)
+
+
+def test_many_runs_have_a_time_budget_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("doe.solvers.PATIENCE", 0.2)
+    assert solve(problem(FIVE), 101, "exchange_ipopt").status is Status.time_limit
+    assert solve(problem(FIVE), 101, "random", starts=2).status is Status.starts_finished
 
 
 def test_frequencies_phases_and_order_are_random() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from doe.solvers import solve
 from doe.solvers.base import distance_to_keep
-from doe.solvers.distinct import separated, too_near
+from doe.solvers.distinct import separated, spread_free_joints, too_near
 from identification.arm import Arm
 from tests.doe.arms import FOUR, OFFSET, problem
 
@@ -45,9 +45,32 @@ def test_plans_have_repeats_only_when_asked_for(solver: str) -> None:
 def test_a_free_joint_sets_postures_apart() -> None:
     case = problem(FOUR)
     assert distance_to_keep(case, 20) == 0.0
-    assert distance_to_keep(case, 1000) == case.minimum_distance
+    assert distance_to_keep(case, 1000) == 0.0
+    tied = problem(NARROW, OFFSET)  # a base offset: every joint plays a part
+    assert distance_to_keep(tied, 20) == tied.minimum_distance
     design = solve(case, 16)
     assert smallest_gap(design.plan.postures) >= np.radians(360 / 16) * (1 - 1e-9)
+
+
+def test_a_free_joint_has_no_more_places_than_fit_at_the_minimum_distance() -> None:
+    """Joint 1 turns by 3.5 deg: three alike postures may stay, the others are moved in the joints that matter."""
+    arm = Arm(FOUR.lengths, np.r_[0.0, FOUR.lower[1:]], np.r_[np.radians(3.5), FOUR.upper[1:]])
+    case = problem(arm)
+    alike = np.tile((arm.lower + arm.upper) / 2, (5, 1))
+    assert too_near(case, alike).tolist() == [3, 4]
+    spread = spread_free_joints(case, separated(case, alike), np.random.default_rng(0))
+    assert smallest_gap(spread) >= np.radians(1.0) * (1 - 1e-9)
+    assert np.all((spread >= arm.lower) & (spread <= arm.upper))
+
+
+def test_alike_postures_stay_clear_of_measured_ones_on_the_free_joint() -> None:
+    arm = Arm(FOUR.lengths, np.r_[0.0, FOUR.lower[1:]], np.r_[np.radians(6.0), FOUR.upper[1:]])
+    middle = (arm.lower + arm.upper) / 2
+    case = problem(arm, kept=middle[None])
+    alike = np.tile(middle, (7, 1))
+    assert too_near(case, alike).tolist() == [4, 5, 6]  # of six places the measured posture blocks two
+    spread = spread_free_joints(case, separated(case, alike), np.random.default_rng(0))
+    assert smallest_gap(np.vstack([spread, middle])) >= np.radians(1.0) * (1 - 1e-9)
 
 
 def test_measured_postures_are_not_repeated() -> None:
