@@ -25,12 +25,13 @@ class JobError(ArmcalError):
 
 
 def nearest(word: str, allowed: Iterable[str]) -> str:
-    """The end of a sentence about an unknown name: the nearest valid one, and all that are valid.
+    """The end of a sentence about an unknown name: the nearest valid one, case aside, and all that are valid.
 
     >>> nearest("lenghts_mm", ["links_mm", "lengths_mm"])
     "did you mean 'lengths_mm'? allowed: lengths_mm, links_mm"
     """
-    options = sorted(allowed)
-    close = difflib.get_close_matches(word, options, n=1, cutoff=0.5)
-    hint = f"did you mean '{close[0]}'? " if close else ""
+    options = sorted(set(allowed))
+    lower = {option.lower(): option for option in options}
+    close = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=0.5)
+    hint = f"did you mean '{lower[close[0]]}'? " if close else ""
     return f"{hint}allowed: {', '.join(options)}"

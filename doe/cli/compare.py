@@ -83,13 +83,14 @@ def command(
     comparison = Comparison(loaded, runs, names, starts or [None], repeats, seconds, kinds)
     for arm, number in product(loaded, runs):
         check_runs(problem_of(arm, kinds[0]), number)
+    where = choose(workers, cluster)  # before the folder is made
     table_file = rows_file(out)
     with (
         interruptible(table_file),
         session.progress("compare") as progress,
         RowTable.open(table_file, resume=resume, force=force) as table,
     ):
-        rows = compare(comparison, table, choose(workers, cluster), seed=session.seed, progress=progress)
+        rows = compare(comparison, table, where, seed=session.seed, progress=progress)
     found = summary(rows)
     shown = comparison_tables(rows)
     if out is not None and table_file != out:

@@ -14,9 +14,10 @@ from doe.plan_file import load_plan
 from doe.study.schema import MOST_BLOCK, MOST_REPLICATIONS, MOST_RUNS, StudyFile, check
 from identification.arm import Arm, Calibration, EffectSpec, readonly
 from identification.arm_file import arm_from_tables, load_arm
+from identification.effects import library
 from identification.errors import InputError, nearest
 from identification.files import PathLike, read_toml
-from identification.model import Model
+from identification.model import DIMENSION, Model
 
 DFT, RANDOM = "dft", "random"
 MOST_TASKS = 100_000  # of a cell: each is a row of a table
@@ -41,10 +42,7 @@ class Truth:
         offsets = own.joint_offsets if self.joint_offsets is None else readonly(self.joint_offsets)
         for name, values in (("length_errors_mm", lengths), ("joint_offsets_deg", offsets)):
             if values.size != arm.links:
-                raise InputError(
-                    f"truths: {self.name}: {name} has {values.size} values for {arm.links} links of {arm.name}, "
-                    f"allowed: {arm.links}"
-                )
+                raise InputError(f"{name}: found {values.size} values for {arm.links} links, allowed: {arm.links}")
         if self.effects is None:
             return replace(arm, calibration=Calibration(lengths, offsets, own.effects))
         return replace(arm, effects=self.effects, calibration=Calibration(lengths, offsets))
@@ -88,7 +86,7 @@ class Study:
     def __post_init__(self) -> None:
         from doe.solvers import SOLVERS
 
-        allowed = [*SOLVERS, DFT, RANDOM]
+        allowed = {*SOLVERS, DFT, RANDOM}
         for plan in self.plans:
             if isinstance(plan, str) and plan not in allowed:
                 raise InputError(f"plans: unknown {plan!r}, {nearest(plan, allowed)}, or NAME.csv")
@@ -104,6 +102,7 @@ class Study:
         self._check_numbers()
         for arm in self.arms:
             self._check(arm)
+        self._check_runs()
 
     def _check_numbers(self) -> None:
         """The same limits as in a file, for those who write Python."""
@@ -120,6 +119,15 @@ class Study:
                 f"block: found {self.block}, allowed: at least {least} for {self.replications} replications"
             )
 
+    def _check_runs(self) -> None:
+        """Some cell must have as many equations as unknowns; the others are rows that say why there is nothing."""
+        sizes = [size for plan in self.plans for size in (self.runs if isinstance(plan, str) else [len(plan[1])])]
+        fitted = [Model(entry.of(arm)) for arm in self.arms for entry in self.models]
+        unknowns = min((len(model.names) for model in fitted), default=0)
+        if sizes and DIMENSION * max(sizes) < unknowns:
+            allowed = f"at least {-(-unknowns // DIMENSION)} for {unknowns} parameters"
+            raise InputError(f"runs: found {max(sizes)}, allowed: {allowed}")
+
     @property
     def _named(self) -> list[tuple[str, Sequence[Truth | Fitted]]]:
         return [("truths", self.truths), ("models", self.models)]
@@ -135,11 +143,20 @@ class Study:
                     _ = model.symbols  # raises for an effect that needs what the arm does not have
                 except InputError as error:
                     raise InputError(f"{what}: {entry.name} with arm {arm.name}: {error}") from None
+                if what == "truths" and (spec := _scattering(entry, arm)):
+                    no = f"{spec.key}, which changes the scatter, is not simulated here"
+                    raise InputError(f"{what}: {entry.name} with arm {arm.name}: {no}, allowed: other effects")
                 if "temperature" in model.needs:
                     raise InputError(f"{what}: {entry.name} needs temperatures, allowed: effects without them")
         for plan in self.plans:
             if not isinstance(plan, str) and plan[1].links != arm.links:
                 raise InputError(f"plans: {plan[0]} has {plan[1].links} joints, allowed: {arm.links} as arm {arm.name}")
+
+
+def _scattering(truth: Truth | Fitted, arm: Arm) -> EffectSpec | None:
+    """An effect on the scatter that a truth asks for; the arm's own may stand there unknown."""
+    asked = [spec for spec in truth.of(arm).effects if truth.effects is not None or spec.values]
+    return next((spec for spec in asked if library()[spec.name].scatter), None)
 
 
 def load_study(path: PathLike) -> Study:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -220,4 +221,5 @@ def cells(blocks: polars.DataFrame) -> polars.DataFrame:
 def require_some(result: StudyResult) -> None:
     """Raises `JobError` with the first reason if not one cell could be done."""
     if "done" not in set(result.blocks["status"]):
-        raise JobError(f"no cell could be done: {result.blocks['error'][0]}")
+        reason = re.sub(r"\b[A-Z]\w*Error: ", "", result.blocks["error"][0])  # the kinds are no news to people
+        raise JobError(f"no cell could be done: {reason}")

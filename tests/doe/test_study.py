@@ -295,7 +295,7 @@ def test_file_is_read(folder: Path) -> None:
         ("runs = [5]", "runs = [1000000000000]", "runs[1]: found 1000000000000, allowed: whole numbers >= 1, at most"),
         ("runs = [5]", "runs = [5, 2.5]", r"runs[2]: found 2.5, allowed: whole numbers >= 1"),
         ("runs = [5]", "", "runs: is missing"),
-        ("length_errors_mm = [1.0,", "length_errors_mm = [1.0, 2.0,", "has 3 values for 2 links"),
+        ("length_errors_mm = [1.0,", "length_errors_mm = [1.0, 2.0,", "found 3 values for 2 links"),
         ("length_errors_mm", "lengths_errors_mm", "did you mean 'length_errors_mm'"),
         ("joint = 2", "joint = 3", "truths[1].effects: encoder_eccentricity at joint 3, allowed: 1 to 2"),
         ("encoder_eccentricity", "encoder_excentricity", "did you mean 'encoder_eccentricity'"),
@@ -377,10 +377,17 @@ def test_verb(folder: Path) -> None:
 
 
 def test_verb_without_any_cell_that_can_be_done(folder: Path) -> None:
-    (folder / "study.toml").write_text(GOOD.replace(', "plan.csv"', "").replace("[5]", "[1]"))
+    text = GOOD.replace(', "plan.csv"', "")
+    (folder / "study.toml").write_text(text.replace("[5]", "[1]"))
+    done = CliRunner().invoke(command, [str(folder / "study.toml"), "--workers", "1"])
+    assert done.exit_code == 2  # the file is wrong
+    assert "runs: found 1, allowed: at least 2 for 4 parameters" in done.output
+    (folder / "study.toml").write_text(text)
+    with open(folder / "arm.toml", "a") as stream:
+        stream.write("[joint_limits_deg]\nlower = [-90, -90]\nupper = [90, 90]\n")
     done = CliRunner().invoke(command, [str(folder / "study.toml"), "--workers", "1"])
     assert done.exit_code == 1
-    assert "1 runs cannot tell 2 links apart" in done.output
+    assert "no cell could be done: plan dft: joint 1 would leave its limits" in done.output
 
 
 def test_unknown_study_has_the_nearest_name() -> None:

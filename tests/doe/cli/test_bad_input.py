@@ -7,6 +7,7 @@ import pytest
 
 from doe.cli import main
 from doe.cli.common import OUTPUTS
+from identification.errors import InputError
 from tests.doe.cli.conftest import ARM, Folder
 
 HEADER = "q1_deg,q2_deg,q3_deg,q4_deg,x_mm,y_mm\n"
@@ -275,3 +276,40 @@ def test_a_truth_without_sigma(folder: Folder) -> None:
     folder.write("truth.toml", bare)
     words = ["simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "out.file"]
     refused(folder, words, "arm.toml: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in truth.to")
+
+
+def test_a_column_in_capitals_is_known_again(folder: Folder) -> None:
+    folder.write("data.csv", HEADER.replace("x_mm", "X_mm") + "0,0,0,0,660,0\n" * 4)
+    refused(folder, ["identify", "arm.toml", "data.csv"], "column 'x_mm' is missing", "did you mean 'X_mm'?")
+
+
+def test_a_dead_cluster_leaves_no_folder(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    def choose(workers: int | None, cluster: str | None) -> None:
+        raise InputError(f"--cluster {cluster}: no scheduler answers")
+
+    monkeypatch.setattr("doe.executors.choose", choose)
+    words = ["compare", "arm.toml", "--runs", "8", "--cluster", "tcp://127.0.0.1:9", "--out", "folder"]
+    refused(folder, words, "no scheduler answers")
+    assert not (folder.path / "folder").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('plans = ["exchange_ipopt"]\nruns = [3]\n', "runs: found 3, allowed: at least 4 for 8 parameters"),
+        ('plans = ["randm"]\nruns = [8]\n', "did you mean 'random'? allowed: analytic"),
+        ('plans = ["randm"]\nruns = [8]\n', "ipopt, random, relaxation_rounding, or NAME.csv"),
+        (
+            'plans = ["random"]\nruns = [8]\n[[truths]]\nname = "t"\nlength_errors_mm = [1.0]\n',
+            "study.toml: truths: t with arm paper-4-link: length_errors_mm: found 1 values for 4 links, allowed: 4",
+        ),
+        (
+            'plans = ["random"]\nruns = [8]\n[[truths]]\nname = "t"\neffects = [{name = "outliers", share = 0.1}]\n',
+            "study.toml: truths: t with arm paper-4-link: outliers, which changes the scatter, is not simulated here",
+        ),
+    ],
+)
+def test_studies_that_cannot_be_done(folder: Folder, text: str, expected: str) -> None:
+    folder.write("study.toml", 'arms = ["arm.toml"]\n' + text)
+    refused(folder, ["study", "study.toml", "--workers", "1", "--out", "folder"], expected)
+    assert not (folder.path / "folder").exists()
