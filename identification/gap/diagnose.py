@@ -210,7 +210,7 @@ def hidden_orders(search: Search, chosen: Choice) -> tuple[tuple[str, str, float
                 if alike >= NEAR:
                     settings = ", ".join(f"{name} = {value:g}" for name, value in other.spec.values.items())
                     listed.append((member.key, f"{other.key} ({settings})", min(alike, 1.0)))
-    return tuple(sorted(listed, key=lambda row: -row[2]))
+    return tuple(sorted(listed, key=lambda row: -round(row[2], 4)))
 
 
 def order_notes(hidden: tuple[tuple[str, str, float], ...]) -> list[str]:

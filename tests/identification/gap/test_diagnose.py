@@ -319,3 +319,70 @@ def test_a_users_own_effect_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     positions = np.column_stack([p.real, p.imag]) + 0.05 * np.random.default_rng(2).normal(size=(60, 2))
     found = diagnose(ARM, replace(data, positions=positions), draws=399)
     assert "cable_square:2" in [c.effects[0] for c in found.candidates]
+
+
+def test_too_few_draws_for_the_strictest_level() -> None:
+    with pytest.raises(InputError, match="draws: 398, allowed: at least 399"):
+        diagnose(ARM, measured(None), draws=398)
+
+
+def test_a_fifth_of_the_rows_are_outliers() -> None:
+    data, rng = measured("backlash"), np.random.default_rng(4)
+    positions, wrong = data.positions.copy(), np.sort(rng.choice(60, 12, replace=False))
+    positions[wrong] += 80.0 * rng.normal(size=(12, 2))
+    found = diagnose(ARM, replace(data, positions=positions), draws=399)
+    assert found.outlier_rows == tuple(wrong + 1)
+    assert found.effects == ("backlash:2",)
+
+
+def test_a_scatter_far_above_sigma_stands_in_the_verdict() -> None:
+    assert "times sigma_mm" not in diagnosed(None).sentence
+    rough = measured(None).positions + np.random.default_rng(8).normal(size=(60, 2))  # 1 mm, the arm file says 0.05
+    said = diagnose(ARM, replace(measured(None), positions=rough), draws=399).sentence
+    assert float(said.split("the scatter is ")[1].split(" times")[0]) == pytest.approx(20.0, rel=0.2)
+
+
+def test_on_a_grid_the_ripples_that_an_effect_imitates_are_told() -> None:
+    """On steps of 10 degrees k and 36 - k periods have the same cosine and opposite sines: one column space."""
+    rng = np.random.default_rng(3)
+    q = np.radians(10.0) * rng.integers(-18, 18, (60, 3))
+    run = blind.session(TRUTH, q, rng)
+    truth = replace(TRUTH, effects=[("transmission_ripple", 2, {"k": 35, "a": 8e-4, "b": 6e-4})])
+    found = diagnose(ARM, blind.measure(truth, run, rng, "white"), draws=399)
+    assert found.effects == ("encoder_eccentricity:2",)
+    like = {other: alike for own, other, alike in found.aliases if own == "encoder_eccentricity:2"}
+    assert like["transmission_ripple:2 (k = 35)"] == pytest.approx(1.0)
+    assert like["transmission_ripple:2 (k = 37)"] == pytest.approx(1.0)
+    assert any("is the same as transmission_ripple:2 (k = 35)" in note for note in found.notes)
+    assert not any("is the same as" in note for note in diagnosed("encoder_eccentricity").notes)
+
+
+LENS = {
+    "lens": lambda p, reach: p * np.abs(p) ** 2 / reach**2,
+    "wave along y": lambda p, reach: 1j * np.cos(2.0 * np.pi * p.imag / (0.6 * reach) + 1.0),
+    "rings": lambda p, reach: p / np.abs(p) * np.sin(2.0 * np.pi * np.abs(p) / (0.55 * reach)),
+}
+
+
+@pytest.mark.parametrize("name", LENS)
+def test_a_bent_instrument_is_unknown_in_the_workspace(name: str) -> None:
+    data = measured(None)
+    p = data.positions @ np.array([1.0, 1.0j])
+    bent = LENS[name](p, TRUTH.lengths.sum())
+    p = p + bent * 0.2 / np.sqrt(np.mean(np.abs(bent) ** 2))
+    found = diagnose(ARM, replace(data, positions=np.column_stack([p.real, p.imag])), draws=399)
+    assert (found.verdict, found.where) == ("unknown", "workspace")
+
+
+def test_the_best_set_comes_first_and_none_beats_it() -> None:
+    """Four rows of two links: base_rotation_drift has the smallest p-value, base_drift the lowest BIC."""
+    q = np.radians([[-149.6012, -77.1369], [7.122, 128.946], [76.8179, -30.2477], [99.7982, 15.2114]])
+    p = [[-463.1747562, 64.9548742], [82.1623227, 248.0989386], [272.2842693, 511.1613062], [-181.443589, 567.5552542]]
+    arm = Arm([300.0, 300.0], gravity=Gravity(np.array([0.0, -9.81]), np.array([10.0, 1.0]), np.full(2, 0.5), 2.0))
+    signs = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+    found = diagnose(arm, Measurements(q, np.array(p), temperature=[24.39, 23.15, 21.78, 23.25], directions=signs))
+    assert len(found.candidates) > 1
+    assert found.candidates[0].effects == found.effects
+    deltas = [c.delta_bic for c in found.candidates]
+    assert deltas == sorted(deltas)
+    assert deltas[0] == 0.0

@@ -73,3 +73,19 @@ def test_refuses_fewer_than_four_spare_degrees_of_freedom() -> None:
     with pytest.raises(InputError, match="4 rows leave 2 degrees"):
         preflight(ARM, POSTURES[:4])
     assert preflight(ARM, POSTURES[:5]).freedom == 4
+
+
+def test_no_size_listed_moves_the_tip_out_of_linear_theory() -> None:
+    """On two angles a joint's cosine is a constant, but for rounding: its size would be thousands of degrees."""
+    rng = np.random.default_rng(2)
+    postures = rng.uniform(-np.pi, np.pi, (30, 3))
+    postures[:, 2] = np.radians(80.0) * rng.choice([-1.0, 1.0], 30) + np.radians(1e-3) * rng.normal(size=30)
+    sizes = preflight(ARM, postures).detectable
+    assert sizes["encoder_eccentricity:3"].value is None
+    assert sizes["gear_ratio:2"].value is not None
+    for name in ("gear_ratio:2", "encoder_eccentricity:2", "gear_ratio:3"):
+        if (size := sizes[name].value) is not None:
+            joint = int(name[-1])
+            model = Model(ARM.with_effects(EffectSpec(name[:-2], joint)))
+            column = model.jacobian(postures)[:, :, 6] * (np.radians(size) if "encoder" in name else size)
+            assert np.sqrt(np.mean(np.sum(column**2, axis=1))) <= 0.1 * 560.0 * 1.01
