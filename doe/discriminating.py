@@ -23,7 +23,7 @@ from doe.criteria.robust import Robust
 from doe.plan import Plan
 from doe.problem import DesignProblem
 from doe.result import Design
-from doe.solvers import Solver, solve
+from doe.solvers import MANY, PATIENCE, Solver, solve
 from doe.solvers.analytic import Analytic
 from doe.solvers.base import Budget
 from doe.solvers.driver import worth
@@ -90,7 +90,8 @@ def discriminating(
     """The plan of `runs` measurements that shows missing effects best, at a D-efficiency within `loss` of the best.
 
     loss : share 0..1 of the D-efficiency that may be given up
-    solver, starts : of the search for the best plan, as in `solve`;  seconds : for both searches together
+    solver, starts : of the search for the best plan, as in `solve`
+    seconds : for both searches together, half of it for the best plan; left out: none up to 100 runs, 60 s for more
     Raises `InputError` for a loss outside 0..1, a criterion other than D, and too few runs (4 spare degrees of freedom
     are needed).
     """
@@ -99,7 +100,10 @@ def discriminating(
     if not isinstance(problem.criterion, D):
         raise InputError(f"criterion: {problem.criterion.name} for a discriminating plan, allowed: D")
     began = perf_counter()
-    best = solve(problem, runs, solver, seed=seed, starts=starts, seconds=seconds)
+    if runs > MANY and starts is None and seconds is None:
+        seconds = 2.0 * PATIENCE
+    budget = Budget(1, None if seconds is None else began + seconds)
+    best = solve(problem, runs, solver, seed=seed, starts=starts, seconds=None if seconds is None else seconds / 2.0)
     best_sees = preflight(arm, best.plan.postures)
     generator = np.random.default_rng(seed)
     wide = wide_problem(problem, arm)
@@ -110,11 +114,11 @@ def discriminating(
     chosen, status = np.array(best.plan.postures), best.status
     score = judge.objective(chosen) + TRADE * best.value
     try:
-        for postures in plans_worth_comparing(problem, wide, arm, runs, affordable, generator, progress):
+        for postures in plans_worth_comparing(problem, wide, arm, runs, affordable, generator, budget, progress):
             value = worth(problem, postures)
             if value >= affordable and (offered := judge.objective(postures) + TRADE * value) > score:
                 chosen, score = postures, offered
-            if seconds is not None and perf_counter() - began >= seconds:
+            if budget.out_of_time:
                 status = Status.time_limit
                 break
     except KeyboardInterrupt:
@@ -155,6 +159,7 @@ def plans_worth_comparing(
     runs: int,
     least: float,
     generator: np.random.Generator,
+    budget: Budget,
     progress: Progress,
 ) -> Iterator[Array]:
     """Plans without loss; where none of them shows every effect, plans that pay for it."""
@@ -163,7 +168,7 @@ def plans_worth_comparing(
         enough = enough or clear(preflight(arm, postures, library=library))
         yield postures
     if not enough:
-        yield from robust_plans(problem, wide, runs, least, generator, progress)
+        yield from robust_plans(problem, wide, runs, least, generator, budget, progress)
 
 
 def theory_plans(problem: DesignProblem, runs: int, generator: np.random.Generator) -> Iterator[Array]:
@@ -227,6 +232,7 @@ def robust_plans(
     runs: int,
     least: float,
     generator: np.random.Generator,
+    budget: Budget,
     progress: Progress,
 ) -> Iterator[Array]:
     """Exchanges of the robust criterion; the prior precision is halved in on the one that loses what may be lost."""
@@ -238,7 +244,7 @@ def robust_plans(
         precision = float(np.sqrt(weak * strong))
         progress(step, STEPS, f"exchange with prior precision {precision:.3g}")
         robust = replace(wide, criterion=with_precision(wide, problem.parameters, precision))
-        plans = exchanged(robust, runs, generator)
+        plans = exchanged(robust, runs, generator, budget)
         for plan in plans:
             for size in jitters:
                 offered = plan + size * spacing * generator.uniform(-1.0, 1.0, plan.shape)
@@ -247,14 +253,14 @@ def robust_plans(
         weak, strong = (weak, precision) if affordable else (precision, strong)
 
 
-def exchanged(robust: DesignProblem, runs: int, generator: np.random.Generator) -> list[Array]:
+def exchanged(robust: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget) -> list[Array]:
     """Plans (m, n) that no exchange improves: on the grid of `Exchange`, or out of the list of choices."""
     if robust.choices is not None:
-        offers = Fedorov(batch=STARTS).offers(robust, runs, generator, Budget(STARTS))
+        offers = Fedorov(batch=STARTS).offers(robust, runs, generator, Budget(STARTS, budget.deadline))
         return [offer.postures for offer in islice(offers, STARTS)]
     exchange = Exchange()
     begun = exchange.begin(robust, STARTS, runs, generator)
-    return list(exchange.improve(robust, begun, generator, Budget(1))[0])
+    return list(exchange.improve(robust, begun, generator, budget)[0])
 
 
 def best_order(arm: Arm, postures: Array, generator: np.random.Generator) -> Array:

@@ -131,12 +131,13 @@ def solve(
     with single_thread():
         known = bound or known_bound(problem, runs)
         if solver is None and known is not None and problem.choices is None:
-            theory = _search(problem, runs, Analytic(), seed, 1, seconds, known, silent)
+            theory = _search(problem, runs, Analytic(), seed, 1, None, known, silent)
             if theory.status is Status.bound_reached:
                 return _told(finish(problem, theory, Analytic(), known, began, seed, throw=False), throw)
         if runs > MANY and starts is None and seconds is None:
             seconds = PATIENCE
-        search = _search(problem, runs, chosen, seed, starts, seconds, known, progress, begin=solver is None)
+        deadline = None if seconds is None else began + seconds
+        search = _search(problem, runs, chosen, seed, starts, deadline, known, progress, begin=solver is None)
         design = finish(problem, search, chosen, known, began, seed, throw=False)
         return _told(design if bound is not None else with_true_bound(design), throw)
 
@@ -193,13 +194,12 @@ def _search(
     solver: Solver,
     seed: int,
     starts: int | None,
-    seconds: float | None,
+    deadline: float | None,
     bound: Bound | None,
     progress: Progress,
     *,
     begin: bool = False,
 ) -> Search:
-    deadline = None if seconds is None else perf_counter() + seconds
     budget = Budget(starts or solver.starts_for(problem), deadline, may_agree=starts is None)
     generator = np.random.default_rng(seed)
     offers = solver.offers(problem, runs, generator, budget)

@@ -17,7 +17,7 @@ import numpy as np
 from doe.closed_form import applies, chain_joints
 from doe.problem import DesignProblem
 from doe.solvers.base import Budget, Offer, free_values
-from doe.solvers.blocks import Block, blocks
+from doe.solvers.blocks import Block, blocks, halves
 from doe.solvers.exchange import Exchange
 from identification.arm import Array
 
@@ -108,6 +108,8 @@ class Composition:
     def _small_blocks(self) -> dict[int, list[Block]]:
         """Size -> blocks, the smallest sizes that make up the number of runs; empty where none do."""
         found: dict[int, list[Block]] = {}
+        if halves(self.upper - self.lower) and self.runs % 2:
+            return found
         for size in range(len(self.lower) + 1, min(self.runs // 2, max(SMALL, 2 ** len(self.lower))) + 1):
             if found and size % np.gcd.reduce(list(found)) == 0:
                 continue  # nothing that the smaller sizes cannot make, but for the smallest multiples

@@ -44,14 +44,18 @@ class Block:
 
 def blocks(widths: Array, size: int, tries: int, generator: np.random.Generator) -> Iterator[Block]:
     """Those of a number of random constructions that come to their end; widths (J,) of the joints' ranges [rad]."""
-    narrow = widths < np.pi - ROUNDING
-    if size <= len(widths) or (narrow.any() and size % 2):  # as many orthogonal columns as links; half at each limit
+    if size <= len(widths) or (halves(widths) and size % 2):  # as many orthogonal columns as links
         return
     moduli = moduli_of(size)
     for k in range(tries):
         found = Construction(widths, moduli[k % len(moduli)], generator).run()
         if found is not None:
             yield found
+
+
+def halves(widths: Array) -> bool:
+    """True if half the runs must stand at each limit of some joint: their number is even."""
+    return bool(np.any(widths < np.pi - ROUNDING))
 
 
 def moduli_of(size: int) -> list[tuple[int, ...]]:
