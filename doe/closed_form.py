@@ -2,16 +2,16 @@
 
 Theorem (THEORY.md section 4). Over all designs, exact or approximate, with joint j inside a range Delta_j,
 
-    max log det M' = 4 sum_j log sin( min(Delta_j, pi) / 2 )  +  2 sum_j log( |l_j + dl_j| / l_j )
+    max log det M' = 4 sum_j log sin( min(Delta_j, pi) / 2 )
 
-The first sum is over j = 2..n; a base offset adds j = 1. The second is zero for a nominal arm.
+The sum is over j = 2..n; a base offset adds j = 1. M' is scaled by the best known lengths: any arm has the same value.
 
 Proof.
 1. One complex number per link. With w_j = dl_j + i l_j dtheta_j the tip moves by sum_j z_j w_j, z_j = exp(i theta_j)
    (eq. 8 scaled by S). So M' is the real form of the Hermitian H = E conj(z) z^T, of unit diagonal, and
    det M' = (det H)^2. Joint offsets instead of orientation offsets change nothing: dtheta = T dq with det T = 1.
-   At a calibrated arm column dtheta_j has the length |l_j + dl_j| / l_j, which is the second sum. A base offset is a
-   link 0 with z_0 = 1, w_0 = x0 + i y0: H has n + 1 rows, p = 2n + 2, and at least n + 1 runs are needed.
+   At a calibrated arm l_j is the calibrated length, in the columns and in S alike. A base offset is a link 0 with
+   z_0 = 1, w_0 = x0 + i y0: H has n + 1 rows, p = 2n + 2, and at least n + 1 runs are needed.
 2. First off-diagonals. h_j = H_(j-1,j) = E exp(i q_j), the mean of points on an arc of angle Delta_j. The arc's
    convex hull has distance cos(Delta_j / 2) from 0 when Delta_j < pi, and contains 0 otherwise:
    |h_j| >= cos(min(Delta_j, pi) / 2). q_1 turns all of z: it cancels in H unless z_0 = 1 is there, where it gives h_1.
@@ -66,8 +66,7 @@ def closed_form_log_det(problem: DesignProblem) -> float:
         )
     joints = list(chain_joints(problem))
     ranges = np.minimum(problem.upper[joints] - problem.lower[joints], np.pi)
-    stretch = 1.0 + model.values[: model.arm.links] / model.arm.lengths
-    return float(4.0 * np.sum(np.log(np.sin(ranges / 2.0))) + 2.0 * np.sum(np.log(np.abs(stretch))))
+    return float(4.0 * np.sum(np.log(np.sin(ranges / 2.0))))
 
 
 def closed_form_bound(problem: DesignProblem) -> Bound | None:

@@ -63,10 +63,14 @@ class Model:
     def all_parameters(self) -> tuple[Parameter, ...]:
         """Every parameter, estimated or known: length errors, joint offsets, then those of the effects."""
         lengths = [Parameter(f"length_error:{j + 1}", "mm") for j in range(self.arm.links)]
-        offsets = [
-            Parameter(f"joint_offset:{j + 1}", "rad", scale=float(link)) for j, link in enumerate(self.arm.lengths)
-        ]
+        offsets = [Parameter(f"joint_offset:{j + 1}", "rad", scale=s) for j, s in enumerate(self._best_lengths())]
         return (*lengths, *offsets, *(p for effect in self.effects for p in effect.parameters))
+
+    def _best_lengths(self) -> list[float]:
+        """(n) best known link lengths [mm]: nominal plus calibrated or known errors, as far as anything is left."""
+        errors = self._calibrated() | dict(self.known or {})
+        best = self.arm.lengths + [errors.get(f"length_error:{j + 1}", 0.0) for j in range(self.arm.links)]
+        return [float(b) for b in np.where(best == 0.0, self.arm.lengths, np.abs(best))]
 
     @cached_property
     def fixed(self) -> Mapping[str, float]:

@@ -44,7 +44,7 @@ class Parameter:
     unit : of the Python API (millimetres, radians); `file_unit` is what people read
     lower, upper : physical bounds, API unit
     scale : length [mm] that one unit moves the tip by, in order of magnitude; criteria that are not invariant to units
-        divide by it (lengths 1, angles of joint j the length of link j)
+        divide by it (lengths 1, angles of joint j the best known length of link j)
     """
 
     name: str

@@ -78,13 +78,19 @@ def test_first_joint_plays_a_part_only_with_a_base_offset() -> None:
     assert closed_form_log_det(problem(narrow, OFFSET)) == pytest.approx(closed_form_log_det(problem(FOUR)) + lost)
 
 
-def test_calibrated_arm_shifts_value_and_bound_alike() -> None:
-    calibration = Calibration(np.array([5.0, -3.0, 2.0, 1.0]), np.array([0.02, -0.01, 0.03, 0.01]))
+@pytest.mark.parametrize("errors", [[5.0, -3.0, 2.0, 1.0], [10.0] * 4, [-520.0, 90.0, -60.0, 0.0]])
+def test_log_det_does_not_depend_on_lengths_calibrated_or_not(errors: list[float]) -> None:
+    """CONTRACT.md: log det M' of the base model, which is 2 log det H <= 0 whatever the lengths (THEORY.md section 3).
+
+    The third case turns link 1 round: its length is -260 mm.
+    """
+    calibration = Calibration(np.array(errors), np.array([0.02, -0.01, 0.03, 0.01]))
     arm = Arm(FOUR.lengths, FOUR.lower, FOUR.upper, calibration=calibration)
-    stretch = 2.0 * np.sum(np.log1p(calibration.length_errors / arm.lengths))
-    assert closed_form_log_det(problem(arm)) == pytest.approx(closed_form_log_det(problem(FOUR)) + stretch)
-    plan = factorial(arm, offset=False)
-    assert problem(arm).objective(plan) == pytest.approx(closed_form_log_det(problem(arm)), abs=ROUNDING)
+    assert closed_form_log_det(problem(arm)) == pytest.approx(-0.0612353259, abs=5e-11)  # THEORY.md section 4
+    anywhere = np.random.default_rng(4).uniform(FOUR.lower, FOUR.upper, (9, 4))
+    for plan in (factorial(arm, offset=False), anywhere):
+        assert problem(arm).objective(plan) == pytest.approx(complex_log_det(plan), abs=ROUNDING)
+        assert problem(arm, OFFSET).objective(plan) == pytest.approx(complex_log_det(plan, offset=True), abs=ROUNDING)
 
 
 def test_says_where_it_does_not_apply() -> None:
