@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
@@ -12,7 +13,7 @@ from identification.errors import InputError
 from identification.gap.confirm import Gap, check_holdout, check_same_arm, confirm, residuals
 from identification.gap.diagnosis import Candidate, Diagnosis, Estimate, Residuals, Trial
 from identification.gap.fit import Fit
-from identification.gap.hypotheses import HypothesisSet, hypotheses
+from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses
 from identification.gap.investigate import Findings, investigate
 from identification.gap.noise import repeat_finding
 from identification.gap.preflight import EXACT, NEAR, Preflight, assess, require_spare
@@ -60,9 +61,9 @@ def diagnose(
     before = assess_data(library, found)
     chosen = found.unknown.chosen
     candidates = candidate_list(found, draws, generator)
-    hidden = hidden_orders(found.search, chosen)
     named = next((c for c in candidates if c.specs == tuple(h.spec for h in chosen)), None)
     named = named or describe(found.search, chosen, 0.0, trial_of(found.search, chosen, draws, generator))
+    hidden = hidden_orders(found.search, dict(zip(named.effects, chosen, strict=True)))
     progress(7, STEPS, "confirming on held-out data")
     gap = confirm(found.search.fit(()), found.search.fit(chosen), measurements, ~found.outlier, holdout)
     result = Diagnosis(
@@ -190,15 +191,15 @@ def alias_list(before: Preflight, candidates: tuple[Candidate, ...]) -> tuple[tu
     return (*pairs, *((name, like, 1.0) for name, like in before.aliases.items()))
 
 
-def hidden_orders(search: Search, chosen: Choice) -> tuple[tuple[str, str, float], ...]:
+def hidden_orders(search: Search, named: Mapping[str, Hypothesis]) -> tuple[tuple[str, str, float], ...]:
     """Gear ripples that these postures cannot tell from a named effect of the same joint: effect, ripple, likeness.
 
     On a grid of angles a ripple of 15 periods per turn may be the very column of an eccentric encoder, and the
     diagnosis names the likelier one.
     """
     listed = []
-    for k, member in enumerate(chosen):
-        members, against = search.rivals(chosen[:k] + chosen[k + 1 :])
+    for name, member in named.items():
+        members, against = search.rivals(tuple(h for h in named.values() if h is not member))
         places = {h.label: i for i, h in enumerate(members)}
         if member.label not in places or member.spec.joint is None:
             continue
@@ -209,7 +210,7 @@ def hidden_orders(search: Search, chosen: Choice) -> tuple[tuple[str, str, float
                 alike = float(np.linalg.norm(against.block(i).T @ mine) / np.sqrt(mine.shape[1]))
                 if alike >= NEAR:
                     settings = ", ".join(f"{name} = {value:g}" for name, value in other.spec.values.items())
-                    listed.append((member.key, f"{other.key} ({settings})", min(alike, 1.0)))
+                    listed.append((name, f"{other.key} ({settings})", min(alike, 1.0)))
     return tuple(sorted(listed, key=lambda row: -round(row[2], 4)))
 
 
@@ -221,7 +222,7 @@ def order_notes(hidden: tuple[tuple[str, str, float], ...]) -> list[str]:
         word = "is the same as" if likes[0][1] >= EXACT else "is much like"
         more = f" and {len(likes) - 3} more" if len(likes) > 3 else ""
         listed = ", ".join(other for other, _ in likes[:3])
-        said.append(f"on these postures {key} {word} {listed}{more}: only angles off their grid can tell")
+        said.append(f"on these postures {key} {word} {listed}{more}: measure at other angles to tell")
     return said
 
 
