@@ -18,6 +18,12 @@ from identification.information import information_matrix
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal (CONTRACT.md)
 REACHED = 1.0 - 1e-9  # efficiency from which searching on cannot matter
+ROUNDING = 1e-12  # by which an efficiency may exceed 1 where value and bound are the same number but for rounding
+
+
+def share(efficiency: float) -> float:
+    """An efficiency, 1 where only rounding makes it greater; a real excess over a bound stays."""
+    return 1.0 if 1.0 < efficiency <= 1.0 + ROUNDING else efficiency
 
 
 def sensitivity(problem: DesignProblem, information: Array, postures: ArrayLike) -> Array:

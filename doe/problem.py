@@ -64,6 +64,7 @@ class DesignProblem:
     minimum_distance: float = ONE_DEGREE
 
     def __post_init__(self) -> None:
+        check_parts(self)
         for name in ("lower", "upper"):
             object.__setattr__(self, name, readonly(getattr(self, name), -1))
         if not (np.isfinite(self.minimum_distance) and self.minimum_distance >= 0.0):
@@ -78,6 +79,8 @@ class DesignProblem:
     @classmethod
     def of(cls, model: Model, **changes: Any) -> DesignProblem:
         """The problem of an arm's model within the arm's own joint limits and constraints."""
+        if not isinstance(model, Model):
+            raise InputError(f"model: {type(model).__name__}, allowed: a Model, such as Model(arm)")
         return cls(model, model.arm.lower, model.arm.upper, **{"constraints": constraints_of(model.arm)} | changes)
 
     @property
@@ -146,6 +149,13 @@ class DesignProblem:
         return vectorise(self.block_function)
 
     @cached_property
+    def without_effect(self) -> tuple[str, ...]:
+        """Names of parameters that move the tip at no posture, as thermal growth does at the mean temperature."""
+        cloud = np.random.default_rng(0).uniform(self.lower, self.upper, (16, self.joints))
+        still = ~np.any(self.blocks(cloud), axis=(0, 1))
+        return tuple(name for name, zero in zip(self.model.names, still, strict=True) if zero)
+
+    @cached_property
     def active_joints(self) -> tuple[int, ...]:
         """Joints (from 0) that change B^T B; the others, such as q_1 of the base model, are free for other ends."""
         generator = np.random.default_rng(0)
@@ -165,6 +175,14 @@ class DesignProblem:
         """Joints (from 0) that a solver must choose: the active ones, or all where constraints or a list tie them."""
         tied = bool(self.constraints) or self.choices is not None
         return tuple(range(self.joints)) if tied else self.active_joints
+
+
+def check_parts(problem: DesignProblem) -> None:
+    """Raises `InputError` for a model or criterion that is none, such as a name."""
+    for name, part, needed in (("model", problem.model, "jacobian"), ("criterion", problem.criterion, "value")):
+        if not callable(getattr(part, needed, None)):
+            made = "Model(arm)" if name == "model" else "doe.criteria.criterion('A', ...)"
+            raise InputError(f"{name}: {part!r:.40}, allowed: an object with {needed}(), such as {made}")
 
 
 def information_of_each(blocks: Array) -> Array:

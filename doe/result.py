@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doe.bound import Bound
-from doe.certificate import CERTIFIED
+from doe.certificate import CERTIFIED, share
 from doe.closed_form import table_1_max_residual
 from doe.criteria import D
 from doe.expected import (
@@ -18,12 +18,15 @@ from doe.expected import (
     deviations_per_draw,
     expected_deviations,
     over_draws,
+    plan_blocks,
     plan_spectrum,
 )
 from doe.plan import Plan
 from doe.problem import DesignProblem
 from doe.uncertain import UncertainModel
 from identification.arm import Array
+from identification.errors import InputError
+from identification.information import identifiability
 from identification.status import Status
 
 FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
@@ -63,6 +66,12 @@ class Design:
         return plan_spectrum(self.problem, self.plan.postures, self.plan.weights).rank == self.problem.parameters
 
     @cached_property
+    def not_identifiable(self) -> tuple[str, ...]:
+        """Combinations of parameters that the plan does not tell; effects at neutral conditions tell nothing."""
+        blocks = plan_blocks(self.problem, self.plan.postures, self.plan.weights)
+        return identifiability(blocks, self.problem.model.names, np.ones(self.problem.parameters)).combinations
+
+    @cached_property
     def outside(self) -> tuple[int, ...]:
         """Runs (from 1) beyond a joint limit or a constraint by more than rounding: no bound holds for such a plan."""
         q = self.plan.postures
@@ -78,10 +87,10 @@ class Design:
 
     @cached_property
     def efficiency(self) -> float | None:
-        """Share 0..1 of the runs that a plan at the bound would need; None without a bound."""
+        """Share 0..1 of the runs that a plan at the bound would need, above 1 if it is no bound; None without one."""
         if self.bound is None:
             return None
-        return self.problem.criterion.efficiency(self.value, self.bound.value, self.problem.parameters)
+        return share(self.problem.criterion.efficiency(self.value, self.bound.value, self.problem.parameters))
 
     @property
     def certified_optimal(self) -> bool:
@@ -124,6 +133,7 @@ class Design:
             "bound": None if self.bound is None else self.bound.as_dict(),
             "efficiency": _number(self.efficiency),
             "certified_optimal": self.certified_optimal,
+            "not_identifiable": [] if self.identifies_all else list(self.not_identifiable),
             "outside_limits": list(self.outside),
             "postures_deg": np.degrees(self.plan.postures).tolist(),
             "table_1_max_residual": _number(self.table_1_max_residual),
@@ -156,7 +166,20 @@ class Design:
 
 def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = None) -> Design:
     """Any plan as a `Design`, judged against `bound` if one is given; knows no solver."""
-    return Design(problem, plan if isinstance(plan, Plan) else Plan(np.asarray(plan, dtype=float)), bound)
+    return Design(problem, given_plan(problem, plan), bound)
+
+
+def given_plan(problem: DesignProblem, plan: Plan | ArrayLike) -> Plan:
+    """The plan itself, or of its postures (m, n) [rad]. Raises `InputError` for what is no plan of this arm."""
+    try:
+        given = plan if isinstance(plan, Plan) else Plan(np.asarray(plan, dtype=float))
+    except (TypeError, ValueError):
+        raise InputError(f"plan: {plan!r:.40}, allowed: an array (m, {problem.joints}) of joint angles [rad]") from None
+    if given.postures.ndim != 2 or given.links != problem.joints:
+        raise InputError(f"plan: shape {given.postures.shape}, allowed: (m, {problem.joints})")
+    if len(wrong := np.flatnonzero(~np.isfinite(given.postures).all(axis=1))):
+        raise InputError(f"plan: run {wrong[0] + 1} is not finite, allowed: finite joint angles")
+    return given
 
 
 def _number(value: float | None) -> float | None:

@@ -80,6 +80,18 @@ def repeats_line(design: Design) -> list[Text]:
     return [Text(f"postures are kept {apart:g} deg apart; with --repeats they may be equal, which can be better")]
 
 
+def untold_line(design: Design, most: int = 4) -> list[Text]:
+    """Why there is no log det: what the plan does not tell."""
+    if design.identifies_all:
+        return []
+    still, combinations = design.problem.without_effect, design.not_identifiable
+    if still:
+        why = "under one payload, temperature, time and approach nothing depends on"
+        return [Text(f"no log det: {why} {', '.join(still)}")]
+    more = ", ..." if len(combinations) > most else ""
+    return [Text(f"no log det: the plan does not tell {', '.join(combinations[:most])}{more}")]
+
+
 def certified(data: dict[str, Any], most: int = 10) -> str:
     """`yes`, `not proven`, or which runs no bound speaks of."""
     outside = data["outside_limits"]
@@ -94,6 +106,7 @@ def design_tables(arm: Arm, design: Design) -> list[Any]:
     data = design.to_json()
     return [
         verdict_table(data, design.status.value),
+        *untold_line(design),
         *repeats_line(design),
         plan_table(design),
         accuracy_table(arm, data),

@@ -17,7 +17,7 @@ from doe.candidates import listed
 from doe.closed_form import closed_form_bound
 from doe.plan import Plan
 from doe.problem import DesignProblem
-from doe.result import Design, score
+from doe.result import Design, given_plan, score
 from doe.solvers.analytic import Analytic, NearlyAnalytic
 from doe.solvers.base import Budget, Offer, Solver
 from doe.solvers.driver import Search, check_runs, finish, run_search, worth
@@ -64,6 +64,7 @@ SOLVERS: dict[str, Solver] = {
 
 
 BEATEN = 1e-8  # relative excess over a bound that is not rounding
+NEUTRAL = "under one payload, temperature, time and approach no posture tells apart"
 MANY, PATIENCE = 100, 30.0  # runs above which a search has a time budget of its own [s]
 
 
@@ -127,6 +128,8 @@ def solve(
     began = perf_counter()
     chosen = chosen_solver(problem, solver)
     check_runs(problem, runs)
+    if throw:
+        check_columns(problem)
     random_postures(problem, 1, np.random.default_rng(seed))  # says so where the constraints exclude everything
     with single_thread():
         known = bound or known_bound(problem, runs)
@@ -140,6 +143,13 @@ def solve(
         search = _search(problem, runs, chosen, seed, starts, deadline, known, progress, begin=solver is None)
         design = finish(problem, search, chosen, known, began, seed, throw=False)
         return _told(design if bound is not None else with_true_bound(design), throw)
+
+
+def check_columns(problem: DesignProblem) -> None:
+    """Raises `JobError` where a parameter moves the tip at no posture: no search can help."""
+    lost = problem.without_effect
+    if lost:
+        raise JobError(f"design: no plan identifies all {problem.parameters} parameters; {NEUTRAL}: {'; '.join(lost)}")
 
 
 def with_true_bound(design: Design) -> Design:
@@ -174,17 +184,25 @@ def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver
 def _told(design: Design, throw: bool) -> Design:
     """The design, if it is allowed and tells all parameters; else a `JobError` that says what no plan could do."""
     problem = design.problem
-    if not throw or np.isfinite(worth(problem, design.plan.postures)):
+    tells_all = bool(np.isfinite(design.value))
+    if tells_all and np.isfinite(worth(problem, design.plan.postures)):
         return design
-    if np.isfinite(design.value):
+    if not throw:
+        return design if tells_all else replace(design, status=Status.not_identifiable)
+    if tells_all:
         apart = f"postures {np.degrees(problem.minimum_distance):g} deg apart"
         raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")
     p = problem.parameters
+    message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
+    if problem.choices is not None:
+        many = listed(problem, problem.choices).postures
+        if identifiability(problem.blocks(many), problem.model.names, np.ones(p)).combinations:
+            message = f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
+        raise JobError(message)
     many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
     lost = identifiability(problem.blocks(many), problem.model.names, np.ones(p)).combinations
-    message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
     if lost:
-        message += f"; under one payload, temperature, time and approach no posture tells apart: {'; '.join(lost)}"
+        message += f"; {NEUTRAL}: {'; '.join(lost)}"
     raise JobError(message)
 
 
@@ -235,6 +253,6 @@ def known_bound(problem: DesignProblem, runs: int) -> Bound | None:
 
 
 def score_plan(problem: DesignProblem, plan: Plan | ArrayLike) -> Design:
-    """Any plan, judged against the best bound that is known."""
-    given = plan if isinstance(plan, Plan) else Plan(np.asarray(plan, dtype=float))
+    """Any plan, judged against the best bound that is known. Raises `InputError` for one that does not fit."""
+    given = given_plan(problem, plan)
     return score(problem, given, known_bound(problem, len(given)))

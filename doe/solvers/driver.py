@@ -84,7 +84,9 @@ def reason_to_stop(
 
 
 def check_runs(problem: DesignProblem, runs: int) -> None:
-    """Raises `InputError` where there are fewer equations than unknowns."""
+    """Raises `InputError` where there are fewer equations than unknowns, or what is no number of runs."""
+    if isinstance(runs, bool) or not isinstance(runs, int | np.integer):
+        raise InputError(f"runs: {runs!r:.40}, allowed: a whole number")
     if runs < problem.fewest_runs:
         raise InputError(
             f"runs: {runs} with {problem.parameters} parameters to identify, allowed: at least {problem.fewest_runs}"

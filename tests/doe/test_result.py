@@ -10,6 +10,7 @@ import pytest
 
 from doe.bound import Bound
 from doe.plan import Plan
+from doe.report.tables import untold_line
 from doe.result import score
 from doe.solvers import score_plan
 from identification.arm import Arm, EffectSpec
@@ -105,3 +106,25 @@ def test_travels_to_workers_and_caches() -> None:
     again = pickle.loads(pickle.dumps(found))
     assert again.problem.objective(some_plan()) == found.problem.objective(some_plan())
     assert again.to_json() == found.to_json()
+
+
+def test_efficiency_is_above_one_only_if_the_bound_is_none() -> None:
+    case, plan = problem(FOUR), some_plan()
+    value = score(case, plan).value
+    for excess, expected in ((-1e-15, 1.0), (-8e-13, 1.0), (-8e-9, 1.000000001), (8e-9, 0.999999999)):
+        found = score(case, plan, Bound(value + excess, "continuous")).efficiency
+        assert found == pytest.approx(expected, abs=1e-15 if expected == 1.0 else 1e-12)
+        assert found is not None
+        assert (found > 1.0) == (expected > 1.0)
+
+
+def test_what_the_plan_does_not_tell_is_said() -> None:
+    still = score(problem(FOUR, EffectSpec("thermal_growth")), some_plan(12))
+    assert still.log_det == -np.inf
+    assert still.to_json()["not_identifiable"] == ["thermal_growth.a"]
+    assert "nothing depends on thermal_growth.a" in str(untold_line(still)[0])
+    twice = score(problem(FOUR), np.repeat(some_plan(2), 4, axis=0))
+    assert "the plan does not tell" in str(untold_line(twice)[0])
+    told = score(problem(FOUR), some_plan())
+    assert told.to_json()["not_identifiable"] == []
+    assert untold_line(told) == []

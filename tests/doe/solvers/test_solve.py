@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from doe.bound import Bound
-from doe.solvers import Offer, solve
+from doe.problem import DesignProblem
+from doe.solvers import Offer, score_plan, solve
 from doe.solvers.driver import AGREEMENT
-from identification.arm import EffectSpec
+from identification.arm import Arm, EffectSpec
 from identification.errors import InputError, JobError
 from identification.status import Status
 from tests.doe.arms import FIVE, FOUR, OFFSET, problem
@@ -146,3 +147,48 @@ def test_what_no_posture_tells_apart_is_named() -> None:
     for name, combination in lost.items():
         with pytest.raises(JobError, match=f"no posture tells apart: {combination}"):
             solve(problem(FOUR, EffectSpec(name)), 12, "random")
+
+
+def test_candidates_that_cannot_identify_are_no_plan() -> None:
+    """One posture gives two equations; det M is 0 but for rounding, whatever the angles."""
+    for posture in ([0.0, 0.0, 0.0, 0.0], [0.3, 0.7, -0.5, 0.2], [0.0, 1.5, 0.0, 0.0], [0.1, 0.2, 0.4, 0.8]):
+        case = problem(FOUR, choices=np.array([posture]), minimum_distance=0.0)
+        with pytest.raises(JobError, match="1 candidates cannot identify all 8 parameters"):
+            solve(case, 8)
+        assert solve(case, 8, throw=False).status is Status.not_identifiable
+
+
+def test_no_information_is_never_a_bound_reached() -> None:
+    """Links of a metre's millionth between links of a kilometre: their offsets drown in rounding."""
+    case = problem(Arm([1e6, 1e-3, 1e6, 1e-3]))
+    with pytest.raises(JobError, match="no plan that identifies all 8 parameters"):
+        solve(case, 8)
+    design = solve(case, 8, throw=False)
+    assert (design.value, design.status) == (-np.inf, Status.not_identifiable)
+
+
+@pytest.mark.parametrize("runs", [8.0, "8", None, True, np.float64(8.0)])
+def test_runs_are_a_whole_number(runs: Any) -> None:
+    with pytest.raises(InputError, match=r"runs: .*allowed: a whole number"):
+        solve(problem(FOUR), runs)
+
+
+def test_models_and_criteria_are_objects() -> None:
+    with pytest.raises(InputError, match=r"model: Arm, allowed: .*Model\(arm\)"):
+        DesignProblem.of(FOUR)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="criterion: 'A', allowed"):
+        problem(FOUR, criterion="A")
+
+
+@pytest.mark.parametrize(
+    ("plan", "expected"),
+    [
+        (np.where(np.arange(32).reshape(8, 4) == 9, np.nan, 1.0), "run 3 is not finite"),
+        (np.ones((8, 3)), r"shape \(8, 3\), allowed: \(m, 4\)"),
+        ([[1.0, 2.0], [3.0]], "allowed: an array"),
+        ("plan.csv", "'plan.csv', allowed: an array"),
+    ],
+)
+def test_what_is_no_plan_is_not_scored(plan: Any, expected: str) -> None:
+    with pytest.raises(InputError, match=f"plan: .*{expected}"):
+        score_plan(problem(FOUR), plan)
