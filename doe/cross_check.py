@@ -12,6 +12,7 @@ from doe.result import Design
 from doe.solvers import solve
 from doe.solvers.column_generation import continuous_design
 from identification.errors import JobError
+from identification.status import Status
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,11 @@ class CrossCheck:
     continuous: ApproximateDesign | None
     exact: Design
     closed_form: float | None
+
+    @property
+    def cut(self) -> str:
+        """What to say of an exact plan whose search was cut short."""
+        return f", cut at {self.exact.seconds:.0f} s" if self.exact.status is Status.time_limit else ""
 
     def rows(self) -> list[dict[str, Any]]:
         """Method, space, attained value, upper bound, Table I residual of the (weighted) plan."""
@@ -44,7 +50,7 @@ class CrossCheck:
         ]
         rows.append(
             {
-                "method": f"exact plan, {self.exact.solver}",
+                "method": f"exact plan, {self.exact.solver}{self.cut}",
                 "space": f"{len(self.exact.plan)} runs",
                 "value": self.exact.value,
                 "bound": None if self.exact.bound is None else self.exact.bound.value,
@@ -62,9 +68,14 @@ def residual(problem: DesignProblem, design: ApproximateDesign) -> float | None:
     return Design(problem, design.plan).table_1_max_residual
 
 
-def cross_check(problem: DesignProblem, relaxed: ApproximateDesign, runs: int, *, seed: int = 0) -> CrossCheck:
-    """The relaxation's answer beside an exact plan of IPOPT, the continuous optimum and the closed form."""
-    exact = solve(problem, runs, "exchange_ipopt" if problem.choices is None else None, seed=seed)
+def cross_check(
+    problem: DesignProblem, relaxed: ApproximateDesign, runs: int, *, seed: int = 0, seconds: float = 30.0
+) -> CrossCheck:
+    """The relaxation's answer beside an exact plan of IPOPT, the continuous optimum and the closed form.
+
+    seconds : for the exact plan; a bound reached ends it sooner
+    """
+    exact = solve(problem, runs, "exchange_ipopt" if problem.choices is None else None, seed=seed, seconds=seconds)
     theorem = closed_form_bound(problem)
     try:
         continuous = continuous_design(problem, runs=runs)

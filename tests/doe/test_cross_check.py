@@ -10,6 +10,7 @@ from doe.problem import DesignProblem
 from doe.solvers.relaxation import relax
 from identification.arm import Arm
 from identification.model import Model
+from identification.status import Status
 
 # THEORY.md section 4: only joint 3 with 160 deg is too narrow, 2 log(sin 80 deg) for each of its two tied links
 EXPECTED = 4.0 * np.log(np.sin(np.radians(80.0)))
@@ -27,3 +28,13 @@ def test_three_answers_agree() -> None:
     assert found.continuous.value == pytest.approx(EXPECTED, abs=1e-8)
     assert found.exact.value == pytest.approx(EXPECTED, abs=1e-7)
     assert len(found.rows()) == 4
+    assert found.cut == ""
+
+
+def test_a_long_search_is_cut_and_says_so() -> None:
+    """Seven runs cannot reach the bound (an odd number), so that the search would use all its starts."""
+    lower, upper = np.radians([-180, -120, -100, -90]), np.radians([180, 120, 60, 90])
+    problem = DesignProblem.of(Model(Arm([260.0, 180.0, 120.0, 100.0], lower=lower, upper=upper)))
+    found = cross_check(problem, relax(problem, 5, "clarabel"), 7, seconds=0.01)
+    assert found.exact.status is Status.time_limit
+    assert found.rows()[2]["method"] == "exact plan, exchange_ipopt, cut at 0 s"
