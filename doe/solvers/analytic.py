@@ -16,14 +16,16 @@ import numpy as np
 
 from doe.closed_form import applies, chain_joints
 from doe.problem import DesignProblem
-from doe.solvers.base import Budget, Offer, free_values
+from doe.solvers.base import Budget, Offer, free_values, room_for_alike
 from doe.solvers.blocks import Block, blocks, halves
+from doe.solvers.distinct import gaps, too_near
 from doe.solvers.exchange import Exchange
 from identification.arm import Array
 
 WHOLE = 2048  # runs up to which one block is tried
 SMALL = 48  # runs of the blocks that are put together, or as many as the factorial of all joints has
-PATTERNS = 16  # different blocks of one size
+PATTERNS = 16  # different blocks of one size, and places that are tried for each
+ATTEMPTS = 8  # plans of one block before smaller ones are put together
 NEARLY = 64  # runs by which a plan may exceed one from theory to be begun from it
 
 
@@ -45,9 +47,7 @@ class Analytic:
         if not applies(problem) or problem.constraints:
             return
         composed = Composition(problem, runs, self.tries, generator)
-        while (angles := composed.plan()) is not None:
-            plan = np.tile(free_values(problem), (runs, 1))
-            plan[:, list(chain_joints(problem))] = angles
+        while (plan := composed.plan()) is not None:
             yield Offer(generator.permutation(plan), 1)
 
 
@@ -81,26 +81,53 @@ class Composition:
     """Blocks found so far for one number of runs."""
 
     def __init__(self, problem: DesignProblem, runs: int, tries: int, generator: np.random.Generator) -> None:
-        joints = list(chain_joints(problem))
-        self.lower, self.upper = problem.lower[joints], problem.upper[joints]
+        self.problem, self.joints = problem, list(chain_joints(problem))
+        self.lower, self.upper = problem.lower[self.joints], problem.upper[self.joints]
         self.runs, self.tries, self.generator = runs, tries, generator
         self.whole = runs <= WHOLE  # until proven otherwise
         self.patterns: dict[int, list[Block]] | None = None
+        self.apart = problem.minimum_distance if room_for_alike(problem) == 1.0 else 0.0  # [rad] no free joint helps
 
     def plan(self) -> Array | None:
-        """(m, J) angles of a random plan, None where none is found."""
-        if self.whole:
-            found = next(self._blocks(self.runs), None)
-            if found is not None:
-                return found.placed(self.lower, self.upper, self.generator)
-            self.whole = False
+        """(m, n) a random plan, None where none is found; without repeats, as far as a few attempts find one."""
+        for _ in range(ATTEMPTS if self.whole else 0):
+            plan = self._of_one_block()
+            if plan is None:
+                self.whole = False
+                break
+            if not len(too_near(self.problem, plan)):
+                return plan
+        return self._of_many()
+
+    def _of_one_block(self) -> Array | None:
+        found = next(self._blocks(self.runs), None)
+        return None if found is None else self._full(found.placed(self.lower, self.upper, self.generator))
+
+    def _of_many(self) -> Array | None:
         if self.patterns is None:
             self.patterns = self._small_blocks()
         if not self.patterns:
             return None
-        chosen = [self.patterns[size] for size in composed(list(self.patterns), self.runs, self.generator)]
-        picked = [patterns[self.generator.integers(len(patterns))] for patterns in chosen]
-        return np.vstack([block.placed(self.lower, self.upper, self.generator) for block in picked])
+        angles, filled = np.empty((self.runs, len(self.joints))), 0
+        for size in composed(list(self.patterns), self.runs, self.generator):
+            angles[filled : filled + size] = self._placed(self.patterns[size], angles[:filled])
+            filled += size
+        return self._full(angles)
+
+    def _placed(self, patterns: list[Block], others: Array) -> Array:
+        """(b, J) a random block, at phases that keep it away from the others where some are found."""
+        for _ in range(PATTERNS):
+            pattern = patterns[self.generator.integers(len(patterns))]
+            angles = pattern.placed(self.lower, self.upper, self.generator)
+            if self.apart == 0.0 or np.all(gaps(angles, others) >= self.apart):
+                break
+        return angles
+
+    def _full(self, angles: Array) -> Array:
+        """(m, n) postures whose other joints stay in the middle."""
+        plan = np.tile(free_values(self.problem), (len(angles), 1))
+        plan[:, self.joints] = angles
+        return plan
 
     def _blocks(self, size: int) -> Iterator[Block]:
         return blocks(self.upper - self.lower, size, self.tries, self.generator)

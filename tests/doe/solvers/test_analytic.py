@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from doe.closed_form import closed_form_log_det
 from doe.solvers import Analytic, Random, solve
 from doe.solvers.base import Budget
-from identification.arm import Arm
+from identification.arm import Arm, EffectSpec
 from identification.errors import JobError
 from identification.status import Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, SIX, problem, random_box
@@ -44,12 +44,14 @@ def smallest_gap(postures: np.ndarray) -> float:
     return min(np.abs(postures[k + 1 :] - postures[k]).max(axis=1).min() for k in range(len(postures) - 1))
 
 
-def check(arm: Arm, runs: int) -> None:
+def check(arm: Arm, runs: int, *effects: EffectSpec) -> None:
     """Optimal by complex arithmetic, within the limits, without repeats."""
-    design = solve(problem(arm), runs)
+    case = problem(arm, *effects)
+    design = solve(case, runs)
     postures = design.plan.postures
     assert (design.solver, design.status, len(postures)) == ("analytic", Status.bound_reached, runs)
-    assert complex_log_det(postures) == pytest.approx(closed_form_log_det(problem(arm)), abs=1e-9)
+    value = complex_log_det(postures, offset=bool(effects))
+    assert value == pytest.approx(closed_form_log_det(case), abs=1e-9)
     assert np.all(postures >= arm.lower)
     assert np.all(postures <= arm.upper)
     assert smallest_gap(postures) >= np.radians(1.0) * (1 - 1e-9)
@@ -64,6 +66,12 @@ def test_multiples_of_four_with_the_limits_of_the_issue(runs: int) -> None:
 @pytest.mark.parametrize("runs", [100, 360, 361, 364, 500])
 def test_many_runs_without_limits(runs: int) -> None:
     check(Arm(FOUR.lengths), runs)
+
+
+@pytest.mark.parametrize("arm", [FOUR, Arm(FOUR.lengths)])
+@pytest.mark.parametrize("runs", [8, 100, 364, 500])
+def test_with_a_base_offset_no_joint_is_free_to_tell_postures_apart(arm: Arm, runs: int) -> None:
+    check(arm, runs, OFFSET)
 
 
 @settings(max_examples=40, deadline=None)
