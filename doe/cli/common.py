@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 FILE = click.Path(path_type=Path)
 OUTPUTS = frozenset({"out", "picture", "aliases", "report"})  # options that write a file; every other one is read
+# the arm file with something added to it; --force may put it in the place of the old one
+UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))
 
 
 class Seconds(click.FloatRange):
@@ -124,7 +126,7 @@ def check_outputs(context: click.Context) -> None:
     taken = {os.path.realpath(path): name for name, path in _paths(context, written=False)}
     for name, path in _paths(context, written=True):
         other = taken.setdefault(os.path.realpath(path), name)
-        if other != name:
+        if other != name and (context.command.name, name, other) not in UPDATES:
             raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
 
 

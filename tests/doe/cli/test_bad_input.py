@@ -125,7 +125,7 @@ CLASHES = [
     ("design arm.toml --runs 8 --candidates plan.csv --picture ./plan.csv", "--candidates", "plan.csv"),
     ("design arm.toml --runs 8 --criterion I --test-poses plan.csv --out plan.csv", "--test-poses", "plan.csv"),
     ("identify arm.toml data.csv --out data.csv", "DATA", "data.csv"),
-    ("identify arm.toml data.csv --out link.toml", "ARM", "link.toml"),
+    ("design arm.toml --runs 8 --out link.toml", "ARM", "link.toml"),
     ("simulate arm.toml plan.csv --truth arm.toml --out plan.csv", "PLAN", "plan.csv"),
     ("simulate arm.toml plan.csv --truth truth.toml --out truth.toml", "--truth", "truth.toml"),
     ("compensate truth.toml plan.csv --out truth.toml", "CALIBRATED", "truth.toml"),

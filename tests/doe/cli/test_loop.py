@@ -120,6 +120,10 @@ def test_two_ripples_of_one_joint_go_round_the_loop(folder: Folder) -> None:
     done = folder.armcal("identify", "extended.toml", "data.csv", "--json", "--out", "calibrated.toml")
     assert done.code == 0, done.err
     assert f"{one}.a" in folder.armcal("identify", "extended.toml", "data.csv").out  # brackets are no markup
+    folder.write("own.toml", (folder.path / "extended.toml").read_text(encoding="utf-8"))
+    assert folder.armcal("identify", "own.toml", "data.csv", "--out", "own.toml").code == 2
+    assert folder.armcal("identify", "own.toml", "data.csv", "--out", "own.toml", "--force").code == 0
+    assert (folder.path / "own.toml").read_bytes() == (folder.path / "calibrated.toml").read_bytes()
     values = {p["name"]: p for p in done.data["parameters"]}
     truth = {f"{one}.a": 0.06, f"{one}.b": 0.0, f"{other}.a": 0.03, f"{other}.b": 0.05, "transmission_ripple:2.b": 0.08}
     for name, true in truth.items():
