@@ -1,10 +1,9 @@
-"""Plans that are (nearly) D-optimal AND can show missing effects.
+"""Plans that are (nearly) D-optimal AND can tell missing effects apart.
 
 A D-optimal plan knows nothing of effects that are not in its model: under joint limits its angles sit on two levels,
-where cos q_j, cos 2 q_j and q_j are one and the same column. Among plans that lose little of the D-efficiency, the one
-with the greatest model-robust criterion (`doe.criteria.robust`) over the effect library is taken. Sources: plans from
-theory where they attain the bound (random frequencies and phases, a loss below 0.1 %), and exchanges of the robust
-criterion with weaker and weaker priors, each moved off the grid so that no period is hidden between its levels.
+where cos q_j, cos 2 q_j and q_j are one and the same column, and on any plan the sag of a link looks much like that of
+a joint. Starting from the best plan (or one from theory that is as good), moved off the limits, runs are swapped for
+postures that lower the probability of a wrong name (`doe.confusion`), for as much D-efficiency as may be lost.
 The order of measurement matters to backlash and drift only: the best of many shuffles is kept.
 """
 
@@ -12,14 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from doe.criteria import D
-from doe.criteria.robust import Robust
 from doe.plan import Plan
 from doe.problem import DesignProblem
 from doe.result import Design
@@ -27,8 +24,7 @@ from doe.solvers import MANY, PATIENCE, Solver, solve
 from doe.solvers.analytic import Analytic
 from doe.solvers.base import Budget
 from doe.solvers.driver import worth
-from doe.solvers.exchange import Exchange
-from doe.solvers.fedorov import Fedorov
+from doe.telling_apart import BY_ORDER, Wide, told_apart, widened
 from identification.arm import Arm, Array
 from identification.errors import InputError
 from identification.gap.hypotheses import hypotheses
@@ -39,14 +35,9 @@ from identification.model import Model
 from identification.progress import Progress, silent
 from identification.status import Status
 
-WEAKEST, STRONGEST = 0.01, 300.0  # prior precisions per run; strong: only the base model counts
-REFERENCE = 0.1  # prior precision at which plans are compared
-TRADE = 10.0  # what one unit of the base model's log det is worth in units of the effects'
 TURN = 2.0 * np.pi
-BY_ORDER = frozenset({"time", "directions"})
-CLEAR_SHARE = 0.5  # least share of every effect that a plan without loss must show to be taken as it is
 MOVES, TRIES = np.radians([30.0, 20.0, 15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.0]), 10
-THEORY_PLANS, SHUFFLES, STEPS, STARTS, JITTERS = 64, 200, 9, 2, 5
+THEORY_PLANS, SHUFFLES = 64, 200
 
 
 @dataclass(frozen=True)
@@ -56,6 +47,8 @@ class DiscriminatingDesign:
     arm : with its own effects
     design : judged by the criterion of the problem;  best : the best plan without regard to missing effects
     sees, best_sees : pre-flight of both
+    wrong, best_wrong : bound on the mean probability of a wrong name for an effect that is just large enough to be
+        found, see `doe.confusion`
     """
 
     arm: Arm
@@ -63,10 +56,8 @@ class DiscriminatingDesign:
     best: Design
     sees: Preflight
     best_sees: Preflight
-
-    def with_design(self, design: Design) -> DiscriminatingDesign:
-        """Another design, such as the same postures in another order, and what that one sees."""
-        return replace(self, design=design, sees=preflight(self.arm, design.plan.postures))
+    wrong: float
+    best_wrong: float
 
     @property
     def relative_efficiency(self) -> float:
@@ -106,69 +97,31 @@ def discriminating(
     best = solve(problem, runs, solver, seed=seed, starts=starts, seconds=None if seconds is None else seconds / 2.0)
     best_sees = preflight(arm, best.plan.postures)
     generator = np.random.default_rng(seed)
-    wide = wide_problem(problem, arm)
-    least = best.value + problem.parameters * float(np.log1p(-loss))
-    narrow = problem.choices is None and bool(np.any(~turning(problem)))
-    affordable = best.value + problem.parameters * float(np.log1p(-loss / 2.0)) if narrow else least
-    judge = replace(wide, criterion=with_precision(wide, problem.parameters, REFERENCE))
-    chosen, status = np.array(best.plan.postures), best.status
-    score = judge.objective(chosen) + TRADE * best.value
+    wide = widened(problem, arm)
+    allowed = problem.parameters * float(-np.log1p(-loss))
+    chosen, status = np.array(best.plan.postures), Status.local_optimum
     try:
-        for postures in plans_worth_comparing(problem, wide, arm, runs, affordable, generator, budget, progress):
-            value = worth(problem, postures)
-            if value >= affordable and (offered := judge.objective(postures) + TRADE * value) > score:
-                chosen, score = postures, offered
-            if budget.out_of_time:
-                status = Status.time_limit
-                break
+        chosen = start(problem, wide, best, best.value - allowed / 2.0, generator)
+        for postures in told_apart(problem, wide, chosen, best.value - allowed, generator, budget, progress):
+            chosen = postures
+        if budget.out_of_time:
+            status = Status.time_limit
     except KeyboardInterrupt:
         status = Status.interrupted
-    chosen = off_the_limits(problem, chosen, least, generator) if narrow else chosen
     plan = Plan(best_order(arm, chosen, generator))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
-    return DiscriminatingDesign(arm, design, best, preflight(arm, plan.postures), best_sees)
+    wrong, best_wrong = (wide.wrong(postures) for postures in (chosen, best.plan.postures))
+    return DiscriminatingDesign(arm, design, best, preflight(arm, plan.postures), best_sees, wrong, best_wrong)
 
 
-def wide_problem(problem: DesignProblem, arm: Arm) -> DesignProblem:
-    """The same design space for the arm with every effect of the library in its model that postures alone can show."""
-    found = hypotheses(arm, frozenset()).unscanned
-    specs = (h.spec for h in found if not h.effect.needs & BY_ORDER)
-    return replace(problem, model=Model(arm.with_effects(*arm.effects, *specs)))
-
-
-def with_precision(wide: DesignProblem, own: int, precision: float) -> Robust:
-    """Robust criterion: each effect's prior is such that it moves the tip alike, whatever its unit.
-
-    own : the first parameters, which the data alone must tell
-    """
-    generator = np.random.default_rng(0)
-    cloud = generator.uniform(wide.lower, wide.upper, (256, wide.joints))
-    strength = np.mean(np.sum(wide.blocks(cloud) ** 2, axis=1), axis=0)
-    return Robust(np.where(np.arange(wide.parameters) < own, 0.0, precision * np.maximum(strength, 1e-12)))
-
-
-def clear(sees: Preflight) -> bool:
-    """True if every effect shows well and none looks like another."""
-    return bool(sees.shares.min(initial=1.0) >= CLEAR_SHARE) and not sees.pairs()
-
-
-def plans_worth_comparing(
-    problem: DesignProblem,
-    wide: DesignProblem,
-    arm: Arm,
-    runs: int,
-    least: float,
-    generator: np.random.Generator,
-    budget: Budget,
-    progress: Progress,
-) -> Iterator[Array]:
-    """Plans without loss; where none of them shows every effect, plans that pay for it."""
-    enough, library = False, hypotheses(arm, frozenset())
-    for postures in theory_plans(problem, runs, generator):
-        enough = enough or clear(preflight(arm, postures, library=library))
-        yield postures
-    if not enough:
-        yield from robust_plans(problem, wide, runs, least, generator, budget, progress)
+def start(problem: DesignProblem, wide: Wide, best: Design, least: float, generator: np.random.Generator) -> Array:
+    """(m, n) the best plan or one from theory, whichever tells effects apart best, off the limits down to `least`."""
+    runs = len(best.plan.postures)
+    plans = [np.array(best.plan.postures)]
+    plans += [plan for plan in theory_plans(problem, runs, generator) if worth(problem, plan) >= least]
+    chosen = min(plans, key=wide.wrong)
+    narrow = problem.choices is None and bool(np.any(~turning(problem)))
+    return off_the_limits(problem, chosen, least, generator) if narrow else chosen
 
 
 def theory_plans(problem: DesignProblem, runs: int, generator: np.random.Generator) -> Iterator[Array]:
@@ -224,43 +177,6 @@ def off_the_grid(problem: DesignProblem, postures: Array, step: float, generator
         angle = moved[:, joint] + step * generator.uniform(-0.5, 0.5, len(moved))
         moved[:, joint] = problem.lower[joint] + np.mod(angle - problem.lower[joint], TURN)
     return moved
-
-
-def robust_plans(
-    problem: DesignProblem,
-    wide: DesignProblem,
-    runs: int,
-    least: float,
-    generator: np.random.Generator,
-    budget: Budget,
-    progress: Progress,
-) -> Iterator[Array]:
-    """Exchanges of the robust criterion; the prior precision is halved in on the one that loses what may be lost."""
-    weak, strong = WEAKEST, STRONGEST
-    spacing = (wide.upper - wide.lower) / (Exchange().levels - 1)
-    turn = TURN / (Exchange().levels - 1)
-    jitters = np.linspace(0.0, 0.4, JITTERS) if problem.choices is None else [0.0]
-    for step in range(STEPS):
-        precision = float(np.sqrt(weak * strong))
-        progress(step, STEPS, f"exchange with prior precision {precision:.3g}")
-        robust = replace(wide, criterion=with_precision(wide, problem.parameters, precision))
-        plans = exchanged(robust, runs, generator, budget)
-        for plan in plans:
-            for size in jitters:
-                offered = plan + size * spacing * generator.uniform(-1.0, 1.0, plan.shape)
-                yield problem.clip(off_the_grid(problem, offered, turn, generator))
-        affordable = max(problem.objective(plan) for plan in plans) >= least
-        weak, strong = (weak, precision) if affordable else (precision, strong)
-
-
-def exchanged(robust: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget) -> list[Array]:
-    """Plans (m, n) that no exchange improves: on the grid of `Exchange`, or out of the list of choices."""
-    if robust.choices is not None:
-        offers = Fedorov(batch=STARTS).offers(robust, runs, generator, Budget(STARTS, budget.deadline))
-        return [offer.postures for offer in islice(offers, STARTS)]
-    exchange = Exchange()
-    begun = exchange.begin(robust, STARTS, runs, generator)
-    return list(exchange.improve(robust, begun, generator, budget)[0])
 
 
 def best_order(arm: Arm, postures: Array, generator: np.random.Generator) -> Array:
