@@ -47,8 +47,8 @@ class DiscriminatingDesign:
     arm : with its own effects
     design : judged by the criterion of the problem;  best : the best plan without regard to missing effects
     sees, best_sees : pre-flight of both
-    wrong, best_wrong : bound on the mean probability of a wrong name for an effect that is just large enough to be
-        found, see `doe.confusion`
+    wrong, best_wrong, random_wrong : the mean probability of a wrong name for effects that are just large enough to
+        be found is at most this, with the plan, the best plan and random postures; see `doe.confusion`
     """
 
     arm: Arm
@@ -58,6 +58,7 @@ class DiscriminatingDesign:
     best_sees: Preflight
     wrong: float
     best_wrong: float
+    random_wrong: float
 
     @property
     def relative_efficiency(self) -> float:
@@ -110,8 +111,8 @@ def discriminating(
         status = Status.interrupted
     plan = Plan(best_order(arm, chosen, generator))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
-    wrong, best_wrong = (wide.wrong(postures) for postures in (chosen, best.plan.postures))
-    return DiscriminatingDesign(arm, design, best, preflight(arm, plan.postures), best_sees, wrong, best_wrong)
+    wrong = [min(1.0, bound) for bound in (wide.wrong(chosen), wide.wrong(best.plan.postures), wide.at_random)]
+    return DiscriminatingDesign(arm, design, best, preflight(arm, plan.postures), best_sees, *wrong)
 
 
 def start(problem: DesignProblem, wide: Wide, best: Design, least: float, generator: np.random.Generator) -> Array:

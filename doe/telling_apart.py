@@ -48,6 +48,11 @@ class Wide:
         """Bound on the mean probability of a wrong name that a plan leaves, see `Confusion.wrong`."""
         return float(self.confusion.wrong(self.problem.information(postures)))
 
+    @property
+    def at_random(self) -> float:
+        """The bound of as many runs that have the mean information of random postures."""
+        return float(self.confusion.wrong(self.confusion.reference))
+
 
 def widened(problem: DesignProblem, arm: Arm) -> Wide:
     """The same design space for the arm with the effects of the library that it can have."""

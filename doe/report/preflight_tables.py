@@ -35,8 +35,8 @@ def discriminating_tables(found: DiscriminatingDesign) -> list[Any]:
     blind, clear = hidden(found.best_sees), hidden(found.sees)
     lines = [
         f"D-efficiency {found.relative_efficiency:.4f} of the best plan found",
-        f"wrong names, at most: {found.wrong:.3f} of effects just large enough to be found "
-        f"(the best plan: {found.best_wrong:.3f})",
+        f"probability of a wrong name for effects just large enough to be found: at most {found.wrong:.3f} "
+        f"(the best plan: {found.best_wrong:.3f}, random postures: {found.random_wrong:.3f})",
         f"effects it cannot see: {', '.join(clear) or 'none'} (the best plan: {', '.join(blind) or 'none'})",
     ]
     return [*(Text(line) for line in lines), *preflight_tables(found.sees)]
@@ -46,8 +46,11 @@ def discriminating_data(found: DiscriminatingDesign) -> dict[str, Any]:
     """The JSON keys that `--discriminating` adds."""
     return {
         "relative_efficiency": found.relative_efficiency,
-        "wrong_names": found.wrong,
-        "wrong_names_best_plan": found.best_wrong,
+        "wrong_name_at_most": {
+            "plan": found.wrong,
+            "best_plan": found.best_wrong,
+            "random_postures": found.random_wrong,
+        },
         "preflight": found.sees.to_json(),
         "not_visible": hidden(found.sees),
         "not_visible_in_best_plan": hidden(found.best_sees),

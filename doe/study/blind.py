@@ -38,7 +38,7 @@ BLOCK = 10  # sets per task
 DRAWS = 499  # of the bootstrap
 NULL_SETS, SETS = 1000, 400  # data sets per cell, without and with a hidden effect
 AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured further
-AMBIGUOUS_SETS = 1200  # about a third of them are ambiguous
+MANY_SETS = 1200  # in this cell, of which a third are ambiguous, and where ten sets share an arm and its plan
 NULLS = tuple(bar.cell for bar in BARS if bar.measure == "alarm")
 COMPARED = ("one, lambda 8, m=50", "one, lambda 8, discriminating plan")  # cells whose gap is compared with rivals'
 PLANS, TRUTH, DIAGNOSES = "plans.parquet", "truth.parquet", "diagnoses.parquet"
@@ -59,7 +59,7 @@ def blind_study(
     """Diagnose data sets with hidden effects and compare with the truth afterwards.
 
     cells : names of the simulator's cells, default those of the full study
-    count : data sets per cell, default 1000 without a hidden effect where there is a bar, else 400
+    count : data sets per cell; left out: 1000 without a hidden effect where there is a bar, else 400 or 1200
     folder : where plans.parquet, truth.parquet and diagnoses.parquet go;  draws : of the bootstrap
 
     Raises `InputError` for an unknown cell, and where the simulator, which is no part of the package, is missing.
@@ -109,7 +109,8 @@ def study(
 
 
 def _keys(cell: str, count: int | None, seed: int) -> Iterator[Key]:
-    total = count or (AMBIGUOUS_SETS if cell == AMBIGUOUS else NULL_SETS if cell in NULLS else SETS)
+    many = cell == AMBIGUOUS or simulator().CELLS[cell].designed
+    total = count or (MANY_SETS if many else NULL_SETS if cell in NULLS else SETS)
     for first in range(0, total, BLOCK):
         yield {"cell": cell, "first": first, "sets": min(BLOCK, total - first), "seed": seed}
 

@@ -2,31 +2,57 @@
 
     .venv/bin/pytest -m benchmark -s tests/benchmarks/test_blind_ceiling.py
 
-It knows what no user knows: sigma, the size lambda of the effect, the distributions from which the simulator drew
-phases, orders and stiffnesses, and that there is one effect. With the most probable name it is right more often than
+It knows what no user knows: sigma, the size lambda of each effect, the distributions from which the simulator drew
+phases, orders and stiffnesses, and how many effects there are. With the most probable name it is right more often than
 any other rule can be (on average over the simulator's draws), so its shares are the ceiling for `armcal study blind`.
 
-For a hypothesis h with unit columns u_s off the base Jacobian, s drawn as the simulator draws them, the likelihood of
-the whitened residual r against no effect is mean_s exp(lambda u_s . r - lambda^2 / 2).
+For effects with unit columns u_s off the base Jacobian, s drawn as the simulator draws them, the likelihood of the
+whitened residual r against no effect is mean_s exp(r . x_s - |x_s|^2 / 2), x_s = lambda u_s, or for two effects the sum
+of two such columns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import combinations
 
 import numpy as np
 import pytest
 
+from doe.discriminating import discriminating
+from doe.problem import DesignProblem
+from identification.model import Model
 from tests.identification.gap import blind
 
 COUNT = 400
-PHASES = np.arange(48) * 2.0 * np.pi / 48
+PHASES = np.arange(24) * 2.0 * np.pi / 24
 CIRCLE = np.vstack([np.cos(PHASES), np.sin(PHASES)])
+STIFFNESSES = 200
 PAIRS = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_skew": "ab", "transmission_ripple": "ab"}
 PAIRS |= {"base_offset": "xy", "base_drift": "xy"}
 SAGGING = ("joint_compliance", "gravity_backlash", "link_bending")  # of one sign only
-CELLS = ["one, lambda 6, m=50", "one, lambda 6, m=200", "one, lambda 8, m=50", "one, lambda 8, m=20"]
+NAMES = blind.LIBRARY_JOINT + blind.LIBRARY_WHOLE
+CELLS = [
+    "one, lambda 6, m=50",
+    "one, lambda 6, m=200",
+    "one, lambda 6, discriminating plan",
+    "one, lambda 8, m=50",
+    "one, lambda 8, m=20",
+    "one, lambda 8, discriminating plan",
+    "two, lambda 8",
+]
+
+
+@dataclass(frozen=True, eq=False)  # each is its own key
+class Possible:
+    """One effect that might be hidden: key, class, log prior, (2m, S) sampled unit columns off the base Jacobian."""
+
+    key: str
+    family: str
+    prior: float
+    columns: np.ndarray
 
 
 def log_mean(x: np.ndarray) -> float:
@@ -46,21 +72,32 @@ def directions(bare: blind.Truth, run: blind.Session, name: str, j: int | None) 
             yield np.column_stack(both) @ CIRCLE
     elif name == "joint_compliance*":
         each = [blind.column(bare, run, ("joint_compliance", i + 1, {"c": 1.0})) for i in range(bare.n)]
-        yield np.column_stack(each) @ np.random.default_rng(1).uniform(0.5, 1.5, (bare.n, 400))
+        yield np.column_stack(each) @ np.random.default_rng(1).uniform(0.5, 1.5, (bare.n, STIFFNESSES))
     else:
         one = probe(blind.directions_of(name, bare.n, np.random.default_rng(0)))[:, None]
         yield one if name in SAGGING else np.hstack([one, -one])
 
 
-def posterior(cell: str, seed: int) -> tuple[dict[str, float], str]:
-    """Key -> log posterior (up to a constant) for one data set, and the key that is hidden."""
+@cache
+def planned(cell: str, seed: int) -> np.ndarray | None:
+    """The plan that the sets of a block share; None where postures are random."""
+    asked = blind.to_be_planned(cell, seed)
+    if asked is None:
+        return None
+    arm, runs = asked
+    return discriminating(DesignProblem.of(Model(arm)), arm, runs).design.plan.postures
+
+
+def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, blind.Truth]:
+    """Whitened residual off the base model (2m,), what might be hidden, lambda and the truth of one data set."""
     spec = blind.CELLS[cell]
     assert spec.lam is not None
-    lam = spec.lam
     rng = np.random.default_rng([20261121, list(blind.CELLS).index(cell), seed])
-    truth = blind.truth_of(spec, rng)
-    m = max(spec.m, truth.n + 4)
-    run = blind.session(truth, rng.uniform(truth.lower, truth.upper, (m, truth.n)), rng)
+    postures = planned(cell, seed // blind.SAME_ARM * blind.SAME_ARM)
+    truth = blind.truth_of(spec, rng) if postures is None else blind.shared_truth(cell, seed)
+    if postures is None:
+        postures = rng.uniform(truth.lower, truth.upper, (max(spec.m, truth.n + 4), truth.n))
+    run = blind.session(truth, postures, rng)
     truth = replace(truth, effects=blind.hidden(spec, truth, run, rng))
     bare = replace(truth, effects=[])
     measured = blind.position(truth, run) + blind.noise(truth, run, rng, spec.noise)
@@ -70,29 +107,43 @@ def posterior(cell: str, seed: int) -> tuple[dict[str, float], str]:
     def off(columns: np.ndarray) -> np.ndarray:
         return columns - basis @ (basis.T @ columns)
 
-    residual = off(np.column_stack([miss.real, miss.imag]).ravel())
-
-    def likelihood(columns: np.ndarray) -> float:
-        seen = off(columns)
-        norms = np.linalg.norm(seen, axis=0)
-        keep = norms >= 0.02 * np.linalg.norm(columns, axis=0)  # the simulator draws again what cannot be seen
-        if not keep.any():
-            return -np.inf
-        return log_mean(lam * (residual @ (seen[:, keep] / norms[keep])) - lam**2 / 2.0)
-
-    found = {}
-    for name in blind.LIBRARY_JOINT + blind.LIBRARY_WHOLE:
+    found = []
+    for name in NAMES:
         whole = name in blind.LIBRARY_WHOLE
-        joints = [None] if whole else range(2 if name == "joint_coupling" else 1, truth.n + 1)
+        joints = [None] if whole else list(range(2 if name == "joint_coupling" else 1, truth.n + 1))
         for j in joints:
-            parts = [likelihood(columns) for columns in directions(bare, run, name, j)]
-            key = blind.key((name.rstrip("*"), j, {}))
-            found[key] = log_mean(np.array(parts)) - np.log(len(joints))
-    return found, blind.key(truth.effects[0])
+            columns = np.hstack([_unit(part, off) for part in directions(bare, run, name, j)])
+            effect = (name.rstrip("*"), j, {})
+            prior = -np.log(len(NAMES)) - np.log(len(joints))
+            if columns.shape[1]:
+                found.append(Possible(blind.key(effect), blind.family(effect), float(prior), columns))
+    return off(np.column_stack([miss.real, miss.imag]).ravel()), found, spec.lam, truth
 
 
-def class_of(key: str) -> str:
-    return blind.family((key.partition(":")[0], None, {}))
+def _unit(columns: np.ndarray, off: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    seen = off(columns)
+    norms = np.linalg.norm(seen, axis=0)
+    keep = norms >= 0.02 * np.linalg.norm(columns, axis=0)  # the simulator draws again what cannot be seen
+    return seen[:, keep] / norms[keep]
+
+
+def posterior(cell: str, seed: int) -> tuple[dict[tuple[Possible, ...], float], blind.Truth]:
+    """Set of effects -> log posterior (up to a constant) for one data set, and the truth."""
+    residual, possible, lam, truth = drawn(cell, seed)
+    scores = [lam * (residual @ one.columns) - lam**2 / 2.0 for one in possible]
+    if len(truth.effects) == 1:
+        return {(one,): log_mean(s) + one.prior for one, s in zip(possible, scores, strict=True)}, truth
+    share = {
+        one.family: sum(np.exp(other.prior) for other in possible if other.family == one.family) for one in possible
+    }
+    found: dict[tuple[Possible, ...], float] = {}
+    for (a, one), (b, two) in combinations(enumerate(possible), 2):
+        if one.family == two.family:  # the second is drawn until its class is another one
+            continue
+        both = scores[a][:, None] + scores[b][None, :] - lam**2 * (one.columns.T @ two.columns)
+        order = np.log(1.0 / (1.0 - share[one.family]) + 1.0 / (1.0 - share[two.family]))
+        found[one, two] = log_mean(both) + one.prior + two.prior + float(order)
+    return found, truth
 
 
 @pytest.mark.benchmark
@@ -100,14 +151,19 @@ def class_of(key: str) -> str:
 def test_ceiling(cell: str) -> None:
     exact, classes, inside, sizes = [], [], [], []
     for seed in range(COUNT):
-        found, hidden = posterior(cell, seed)
-        best = max(found, key=lambda key: found[key])
-        families: dict[str, float] = {}
-        for key, value in found.items():
-            families[class_of(key)] = float(np.logaddexp(families.get(class_of(key), -np.inf), value))
-        near = [key for key, value in found.items() if value > found[best] - 3.0]  # as Delta BIC <= 6
+        found, truth = posterior(cell, seed)
+        names = {tuple(sorted(one.key for one in effects)): value for effects, value in found.items()}
+        hidden = tuple(sorted(map(blind.key, truth.effects)))
+        best = max(names, key=lambda name: names[name])
+        families: dict[tuple[str, ...], float] = {}
+        for effects, value in found.items():
+            family = tuple(sorted(one.family for one in effects))
+            families[family] = float(np.logaddexp(families.get(family, -np.inf), value))
+        near = [name for name, value in names.items() if value > names[best] - 3.0]  # as Delta BIC <= 6
         exact.append(best == hidden)
-        classes.append(max(families, key=lambda name: families[name]) == class_of(hidden))
+        classes.append(
+            max(families, key=lambda family: families[family]) == tuple(sorted(map(blind.family, truth.effects)))
+        )
         inside.append(hidden in near)
         sizes.append(len(near))
     shares = [float(np.mean(values)) for values in (exact, classes, inside, sizes)]

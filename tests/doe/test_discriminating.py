@@ -94,7 +94,7 @@ def test_links_that_bend_and_joints_that_twist_are_told_apart_better_than_by_ran
     random = [likeness_of_sag(truth, generator.uniform(arm.lower, arm.upper, (50, 4))) for _ in range(20)]
     angle = np.degrees(np.arccos(likeness_of_sag(truth, found.design.plan.postures)))
     assert angle > np.degrees(np.arccos(min(random)))  # 8 to 15 degrees
-    assert found.wrong < 0.1 * found.best_wrong
+    assert found.wrong < 0.5 * found.random_wrong
 
 
 @pytest.mark.parametrize("seed", range(2))
