@@ -1,9 +1,9 @@
 """How often the wrong effect would be named: what a plan is chosen by that is to tell missing effects apart.
 
 Two effects are told apart by what the base model and one of them leave of the other. With d the length of that in
-standard deviations of the measurement, the likelihood ratio names the wrong one of the two with probability
-Phi(-d / 2), and the sum over all rivals (one of them: nothing at all) bounds the probability of any wrong name. The
-squared length is a Schur complement, so everything follows from the information matrix M of the plan:
+standard deviations of the measurement, the likelihood ratio of the two, sizes known, names the wrong one with
+probability Phi(-d / 2), and the sum over all rivals (one of them: nothing at all) bounds the probability of any wrong
+name. The squared length is a Schur complement, so everything follows from the information matrix M of the plan:
 
     d^2 = (v - w)^T S (v - w),   S = M_ee - M_eb M_bb^-1 M_be,   w = B (B^T S B)^-1 B^T S v
 
@@ -104,7 +104,7 @@ class Confusion:
                     found.append(v * (LAMBDA / np.sqrt(length)))
             rows += found
             owners += [number] * len(found)
-            shares += [float(self.weights[number]) / len(found)] * len(found)
+            shares += [float(self.weights[number]) / len(found) for _ in found]
         share = np.array(shares)
         return np.array(rows), np.array(owners, dtype=np.intp), share / share.sum()
 
@@ -119,9 +119,9 @@ class Confusion:
 
     @cached_property
     def _groups(self) -> tuple[Rivals, ...]:
-        """The rivals, those with as many parameters together."""
+        """The rivals, those with as many parameters together; none that the base model explains on any plan."""
         schur, owners = self._off_base(self.reference)[0], self._drawn[1]
-        order = sorted(range(len(self.bases)), key=lambda number: self.bases[number].shape[1])
+        order = sorted(np.unique(owners).tolist(), key=lambda number: self.bases[number].shape[1])
         groups = []
         for _, numbers in groupby(order, key=lambda number: self.bases[number].shape[1]):
             chosen = list(numbers)

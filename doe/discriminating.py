@@ -23,8 +23,9 @@ from doe.result import Design
 from doe.solvers import MANY, PATIENCE, Solver, solve
 from doe.solvers.analytic import Analytic
 from doe.solvers.base import Budget
+from doe.solvers.distinct import spread_free_joints
 from doe.solvers.driver import worth
-from doe.telling_apart import BY_ORDER, Wide, told_apart, widened
+from doe.telling_apart import BY_ORDER, Wide, repeats, told_apart, widened
 from identification.arm import Arm, Array
 from identification.errors import InputError
 from identification.gap.hypotheses import hypotheses
@@ -46,9 +47,10 @@ class DiscriminatingDesign:
 
     arm : with its own effects
     design : judged by the criterion of the problem;  best : the best plan without regard to missing effects
-    sees, best_sees : pre-flight of both
-    wrong, best_wrong, random_wrong : the mean probability of a wrong name for effects that are just large enough to
-        be found is at most this, with the plan, the best plan and random postures; see `doe.confusion`
+    sees, best_sees : pre-flight of both, with the postures measured already
+    wrong, best_wrong, random_wrong : the mean probability of a wrong name is at most this, with the plan, the best plan
+        and as many random postures (the median of many such plans), for effects that postures show and that are
+        `LAMBDA` long on random ones; see `doe.confusion`
     """
 
     arm: Arm
@@ -85,7 +87,7 @@ def discriminating(
     solver, starts : of the search for the best plan, as in `solve`
     seconds : for both searches together, half of it for the best plan; left out: none up to 100 runs, 60 s for more
     Raises `InputError` for a loss outside 0..1, a criterion other than D, and too few runs (4 spare degrees of freedom
-    are needed).
+    are needed). Ctrl-C returns the plan so far, status `interrupted`.
     """
     if not 0.0 <= loss < 1.0:
         raise InputError(f"loss: {loss}, allowed: 0 <= loss < 1")
@@ -95,24 +97,46 @@ def discriminating(
     if runs > MANY and starts is None and seconds is None:
         seconds = 2.0 * PATIENCE
     budget = Budget(1, None if seconds is None else began + seconds)
-    best = solve(problem, runs, solver, seed=seed, starts=starts, seconds=None if seconds is None else seconds / 2.0)
-    best_sees = preflight(arm, best.plan.postures)
+    half = None if seconds is None else seconds / 2.0
+    best = solve(problem, runs, solver, seed=seed, starts=starts, seconds=half, progress=progress)
+    best_sees = preflight(arm, with_kept(problem, best.plan.postures))
     generator = np.random.default_rng(seed)
     wide = widened(problem, arm)
+    chosen, status = search(problem, wide, best, loss, generator, budget, progress)
+    plan = Plan(best_order(arm, chosen, generator))
+    design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
+    bounds = wide.wrong(chosen), wide.wrong(best.plan.postures), wide.at_random(runs)
+    sees = preflight(arm, with_kept(problem, plan.postures))
+    return DiscriminatingDesign(arm, design, best, sees, best_sees, *(min(1.0, bound) for bound in bounds))
+
+
+def search(
+    problem: DesignProblem,
+    wide: Wide,
+    best: Design,
+    loss: float,
+    generator: np.random.Generator,
+    budget: Budget,
+    progress: Progress,
+) -> tuple[Array, Status]:
+    """(m, n) the plan that tells effects apart, and how the search ended; the best plan if that was interrupted."""
+    chosen, status = np.array(best.plan.postures), best.status
+    if status is Status.interrupted:
+        return chosen, status
     allowed = problem.parameters * float(-np.log1p(-loss))
-    chosen, status = np.array(best.plan.postures), Status.local_optimum
     try:
         chosen = start(problem, wide, best, best.value - allowed / 2.0, generator)
         for postures in told_apart(problem, wide, chosen, best.value - allowed, generator, budget, progress):
             chosen = postures
-        if budget.out_of_time:
-            status = Status.time_limit
+        status = Status.time_limit if budget.out_of_time else Status.local_optimum
     except KeyboardInterrupt:
         status = Status.interrupted
-    plan = Plan(best_order(arm, chosen, generator))
-    design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
-    wrong = [min(1.0, bound) for bound in (wide.wrong(chosen), wide.wrong(best.plan.postures), wide.at_random)]
-    return DiscriminatingDesign(arm, design, best, preflight(arm, plan.postures), best_sees, *wrong)
+    return chosen, status
+
+
+def with_kept(problem: DesignProblem, postures: Array) -> Array:
+    """(k + m, n) all postures whose measurements will be judged together."""
+    return postures if problem.kept is None else np.vstack([problem.kept, postures])
 
 
 def start(problem: DesignProblem, wide: Wide, best: Design, least: float, generator: np.random.Generator) -> Array:
@@ -122,7 +146,10 @@ def start(problem: DesignProblem, wide: Wide, best: Design, least: float, genera
     plans += [plan for plan in theory_plans(problem, runs, generator) if worth(problem, plan) >= least]
     chosen = min(plans, key=wide.wrong)
     narrow = problem.choices is None and bool(np.any(~turning(problem)))
-    return off_the_limits(problem, chosen, least, generator) if narrow else chosen
+    moved = off_the_limits(problem, chosen, least, generator) if narrow else chosen
+    if any(repeats(problem, posture, moved[:row]) for row, posture in enumerate(moved)):
+        return spread_free_joints(problem, moved, generator)
+    return moved
 
 
 def theory_plans(problem: DesignProblem, runs: int, generator: np.random.Generator) -> Iterator[Array]:

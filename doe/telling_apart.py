@@ -18,6 +18,7 @@ from doe.candidates import listed
 from doe.confusion import Confusion
 from doe.problem import DesignProblem
 from doe.solvers.base import Budget
+from doe.solvers.distinct import ROUNDING, gaps
 from doe.solvers.driver import worth
 from doe.solvers.feasible import random_postures
 from identification.arm import Arm, Array
@@ -32,6 +33,7 @@ OUTS, INS, MORE_OUTS = 4, 8, 50
 MULTIPLIERS = (2.0, 10.0)  # of the derivative of log det where little of it is left to lose
 TIGHT = 0.1  # log det above the least that counts as little
 WORTH_IT, ROUNDS = 1e-3, 5  # gain of the criterion that makes a swap, and ten of it a new pool, worth while
+RANDOM_PLANS = 25
 
 
 @dataclass(frozen=True)
@@ -48,10 +50,12 @@ class Wide:
         """Bound on the mean probability of a wrong name that a plan leaves, see `Confusion.wrong`."""
         return float(self.confusion.wrong(self.problem.information(postures)))
 
-    @property
-    def at_random(self) -> float:
-        """The bound of as many runs that have the mean information of random postures."""
-        return float(self.confusion.wrong(self.confusion.reference))
+    def at_random(self, runs: int) -> float:
+        """The bound that as many random postures leave, the median of many plans."""
+        generator = np.random.default_rng(0)
+        cloud = pool_of(self.problem, RANDOM_PLANS * runs, generator)
+        plans = [generator.permutation(cloud)[:runs] for _ in range(RANDOM_PLANS)]
+        return float(np.median([self.wrong(plan) for plan in plans]))
 
 
 def widened(problem: DesignProblem, arm: Arm) -> Wide:
@@ -83,6 +87,20 @@ def pool_of(problem: DesignProblem, count: int, generator: np.random.Generator) 
         return random_postures(problem, count, generator)
     listed_ones = listed(problem, problem.choices).postures
     return generator.permutation(listed_ones)[:count]
+
+
+def repeats(problem: DesignProblem, posture: Array, others: Array) -> bool:
+    """True if a posture (n,) is within the minimum distance of one of the others (k, n) or of those kept.
+
+    Unlike `worth`, which leaves it to joints that play no part in the base model to set such postures apart: here
+    these joints are chosen too. Out of a list only one and the same posture of the plan is a repeat.
+    """
+    if problem.minimum_distance == 0.0:
+        return False
+    if problem.choices is not None:
+        return bool(np.any(np.all(others == posture, axis=1)))
+    near = gaps(posture[None], others if problem.kept is None else np.vstack([others, problem.kept]))
+    return bool(np.any(near < problem.minimum_distance / ROUNDING))
 
 
 def told_apart(
@@ -140,6 +158,8 @@ class Swaps:
             self.pool = np.concatenate([self.pool, near[self.problem.feasible(near)]])
         self.offered = self.wide.problem.blocks(self.pool)
         self.open = np.ones(len(self.pool), dtype=bool)
+        if self.problem.choices is not None and self.problem.minimum_distance > 0.0:  # no place for what is in the plan
+            self.open = ~np.any(np.all(self.pool[:, None] == self.postures, axis=-1), axis=1)
 
     def swap(self) -> bool:
         """The best of the most promising swaps, else of more of them; False if none is worth while."""
@@ -161,7 +181,7 @@ class Swaps:
     def _best(self, gradients: list[Array], outs: int, ins: int) -> bool:
         """Makes the best swap of the `outs` runs and `ins` postures that look best by any of the gradients."""
         pairs = np.unique(np.concatenate([self._promising(g, outs, ins) for g in gradients]), axis=0)
-        gains = np.concatenate([self._gains(part) for part in np.array_split(pairs, -(-len(pairs) // CLOUD))])
+        gains = np.concatenate([self._gains(part) for part in np.array_split(pairs, len(pairs) // CLOUD + 1)])
         for k in np.argsort(-gains, kind="stable"):
             if not gains[k] > WORTH_IT:
                 return False
@@ -192,12 +212,12 @@ class Swaps:
 
     def _make(self, run: int, place: int) -> bool:
         """Makes a swap, if the plan keeps its least value and its distances; else the posture is not offered again."""
+        self.open[place] = False
+        if repeats(self.problem, self.pool[place], np.delete(self.postures, run, axis=0)):
+            return False
         trial = np.array(self.postures)
         trial[run] = self.pool[place]
         value = worth(self.problem, trial)
-        if self.problem.minimum_distance > 0.0 and np.any(np.all(self.postures == self.pool[place], axis=1)):
-            value = -np.inf  # from a list: it is in the plan already
-        self.open[place] = False
         if value < self.least:
             return False
         self.postures, self.slack = trial, value - self.least

@@ -7,6 +7,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from doe.confusion import LAMBDA
 from doe.discriminating import DiscriminatingDesign
 from identification.gap.preflight import Preflight
 
@@ -35,8 +36,10 @@ def discriminating_tables(found: DiscriminatingDesign) -> list[Any]:
     blind, clear = hidden(found.best_sees), hidden(found.sees)
     lines = [
         f"D-efficiency {found.relative_efficiency:.4f} of the best plan found",
-        f"probability of a wrong name for effects just large enough to be found: at most {found.wrong:.3f} "
+        f"probability that a missing effect gets a wrong name: at most {found.wrong:.3f} "
         f"(the best plan: {found.best_wrong:.3f}, random postures: {found.random_wrong:.3f})",
+        f"  for effects that shift the tip by {LAMBDA:g} sigma in all (root of the sum of squares) at as many random "
+        "postures; gear ripple, backlash and drift left out",
         f"effects it cannot see: {', '.join(clear) or 'none'} (the best plan: {', '.join(blind) or 'none'})",
     ]
     return [*(Text(line) for line in lines), *preflight_tables(found.sees)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +12,12 @@ import pytest
 from doe.constraints import InsideBox
 from doe.discriminating import DiscriminatingDesign, discriminating
 from doe.problem import DesignProblem
+from doe.result import Design
+from doe.solvers import solve
 from doe.solvers.base import Budget
-from doe.telling_apart import told_apart, widened
-from identification.arm import Arm
+from doe.solvers.feasible import random_postures
+from doe.telling_apart import Swaps, told_apart, widened
+from identification.arm import Arm, EffectSpec, Gravity
 from identification.errors import InputError
 from identification.model import Model
 from identification.status import Status
@@ -22,7 +26,7 @@ from tests.identification.gap.blind import CELLS, Truth, arm_of, base_jacobian, 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 
 
-def designed(lower: list[float], upper: list[float], runs: int, **options: float) -> DiscriminatingDesign:
+def designed(lower: list[float], upper: list[float], runs: int, **options: Any) -> DiscriminatingDesign:
     arm = Arm(LENGTHS, np.radians(lower), np.radians(upper), sigma=0.1)
     return discriminating(DesignProblem.of(Model(arm)), arm, runs, **options)
 
@@ -121,6 +125,66 @@ def test_constraints_hold_after_the_swaps() -> None:
     assert found.wrong < found.best_wrong
 
 
+def test_joints_that_play_no_part_do_not_bring_postures_too_near_each_other() -> None:
+    """Two links: D-optimality chooses two angles of joint 2, and joint 1 alone sets the postures apart."""
+    arm = Arm(LENGTHS[:2], np.radians([-180, -10]), np.radians([180, 10]), sigma=0.1)
+    kept = np.radians([[0.0, 10.0], [1.5, -10.0], [90.0, 10.0]])
+    found = discriminating(DesignProblem.of(Model(arm), kept=kept), arm, 60)
+    postures = np.vstack([kept, found.design.plan.postures])
+    apart = np.abs(postures[:, None] - postures).max(axis=-1) + 9.0 * np.eye(len(postures))
+    assert np.degrees(apart.min()) >= 1.0 - 1e-6
+    assert found.wrong < found.best_wrong
+
+
+def test_an_arm_that_has_every_joints_compliance_already() -> None:
+    gravity = Gravity(np.array([0.0, -9.81]), np.array([12.0, 8.0, 5.0]), np.full(3, 0.5), payload=10.0)
+    bare = Arm(LENGTHS[:3], np.radians([-180, -120, -100]), np.radians([180, 120, 60]), sigma=0.1, gravity=gravity)
+    arm = bare.with_effects(EffectSpec("joint_compliance"))
+    found = discriminating(DesignProblem.of(Model(arm)), arm, 14, starts=2)
+    assert found.relative_efficiency >= 0.95 - 1e-9
+    assert found.wrong < found.random_wrong
+
+
+def test_ctrl_c_in_the_first_search_ends_the_second_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*parts: Any, **options: Any) -> Design:
+        return replace(solve(*parts, **options), status=Status.interrupted)
+
+    monkeypatch.setattr("doe.discriminating.solve", stopped)
+    found = designed([-180, -120, -100, -90], [180, 120, 60, 90], 20)
+    assert found.design.status is Status.interrupted
+    assert sorted(map(tuple, found.design.plan.postures)) == sorted(map(tuple, found.best.plan.postures))
+
+
+def test_ctrl_c_in_the_second_search_gives_the_plan_so_far() -> None:
+    def press(done: float, total: float | None, message: str) -> None:
+        if message.startswith("wrong names"):
+            raise KeyboardInterrupt
+
+    found = designed([-180, -120, -100, -90], [180, 120, 60, 90], 20, progress=press)
+    assert found.design.status is Status.interrupted
+    assert found.wrong < found.best_wrong
+    assert found.relative_efficiency >= 0.95 - 1e-9
+
+
+def test_postures_measured_already_count_in_what_is_seen() -> None:
+    """Ten measured and two new postures of two links: 24 equations, 4 parameters; the two alone leave none."""
+    arm = Arm(LENGTHS[:2], np.radians([-180, -120]), np.radians([180, 120]), sigma=0.1)
+    kept = np.random.default_rng(2).uniform(arm.lower, arm.upper, (10, 2))
+    found = discriminating(DesignProblem.of(Model(arm), kept=kept), arm, 2)
+    assert found.sees.freedom == found.best_sees.freedom == 24 - 4
+
+
+def test_random_postures_are_plans_of_as_many_runs() -> None:
+    """Few of them tell effects apart worse than many, and than their mean information would."""
+    arm = Arm(LENGTHS, np.radians([-180] * 4), np.radians([180] * 4), sigma=0.1)
+    problem = DesignProblem.of(Model(arm))
+    wide, generator = widened(problem, arm), np.random.default_rng(4)
+    few, many = wide.at_random(12), wide.at_random(60)
+    assert few > 2.0 * many > 2.0 * float(wide.confusion.wrong(wide.confusion.reference))
+    plans = [wide.wrong(random_postures(problem, 12, generator)) for _ in range(200)]
+    assert np.quantile(plans, 0.2) < few < np.quantile(plans, 0.8)  # a median of 25, 3 standard deviations
+
+
 def test_same_seed_same_plan() -> None:
     one, two = (designed([-180] * 4, [180] * 4, 12, seed=3) for _ in range(2))
     np.testing.assert_array_equal(one.design.plan.postures, two.design.plan.postures)
@@ -141,6 +205,16 @@ def test_out_of_a_list_of_postures_only_those() -> None:
     assert len(set(nearest.tolist())) == 10
     lost = log_det(found.best.plan.postures) - log_det(found.design.plan.postures)
     assert lost <= -8.0 * np.log(0.95) + 1e-9
+
+
+def test_a_list_that_has_nothing_more_to_offer() -> None:
+    arm = Arm(LENGTHS[:3], np.radians([-180, -120, -100]), np.radians([180, 120, 60]), sigma=0.1)
+    choices = np.random.default_rng(3).uniform(arm.lower, arm.upper, (12, 3))
+    problem = DesignProblem.of(Model(arm), choices=choices)
+    state = Swaps(problem, widened(problem, arm), np.array(choices), least=-np.inf)
+    state.draw(np.random.default_rng(0))
+    assert not state.open.any()  # all of them are in the plan
+    assert not state.swap()
 
 
 def test_no_number_of_periods_hides_behind_another_on_joints_that_turn_all_the_way() -> None:
