@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -179,9 +179,14 @@ def _deliver(answer: Answer, as_json: bool) -> None:
     except BrokenPipeError:
         raise
     except OSError as error:
-        click.echo(f"armcal: standard output cannot be written ({error.strerror})", err=True)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries again when it ends
-        sys.exit(1)
+        no_output(error)
+
+
+def no_output(error: OSError) -> NoReturn:
+    """Ends with one line because standard output cannot be written."""
+    click.echo(f"armcal: standard output cannot be written ({error.strerror})", err=True)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries again when it ends
+    sys.exit(1)
 
 
 def _print(answer: Answer, as_json: bool) -> None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @click.option("--solver", help="Method; left out: the best for the problem.")
 @click.option("--starts", type=click.IntRange(min=1), help="Number of starts.")
 @click.option("--seconds", type=Seconds(), help="Time budget [s]; left out: none up to 100 runs, 30 for more.")
-@click.option("--discriminating", is_flag=True, help="A plan that can show missing effects, too.")
+@click.option("--discriminating", is_flag=True, help="A plan that shows missing effects, too, and tells them apart.")
 @click.option("--loss", default=0.05, show_default=True, help="D-efficiency that --discriminating may give up.")
 @click.option("--keep", type=FILE, metavar="FILE", help="Postures measured already; the new ones go around them.")
 @click.option("--candidates", type=FILE, metavar="FILE", help="CSV of allowed postures to choose from.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from errno import ENOSPC
 from typing import Any
 
 import click
@@ -22,12 +23,13 @@ from doe.cli import (
     simulate,
     study,
 )
+from doe.cli.common import no_output
 from identification.errors import nearest
 
 
 @contextmanager
 def one_line_errors() -> Iterator[None]:
-    """Usage errors without the usage above them: one line, as every other bad input."""
+    """Usage errors without the usage above them: one line, as every other bad input; so is help on a full disk."""
     try:
         yield
     except click.exceptions.NoArgsIsHelpError:  # the whole help, on purpose
@@ -35,6 +37,10 @@ def one_line_errors() -> Iterator[None]:
     except click.UsageError as error:
         error.ctx = None
         raise
+    except OSError as error:
+        if error.errno != ENOSPC or error.filename is not None:
+            raise
+        no_output(error)
 
 
 class Verbs(click.Group):

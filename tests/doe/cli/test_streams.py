@@ -27,7 +27,9 @@ def test_the_command_is_a_module_too(folder: Folder) -> None:
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="no full device here")
-@pytest.mark.parametrize("words", ["score arm.toml plan.csv", "score arm.toml plan.csv --json"])
+@pytest.mark.parametrize(
+    "words", ["score arm.toml plan.csv", "score arm.toml plan.csv --json", "--help", "score --help"]
+)
 def test_a_full_device(folder: Folder, words: str) -> None:
     done = shell(folder, words, f"> {FULL}")
     assert done.returncode == 1, done.stderr
