@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from time import perf_counter
 
 import numpy as np
@@ -25,7 +26,7 @@ from doe.solvers.analytic import Analytic
 from doe.solvers.base import Budget
 from doe.solvers.distinct import spread_free_joints
 from doe.solvers.driver import worth
-from doe.telling_apart import BY_ORDER, Wide, repeats, told_apart, widened
+from doe.telling_apart import BY_ORDER, Wide, pool_of, repeats, told_apart, widened
 from identification.arm import Arm, Array
 from identification.errors import InputError
 from identification.gap.hypotheses import hypotheses
@@ -124,14 +125,50 @@ def search(
     if status is Status.interrupted:
         return chosen, status
     allowed = problem.parameters * float(-np.log1p(-loss))
+    status, bound = Status.local_optimum, np.inf
     try:
-        chosen = start(problem, wide, best, best.value - allowed / 2.0, generator)
-        for postures in told_apart(problem, wide, chosen, best.value - allowed, generator, budget, progress):
-            chosen = postures
-        status = Status.time_limit if budget.out_of_time else Status.local_optimum
+        for postures, stop in beginnings(problem, wide, best, allowed, generator, budget):
+            least = best.value - allowed
+            for plan in chain([postures], told_apart(problem, wide, postures, least, generator, stop, progress)):
+                if (wrong := wide.wrong(plan)) < bound:
+                    chosen, bound = plan, wrong
+            status = Status.time_limit if stop.out_of_time else status
     except KeyboardInterrupt:
         status = Status.interrupted
     return chosen, status
+
+
+def beginnings(
+    problem: DesignProblem,
+    wide: Wide,
+    best: Design,
+    allowed: float,
+    generator: np.random.Generator,
+    budget: Budget,
+) -> Iterator[tuple[Array, Budget]]:
+    """Plans from which swaps start, each with its share of the time.
+
+    Under joint limits a D-optimal plan stands in the corners, far from plans that tell effects apart: there is a second
+    beginning with as many random postures as three quarters of the loss allow.
+    """
+    narrow = problem.choices is None and bool(np.any(~turning(problem)))
+    part = budget.remaining / 2.0 if narrow else budget.remaining
+    stop = budget.deadline if budget.deadline is None else budget.deadline - budget.remaining + part
+    yield start(problem, wide, best, best.value - allowed / 2.0, generator), Budget(1, stop)
+    if narrow:
+        corners = start(problem, wide, best, best.value - allowed / 8.0, generator)
+        yield mixed(problem, corners, best.value - 0.75 * allowed, generator), budget
+
+
+def mixed(problem: DesignProblem, postures: Array, least: float, generator: np.random.Generator) -> Array:
+    """The postures with random ones in the place of as many of them as the value `least` allows."""
+    plan = np.array(postures)
+    for row, drawn in zip(generator.permutation(len(plan)), pool_of(problem, len(plan), generator), strict=True):
+        trial = np.array(plan)
+        trial[row] = drawn
+        if worth(problem, trial) >= least:
+            plan = trial
+    return plan
 
 
 def with_kept(problem: DesignProblem, postures: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from doe.constraints import InsideBox
-from doe.discriminating import DiscriminatingDesign, discriminating
+from doe.discriminating import DiscriminatingDesign, beginnings, discriminating
 from doe.problem import DesignProblem
 from doe.result import Design
 from doe.solvers import solve
@@ -268,3 +268,27 @@ def test_many_runs_have_a_time_budget_of_their_own(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("doe.discriminating.PATIENCE", 0.1)
     found = designed([-180, -120, -100, -90], [180, 120, 60, 90], 102)
     assert found.design.status is Status.time_limit
+
+
+def test_under_limits_a_second_beginning_away_from_the_corners() -> None:
+    """Random runs, as many as the loss allows; where joints turn all the way there is one beginning only."""
+    arm = Arm(LENGTHS, np.radians([-90.0] * 4), np.radians([90.0] * 4), sigma=0.1)
+    problem = DesignProblem.of(Model(arm))
+    wide, best = widened(problem, arm), solve(problem, 20, seconds=5.0)
+    allowed = -8.0 * np.log(0.9)
+    starts = [plan for plan, _ in beginnings(problem, wide, best, allowed, np.random.default_rng(0), Budget(1))]
+    assert len(starts) == 2
+    assert log_det(starts[1]) >= log_det(best.plan.postures) - 0.75 * allowed - 1e-9
+    inside = [np.mean(np.abs(np.degrees(plan)) < 60.0) for plan in (best.plan.postures, starts[1])]
+    assert inside[1] > inside[0] + 0.1
+    free = Arm(LENGTHS, sigma=0.1)
+    plan = solve(DesignProblem.of(Model(free)), 20)
+    several = beginnings(
+        DesignProblem.of(Model(free)),
+        widened(DesignProblem.of(Model(free)), free),
+        plan,
+        allowed,
+        np.random.default_rng(0),
+        Budget(1),
+    )
+    assert len(list(several)) == 1
