@@ -128,8 +128,8 @@ def search(
     status, bound = Status.local_optimum, np.inf
     try:
         for postures, stop in beginnings(problem, wide, best, allowed, generator, budget):
-            least = best.value - allowed
-            for plan in chain([postures], told_apart(problem, wide, postures, least, generator, stop, progress)):
+            swaps = told_apart(problem, wide, postures, best.value - allowed, generator, stop, progress)
+            for plan in chain([postures], swaps):
                 if (wrong := wide.wrong(plan)) < bound:
                     chosen, bound = plan, wrong
             status = Status.time_limit if stop.out_of_time else status
