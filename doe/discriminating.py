@@ -151,11 +151,10 @@ def beginnings(
     Under joint limits a D-optimal plan stands in the corners, far from plans that tell effects apart: there is a second
     beginning with as many random postures as three quarters of the loss allow.
     """
-    narrow = problem.choices is None and bool(np.any(~turning(problem)))
-    part = budget.remaining / 2.0 if narrow else budget.remaining
+    part = budget.remaining / 2.0 if narrow(problem) else budget.remaining
     stop = budget.deadline if budget.deadline is None else budget.deadline - budget.remaining + part
     yield start(problem, wide, best, best.value - allowed / 2.0, generator), Budget(1, stop)
-    if narrow:
+    if narrow(problem):
         corners = start(problem, wide, best, best.value - allowed / 8.0, generator)
         yield mixed(problem, corners, best.value - 0.75 * allowed, generator), budget
 
@@ -182,8 +181,7 @@ def start(problem: DesignProblem, wide: Wide, best: Design, least: float, genera
     plans = [np.array(best.plan.postures)]
     plans += [plan for plan in theory_plans(problem, runs, generator) if worth(problem, plan) >= least]
     chosen = min(plans, key=wide.wrong)
-    narrow = problem.choices is None and bool(np.any(~turning(problem)))
-    moved = off_the_limits(problem, chosen, least, generator) if narrow else chosen
+    moved = off_the_limits(problem, chosen, least, generator) if narrow(problem) else chosen
     if any(repeats(problem, posture, moved[:row]) for row, posture in enumerate(moved)):
         return spread_free_joints(problem, moved, generator)
     return moved
@@ -210,19 +208,24 @@ def turning(problem: DesignProblem) -> NDArray[np.bool_]:
     return np.asarray(problem.upper - problem.lower >= TURN * (1.0 - 1e-9))
 
 
+def narrow(problem: DesignProblem) -> bool:
+    """True if a joint has limits within which the postures may be chosen freely."""
+    return problem.choices is None and not np.all(turning(problem))
+
+
 def off_the_limits(problem: DesignProblem, postures: Array, least: float, generator: np.random.Generator) -> Array:
     """The postures with the other joints moved by as much as the value `least` allows, turned back at the limits.
 
     On the few angles that D-optimality chooses under limits, ripples of many orders are one and the same column, and
-    some are that of an eccentric encoder. Half of the loss that is allowed is kept for this.
+    some are that of an eccentric encoder. Part of the loss that is allowed is kept for this.
     """
-    narrow = np.flatnonzero(~turning(problem))
-    low, high = problem.lower[narrow], problem.upper[narrow]
+    joints = np.flatnonzero(~turning(problem))
+    low, high = problem.lower[joints], problem.upper[joints]
     for size in MOVES:
         for _ in range(TRIES):
-            angle = postures[:, narrow] + generator.uniform(-size, size, (len(postures), len(narrow)))
+            angle = postures[:, joints] + generator.uniform(-size, size, (len(postures), len(joints)))
             moved = np.array(postures)
-            moved[:, narrow] = np.clip(high - np.abs(high - (low + np.abs(angle - low))), low, high)
+            moved[:, joints] = np.clip(high - np.abs(high - (low + np.abs(angle - low))), low, high)
             if worth(problem, moved) >= least:
                 return moved
     return postures

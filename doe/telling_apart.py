@@ -29,11 +29,11 @@ from identification.progress import Progress, silent
 
 BY_ORDER = frozenset({"time", "directions"})  # what the order of the postures decides, not the postures
 CLOUD, POOL, NEARBY = 512, 1500, 0.15  # postures; neighbours differ by this share of a joint's range
-OUTS, INS, MORE_OUTS = 4, 8, 50
+OUTS, INS, MORE_OUTS = 4, 8, 50  # runs and postures that are tried per derivative; runs where those bring nothing
 MULTIPLIERS = (2.0, 10.0)  # of the derivative of log det where little of it is left to lose
 TIGHT = 0.1  # log det above the least that counts as little
 WORTH_IT, ROUNDS = 1e-3, 5  # gain of the criterion that makes a swap, and ten of it a new pool, worth while
-RANDOM_PLANS = 25
+RANDOM_PLANS = 25  # whose median bound is shown beside a plan's
 
 
 @dataclass(frozen=True)
