@@ -7,11 +7,11 @@ from typing import Any
 
 _PLACES = {
     "D": "doe.criteria",
-    "Design": "doe.result",
-    "DesignProblem": "doe.problem",
-    "Plan": "doe.plan",
-    "load_plan": "doe.plan_file",
-    "score": "doe.result",
+    "Design": "doe.design",
+    "DesignProblem": "doe.problem.problem",
+    "Plan": "doe.plan.plan",
+    "load_plan": "doe.plan.file",
+    "score": "doe.design",
     "score_plan": "doe.solvers",
     "solve": "doe.solvers",
 }

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from doe.problem import DesignProblem
-from doe.result import Design
+from doe.design import Design
+from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from identification.errors import InputError
 from identification.progress import Progress, silent

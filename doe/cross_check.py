@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from doe.approximate import ApproximateDesign
-from doe.closed_form import closed_form_bound
-from doe.problem import DesignProblem
-from doe.result import Design
+from doe.bounds.approximate_design import ApproximateDesign
+from doe.bounds.column_generation import continuous_design
+from doe.bounds.planar_theorem import closed_form_bound
+from doe.design import Design
+from doe.problem.problem import DesignProblem
 from doe.solvers import solve
-from doe.solvers.column_generation import continuous_design
 from identification.errors import JobError
 from identification.status import Status
 

@@ -8,17 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from doe.plan_file import plan_text
-from doe.problem import DesignProblem
-from doe.result import Design
+from doe.design import Design
+from doe.plan.file import plan_text
+from doe.problem.problem import DesignProblem
 from doe.solvers import solve
-from identification.arm import Arm, Array
-from identification.arm_file import load_arm, with_calibration, with_effects
+from identification.arm import Arm
+from identification.arrays import Array
 from identification.estimation import Identification, estimate
-from identification.files import write_whole
+from identification.files.arm import load_arm, with_calibration, with_effects
+from identification.files.io import write_whole
+from identification.files.measurement import measurement_text
 from identification.gap.diagnose import diagnose
-from identification.gap.diagnosis import Diagnosis
-from identification.measurement_file import measurement_text
+from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.progress import Progress, silent

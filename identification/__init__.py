@@ -16,8 +16,8 @@ _PLACES = {  # `simulate` and `compensate` are modules of that name: from identi
     "Model": "identification.model",
     "diagnose": "identification.gap.diagnose",
     "estimate": "identification.estimation",
-    "load_arm": "identification.arm_file",
-    "load_measurements": "identification.measurement_file",
+    "load_arm": "identification.files.arm",
+    "load_measurements": "identification.files.measurement",
 }
 __all__ = sorted(_PLACES)
 

@@ -15,11 +15,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arm import Arm, Array, readonly
+from identification.arm import Arm
+from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.measurements import Conditions, directions_from_order
 from identification.model import Model
-from identification.tape import vectorise
+from identification.vectorize import vectorize
 
 TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close
 SEEDS = 32  # random postures per target where none is given, or where the nominal one leads nowhere
@@ -159,10 +160,10 @@ def _polished(model: Model, goal: Array, starts: Array, conditions: Conditions, 
     """(n,) posture and error: the closest to a goal out of reach, from starts (s, n), within the limits."""
     from scipy.optimize import Bounds, minimize  # only such targets pay for its import
 
-    linearise, rows = _linearisation(model, conditions), np.array([row])
+    linearize, rows = _linearisation(model, conditions), np.array([row])
 
     def squared(q: Array) -> tuple[float, Array]:
-        position, jacobian = linearise(q[None], rows)
+        position, jacobian = linearize(q[None], rows)
         gap = position[0] - goal
         return float(gap @ gap), 2.0 * gap @ jacobian[0]
 
@@ -180,7 +181,7 @@ def inverse_kinematics(model: Model, goals: Array, starts: Array, conditions: Co
     would leave are held.
     """
     lower, upper = model.arm.lower, model.arm.upper
-    linearise = _linearisation(model, conditions)
+    linearize = _linearisation(model, conditions)
     q = np.clip(starts, lower, upper)
     errors = np.linalg.norm(goals - model.position(q, conditions=conditions), axis=1)
     damping, active = np.zeros(len(q)), np.arange(len(q))
@@ -188,11 +189,11 @@ def inverse_kinematics(model: Model, goals: Array, starts: Array, conditions: Co
         active = active[(errors[active] > 1e-3 * TOLERANCE) & (damping[active] < 1e6)]
         if active.size == 0:
             break
-        position, jacobian = linearise(q[active], active)
+        position, jacobian = linearize(q[active], active)
         blocked = (q[active] >= upper) * 1 - (q[active] <= lower)
         step = _step(jacobian, goals[active] - position, damping[active], blocked)
         trial = np.clip(q[active] + step, lower, upper)
-        after = np.linalg.norm(goals[active] - linearise(trial, active)[0], axis=1)
+        after = np.linalg.norm(goals[active] - linearize(trial, active)[0], axis=1)
         better = after < errors[active]
         q[active[better]], errors[active[better]] = trial[better], after[better]
         relaxed = np.where(damping[active] > 1e-6, damping[active] / 10.0, 0.0)
@@ -204,15 +205,15 @@ def _linearisation(model: Model, conditions: Conditions) -> Callable[[Array, Arr
     """Function of postures (k, n) and their row numbers -> positions (k, 2), derivatives by the posture (k, 2, n)."""
     q, c, p, position = model.symbols
     outputs = ca.cse([position, ca.jacobian(position, q)])
-    tape = vectorise(ca.Function("kinematics", [q, c, p], outputs))
+    tape = vectorize(ca.Function("kinematics", [q, c, p], outputs))
     payload = 0.0 if model.arm.gravity is None else model.arm.gravity.payload
 
-    def linearise(postures: Array, rows: Array) -> tuple[Array, Array]:
+    def linearize(postures: Array, rows: Array) -> tuple[Array, Array]:
         table = conditions.rows(rows).table(len(postures), model.arm.links, payload)
         found, jacobian = tape(postures, table, np.broadcast_to(model.values, (len(postures), len(model.values))))
         return found[..., 0], jacobian
 
-    return linearise
+    return linearize
 
 
 def _step(jacobian: Array, error: Array, damping: Array, blocked: Array) -> Array:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import Array, readonly
+from identification.arrays import Array, readonly
 
 RANK_TOLERANCE = 1e-9  # singular values of columns of unit length below this share of the largest are zero
 CLEAR = 1e-8  # smallest eigenvalue of a normal matrix of unit columns that needs no closer look

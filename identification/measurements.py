@@ -10,7 +10,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import MAX_LINKS, Array, ByValue, readonly
+from identification.arm import MAX_LINKS
+from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
 
 

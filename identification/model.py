@@ -18,11 +18,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identification.arm import Arm, Array, EffectSpec
-from identification.effects import Chain, Effect, Parameter, build_all, known_values
+from identification.arm import Arm, EffectSpec
+from identification.arrays import Array
+from identification.effects import Chain, Effect, build_all, known_values
 from identification.errors import InputError, nearest
+from identification.kinematics.parameters import Parameter
 from identification.measurements import Conditions
-from identification.tape import vectorise
+from identification.vectorize import vectorize
 
 DIMENSION = 2  # measured coordinates per posture
 
@@ -174,11 +176,11 @@ class Model:
 
     @cached_property
     def _position(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        return vectorise(self.position_function)
+        return vectorize(self.position_function)
 
     @cached_property
     def _jacobian(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        return vectorise(self.jacobian_function)
+        return vectorize(self.jacobian_function)
 
     # -- batches ---------------------------------------------------------------------------------------------------
     def position(
@@ -194,9 +196,9 @@ class Model:
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
     ) -> Array:
         """(m, 2, p) exact derivative of the positions by the parameters; (K, m, 2, p) for (K, p) parameter sets."""
-        return self.linearise(postures, parameters, conditions)[1]
+        return self.linearize(postures, parameters, conditions)[1]
 
-    def linearise(
+    def linearize(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
     ) -> tuple[Array, Array]:
         """Positions (..., m, 2) and Jacobians (..., m, 2, p) in one pass."""

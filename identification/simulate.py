@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.arm import Arm, Array
+from identification.arm import Arm
+from identification.arrays import Array
 from identification.effects import build, build_all
 from identification.effects.noise import NoiseEffect, Scene
 from identification.errors import InputError

@@ -27,11 +27,11 @@ def command(
 ) -> Answer:
     """Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy."""
     from doe.advise import advise
-    from doe.problem import DesignProblem
+    from doe.problem.problem import DesignProblem
     from doe.report.advice import advice_figure, advice_tables
     from doe.report.pictures import save
-    from identification.arm_file import load_arm
-    from identification.files import check_writable
+    from identification.files.arm import load_arm
+    from identification.files.io import check_writable
     from identification.model import Model
 
     loaded = load_arm(arm)

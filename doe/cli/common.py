@@ -89,7 +89,7 @@ class Session:
 
 def read_measurements(path: Path, arm: Arm) -> Measurements:
     """The measurements of an arm; warns where the units look wrong."""
-    from identification.measurement_file import load_measurements, unit_warnings
+    from identification.files.measurement import load_measurements, unit_warnings
 
     measurements = load_measurements(path, arm.links)
     for sentence in unit_warnings(measurements, arm):

@@ -66,14 +66,14 @@ def command(
     best value known. With --repeats 10 --starts 1 that is the share of good starts.
     """
     one_thread_each()
-    from doe.compare import Comparison, compare, problem_of, summary
-    from doe.executors import choose
+    from doe.jobs.row_table import RowTable
+    from doe.jobs.workers import choose
     from doe.report.comparison import comparison_tables
-    from doe.rows import RowTable
     from doe.solvers import library
     from doe.solvers.driver import check_runs
-    from identification.arm_file import load_arm
+    from doe.studies.comparison import Comparison, compare, problem_of, summary
     from identification.errors import InputError
+    from identification.files.arm import load_arm
 
     if resume and out is None:
         raise InputError("--resume: needs --out, allowed: the folder of an earlier comparison")
@@ -116,10 +116,10 @@ def write_results(out: Path, rows) -> None:  # type: ignore[no-untyped-def]  # p
     """Summary and pictures beside the rows."""
     import io
 
-    from doe.compare import summary
     from doe.report.comparison import profile_figure, time_figure
     from doe.report.page import svg
-    from identification.files import PathLike, write_together
+    from doe.studies.comparison import summary
+    from identification.files.io import PathLike, write_together
 
     buffer = io.BytesIO()
     summary(rows).write_parquet(buffer)

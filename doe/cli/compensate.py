@@ -17,11 +17,11 @@ from doe.cli.common import FILE, Answer, Session, force_option, out_option, verb
 def command(session: Session, calibrated: Path, targets: Path, out: Path | None, force: bool) -> Answer:
     """Joint commands that reach TARGETS (x_mm,y_mm or nominal q1_deg..) on the CALIBRATED arm."""
     from doe.report.identification_tables import compensation_tables
-    from identification.arm_file import load_arm
     from identification.compensate import compensate
     from identification.errors import InputError
-    from identification.files import check_writable, write_whole
-    from identification.target_file import commands_text, load_targets
+    from identification.files.arm import load_arm
+    from identification.files.io import check_writable, write_whole
+    from identification.files.target import commands_text, load_targets
 
     arm = load_arm(calibrated)
     if arm.calibration is None and not any(effect.values for effect in arm.effects):

@@ -19,7 +19,7 @@ def command(session: Session, out: Path | None, force: bool) -> Answer:
     from doe.report.overview import overview_figure
     from doe.report.pictures import save
     from identification.errors import JobError
-    from identification.files import write_whole
+    from identification.files.io import write_whole
 
     directory = next_free(Path("armcal-demo")) if out is None else out
     make_directory(directory, force)

@@ -61,12 +61,12 @@ def command(
     from dataclasses import replace
 
     from doe.cli.problems import problem_of
-    from doe.order import check_order, ordered
-    from doe.plan_file import plan_text
+    from doe.plan.file import plan_text
+    from doe.plan.order import check_order, ordered
     from doe.report.tables import design_tables, order_line
     from doe.solvers import solve
-    from identification.arm_file import load_arm
-    from identification.files import check_writable, write_whole
+    from identification.files.arm import load_arm
+    from identification.files.io import check_writable, write_whole
 
     check_used(click.get_current_context())
     loaded = load_arm(arm)
@@ -91,8 +91,8 @@ def command(
     extra: list[Any] = []
     with session.progress("design") as progress:
         if discriminating:
-            from doe.discriminating import discriminating as search
-            from doe.report.preflight_tables import discriminating_data, discriminating_tables
+            from doe.discrimination.design import discrimination_design as search
+            from doe.report.detectability_tables import discriminating_data, discriminating_tables
 
             found = search(problem, loaded, runs, loss=loss, progress=progress, **effort)
             design, data, extra = found.design, discriminating_data(found), discriminating_tables(found)

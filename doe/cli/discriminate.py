@@ -20,11 +20,11 @@ def command(
     session: Session, arm: Path, data: Path, runs: int, payloads: str | None, out: Path | None, force: bool
 ) -> Answer:
     """The next RUNS postures that tell the candidates of an ambiguous diagnosis apart, with their chance of success."""
-    from doe.discriminate import discriminate
+    from doe.discrimination.t_optimal import discriminate
     from doe.report.next_postures import missing_payload, next_data, next_tables, next_text
-    from identification.arm_file import load_arm
     from identification.errors import InputError
-    from identification.files import check_writable, write_whole
+    from identification.files.arm import load_arm
+    from identification.files.io import check_writable, write_whole
     from identification.gap.diagnose import diagnose
 
     loaded = load_arm(arm)

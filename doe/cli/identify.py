@@ -18,9 +18,9 @@ from doe.cli.common import FILE, Answer, Session, force_option, out_option, read
 def command(session: Session, arm: Path, data: Path, method: str | None, out: Path | None, force: bool) -> Answer:
     """Estimate the arm's parameters from measurements, with 95 % intervals."""
     from doe.report.identification_tables import identification_tables
-    from identification.arm_file import load_arm, with_calibration
     from identification.estimation import estimate
-    from identification.files import check_writable, read_text, write_whole
+    from identification.files.arm import load_arm, with_calibration
+    from identification.files.io import check_writable, read_text, write_whole
     from identification.model import Model
 
     loaded = load_arm(arm)

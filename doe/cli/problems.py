@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from doe.problem import DesignProblem
+    from doe.problem.problem import DesignProblem
     from identification.arm import Arm
 
 
@@ -28,8 +28,8 @@ def problem_of(
     import numpy as np
 
     from doe.criteria import criterion
-    from doe.plan_file import load_plan
-    from doe.problem import DesignProblem
+    from doe.plan.file import load_plan
+    from doe.problem.problem import DesignProblem
     from identification.model import Model
 
     check_needed(criterion_name, test_poses=test_poses, subset=subset)
@@ -51,8 +51,8 @@ def problem_of(
     problem = DesignProblem.of(model, criterion=chosen, **options)
     if uncertain is None:
         return problem
-    from doe.uncertain import prior_draws
-    from doe.uncertain import uncertain as over_prior
+    from doe.problem.bayesian import ensemble_problem as over_prior
+    from doe.problem.bayesian import prior_draws
 
     return over_prior(problem, prior_draws(model, draws, np.random.default_rng(seed)), uncertain)
 
@@ -71,9 +71,9 @@ def check_needed(criterion_name: str, *, test_poses: Path | None, subset: str | 
 
 def allowed_postures(path: Path, arm: Arm) -> Any:
     """(N, n) postures of a candidate file. Raises `InputError` if none is within limits and constraints."""
-    from doe.candidates import listed
-    from doe.plan_file import load_plan
-    from doe.problem import DesignProblem
+    from doe.plan.file import load_plan
+    from doe.problem.candidates import listed
+    from doe.problem.problem import DesignProblem
     from identification.errors import InputError
     from identification.model import Model
 
@@ -87,8 +87,8 @@ def allowed_postures(path: Path, arm: Arm) -> Any:
 
 def measured_postures(path: Path, arm: Arm) -> Any:
     """(k, n) postures of a measurement file, or of a plan that is carried out already."""
-    from identification.measurement_file import read_postures
-    from identification.table import read_table
+    from identification.files.csv import read_table
+    from identification.files.measurement import read_postures
 
     return read_postures(read_table(path), arm.links)
 

@@ -34,13 +34,13 @@ def command(
     force: bool,
 ) -> Answer:
     """Optimal weights over candidate postures, with a certificate recomputed from the weights and a cross-check."""
+    from doe.bounds.relaxation import relax
     from doe.cli.problems import problem_of
     from doe.cross_check import cross_check
-    from doe.plan_file import load_plan, plan_text
+    from doe.plan.file import load_plan, plan_text
     from doe.report.approximate import cross_check_table, relax_tables
-    from doe.solvers.relaxation import relax
-    from identification.arm_file import load_arm
-    from identification.files import check_writable, write_whole
+    from identification.files.arm import load_arm
+    from identification.files.io import check_writable, write_whole
 
     loaded = load_arm(arm)
     check_writable(out, force)

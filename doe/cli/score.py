@@ -18,15 +18,15 @@ from doe.cli.common import FILE, Answer, Session, force_option, verb
 @force_option
 def command(session: Session, arm: Path, plan: Path, picture: Path | None, aliases: Path | None, force: bool) -> Answer:
     """Score a PLAN of your own: efficiency against the bound, expected deviations, and which effects it could show."""
-    from doe.plan_file import load_plan
-    from doe.problem import DesignProblem
-    from doe.report.preflight_tables import preflight_tables
+    from doe.plan.file import load_plan
+    from doe.problem.problem import DesignProblem
+    from doe.report.detectability_tables import preflight_tables
     from doe.report.tables import design_tables
     from doe.solvers import score_plan
-    from identification.arm_file import load_arm
     from identification.errors import InputError
-    from identification.files import check_writable
-    from identification.gap.preflight import preflight
+    from identification.files.arm import load_arm
+    from identification.files.io import check_writable
+    from identification.gap.detectability import detectability
     from identification.model import Model
 
     loaded = load_arm(arm)
@@ -43,7 +43,7 @@ def command(session: Session, arm: Path, plan: Path, picture: Path | None, alias
         found = f"{len(design.outside)} of {len(given)} runs are outside joint limits or constraints, the first is run"
         warnings.warn(f"{plan}: {found} {design.outside[0]}: no bound holds for this plan", UserWarning, stacklevel=2)
     try:
-        sees = preflight(loaded, given.postures)
+        sees = detectability(loaded, given.postures)
     except InputError as error:  # too few runs to test for effects is a fact about the plan, not bad input
         if aliases is not None:
             raise InputError(f"--aliases: {plan}: {error}") from error

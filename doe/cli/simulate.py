@@ -27,11 +27,11 @@ def command(session: Session, arm: Path, plan: Path, truth: Path, out: Path, for
     """
     import numpy as np
 
-    from doe.plan_file import load_plan, load_plan_conditions
-    from identification.arm_file import load_arm
+    from doe.plan.file import load_plan, load_plan_conditions
     from identification.errors import InputError
-    from identification.files import write_whole
-    from identification.measurement_file import measurement_text
+    from identification.files.arm import load_arm
+    from identification.files.io import write_whole
+    from identification.files.measurement import measurement_text
     from identification.simulate import simulate
 
     loaded, true_arm = load_arm(arm), load_arm(truth)

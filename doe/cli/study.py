@@ -56,8 +56,8 @@ def command(
     blocks.parquet and plans.parquet; notebooks read them with polars.
     """
     one_thread_each()
-    from doe.executors import choose
-    from doe.study.named import STUDIES
+    from doe.jobs.workers import choose
+    from doe.studies.registry import STUDIES
     from identification.errors import InputError, nearest
 
     if study not in STUDIES and not study.endswith(".toml"):
@@ -76,8 +76,8 @@ def _from_file(path: Path, folder: Path, replications: int | None, options: dict
     from typing import Any, cast
 
     from doe.report.study import study_tables
-    from doe.study import load_study, run_study
-    from doe.study.monte_carlo import CELLS, require_some
+    from doe.studies.monte_carlo import load_study, run_study
+    from doe.studies.monte_carlo.study import CELLS, require_some
 
     study = load_study(path)
     if replications is not None:
@@ -92,7 +92,7 @@ def _from_file(path: Path, folder: Path, replications: int | None, options: dict
 def _named(name: str, folder: Path, options: dict[str, object]) -> Answer:
     from typing import Any, cast
 
-    from doe.study.named import named
+    from doe.studies.registry import named
 
     result = named(name)(folder=folder, **cast(Any, options))
     data = {"out": folder, "passed": result.passed, **{key: frame.to_dicts() for key, frame in result.frames.items()}}

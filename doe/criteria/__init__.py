@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from doe.criteria.a import A
-from doe.criteria.base import Criterion
+from doe.criteria.criterion import Criterion
 from doe.criteria.d import D
 from doe.criteria.d_s import Ds
 from doe.criteria.d_star import DStar
 from doe.criteria.e import E, PowerMean
 from doe.criteria.i import I
-from identification.arm import Array
+from identification.arrays import Array
 from identification.errors import InputError, nearest
 
 __all__ = ["NAMES", "A", "Criterion", "D", "DStar", "Ds", "E", "I", "PowerMean", "criterion"]

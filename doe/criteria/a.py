@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.criteria.inverse_trace import InverseTrace
-from identification.arm import Array
+from identification.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doe.criteria import principal_blocks
-from identification.arm import Array
+from doe.criteria import principal_submatrices
+from identification.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class D:
 
     def value(self, information: Array) -> Array:
         """(...) log det M, -inf where M is singular."""
-        return principal_blocks.value(information, _everything(information))
+        return principal_submatrices.value(information, _everything(information))
 
     def gradient(self, information: Array) -> Array:
         """(p, p) M^-1."""
@@ -26,11 +26,11 @@ class D:
 
     def curvature(self, information: Array, directions: Array) -> Array:
         """-tr(M^-1 X_a M^-1 X_b)."""
-        return principal_blocks.curvature(information, directions, _everything(information))
+        return principal_submatrices.curvature(information, directions, _everything(information))
 
     def values_after_adding(self, information: Array, blocks: Array) -> Array:
         """log det(A + B^T B) - log det A = log det(I_d + B A^-1 B^T): d x d determinants only."""
-        return principal_blocks.values_after_adding(information, blocks, _everything(information))
+        return principal_submatrices.values_after_adding(information, blocks, _everything(information))
 
     def upper_bound(self, information: Array, largest: float) -> float:
         """log det M + p log(max d / p): from log det N - log det M <= p log(tr(M^-1 N) / p) (arithmetic-geometric)."""
@@ -42,5 +42,5 @@ class D:
         return float(np.exp((value - bound) / parameters))
 
 
-def _everything(information: Array) -> list[principal_blocks.Term]:
+def _everything(information: Array) -> list[principal_submatrices.Term]:
     return [(1.0, np.arange(information.shape[-1]))]

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doe.criteria import principal_blocks
-from identification.arm import Array
+from doe.criteria import principal_submatrices
+from identification.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -22,28 +22,28 @@ class Ds:
 
     def value(self, information: Array) -> Array:
         """(...) log det of the subset's information, -inf where M is singular."""
-        return principal_blocks.value(information, self._terms(information))
+        return principal_submatrices.value(information, self._terms(information))
 
     def gradient(self, information: Array) -> Array:
         """(p, p) M^-1 less M_22^-1 in its place."""
-        return principal_blocks.gradient(information, self._terms(information))
+        return principal_submatrices.gradient(information, self._terms(information))
 
     def curvature(self, information: Array, directions: Array) -> Array:
         """(k, k) second derivative along symmetric directions."""
-        return principal_blocks.curvature(information, directions, self._terms(information))
+        return principal_submatrices.curvature(information, directions, self._terms(information))
 
     def values_after_adding(self, information: Array, blocks: Array) -> Array:
         """(s, c) gain of adding a posture's block."""
-        return principal_blocks.values_after_adding(information, blocks, self._terms(information))
+        return principal_submatrices.values_after_adding(information, blocks, self._terms(information))
 
     def upper_bound(self, information: Array, largest: float) -> float:
         """Phi(M) + s log(max tr(G N) / s), s parameters in the subset."""
-        return principal_blocks.upper_bound(float(self.value(information)), largest, float(len(self.subset)))
+        return principal_submatrices.upper_bound(float(self.value(information)), largest, float(len(self.subset)))
 
     def efficiency(self, value: float, bound: float, parameters: int) -> float:
         """exp((value - bound) / s)."""
         return float(np.exp((value - bound) / len(self.subset)))
 
-    def _terms(self, information: Array) -> list[principal_blocks.Term]:
+    def _terms(self, information: Array) -> list[principal_submatrices.Term]:
         everything = np.arange(information.shape[-1])
         return [(1.0, everything), (-1.0, np.setdiff1d(everything, self.subset))]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doe.criteria import principal_blocks
-from identification.arm import Array
+from doe.criteria import principal_submatrices
+from identification.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -34,23 +34,23 @@ class DStar:
 
     def value(self, information: Array) -> Array:
         """(...) sum of log det of the blocks, -inf where M is singular."""
-        return principal_blocks.value(information, self._terms)
+        return principal_submatrices.value(information, self._terms)
 
     def gradient(self, information: Array) -> Array:
         """(p, p) inverses of the blocks, in their places."""
-        return principal_blocks.gradient(information, self._terms)
+        return principal_submatrices.gradient(information, self._terms)
 
     def curvature(self, information: Array, directions: Array) -> Array:
         """(k, k) second derivative along symmetric directions."""
-        return principal_blocks.curvature(information, directions, self._terms)
+        return principal_submatrices.curvature(information, directions, self._terms)
 
     def values_after_adding(self, information: Array, blocks: Array) -> Array:
         """(s, c) gain of adding a posture's block."""
-        return principal_blocks.values_after_adding(information, blocks, self._terms)
+        return principal_submatrices.values_after_adding(information, blocks, self._terms)
 
     def upper_bound(self, information: Array, largest: float) -> float:
         """Phi(M) + s log(max tr(G N) / s), s parameters in the groups."""
-        return principal_blocks.upper_bound(float(self.value(information)), largest, self._size)
+        return principal_submatrices.upper_bound(float(self.value(information)), largest, self._size)
 
     def efficiency(self, value: float, bound: float, parameters: int) -> float:
         """exp((value - bound) / s)."""
@@ -58,8 +58,8 @@ class DStar:
 
     @property
     def _size(self) -> float:
-        return principal_blocks.size(self._terms)
+        return principal_submatrices.size(self._terms)
 
     @property
-    def _terms(self) -> list[principal_blocks.Term]:
+    def _terms(self) -> list[principal_submatrices.Term]:
         return [(1.0, np.array(group)) for group in self.groups]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.criteria.inverse_trace import SINGULAR, inverses_after_adding
-from identification.arm import Array
+from identification.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class E:
         return PowerMean(exponent=32.0)
 
     @property
-    def quick(self) -> PowerMean:
+    def surrogate(self) -> PowerMean:
         """What exchange compares postures by: without an eigenvalue problem for each of them."""
         return PowerMean(exponent=8.0)
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from doe.criteria.inverse_trace import InverseTrace
-from identification.arm import Array, readonly
+from identification.arrays import Array, readonly
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.arm import Array
+from identification.arrays import Array
 
-RIDGE = 1e-9  # see `principal_blocks.RIDGE`
+RIDGE = 1e-9  # see `principal_submatrices.RIDGE`
 SINGULAR = 1e-13  # reciprocal condition number below which a matrix has no inverse worth the name
 
 

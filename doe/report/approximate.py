@@ -8,7 +8,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from doe.approximate import ApproximateDesign
+from doe.bounds.approximate_design import ApproximateDesign
 from doe.cross_check import CrossCheck
 from doe.report.tables import number
 

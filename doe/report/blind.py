@@ -11,13 +11,13 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from doe.report.pictures import save
-from identification.arm import Array
+from identification.arrays import Array
 
 if TYPE_CHECKING:
     import polars
     from matplotlib.figure import Figure
 
-    from doe.study.blind_score import BlindStudy
+    from doe.studies.blind.score import BlindStudy
 
 COLUMNS = {
     "alarm": "alarm",

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.table import Table
 
-from doe.compare import PROBLEM, SETTING, summary, with_hits
-from identification.arm import Array
+from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
+from identification.arrays import Array
 
 if TYPE_CHECKING:
     import polars

@@ -7,9 +7,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from doe.report.pictures import AFTER, BEFORE, draw_residual_arrows
-from identification.arm import Array
-from identification.gap.diagnosis import Diagnosis
-from identification.gap.preflight import Preflight
+from identification.arrays import Array
+from identification.gap.detectability import Detectability
+from identification.gap.result import Diagnosis
 
 COLUMNS = 3
 BINS = 12
@@ -67,14 +67,14 @@ def workspace_figure(diagnosis: Diagnosis) -> Figure:
     return figure
 
 
-def alias_figure(preflight: Preflight) -> Figure:
+def alias_figure(detectability: Detectability) -> Figure:
     """Heat map: how much of one effect (row) another one (column) explains on this plan, base model projected off."""
-    size = len(preflight.names)
+    size = len(detectability.names)
     figure = Figure(figsize=(3.2 + 0.27 * size, 2.2 + 0.27 * size), layout="constrained")
     axis = figure.subplots()
-    image = axis.imshow(preflight.likeness, vmin=0.0, vmax=1.0, cmap="magma_r")
-    axis.set_xticks(range(size), preflight.names, rotation=90, fontsize=7)
-    axis.set_yticks(range(size), preflight.names, fontsize=7)
+    image = axis.imshow(detectability.likeness, vmin=0.0, vmax=1.0, cmap="magma_r")
+    axis.set_xticks(range(size), detectability.names, rotation=90, fontsize=7)
+    axis.set_yticks(range(size), detectability.names, fontsize=7)
     axis.set_title("likeness of effects on these postures: 1 = cannot be told apart", fontsize=9)
     figure.colorbar(image, ax=axis, shrink=0.7)
     return figure

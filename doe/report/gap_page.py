@@ -11,7 +11,7 @@ from rich.text import Text
 from doe.report.gap_figures import against_figure, alias_figure, workspace_figure
 from doe.report.page import Section, Sheet, page
 from doe.report.tables import number
-from identification.gap.diagnosis import Candidate, Diagnosis, Estimate
+from identification.gap.result import Candidate, Diagnosis, Estimate
 
 MOST_TRIALS = 12
 
@@ -125,7 +125,7 @@ def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
             "What these postures can and cannot tell",
             " ".join(["Sizes of effects that would have been found, and which effects look alike.", *notes]),
             [excluded_sheet(diagnosis), alias_sheet(diagnosis)],
-            [alias_figure(diagnosis.preflight)],
+            [alias_figure(diagnosis.detectability)],
         ),
     ]
 

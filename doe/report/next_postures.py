@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from rich.table import Table
 from rich.text import Text
 
-from doe.discriminate import NextPostures
+from doe.discrimination.t_optimal import NextPostures
 from identification.arm import Arm
-from identification.gap.diagnosis import Diagnosis
-from identification.measurement_file import csv_text, posture_columns
+from identification.files.measurement import csv_text, posture_columns
+from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 
 

@@ -123,7 +123,7 @@ def figure_2_picture(data: polars.DataFrame) -> Figure:
 def write_pictures(folder: Path, first: polars.DataFrame, second: polars.DataFrame) -> None:
     """figure_1.svg and figure_2.svg in the folder."""
     from doe.report.page import svg
-    from identification.files import write_whole
+    from identification.files.io import write_whole
 
     write_whole(folder / "figure_1.svg", svg(figure_1_picture(first)), force=True)
     write_whole(folder / "figure_2.svg", svg(figure_2_picture(second)), force=True)

@@ -10,11 +10,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from doe.certificate import sensitivity
-from doe.problem import DesignProblem
-from identification.arm import Arm, Array, KeepOutCircle, LineOfSight, WorkspaceBox
+from doe.bounds.equivalence import sensitivity
+from doe.problem.problem import DesignProblem
+from identification.arm import Arm, KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.arrays import Array
 from identification.errors import InputError
-from identification.files import write_whole
+from identification.files.io import write_whole
 
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.table import Table
 
-from doe.study.monte_carlo import CELL, StudyResult
+from doe.studies.monte_carlo.study import CELL, StudyResult
 
 MOST = 12  # cells shown; the files have all
 

@@ -8,9 +8,9 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from doe.order import Ordered
-from doe.result import Design
-from doe.solvers.base import distance_to_keep
+from doe.design import Design
+from doe.plan.order import Ordered
+from doe.plan.replicate_spacing import distance_to_keep
 from identification.arm import Arm
 
 

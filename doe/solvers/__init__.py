@@ -12,22 +12,22 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.bound import Bound
-from doe.candidates import listed
-from doe.closed_form import closed_form_bound
-from doe.plan import Plan
-from doe.problem import DesignProblem
-from doe.result import Design, given_plan, score
-from doe.solvers.analytic import Analytic, NearlyAnalytic
-from doe.solvers.base import Budget, Offer, Solver
-from doe.solvers.driver import Search, check_runs, finish, run_search, worth
+from doe.bounds.bound import Bound
+from doe.bounds.planar_theorem import closed_form_bound
+from doe.design import Design, given_plan, score
+from doe.plan.plan import Plan
+from doe.problem.candidates import listed
+from doe.problem.feasible import random_postures
+from doe.problem.problem import DesignProblem
+from doe.solvers.driver import Search, check_runs, feasible_value, finish, run_search
 from doe.solvers.exchange import Exchange
 from doe.solvers.exchange_ipopt import ExchangeIpopt
-from doe.solvers.feasible import random_postures
 from doe.solvers.fedorov import Fedorov
 from doe.solvers.ipopt import Ipopt
+from doe.solvers.planar_theory import Analytic, NearlyAnalytic
 from doe.solvers.random import Random
-from doe.solvers.relax_round import RelaxRound
+from doe.solvers.relaxation_rounding import RelaxRound
+from doe.solvers.solver import Budget, Offer, Solver
 from identification.errors import InputError, JobError, nearest
 from identification.information import identifiability
 from identification.progress import Progress, silent
@@ -161,7 +161,7 @@ def with_true_bound(design: Design) -> Design:
     bound = design.bound
     if bound is None or design.value <= bound.value + BEATEN * max(1.0, abs(bound.value)):
         return design
-    from doe.solvers.column_generation import continuous_bound
+    from doe.bounds.column_generation import continuous_bound
 
     try:
         again = continuous_bound(design.problem, runs=len(design.plan), also=design.plan.postures)
@@ -185,7 +185,7 @@ def _told(design: Design, throw: bool) -> Design:
     """The design, if it is allowed and tells all parameters; else a `JobError` that says what no plan could do."""
     problem = design.problem
     tells_all = bool(np.isfinite(design.value))
-    if tells_all and np.isfinite(worth(problem, design.plan.postures)):
+    if tells_all and np.isfinite(feasible_value(problem, design.plan.postures)):
         return design
     if not throw:
         return design if tells_all else replace(design, status=Status.not_identifiable)
@@ -235,7 +235,7 @@ def known_bound(problem: DesignProblem, runs: int) -> Bound | None:
     closed = closed_form_bound(problem)
     if closed is not None and not problem.constraints and problem.choices is None:
         return closed
-    from doe.solvers.column_generation import column_generation, continuous_bound  # scipy: 0.3 s to import
+    from doe.bounds.column_generation import column_generation, continuous_bound  # scipy: 0.3 s to import
 
     if not problem.searched_joints:
         return Bound(problem.objective(np.tile(problem.lower, (runs, 1))), "continuous", rigorous=True)

@@ -7,7 +7,8 @@ with B_i = B(q_i), K the measured postures' part, N = m + k. By the chain rule, 
     df/dq_ia            = (2/N) tr(G B_i^T dB_i/dq_a)
     d2f/dq_ia dq_kb     = D^2 Phi[X_ia, X_kb] + (2/N) [i = k] ( tr(G dB_a^T dB_b) + tr(G B^T d2B_ab) )
 
-B and its derivatives come from CasADi, once per problem, and run over all postures at once (`identification.tape`).
+B and its derivatives come from CasADi, once per problem, and run over all postures at once
+(`identification.vectorize`).
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from doe.criteria.base import Criterion, smooth
-from doe.problem import DesignProblem
-from identification.arm import Array
+from doe.criteria.criterion import Criterion, smooth
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
 from identification.information import information_matrix
-from identification.tape import vectorise
+from identification.vectorize import vectorize
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class PlanFunction:
         block = self.problem.block_function(q)
         first = ca.jacobian(ca.vec(block.T), active)  # rows of B one after the other
         second = ca.jacobian(ca.vec(first), active)
-        return vectorise(ca.Function("derivatives", [q], ca.cse([block, first, second])))
+        return vectorize(ca.Function("derivatives", [q], ca.cse([block, first, second])))
 
 
 @dataclass(frozen=True)
@@ -152,4 +153,4 @@ class ConstraintFunction:
         active = q[list(self.joints)]
         first = ca.jacobian(values, active)
         second = ca.jacobian(ca.vec(first), active)
-        return vectorise(ca.Function("constraints", [q], ca.cse([values, first, second])))
+        return vectorize(ca.Function("constraints", [q], ca.cse([values, first, second])))

@@ -12,14 +12,14 @@ from time import perf_counter
 
 import numpy as np
 
-from doe.bound import Bound
-from doe.certificate import REACHED
-from doe.plan import Plan
-from doe.problem import DesignProblem
-from doe.result import Design
-from doe.solvers.base import Budget, Offer, Solver, room_for_alike
-from doe.solvers.distinct import separated, spread_free_joints, too_near
-from identification.arm import Array
+from doe.bounds.bound import Bound
+from doe.bounds.equivalence import REACHED
+from doe.design import Design
+from doe.plan.plan import Plan
+from doe.plan.replicate_spacing import replicates_allowed, separated, spread_free_joints, too_near
+from doe.problem.problem import DesignProblem
+from doe.solvers.solver import Budget, Offer, Solver
+from identification.arrays import Array
 from identification.errors import InputError, JobError
 from identification.progress import Progress
 from identification.status import Status
@@ -46,7 +46,7 @@ def run_search(
     try:
         for offer in offers:
             postures = separated(problem, problem.clip(offer.postures))
-            offered = worth(problem, postures)
+            offered = feasible_value(problem, postures)
             starts += offer.starts
             if best is None or offered > value:
                 agreeing = 0 if offered > value + AGREES else agreeing
@@ -63,7 +63,7 @@ def run_search(
     return Search(best, value, status or Status.starts_finished, starts)
 
 
-def worth(problem: DesignProblem, postures: Array) -> float:
+def feasible_value(problem: DesignProblem, postures: Array) -> float:
     """Criterion value of a plan, -inf if a posture breaks a constraint or repeats another that it may not repeat."""
     if not problem.feasible(postures).all() or len(too_near(problem, postures)):
         return -np.inf
@@ -102,7 +102,7 @@ def most_postures(problem: DesignProblem, runs: int) -> float:
 
     Boxes of half the distance's side around the postures do not overlap, and one axis holds width / distance + 1.
     """
-    alike = room_for_alike(problem)
+    alike = replicates_allowed(problem)
     if alike >= runs:
         return np.inf
     joints = list(problem.searched_joints)

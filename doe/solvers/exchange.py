@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.criteria.base import quick, values_after_adding
-from doe.problem import DesignProblem
-from doe.solvers.base import Budget, Offer, distance_to_keep
-from doe.solvers.feasible import random_grid
-from identification.arm import Array
+from doe.criteria.criterion import surrogate, values_after_adding
+from doe.plan.replicate_spacing import distance_to_keep
+from doe.problem.feasible import random_grid
+from doe.problem.problem import DesignProblem
+from doe.solvers.solver import Budget, Offer
+from identification.arrays import Array
 from identification.information import information_matrix
 
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
@@ -85,7 +86,7 @@ class Search:
     def __init__(self, problem: DesignProblem, grid: Array, plans: Array) -> None:
         self.problem, self.grid, self.plans = problem, grid, plans
         self.distance = distance_to_keep(problem, plans.shape[1])
-        self.criterion = quick(problem.criterion)
+        self.criterion = surrogate(problem.criterion)
         self.blocks = problem.blocks(plans)
         kept = problem.kept
         self.measured = 0.0 if kept is None or not len(kept) else information_matrix(problem.blocks(kept))

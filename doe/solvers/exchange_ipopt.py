@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from doe.problem import DesignProblem
-from doe.solvers.base import Budget, Offer
+from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import TOGETHER, Exchange
 from doe.solvers.ipopt import Climber, Ipopt
-from identification.arm import Array
+from doe.solvers.solver import Budget, Offer
+from identification.arrays import Array
 
 MOST = 1500  # variables of IPOPT, whose second derivatives are dense: more are left to the exchange
 SAME = 1e-7  # exchange plans of the same value are taken for the same plan up to symmetry, and polished once
@@ -31,7 +31,7 @@ class ExchangeIpopt:
     ipopt: Ipopt = field(default_factory=lambda: Ipopt(warm=True))
     polished: int = 5
     elite: int = 10
-    thrown: float = 0.25
+    redrawn: float = 0.25
     name: str = "exchange_ipopt"
 
     def starts_for(self, problem: DesignProblem) -> int:
@@ -67,7 +67,7 @@ class ExchangeIpopt:
 
     def _varied(self, plans: Array, best: list[Array], generator: np.random.Generator) -> Array:
         """(s, m, n) best plans, a random one each, with a share of their runs replaced by those of `plans`."""
-        kept = generator.random(plans.shape[:2]) > self.thrown
+        kept = generator.random(plans.shape[:2]) > self.redrawn
         return np.where(kept[..., None], np.array(best)[generator.integers(len(best), size=len(plans))], plans)
 
     def _elite(self, best: list[tuple[float, Array]], value: float, plan: Array) -> list[tuple[float, Array]]:

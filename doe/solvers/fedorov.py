@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.candidates import listed
-from doe.criteria.base import quick, values_after_adding
-from doe.problem import DesignProblem
-from doe.solvers.base import Budget, Offer
+from doe.criteria.criterion import surrogate, values_after_adding
+from doe.problem.candidates import listed
+from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import IMPROVEMENT, SWEEPS, products
-from identification.arm import Array
+from doe.solvers.solver import Budget, Offer
+from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import information_matrix
 
@@ -85,7 +85,7 @@ class State:
         kept = problem.kept
         self.measured = 0.0 if kept is None or not len(kept) else information_matrix(problem.blocks(kept))
         self.total = chosen.shape[1] + (0 if kept is None else len(kept))
-        self.criterion = quick(problem.criterion)
+        self.criterion = surrogate(problem.criterion)
         self.running = np.arange(len(chosen))
         self.information = self._sum()
         self.values = np.asarray(self.criterion.value(self.information))

@@ -9,12 +9,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from doe.problem import DesignProblem
-from doe.solvers.base import Budget, Offer, free_values
-from doe.solvers.callbacks import Guarded, Stop, interrupts_noted
+from doe.plan.replicate_spacing import free_values
+from doe.problem.feasible import random_postures
+from doe.problem.problem import DesignProblem
 from doe.solvers.derivatives import ConstraintFunction, PlanFunction
-from doe.solvers.feasible import random_postures
-from identification.arm import Array
+from doe.solvers.ipopt_callbacks import Guarded, Stop, interrupts_noted
+from doe.solvers.solver import Budget, Offer
+from identification.arrays import Array
 
 NEAR_LIMIT = 1e-5  # [rad] an interior point method ends this near to a limit that is active; it is put on it
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doe.problem import DesignProblem
-from doe.solvers.base import Budget, Offer
-from doe.solvers.feasible import random_postures
+from doe.problem.feasible import random_postures
+from doe.problem.problem import DesignProblem
+from doe.solvers.solver import Budget, Offer
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
-from identification.effects.base import Chain, Effect, Parameter, register
+from identification.effects.base import Chain, Effect, register
+from identification.kinematics.parameters import Parameter
 
 
 @register

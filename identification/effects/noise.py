@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.arm import Array
-from identification.effects.base import Effect, Parameter, register
+from identification.arrays import Array
+from identification.effects.base import Effect, register
+from identification.kinematics.parameters import Parameter
 
 
 @dataclass(frozen=True)

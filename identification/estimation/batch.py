@@ -16,16 +16,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arm import Array
+from identification.arrays import Array
 from identification.errors import InputError, JobError
 from identification.estimation.estimate import check, weighting
 from identification.estimation.individual import individual
-from identification.estimation.linear import as_complex, design, parameters_of
+from identification.estimation.planar_linear import as_complex, design, parameters_of
 from identification.estimation.problem import GRADIENT_TOLERANCE, ROUNDING, Problem
 from identification.information import identifiability_of, information_matrix, spectrum
 from identification.measurements import Measurements
 from identification.model import DIMENSION, Model
-from identification.tape import vectorise
+from identification.vectorize import vectorize
 
 CHUNK = 20_000  # rows (data sets times postures) at a time: the arrays of one pass stay in the processor's cache
 SHARED_STEPS = 12
@@ -73,7 +73,7 @@ def estimate_batch(
     measured = np.asarray(positions, dtype=float)
     problem = _problem(model, plan, measured, weights)
     lost = identifiability_of(
-        spectrum(problem.linearise(problem.start)[1], model.scales, problem.tolerance), model.names, model.scales
+        spectrum(problem.linearize(problem.start)[1], model.scales, problem.tolerance), model.names, model.scales
     )
     if lost.combinations:
         raise JobError(f"the plan cannot tell apart: {'; '.join(lost.combinations)}")
@@ -151,7 +151,7 @@ def _starts(problem: Problem, measured: Array) -> Array:
     base = Model(model.arm.with_effects())
     if model.names[: 2 * n] == base.names:
         without = replace(problem, model=base)
-        if spectrum(without.linearise(without.start)[1], base.scales).rank == 2 * n:
+        if spectrum(without.linearize(without.start)[1], base.scales).rank == 2 * n:
             starts[:, : 2 * n] = _closed_form(without, measured).parameters
     return starts
 
@@ -160,7 +160,7 @@ class _Shared:
     """The inverse normal matrix at one point, and exact gradients anywhere."""
 
     def __init__(self, problem: Problem, center: Array) -> None:
-        _, jacobian = problem.linearise(center)
+        _, jacobian = problem.linearize(center)
         self.lengths = np.linalg.norm(jacobian, axis=0)
         scaled = jacobian / self.lengths
         self.inverse = np.linalg.inv(information_matrix(scaled[:, None, :])) / self.lengths  # for scaled gradients
@@ -168,7 +168,7 @@ class _Shared:
         payload = 0.0 if model.arm.gravity is None else model.arm.gravity.payload
         self._table = problem.conditions.table(len(data), data.links, payload)
         self._postures, self._weights = data.postures, problem.weights
-        self._tape = vectorise(gradient_function(model))
+        self._tape = vectorize(gradient_function(model))
 
     def gradient(self, measured: Array, parameters: Array) -> tuple[Array, Array]:
         """(k, p) J^T W r / column lengths, and (k,) weighted sums of squares, for components-first (2, k, m) data."""

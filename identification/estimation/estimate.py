@@ -8,11 +8,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identification.arm import Array
+from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
 from identification.estimation.gauss_newton import gauss_newton
-from identification.estimation.linear import linear
 from identification.estimation.paper_steps import paper_steps
+from identification.estimation.planar_linear import linear
 from identification.estimation.problem import Fit, Problem
 from identification.estimation.result import Identification
 from identification.information import RANK_TOLERANCE, Identifiability, Spectrum, identifiability_of, spectrum
@@ -118,7 +118,7 @@ def weighting(
 def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Fit, Spectrum]:
     """Fits; and fits again without the combinations whose deviation turns out too large to mean anything."""
     fit = METHODS[method](problem)
-    residuals, jacobian = problem.linearise(fit.parameters)
+    residuals, jacobian = problem.linearize(fit.parameters)
     found = spectrum(jacobian, problem.model.scales, problem.tolerance)
     sigma = noise.sigma or _estimated(residuals, found.rank) or 0.0
     reach = float(np.sum(problem.model.arm.lengths))
@@ -127,7 +127,7 @@ def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Fit, Spectrum]:
         return fit, found
     problem = problem.with_tolerance(min(useful, 0.1))
     fit = METHODS[method](problem)
-    return fit, spectrum(problem.linearise(fit.parameters)[1], problem.model.scales, problem.tolerance)
+    return fit, spectrum(problem.linearize(fit.parameters)[1], problem.model.scales, problem.tolerance)
 
 
 def _estimated(residuals: Array, rank: int) -> float | None:

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import Array
-from identification.estimation.linear import linear
+from identification.arrays import Array
+from identification.estimation.planar_linear import linear
 from identification.estimation.problem import GRADIENT_TOLERANCE, Fit, Problem
 from identification.measurements import Measurements
 from identification.model import Model
@@ -52,15 +52,15 @@ def gauss_newton(problem: Problem) -> Fit:
     costs = [_cost(problem, x) for x in candidates]
     x, cost, damping = candidates[int(np.argmin(costs))], min(costs), 0.0
     for iteration in range(MAX_ITERATIONS):
-        residuals, jacobian = problem.linearise(x)
+        residuals, jacobian = problem.linearize(x)
         norm = float(np.linalg.norm(residuals))
         held = pressed(problem, x, jacobian.T @ residuals)
-        step = linearised(problem, held, residuals, jacobian)
+        step = linearized(problem, held, residuals, jacobian)
         if step.stationary(GRADIENT_TOLERANCE * norm + problem.rounding):
             return Fit(x, Status.converged, iteration)
         while np.any(out := outward(problem, x, step.move(x, damping))):
             held |= out
-            step = linearised(problem, held, residuals, jacobian)
+            step = linearized(problem, held, residuals, jacobian)
         allowance = 2.0 * norm * problem.rounding  # rounding may hide the descent of the last steps
         x, cost, damping = descend(problem, step, x, cost + allowance, damping)
         if damping > MAX_DAMPING:
@@ -113,7 +113,7 @@ def outward(problem: Problem, x: Array, moved: Array) -> NDArray[np.bool_]:
     return ((x <= lower) & (moved < lower)) | ((x >= upper) & (moved > upper))
 
 
-def linearised(problem: Problem, held: NDArray[np.bool_], residuals: Array, jacobian: Array) -> Step:
+def linearized(problem: Problem, held: NDArray[np.bool_], residuals: Array, jacobian: Array) -> Step:
     """The decomposed problem over the parameters that are free to move."""
     sizes = np.linalg.norm(jacobian, axis=0) / problem.model.scales
     free = np.flatnonzero(~held & (sizes > 1e-9 * sizes.max()))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import Array
+from identification.arrays import Array
 from identification.estimation.gauss_newton import MAX_DAMPING, MAX_ITERATIONS
 from identification.estimation.problem import GRADIENT_TOLERANCE, ROUNDING, Problem
 from identification.measurements import Conditions
@@ -74,7 +74,7 @@ def _cost(problem: Problem, plans: Plans, measured: Array, parameters: Array) ->
 
 def _normal_equations(problem: Problem, plans: Plans, measured: Array, parameters: Array) -> tuple[Array, Array, Array]:
     """(k, p, p) E^T E, (k, p) E^T r and (k, p) column lengths of the weighted Jacobian, E of unit columns."""
-    position, jacobian = problem.model.linearise(plans.postures, parameters, plans.conditions)
+    position, jacobian = problem.model.linearize(plans.postures, parameters, plans.conditions)
     k, m, d, p = jacobian.shape
     rows = (problem.root_weights[:, :, None] * jacobian).reshape(k, m * d, p)
     residuals = (problem.root_weights * (measured - position)).reshape(k, m * d)

@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arm import Array
+from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation.batch import BatchFit
 from identification.estimation.individual import Plans, individual
-from identification.estimation.linear import Complex, as_complex, design, parameters_of
+from identification.estimation.planar_linear import Complex, as_complex, design, parameters_of
 from identification.estimation.problem import Problem
 from identification.information import full_rank
 from identification.measurements import Conditions, Measurements, directions_from_order, session_time

@@ -27,7 +27,7 @@ def paper_steps(problem: Problem) -> Fit:
     errors = np.zeros(len(model.parameters))  # Step 1
     enough = STEP_TOLERANCE * float(np.sum(model.arm.lengths))
     for iteration in range(1, MAX_ITERATIONS + 1):
-        residuals, jacobian = problem.linearise(errors)  # Step 2
+        residuals, jacobian = problem.linearize(errors)  # Step 2
         scaled = np.linalg.lstsq(jacobian / model.scales, residuals, rcond=problem.tolerance)[0]  # Step 3, eq. 11
         errors = errors + scaled / model.scales  # Step 4
         if not np.all(np.isfinite(errors)):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.arm import Array
+from identification.arrays import Array
 from identification.information import RANK_TOLERANCE
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
@@ -74,8 +74,8 @@ class Problem:
         position = self.model.position(self.measurements.postures, parameters, self.conditions)
         return (self.root_weights * (self.measurements.positions - position)).ravel()
 
-    def linearise(self, parameters: Array) -> tuple[Array, Array]:
+    def linearize(self, parameters: Array) -> tuple[Array, Array]:
         """(2m,) weighted residuals and (2m, p) weighted Jacobian of the positions."""
-        position, jacobian = self.model.linearise(self.measurements.postures, parameters, self.conditions)
+        position, jacobian = self.model.linearize(self.measurements.postures, parameters, self.conditions)
         rows = self.root_weights[:, :, None] * jacobian
         return (self.root_weights * (self.measurements.positions - position)).ravel(), rows.reshape(-1, rows.shape[-1])

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtri, stdtrit
 
-from identification.arm import Arm, Array, Calibration, readonly
+from identification.arm import Arm, Calibration
+from identification.arrays import Array, readonly
 from identification.information import orientation_transform
 from identification.model import Model
 from identification.status import Status

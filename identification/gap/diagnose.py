@@ -7,24 +7,26 @@ from types import MappingProxyType
 
 import numpy as np
 
-from identification.arm import Arm, Array, Calibration, readonly
-from identification.effects import Chain, Parameter
+from identification.arm import Arm, Calibration
+from identification.arrays import Array, readonly
+from identification.effects import Chain
 from identification.errors import InputError
-from identification.gap.confirm import Gap, check_holdout, check_same_arm, confirm, residuals
-from identification.gap.diagnosis import Candidate, Diagnosis, Estimate, Residuals, Trial
+from identification.gap.detectability import EXACT, NEAR, Detectability, assess, require_spare
 from identification.gap.fit import Fit
+from identification.gap.holdout import Gap, check_holdout, check_same_arm, confirm, residuals
 from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses
-from identification.gap.investigate import Findings, investigate
 from identification.gap.noise import repeat_finding
-from identification.gap.preflight import EXACT, NEAR, Preflight, assess, require_spare
-from identification.gap.select import ALPHA_NEXT, CAREFUL, Choice, Search, trial_of
+from identification.gap.result import Candidate, Diagnosis, Estimate, Residuals, Trial
+from identification.gap.selection import ALPHA_NEXT, STRICTER, Choice, Search, trial_of
 from identification.gap.whitening import Rows
+from identification.gap.workflow import Findings, investigate
+from identification.kinematics.parameters import Parameter
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.progress import Progress, silent
 
 STEPS = 8
-FEWEST_DRAWS = round(1.0 / (ALPHA_NEXT * CAREFUL)) - 1  # the strictest level must be within reach: p >= 1/(draws + 1)
+FEWEST_DRAWS = round(1.0 / (ALPHA_NEXT * STRICTER)) - 1  # the strictest level must be within reach: p >= 1/(draws + 1)
 
 
 def diagnose(
@@ -81,7 +83,7 @@ def diagnose(
         excluded=before.detectable,
         gap=gap,
         trials=trial_list(found),
-        preflight=before,
+        detectability=before,
         residuals=show_residuals(arm, measurements, found.search.fit(()), found.search.fit(chosen)),
         sigma=found.search.fit(chosen).sigma,
         notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap)),
@@ -124,13 +126,13 @@ def verdict(found: Findings) -> str:
     return "ambiguous" if len(found.selection.rivals) > 1 else "named"
 
 
-def assess_data(library: HypothesisSet, found: Findings) -> Preflight:
+def assess_data(library: HypothesisSet, found: Findings) -> Detectability:
     """What these data could show beside the base model, at the noise they really have."""
     search = found.search
     base = search.fit(())
     jacobian = base.model.jacobian(search.rows.postures, base.values, search.rows.conditions)
     sigma = search.fit(found.unknown.chosen).sigma
-    return assess(library, search.rows, jacobian, base.by_name, sigma, found.selection.first.gate.threshold)
+    return assess(library, search.rows, jacobian, base.by_name, sigma, found.selection.first.omnibus_test.threshold)
 
 
 def candidate_list(found: Findings, draws: int, generator: np.random.Generator) -> tuple[Candidate, ...]:
@@ -184,7 +186,7 @@ def _calibration(found: Fit, covariance: Array) -> Calibration:
     )
 
 
-def alias_list(before: Preflight, candidates: tuple[Candidate, ...]) -> tuple[tuple[str, str, float], ...]:
+def alias_list(before: Detectability, candidates: tuple[Candidate, ...]) -> tuple[tuple[str, str, float], ...]:
     """Near and exact aliases of the candidates' effects on these data, and the effects that can never be seen."""
     named = {key for c in candidates for key in c.effects}
     pairs = [pair for pair in before.pairs(NEAR) if pair[0] in named]
@@ -232,7 +234,11 @@ def trial_list(found: Findings) -> tuple[Trial, ...]:
     best: dict[str, Trial] = {}
     for k, h in enumerate(test.members):
         trial = Trial(
-            h.key, float(test.gate.f[k]), float(test.gate.p[k]), float(test.gate.adjusted[k]), float(test.change[k])
+            h.key,
+            float(test.omnibus_test.f[k]),
+            float(test.omnibus_test.p[k]),
+            float(test.omnibus_test.adjusted[k]),
+            float(test.change[k]),
         )
         if h.key not in best or trial.delta_bic < best[h.key].delta_bic:
             best[h.key] = trial
@@ -261,7 +267,7 @@ def torques(arm: Arm, measurements: Measurements) -> Array:
     """(m, n) gravity torques [N m]."""
     import casadi as ca
 
-    from identification.tape import vectorise
+    from identification.vectorize import vectorize
 
     n = arm.links
     q, c = ca.SX.sym("q", n), ca.SX.sym("c", 3 + n)
@@ -269,7 +275,7 @@ def torques(arm: Arm, measurements: Measurements) -> Array:
     function = ca.Function("torques", [q, c], [ca.densify(chain.torques)])
     payload = 0.0 if arm.gravity is None else arm.gravity.payload
     table = measurements.conditions.table(len(measurements), n, payload)
-    return np.asarray(vectorise(function)(measurements.postures, table)[0][..., 0])
+    return np.asarray(vectorize(function)(measurements.postures, table)[0][..., 0])
 
 
 def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measurements | None, gap: Gap) -> list[str]:

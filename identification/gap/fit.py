@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from identification.arm import Array
-from identification.gap.linear import basis
+from identification.arrays import Array
+from identification.gap.f_tests import basis
 from identification.gap.whitening import Rows
 from identification.model import Model
 
@@ -127,7 +127,7 @@ def _spread(model: Model, ties: Sequence[Sequence[str]]) -> Array:
 
 
 def _linearise(model: Model, rows: Rows, values: Array) -> tuple[Array, Array]:
-    position, jacobian = model.linearise(rows.postures, values, rows.conditions)
+    position, jacobian = model.linearize(rows.postures, values, rows.conditions)
     return rows.whiten(rows.positions - position), rows.whiten(jacobian)
 
 

@@ -14,11 +14,12 @@ from itertools import product
 import casadi as ca
 import numpy as np
 
-from identification.arm import Arm, Array, EffectSpec
+from identification.arm import Arm, EffectSpec
+from identification.arrays import Array
 from identification.effects import Chain, Effect, build, build_all, library
 from identification.gap.whitening import Rows
 from identification.model import Model
-from identification.tape import vectorise
+from identification.vectorize import vectorize
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ class HypothesisSet:
 
     @cached_property
     def _scan(self) -> Callable[..., tuple[Array, ...]]:
-        return vectorise(_angle_function(self.arm, tuple(h.effect for h in self.scanned)))
+        return vectorize(_angle_function(self.arm, tuple(h.effect for h in self.scanned)))
 
     def slopes(self, rows: Rows) -> Array:
         """(m, S) derivative of the joint angles by the parameters of the scanned hypotheses, which need no fit."""

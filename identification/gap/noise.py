@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from identification.arm import Array
+from identification.arrays import Array
+from identification.gap.f_tests import basis
 from identification.gap.fit import Fit
-from identification.gap.linear import basis
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 
@@ -94,7 +94,7 @@ def scatter_tests(
     Every statistic is a quadratic form of the residuals; its distribution under white Gaussian noise is drawn with the
     same projection off the Jacobian, so it is exact whatever the degrees of freedom.
     """
-    position, jacobian = found.model.linearise(rows.postures, found.values, rows.conditions)
+    position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
     residual, columns = rows.whiten(rows.positions - position), rows.whiten(jacobian)
     q = basis(columns)
     drawn = generator.standard_normal((len(residual), DRAWS))
@@ -109,7 +109,7 @@ def scatter_tests(
     return p, values, forms, sample
 
 
-def calm(found: Fit, rows: Rows, generator: np.random.Generator) -> bool:
+def homoscedastic(found: Fit, rows: Rows, generator: np.random.Generator) -> bool:
     """True if nothing hints at noise that is larger at some postures."""
     return min(holm(scatter_tests(found, rows, generator)[0]).values()) > HINT
 
@@ -170,7 +170,7 @@ def whitened(rows: Rows, found: Fit, findings: tuple[Finding, ...]) -> Rows:
         if finding.name == "serial_correlation":
             rows = replace(rows, correlation=finding.size)
             continue
-        position, jacobian = found.model.linearise(rows.postures, found.values, rows.conditions)
+        position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
         form = _oriented(variance_forms(rows, position, jacobian)[finding.name], finding.size < 0.0)
         values, vectors = np.linalg.eigh(form)
         deviations = np.sqrt(1.0 + abs(finding.size) * np.maximum(values, 0.0))

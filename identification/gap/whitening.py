@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import Array
+from identification.arrays import Array
 from identification.measurements import Conditions, Measurements
 
 

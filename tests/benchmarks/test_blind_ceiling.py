@@ -21,10 +21,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from doe.discriminating import discriminating
-from doe.problem import DesignProblem
+from doe.discrimination.design import discrimination_design
+from doe.problem.problem import DesignProblem
+from doe.studies.blind import simulator as blind
 from identification.model import Model
-from tests.identification.gap import blind
 
 COUNT = 400
 PHASES = np.arange(24) * 2.0 * np.pi / 24
@@ -85,7 +85,7 @@ def planned(cell: str, seed: int) -> np.ndarray | None:
     if asked is None:
         return None
     arm, runs = asked
-    return discriminating(DesignProblem.of(Model(arm)), arm, runs).design.plan.postures
+    return discrimination_design(DesignProblem.of(Model(arm)), arm, runs).design.plan.postures
 
 
 def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, blind.Truth]:

@@ -13,8 +13,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from doe.studies.blind.simulator import CELLS, CellSpec, case
 from identification.gap.diagnose import diagnose
-from tests.identification.gap.blind import CELLS, CellSpec, case
 from tests.identification.gap.test_ur10 import ARM, FILE, load
 
 pytestmark = pytest.mark.benchmark

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from doe.executors import processes, serial
-from doe.plan import Plan
-from doe.study import Fitted, Study, run_study
-from doe.study.paper import LENGTHS, paper_arm, paper_truth
+from doe.jobs.workers import processes, serial
+from doe.plan.plan import Plan
+from doe.studies.monte_carlo import Fitted, Study, run_study
+from doe.studies.paper.tables import LENGTHS, paper_arm, paper_truth
 from identification.arm import EffectSpec
 
 pytestmark = pytest.mark.benchmark

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from doe.criteria import criterion
-from doe.problem import DesignProblem
+from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from identification.arm import Arm, EffectSpec
-from identification.measurement_file import load_measurements
+from identification.files.measurement import load_measurements
 from identification.measurements import Measurements
 from identification.model import Model
 

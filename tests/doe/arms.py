@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from doe.problem import DesignProblem
+from doe.problem.problem import DesignProblem
 from identification.arm import Arm, EffectSpec
 from identification.model import Model
 

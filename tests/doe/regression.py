@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.problem import DesignProblem
-from identification.arm import Array
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from doe.bounds.relaxation import relax
 from doe.cross_check import cross_check
-from doe.problem import DesignProblem
-from doe.solvers.relaxation import relax
+from doe.problem.problem import DesignProblem
 from identification.arm import Arm
 from identification.model import Model
 from identification.status import Status

@@ -261,7 +261,7 @@ def test_parameter_sets_broadcast_like_single_calls() -> None:
     arm = random_arm(generator, 4, [spec("encoder_eccentricity", 2), spec("base_drift", None)])
     model, postures, conditions, values = random_case(generator, arm, 6)
     sets = values * generator.uniform(0, 1, (5, len(values)))
-    position, jacobian = model.linearise(postures, sets, conditions)
+    position, jacobian = model.linearize(postures, sets, conditions)
     assert position.shape == (5, 6, 2)
     assert jacobian.shape == (5, 6, 2, len(values))
     for k in range(5):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from doe.criteria import NAMES, A, Criterion, D, Ds, DStar, E, I, PowerMean, criterion
-from doe.criteria.base import values_after_adding
+from doe.criteria.criterion import values_after_adding
 from identification.errors import InputError
 
 P = 6

@@ -7,7 +7,7 @@ import pytest
 from doe.solvers import solve
 from identification.arm import Arm
 from tests.doe.arms import FIVE, FOUR, SIX, problem
-from tests.doe.test_closed_form import complex_log_det
+from tests.doe.bounds.test_planar_theorem import complex_log_det
 
 
 @pytest.mark.parametrize("runs", [4, 8, 12, 16, 20])

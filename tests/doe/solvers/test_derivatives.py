@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.problem import DesignProblem
+from doe.problem.problem import DesignProblem
 from doe.solvers.derivatives import PlanFunction
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
 

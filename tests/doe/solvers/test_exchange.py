@@ -7,11 +7,11 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
-from doe.bound import Bound
+from doe.bounds.bound import Bound
 from doe.criteria import D
-from doe.criteria.base import values_after_adding
+from doe.criteria.criterion import values_after_adding
 from doe.solvers import Exchange, solve
-from doe.solvers.base import Budget
+from doe.solvers.solver import Budget
 from identification.arm import Arm
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
 

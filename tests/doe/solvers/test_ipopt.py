@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from doe.bound import Bound
+from doe.bounds.bound import Bound
 from doe.solvers import Ipopt, solve
-from doe.solvers.base import Budget
 from doe.solvers.derivatives import PlanFunction
 from doe.solvers.ipopt import Climber
+from doe.solvers.solver import Budget
 from identification.status import Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, problem
 

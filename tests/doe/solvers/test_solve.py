@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from doe.bound import Bound
-from doe.problem import DesignProblem
+from doe.bounds.bound import Bound
+from doe.problem.problem import DesignProblem
 from doe.solvers import Offer, score_plan, solve
 from doe.solvers.driver import AGREEMENT
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError, JobError
 from identification.status import Status
 from tests.doe.arms import FIVE, FOUR, OFFSET, problem
-from tests.doe.test_closed_form import complex_log_det, factorial
+from tests.doe.bounds.test_planar_theorem import complex_log_det, factorial
 
 GOOD = factorial(FOUR, offset=False)
 POOR = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (8, 4))

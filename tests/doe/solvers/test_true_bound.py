@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem, solve
-from doe.bound import Bound
-from doe.closed_form import closed_form_log_det
+from doe.bounds.bound import Bound
+from doe.bounds.planar_theorem import closed_form_log_det
 from doe.solvers import with_true_bound
 from identification.arm import Arm, EffectSpec
 from identification.model import Model

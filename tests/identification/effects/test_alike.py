@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.arm import Arm, Calibration, EffectSpec, readonly
-from identification.arm_file import dump_arm, load_arm, with_calibration, with_effects
+from identification.arm import Arm, Calibration, EffectSpec
+from identification.arrays import readonly
 from identification.errors import InputError
 from identification.estimation import estimate
+from identification.files.arm import dump_arm, load_arm, with_calibration, with_effects
 from identification.gap.hypotheses import hypotheses
 from identification.measurements import Measurements
 from identification.model import Model

@@ -57,7 +57,7 @@ def test_converged_means_stationary(name: str) -> None:
     positions = batch(model, postures, 300, 1.0)
     fits = estimate_batch(model, postures, positions)
     conditions = Measurements(postures, positions[0]).conditions
-    position, jacobian = model.linearise(postures, fits.parameters, conditions)
+    position, jacobian = model.linearize(postures, fits.parameters, conditions)
     residuals = positions - position
     cosines = np.einsum("kmdp,kmd->kp", jacobian, residuals) / np.linalg.norm(jacobian, axis=(1, 2))
     cosines /= np.linalg.norm(residuals, axis=(1, 2))[:, None]

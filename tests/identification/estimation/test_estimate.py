@@ -13,8 +13,8 @@ from scipy import stats
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_batch
+from identification.files.measurement import load_measurements
 from identification.information import information_matrix
-from identification.measurement_file import load_measurements
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.status import Status

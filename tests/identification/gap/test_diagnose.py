@@ -9,16 +9,16 @@ from functools import cache
 import numpy as np
 import pytest
 
+from doe.studies.blind import simulator as blind
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import library
 from identification.errors import InputError
 from identification.gap.diagnose import describe, diagnose
-from identification.gap.diagnosis import Diagnosis
 from identification.gap.hypotheses import hypotheses
-from identification.gap.select import Search
+from identification.gap.result import Diagnosis
+from identification.gap.selection import Search
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
-from tests.identification.gap import blind
 
 RNG = np.random.default_rng(11)
 TRUTH = replace(blind.random_truth(RNG, 3), sigma=0.05)
@@ -271,7 +271,7 @@ def test_poor_data_do_not_crash() -> None:
     constant = replace(data, temperature=np.full(60, 21.0), directions=np.ones((60, 3)))
     assert diagnose(ARM, constant, draws=399).verdict == "none"
     repeated = data.rows(np.repeat(np.arange(8), 6))
-    assert diagnose(ARM, repeated, draws=399).preflight.freedom == 96 - 6
+    assert diagnose(ARM, repeated, draws=399).detectability.freedom == 96 - 6
 
 
 @pytest.mark.parametrize("m", [6, 7, 8])
@@ -285,7 +285,7 @@ def test_hardly_any_rows_do_not_crash(m: int) -> None:
         found = diagnose(
             Arm([260.0, 180.0, 120.0, 100.0]), Measurements(q, np.column_stack([p.real, p.imag])), draws=399
         )
-        assert found.preflight.freedom == 2 * m - 8
+        assert found.detectability.freedom == 2 * m - 8
 
 
 def test_one_link_lists_its_exact_aliases() -> None:

@@ -20,7 +20,7 @@ ARM = Arm([300.0, 200.0, 150.0])
 def _measured(seed: int, m: int = 60, kind: str = "white") -> Measurements:
     rng = np.random.default_rng(seed)
     q = rng.uniform(-np.pi, np.pi, (m, 3))
-    position, jacobian = Model(ARM).linearise(q)
+    position, jacobian = Model(ARM).linearize(q)
     e = 0.1 * rng.normal(size=(m, 2))
     if kind == "joint":
         e += jacobian[:, :, 3 + 1] * (0.002 * rng.normal(size=m))[:, None]  # joint 2
@@ -88,7 +88,7 @@ def test_outliers_are_found_and_only_they() -> None:
         positions[wrong] += 1.5 * np.column_stack([np.cos(angle), np.sin(angle)])  # 15 sigma
         rows, model = Rows.of(replace(measurements, positions=positions)), Model(ARM)
         found = fit(model, rows, links_start(model, rows))
-        flagged = outliers(*model.linearise(rows.postures, found.values), rows)
+        flagged = outliers(*model.linearize(rows.postures, found.values), rows)
         hits += flagged[wrong].all()
         false += flagged.sum() - flagged[wrong].sum()
     assert hits == 30  # 15 sigma against a limit of 6

@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec
 from identification.gap.diagnose import diagnose
-from identification.gap.diagnosis import Diagnosis
+from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 
 FILE = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "measurements.csv"

@@ -1,0 +1,227 @@
+"""Approximate designs: weights on postures, what they are worth, and how three independent answers compare.
+
+Everything here is recomputed from the stored problem; no number of a solver is passed on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from doe.bounds.bound import Bound
+from doe.criteria import D
+from doe.plan.plan import Plan
+from doe.problem.candidates import Candidates, chunks
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.information import information_matrix
+from identification.status import Status
+
+KEPT_ENTRIES = 4_000_000  # of candidates' blocks that are kept between passes: 32 MB
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """How new postures enter the information per run: M = share * sum_i w_i B_i^T B_i + offset.
+
+    Without kept postures share = 1 and offset = None. With k of them and m new runs, share = m / (m + k) and
+    offset = (sum over the kept of B^T B) / (m + k). M stays a convex mixture of atoms F_i = share B_i^T B_i + offset,
+    so the equivalence theorem holds as it stands.
+    """
+
+    share: float = 1.0
+    offset: Array | None = None
+
+    @classmethod
+    def of(cls, problem: DesignProblem, runs: int | None = None) -> Mixture:
+        """The mixture of a problem; `runs`, the number of new runs, is needed where postures are kept."""
+        if problem.kept is None or not len(problem.kept):
+            return cls()
+        if runs is None or runs < 1:
+            raise InputError(f"runs: {runs}, allowed: >= 1, the number of new runs beside the measured ones")
+        total = runs + len(problem.kept)
+        return cls(runs / total, information_matrix(problem.blocks(problem.kept)) / total)
+
+    def information(self, blocks: Array, weights: Array) -> Array:
+        """(p, p) M of (k, d, p) blocks with weights (k,)."""
+        matrix = self.share * information_matrix(blocks, weights)
+        return matrix if self.offset is None else matrix + self.offset
+
+    def posture_information(self, blocks: Array) -> Array:
+        """(k, p, p) F_i, what a design with all its weight on one posture would have."""
+        each = self.share * (np.swapaxes(blocks, 1, 2) @ blocks)
+        return each if self.offset is None else each + self.offset
+
+    def sensitivities(self, blocks: Array, gradient: Array) -> Array:
+        """(k,) g_i = tr(G F_i); the paper's literature calls it d for G = M^-1."""
+        values = self.share * np.einsum("kda,kda->k", blocks @ gradient, blocks)
+        return values if self.offset is None else values + float(np.sum(gradient * self.offset))
+
+
+@dataclass(frozen=True)
+class ApproximateDesign:
+    """Weights on postures, with a certificate over the design space that was searched.
+
+    plan : the support and its weights;  criterion : name
+    value : criterion value of the plan;  log_det : log det M'
+    gap : max over the design space of tr(G F) - tr(G M); for D that is max d - p. Zero exactly at the optimum
+    bound : no design of the space is better; None where the solver's status is not `converged`
+    efficiency_lower_bound : share 0..1 that the weights reach at least, recomputed from them alone
+    status : how the solver ended;  solver_status : in its own word;  candidates : how many, None: continuous
+    """
+
+    plan: Plan
+    criterion: str
+    value: float
+    log_det: float
+    gap: float
+    bound: Bound | None
+    efficiency_lower_bound: float
+    status: Status
+    solver_status: str
+    solver: str
+    candidates: int | None
+    seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's JSON keys of `relax`; angles in degrees."""
+        return {
+            "candidates": self.candidates,
+            "criterion": self.criterion,
+            "value": _finite(self.value),
+            "log_det": _finite(self.log_det),
+            "bound": None if self.bound is None else self.bound.as_dict(),
+            "gap": _finite(self.gap),
+            "efficiency_lower_bound": _finite(self.efficiency_lower_bound),
+            "support": [
+                {"posture_deg": np.degrees(posture).tolist(), "weight": float(weight)}
+                for posture, weight in zip(self.plan.postures, self.plan.shares, strict=True)
+            ],
+            "solver": self.solver,
+            "status": self.status.name,
+            "solver_status": self.solver_status,
+            "seconds": self.seconds,
+        }
+
+    def __str__(self) -> str:
+        where = "the continuous set" if self.candidates is None else f"{self.candidates} candidates"
+        return (
+            f"{self.criterion}-optimal weights on {len(self.plan)} postures of {where} ({self.solver}, "
+            f"{self.seconds:.3g} s)\n  value {self.value:.10g}, bound {self.bound or 'none'}, gap {self.gap:.2g}, "
+            f"efficiency >= {self.efficiency_lower_bound:.10g}\n  {self.status.name}: {self.status.value}"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{w:.4f}</td>" + "".join(f"<td>{a:.2f}</td>" for a in np.degrees(q)) + "</tr>"
+            for q, w in zip(self.plan.postures, self.plan.shares, strict=True)
+        )
+        head = "".join(f"<th>q{j + 1} [deg]</th>" for j in range(self.plan.links))
+        return f"<pre>{self}</pre><table><tr><th>weight</th>{head}</tr>{rows}</table>"
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def proper_weights(weights: Array) -> Array:
+    """A solver's weights made into a design: negative ones (rounding) to zero, sum to one.
+
+    Raises InputError where nothing positive is left.
+    """
+    clipped = np.maximum(np.asarray(weights, dtype=float), 0.0)
+    total = float(clipped.sum())
+    if not np.isfinite(total) or total <= 0.0:
+        raise InputError(f"weights: their sum is {total}, allowed: finite weights >= 0 that sum to one")
+    return clipped / total
+
+
+@dataclass(frozen=True)
+class CandidateBlocks:
+    """Candidates chunk by chunk with their blocks, which are kept from one pass to the next where they are few."""
+
+    problem: DesignProblem
+    candidates: Candidates
+    _kept: list[tuple[Array, Array]] = field(default_factory=list, repr=False)
+
+    def __iter__(self) -> Iterator[tuple[Array, Array]]:
+        """Postures (k, n) and blocks (k, d, p) of chunk after chunk."""
+        if self._kept:
+            yield from self._kept
+            return
+        entries = len(self.candidates) * self.problem.model.dimension * self.problem.parameters
+        made = ((postures, self.problem.blocks(postures)) for _, postures in chunks(self.candidates))
+        if entries > KEPT_ENTRIES:
+            yield from made
+            return
+        self._kept.extend(made)
+        yield from self._kept
+
+
+def sensitivities(blocks: CandidateBlocks, gradient: Array, mixture: Mixture) -> Iterator[tuple[Array, Array]]:
+    """Per chunk of candidates: postures (k, n) and g (k,) = tr(G F). Never more than one chunk of values in memory."""
+    root = np.linalg.cholesky(gradient) if _positive(gradient) else None
+    constant = 0.0 if mixture.offset is None else float(np.sum(gradient * mixture.offset))
+    for postures, some in blocks:
+        if root is None:
+            yield postures, mixture.sensitivities(some, gradient)
+            continue
+        k, d, p = some.shape
+        half = (some.reshape(k * d, p) @ root).reshape(k, -1)  # tr(L L^T B^T B) = |B L|^2
+        yield postures, mixture.share * np.einsum("ij,ij->i", half, half) + constant
+
+
+def _positive(gradient: Array) -> bool:
+    return bool(np.linalg.eigvalsh(gradient)[0] > 1e-14 * np.trace(gradient))
+
+
+def largest_sensitivity(problem: DesignProblem, candidates: Candidates, gradient: Array, mixture: Mixture) -> float:
+    """max over the candidates of g = tr(G F), all of them visited, their blocks computed afresh."""
+    fresh = CandidateBlocks(problem, candidates)
+    return max(float(g.max()) for _, g in sensitivities(fresh, gradient, mixture))
+
+
+def assess(
+    problem: DesignProblem,
+    mixture: Mixture,
+    plan: Plan,
+    largest: float,
+    *,
+    gradient: Array | None = None,
+    candidates: int | None,
+    rigorous: bool,
+    status: Status,
+    solver: str,
+    solver_status: str,
+    seconds: float,
+) -> ApproximateDesign:
+    """What a weighted plan is worth, given `largest` >= max tr(G F) over the design space, G = `gradient`.
+
+    gradient : (p, p), default the criterion's at the plan; E-optimality needs the one of its dual problem
+    A status other than `converged` gives no bound: the optimum was not reached, and the gap says by how much. The gap
+    and the efficiency hold for any weights, whoever made them.
+    """
+    information = mixture.information(problem.blocks(plan.postures), plan.shares)
+    criterion = problem.criterion
+    slope = criterion.gradient(information) if gradient is None else gradient
+    value = float(criterion.value(information))
+    proven = criterion.upper_bound(information, largest)
+    source = "continuous" if candidates is None else "grid"
+    return ApproximateDesign(
+        plan,
+        criterion.name,
+        value,
+        float(D().value(information)),
+        largest - float(np.sum(slope * information)),
+        Bound(proven, source, rigorous) if status is Status.converged else None,
+        criterion.efficiency(value, proven, problem.parameters),
+        status,
+        solver_status,
+        solver,
+        candidates,
+        seconds,
+    )

@@ -1,0 +1,223 @@
+"""Column generation: optimal weights on few postures, priced against very many, or against all of the joint box.
+
+The loop is in `working_set`. Here is what it is fed with: all of a million candidates, chunk by chunk, or the climbs of
+`doe.bounds.continuous` over every posture there is; and what the end is worth: a gap on the plan that is reported,
+proven by `doe.bounds.branch_and_bound` where the model allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import perf_counter
+
+import numpy as np
+
+from doe.bounds.approximate_design import (
+    ApproximateDesign,
+    CandidateBlocks,
+    Mixture,
+    assess,
+    largest_sensitivity,
+    sensitivities,
+)
+from doe.bounds.bound import Bound
+from doe.bounds.branch_and_bound import maximum
+from doe.bounds.continuous import ContinuousSet, distinct
+from doe.bounds.restricted_master import Price, Settled, Stage, generate, settle
+from doe.bounds.trigonometric import TrigonometricBlocks, trigonometric_blocks
+from doe.problem.candidates import Candidates, PostureList, spread
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
+from identification.errors import JobError
+from identification.status import Status
+
+NEAR = 0.2  # [rad] times the root of the relative gap
+PARTS = 256  # of the candidates, of which each may offer one posture per round: keeps new postures apart
+SAMPLE = 20_000  # of very many candidates, which are priced first
+COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
+FINE = 1e-6  # the same, before the first thorough search
+SEMIDEFINITE = 1e-6  # relative gap that a semidefinite program reaches reliably
+PROOFS = 20  # attempts, each with a posture more that was missed
+MOST_BOXES = 8_000  # of branch and bound; about a second
+
+
+def column_generation(
+    problem: DesignProblem, candidates: Candidates, *, runs: int | None = None, tolerance: float = 1e-9
+) -> ApproximateDesign:
+    """Optimal weights over a finite candidate set of any size, in the memory of one chunk of it.
+
+    tolerance : gap max g - tr(G M), relative to tr(G M), at which to stop
+    runs : number of new runs, needed where the problem keeps measured postures
+    Raises JobError where the candidates do not identify all parameters.
+    """
+    began = perf_counter()
+    mixture = Mixture.of(problem, runs)
+    tolerance = _attainable(problem, tolerance)
+    stages = [Stage(candidate_price(problem, candidates, mixture), tolerance)]
+    if len(candidates) > 4 * SAMPLE:
+        sample = PostureList(spread(candidates, SAMPLE))
+        stages.insert(0, Stage(candidate_price(problem, sample, mixture), max(COARSE, tolerance)))
+    start = spread(candidates, 6 * problem.parameters)
+    working, _ = generate(problem, mixture, start, stages)
+    ended = settle(problem, mixture, working)
+    largest = largest_sensitivity(problem, candidates, ended.gradient, mixture)
+    return finish(problem, mixture, ended, largest, len(candidates), tolerance, began, rigorous=True)
+
+
+def continuous_design(
+    problem: DesignProblem,
+    *,
+    runs: int | None = None,
+    tolerance: float = 1e-10,
+    proof: float = 1e-10,
+    most_boxes: int = MOST_BOXES,
+    also: Array | None = None,
+) -> ApproximateDesign:
+    """Optimal weights over ALL postures within limits and constraints: no grid at all.
+
+    Works for any model. Where the sensitivity is a trigonometric polynomial and there are no constraints, the gap is
+    proven by branch and bound and `bound.rigorous` is True; else the largest sensitivity is the best of a multistart.
+    tolerance : relative gap at which to stop;  proof : relative gap that branch and bound must prove, 0: do not try
+    also : (k, n) postures from which the multistart starts as well
+    """
+    began = perf_counter()
+    mixture = Mixture.of(problem, runs)
+    tolerance = _attainable(problem, tolerance)
+    everything = ContinuousSet(problem, mixture, also)
+    starts = PostureList(everything.starts)
+    climb = continuous_price(everything)
+    thorough = continuous_price(everything, np.random.default_rng(0))
+    stages = [
+        Stage(candidate_price(problem, starts, mixture), COARSE),
+        Stage(climb, max(FINE, tolerance)),
+        Stage(thorough, max(COARSE, tolerance), back=1),
+        Stage(climb, tolerance),
+        Stage(thorough, tolerance, back=1),
+    ]
+    start = spread(starts, 6 * problem.parameters)
+    working, gap = generate(problem, mixture, start, stages)
+    ended = settle(problem, mixture, working)
+    largest = max(ended.level + gap, float(everything.best(ended.gradient, ended.plan.postures)[1][0]))
+    blocks = trigonometric_blocks(problem) if proof > 0.0 and not problem.constraints else None
+    rigorous = False
+    if blocks is not None:
+        proof = max(tolerance, proof)
+        ended, largest, rigorous = prove(everything, blocks, ended, largest, stages, proof, most_boxes)
+    return finish(problem, mixture, ended, largest, None, max(tolerance, proof), began, rigorous=rigorous)
+
+
+def continuous_bound(
+    problem: DesignProblem, *, runs: int | None = None, tolerance: float = 1e-8, also: Array | None = None
+) -> Bound:
+    """No design within limits and constraints is better: a theorem where `rigorous` is True, else numerical.
+
+    also : (k, n) postures that the search must look at
+    Raises JobError where the optimum was not reached.
+    """
+    design = continuous_design(problem, runs=runs, tolerance=tolerance, proof=tolerance, also=also)
+    if design.bound is None:
+        raise JobError(f"continuous bound: {design.status.name}, gap {design.gap:.2g}; {design.status.value}")
+    return design.bound
+
+
+def _attainable(problem: DesignProblem, tolerance: float) -> float:
+    """E-optimal weights come from a semidefinite program, which is less accurate than Newton's method."""
+    return max(tolerance, SEMIDEFINITE) if problem.criterion.name == "E" else tolerance
+
+
+# -- pricing -----------------------------------------------------------------------------------------------------------
+def candidate_price(problem: DesignProblem, candidates: Candidates, mixture: Mixture) -> Price:
+    """Every candidate is looked at; each part of them offers its best."""
+    part = max(16, -(-len(candidates) // PARTS))
+    blocks = CandidateBlocks(problem, candidates)
+
+    def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
+        offers, values = [near[:0]], [np.empty(0)]
+        for postures, g in sensitivities(blocks, gradient, mixture):
+            edges = np.arange(0, len(g), part)
+            top = np.array([edge + int(np.argmax(g[edge : edge + part])) for edge in edges])
+            offers.append(postures[top])
+            values.append(g[top])
+        return _worth_adding(np.concatenate(offers), np.concatenate(values), level, 3 * problem.parameters)
+
+    return price
+
+
+def continuous_price(everything: ContinuousSet, generator: np.random.Generator | None = None) -> Price:
+    """The local maxima that a multistart ascent finds; a thorough one with fresh starts where a generator is given."""
+
+    def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
+        postures, values = everything.best(gradient, near, generator)
+        # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
+        apart = distinct(postures, NEAR * np.sqrt(max(values[0] / level - 1.0, 0.0)))
+        postures, values = postures[apart], values[apart]
+        return _worth_adding(postures, values, level, 10 * everything.problem.parameters, 0.0)
+
+    return price
+
+
+def _worth_adding(postures: Array, values: Array, level: float, count: int, share: float = 0.1) -> tuple[Array, float]:
+    largest = float(values.max())
+    order = np.argsort(-values)[:count]
+    order = order[values[order] > level + share * max(largest - level, 0.0)]
+    return postures[order], largest
+
+
+# -- the end -----------------------------------------------------------------------------------------------------------
+def prove(
+    everything: ContinuousSet,
+    blocks: TrigonometricBlocks,
+    ended: Settled,
+    largest: float,
+    stages: Sequence[Stage],
+    tolerance: float,
+    most_boxes: int,
+) -> tuple[Settled, float, bool]:
+    """Branch and bound on the sensitivity; a posture that the multistart missed starts the loop again.
+
+    Returns the design, its largest sensitivity, and whether that is proven.
+    """
+    problem, mixture = everything.problem, everything.mixture
+    for _ in range(PROOFS):
+        constant = 0.0 if mixture.offset is None else float(np.sum(ended.gradient * mixture.offset))
+        polynomial = blocks.sensitivity(ended.gradient, mixture.share, constant)
+        close, known = tolerance * abs(ended.level), ended.plan.postures
+        found = maximum(polynomial, problem.lower, problem.upper, known=known, tolerance=close, most_boxes=most_boxes)
+        largest = max(largest, found.value)
+        if not found.proven:
+            return ended, largest, False
+        if found.value <= ended.level + close:
+            return ended, found.upper, True
+        start = np.concatenate([known, found.posture[None]])
+        working, gap = generate(problem, mixture, start, stages[1:])
+        ended = settle(problem, mixture, working)
+        largest = ended.level + gap
+    return ended, found.upper, True
+
+
+def finish(
+    problem: DesignProblem,
+    mixture: Mixture,
+    ended: Settled,
+    largest: float,
+    candidates: int | None,
+    tolerance: float,
+    began: float,
+    *,
+    rigorous: bool,
+) -> ApproximateDesign:
+    """The certificate: `largest` >= max tr(G F) over the design space."""
+    solved = largest - ended.level <= 10.0 * tolerance * abs(ended.level)
+    return assess(
+        problem,
+        mixture,
+        ended.plan,
+        largest,
+        gradient=ended.gradient,
+        candidates=candidates,
+        rigorous=rigorous,
+        status=Status.converged if solved else Status.almost_solved,
+        solver="column_generation",
+        solver_status="gap reached" if solved else "gap not reached",
+        seconds=perf_counter() - began,
+    )

@@ -1,0 +1,214 @@
+"""Postures worth adding, out of ALL within limits and constraints: multistart Newton ascent of d(q) = tr(G F(q)).
+
+Every start climbs at the same time, on exact first and second derivatives of the blocks (CasADi, vectorised). Joints at
+a limit that would leave the box stay there. Constraints are kept by a logarithmic barrier, lowered step by step, so
+that a climb can follow a wall. What is found is a numerical maximum; `doe.bounds.branch_and_bound` makes it a theorem
+where the model allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import casadi as ca
+import numpy as np
+
+from doe.bounds.approximate_design import Mixture
+from doe.problem.feasible import random_postures
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
+from identification.vectorize import vectorize
+
+STEPS = 60
+LONGEST = 0.7  # [rad] of a Newton step
+LANDMARKS = 2187  # 3^7: limits and middle of seven joints
+SAMPLES = 2000  # random postures beside the landmarks
+CLIMBERS = 64
+THOROUGH = 20_000  # random postures of a thorough search
+# heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls, where
+# the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
+BARRIERS = ((1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9))
+ALIKE = 1e-6  # [rad] of postures nearer than this below a barrier, one climbs on
+SAME = 1e-7  # [rad] postures nearer than this are one
+
+
+@dataclass(frozen=True)
+class ContinuousSet:
+    """All postures within the limits (and constraints) of a problem, as something whose best postures can be found.
+
+    also : (k, n) starts beside the landmarks and random ones
+    """
+
+    problem: DesignProblem
+    mixture: Mixture
+    also: Array | None = None
+
+    @cached_property
+    def _derivatives(self) -> Callable[..., tuple[np.ndarray, ...]]:
+        """(m, n) -> blocks as (m, dp, 1), first (m, dp, n) and second (m, dp n, n) derivatives by the joint angles."""
+        q = ca.SX.sym("q", self.problem.joints)
+        blocks = ca.vec(self.problem.block_function(q).T)  # row by row, as numpy has it
+        first = ca.jacobian(blocks, q)
+        second = ca.jacobian(ca.vec(first.T), q)
+        outputs = [ca.densify(blocks), ca.densify(first), ca.densify(second)]
+        return vectorize(ca.Function("derivatives", [q], ca.cse(outputs)))
+
+    @cached_property
+    def _walls(self) -> Callable[..., tuple[np.ndarray, ...]]:
+        """(m, n) -> margins of all constraints (m, k, 1), their derivatives (m, k, n) and second ones (m, k n, n)."""
+        q = ca.SX.sym("q", self.problem.joints)
+        margins = ca.vertcat(*(constraint.symbolic(q) for constraint in self.problem.constraints))
+        first = ca.jacobian(margins, q)
+        second = ca.jacobian(ca.vec(first.T), q)
+        outputs = [ca.densify(margins), ca.densify(first), ca.densify(second)]
+        return vectorize(ca.Function("walls", [q], ca.cse(outputs)))
+
+    def sensitivities(self, postures: Array, gradient: Array) -> Array:
+        """(m,) tr(G F(q))."""
+        return self.mixture.sensitivities(self.problem.blocks(postures), gradient)
+
+    def slopes(self, postures: Array, gradient: Array) -> tuple[Array, Array]:
+        """(m, n) gradient and (m, n, n) Hessian of tr(G F(q)) by the joint angles."""
+        m, n = postures.shape
+        d, p = self.problem.model.dimension, self.problem.parameters
+        flat, first, second = self._derivatives(postures)
+        blocks = flat.reshape(m, d, p)
+        first = first.reshape(m, d, p, n)
+        weighted = blocks @ gradient
+        slope = 2.0 * np.einsum("mda,mdai->mi", weighted, first, optimize=True)
+        turned = np.einsum("ab,mdbi->mdai", gradient, first, optimize=True).reshape(m, d * p, n)
+        hessian = np.swapaxes(first.reshape(m, d * p, n), 1, 2) @ turned
+        hessian += np.einsum("ma,maij->mij", weighted.reshape(m, -1), second.reshape(m, d * p, n, n), optimize=True)
+        return self.mixture.share * slope, 2.0 * self.mixture.share * hessian
+
+    # -- where to start ----------------------------------------------------------------------------------------------
+    @cached_property
+    def starts(self) -> Array:
+        """(k, n) limits and middles of the joints that matter, and random postures, those that are feasible."""
+        generator = np.random.default_rng(0)
+        landmarks = self._landmarks(generator)
+        allowed = landmarks[self.problem.feasible(landmarks)]
+        more = [] if self.also is None else [np.atleast_2d(self.also)]
+        return np.concatenate([allowed, *more, self.random(generator, SAMPLES)])
+
+    def random(self, generator: np.random.Generator, count: int) -> Array:
+        """(count, n) feasible random postures. Raises InputError where there are none, naming the constraints."""
+        return random_postures(self.problem, count, generator)
+
+    def _landmarks(self, generator: np.random.Generator) -> Array:
+        problem = self.problem
+        active = list(problem.active_joints)
+        middle = 0.5 * (problem.lower + problem.upper)
+        levels = np.stack([problem.lower, problem.upper, middle])  # (3, n)
+        if 3 ** len(active) <= LANDMARKS:
+            places = np.array(list(product(range(3), repeat=len(active))), dtype=int)
+        else:
+            places = generator.integers(0, 3, (LANDMARKS, len(active)))
+        postures = np.tile(middle, (len(places), 1))
+        postures[:, active] = levels[places, active]
+        return postures
+
+    # -- the climb ---------------------------------------------------------------------------------------------------
+    def best(self, gradient: Array, near: Array, generator: np.random.Generator | None = None) -> tuple[Array, Array]:
+        """Local maxima (k, n) of tr(G F(q)) and their values (k,), best first.
+
+        Starts are `near` (j, n) and the best of the landmarks; with a generator, a search as thorough as is affordable:
+        the best of many fresh random postures, and others whatever they are worth, for a high maximum may be narrow.
+        """
+        if generator is None:
+            values = self.sensitivities(self.starts, gradient)
+            top = self.starts[np.argsort(-values)[:CLIMBERS]]
+        else:
+            fresh = self.random(generator, THOROUGH)
+            values = self.sensitivities(fresh, gradient)
+            top = np.concatenate([fresh[np.argsort(-values)[: 4 * CLIMBERS]], fresh[: 4 * CLIMBERS]])
+        postures = self.climb(np.concatenate([near, top]), gradient)
+        values = self.sensitivities(postures, gradient)
+        order = np.argsort(-values)
+        order = order[distinct(postures[order])]
+        return postures[order], values[order]
+
+    def climb(self, postures: Array, gradient: Array) -> Array:
+        """Every posture moved uphill to a local maximum, within limits and constraints."""
+        q = self.problem.clip(postures)
+        if not self.problem.constraints:
+            return self._ascend(q, gradient, 0.0)
+        scale = float(np.abs(self.sensitivities(q, gradient)).max(initial=0.0))
+        ends = []
+        for first, barriers in enumerate(BARRIERS):
+            some = q[first :: len(BARRIERS)]
+            for barrier in barriers:
+                some = self._ascend(some, gradient, barrier * scale)
+                some = some[distinct(some, ALIKE)]  # most starts share a maximum
+            ends.append(some)
+        return np.concatenate(ends)
+
+    def _ascend(self, q: Array, gradient: Array, barrier: float) -> Array:
+        """Newton steps with a reach per posture, which grows with success and shrinks with failure."""
+        q, values = q.copy(), self._height(q, gradient, barrier)
+        reach = np.full(len(q), LONGEST)
+        moving = np.flatnonzero(np.isfinite(values))
+        for _ in range(STEPS):
+            if not len(moving):
+                break
+            slope, hessian = self._slopes(q[moving], gradient, barrier)
+            step = self._newton_step(q[moving], slope, hessian)
+            length = np.abs(step).max(axis=1)
+            step *= np.minimum(1.0, reach[moving] / np.maximum(length, 1e-300))[:, None]
+            trial = self.problem.clip(q[moving] + step)
+            heights = self._height(trial, gradient, barrier)
+            gain = heights - values[moving]
+            better = gain > 0.0
+            accepted = moving[better]
+            q[accepted], values[accepted] = trial[better], heights[better]
+            shorter = 0.25 * np.minimum(reach[moving], length)
+            reach[moving] = np.where(better, np.minimum(2.0 * reach[moving], LONGEST), shorter)
+            arrived = better & (gain <= 1e-14 * np.abs(heights) + 1e-3 * barrier)
+            moving = moving[(reach[moving] > 1e-9) & (length > 1e-10) & ~arrived]
+        return q
+
+    def _height(self, q: Array, gradient: Array, barrier: float) -> Array:
+        """(m,) tr(G F(q)) + barrier * sum of log margins; -inf outside."""
+        values = self.sensitivities(q, gradient)
+        if barrier == 0.0:
+            return values
+        margins = self._walls(q)[0][..., 0]
+        inside = np.all(margins > 0.0, axis=1) & self.problem.feasible(q)
+        logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
+        return np.where(inside, values + barrier * logarithms, -np.inf)
+
+    def _slopes(self, q: Array, gradient: Array, barrier: float) -> tuple[Array, Array]:
+        slope, hessian = self.slopes(q, gradient)
+        if barrier == 0.0:
+            return slope, hessian
+        margins, first, second = self._walls(q)  # (m, k, 1), (m, k, n), (m, k n, n)
+        relative = first / margins
+        bend = second.reshape(*first.shape, -1) / margins[..., None]
+        slope = slope + barrier * relative.sum(axis=1)
+        return slope, hessian + barrier * (bend.sum(axis=1) - np.swapaxes(relative, 1, 2) @ relative)
+
+    def _newton_step(self, q: Array, slope: Array, hessian: Array) -> Array:
+        """(m, n) ascent directions: |eigenvalues| of the Hessian, joints held at a limit left out."""
+        span = self.problem.upper - self.problem.lower
+        held = ((q >= self.problem.upper - 1e-12 * span) & (slope > 0)) | (
+            (q <= self.problem.lower + 1e-12 * span) & (slope < 0)
+        )
+        free = (~held).astype(float)
+        n = q.shape[1]
+        masked = hessian * free[:, :, None] * free[:, None, :] + np.eye(n) * held[:, :, None]
+        values, vectors = np.linalg.eigh(masked)
+        floor = 1e-6 * np.abs(values).max(axis=1, keepdims=True) + 1e-12
+        along = np.einsum("mij,mi->mj", vectors, slope * free) / np.maximum(np.abs(values), floor)
+        return np.einsum("mij,mj->mi", vectors, along) * free
+
+
+def distinct(postures: Array, tolerance: float = SAME) -> Array:
+    """Indices of postures of which no earlier one is within `tolerance` [rad] in every joint."""
+    kept: list[int] = []
+    for k, posture in enumerate(postures):
+        if not kept or np.abs(postures[kept] - posture).max(axis=1).min() > tolerance:
+            kept.append(k)
+    return np.array(kept, dtype=int)

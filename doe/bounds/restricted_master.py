@@ -1,0 +1,149 @@
+"""The loop of column generation: a small working set of postures, and searches that offer it more.
+
+    repeat:  weights   solve the small problem on the working set           (master.py)
+             price     find postures with tr(G F(q)) above tr(G M)          (a stage)
+             purge     drop postures that need not carry weight
+
+Cheap stages come first; the last one decides. It ends when no posture is worth adding: that is the equivalence theorem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from doe.bounds.approximate_design import Mixture
+from doe.bounds.continuous import distinct
+from doe.bounds.interior_point import Weights, solve_weights, sparsest
+from doe.criteria import Criterion
+from doe.plan.plan import Plan
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
+from identification.errors import JobError
+
+ROUNDS = 200
+CROWD = 30  # postures per parameter
+ROUGH = 1e-4  # gap of the weights relative to that of the postures, until the end
+EXACT = 1e-14  # the same at the end: rounding
+DEAD = 1e-10  # weight below which a posture is dropped
+RANK = 1e-13  # reciprocal condition number of a matrix that has lost a rank
+
+# price(gradient, level, working postures) -> postures worth adding (k, n), largest g over its whole set
+Price = Callable[[Array, float, Array], tuple[Array, float]]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One pricing, used until the gap it finds is below `goal` (relative).
+
+    back : stages to go back when it found something: what a dear search found, a cheaper one refines
+    """
+
+    price: Price
+    goal: float
+    back: int = 0
+
+
+@dataclass(frozen=True)
+class WorkingSet:
+    """The few postures of the master problem: postures (k, n), blocks (k, d, p), and its solution."""
+
+    postures: Array
+    blocks: Array
+    solution: Weights
+
+    def level(self, mixture: Mixture) -> float:
+        """tr(G M)."""
+        information = mixture.information(self.blocks, self.solution.weights)
+        return float(np.sum(self.solution.gradient * information))
+
+    @property
+    def sparse(self) -> Array:
+        """(k,) weights of the same information on as few postures as possible."""
+        return sparsest(self.blocks, np.where(self.solution.weights > DEAD, self.solution.weights, 0.0))
+
+
+def generate(
+    problem: DesignProblem, mixture: Mixture, start: Array, stages: Sequence[Stage]
+) -> tuple[WorkingSet, float]:
+    """The working set with its solution, and the gap (absolute) that the last pricing of the last stage found."""
+    accuracy = EXACT  # of the weights; later, far from the end, exact ones would be wasted
+    working = _solve(problem, mixture, start, problem.blocks(start), accuracy)
+    current, gap, smallest = 0, np.inf, np.inf
+    for _ in range(ROUNDS):
+        stage, level = stages[current], working.level(mixture)
+        offers, largest = stage.price(working.solution.gradient, level, working.postures)
+        gap = largest - level
+        if len(offers) and gap > stage.goal * abs(level):
+            accuracy = max(ROUGH * gap / abs(level), EXACT)
+            # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
+            crowded = len(working.postures) > CROWD * problem.parameters
+            working = _extend(problem, mixture, working, offers, accuracy, purge=crowded or gap < 0.9 * smallest)
+            smallest = min(smallest, gap)
+            current -= stage.back
+        elif accuracy > EXACT:
+            accuracy = EXACT
+            working = _solve(problem, mixture, working.postures, working.blocks, accuracy)
+        elif current == len(stages) - 1:
+            break
+        else:
+            current, smallest = current + 1, np.inf
+    return working, gap
+
+
+def _solve(problem: DesignProblem, mixture: Mixture, postures: Array, blocks: Array, accuracy: float) -> WorkingSet:
+    information = mixture.information(blocks, np.full(len(blocks), 1.0 / len(blocks)))
+    if _diverges(problem.criterion, information):
+        raise JobError(
+            "approximate design: the information matrix is singular on these postures, the parameters cannot all be "
+            "identified; drop an effect or allow more postures"
+        )
+    return WorkingSet(postures, blocks, solve_weights(blocks, problem.criterion, mixture, tolerance=accuracy))
+
+
+def _diverges(criterion: Criterion, information: Array) -> bool:
+    """True where the criterion is -inf, rounding or not: its slope along a missing direction is as 1/distance or more.
+
+    A criterion with a prior, or of some parameters only, may be finite although the matrix is singular.
+    """
+    values, vectors = np.linalg.eigh(information)
+    missing = vectors[:, values <= RANK * values[-1]]
+    if not missing.shape[1]:
+        return False
+    distance = 1e2 * RANK * values[-1]
+    gradient = criterion.gradient(information + distance * np.eye(len(values)))
+    steepest = np.einsum("ak,ab,bk->k", missing, gradient, missing).max()
+    return not np.isfinite(criterion.value(information)) or steepest * distance > 1e-3
+
+
+def _extend(
+    problem: DesignProblem, mixture: Mixture, working: WorkingSet, offers: Array, accuracy: float, *, purge: bool
+) -> WorkingSet:
+    """Postures that need not carry weight out, new ones in, solved again."""
+    alive = np.flatnonzero(working.sparse > 0.0) if purge else np.arange(len(working.postures))
+    postures = np.concatenate([working.postures[alive], offers])
+    blocks = np.concatenate([working.blocks[alive], problem.blocks(offers)])
+    once = np.sort(distinct(postures))
+    return _solve(problem, mixture, postures[once], blocks[once], accuracy)
+
+
+@dataclass(frozen=True)
+class Settled:
+    """The design on as few postures as carry its information: plan, gradient (p, p) G there, level tr(G M)."""
+
+    plan: Plan
+    gradient: Array
+    level: float
+
+
+def settle(problem: DesignProblem, mixture: Mixture, working: WorkingSet) -> Settled:
+    """The plan that is reported; what is proven is proven of it, not of the weights that the loop ended with."""
+    weights = working.sparse
+    order = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
+    plan = Plan(working.postures[order], weights[order])
+    information = mixture.information(problem.blocks(plan.postures), plan.shares)
+    dual = problem.criterion.name == "E"  # any gradient of unit trace bounds it; that of the dual program is the best
+    gradient = working.solution.gradient if dual else problem.criterion.gradient(information)
+    return Settled(plan, gradient, float(np.sum(gradient * information)))

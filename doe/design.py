@@ -1,0 +1,198 @@
+"""A plan and what it is worth, recomputed from the stored problem: no number of a solver is passed on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from doe.bounds.bound import Bound
+from doe.bounds.equivalence import CERTIFIED, without_rounding
+from doe.bounds.planar_theorem import table_1_max_residual
+from doe.criteria import D
+from doe.plan.expected_accuracy import (
+    ExpectedDeviations,
+    deviations_per_draw,
+    expected_deviations,
+    over_draws,
+    plan_blocks,
+    plan_spectrum,
+)
+from doe.plan.plan import Plan
+from doe.problem.bayesian import EnsembleModel
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.information import identifiability
+from identification.status import Status
+
+FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
+
+
+@dataclass(frozen=True)
+class Design:
+    """A plan with its certificate.
+
+    problem : what it was made or judged for;  plan : the postures, in the order of measurement
+    bound : no plan in the design space has a greater criterion value, None: not known
+    status : how the search ended
+    solver, starts, seconds : what was spent on it
+    """
+
+    problem: DesignProblem
+    plan: Plan
+    bound: Bound | None = None
+    status: Status = Status.scored
+    solver: str | None = None
+    starts: int = 0
+    seconds: float = 0.0
+
+    @cached_property
+    def information(self) -> Array:
+        """(p, p) M' of the plan."""
+        return self.problem.information(self.plan.postures, self.plan.weights)
+
+    @cached_property
+    def value(self) -> float:
+        """Criterion value, -inf if the plan cannot identify all parameters."""
+        return float(self.problem.criterion.value(self.information)) if self.identifies_all else -np.inf
+
+    @cached_property
+    def identifies_all(self) -> bool:
+        """True if the plan tells every parameter, decided by rank as in `identify`: rounding can hide det M = 0."""
+        return plan_spectrum(self.problem, self.plan.postures, self.plan.weights).rank == self.problem.parameters
+
+    @cached_property
+    def not_identifiable(self) -> tuple[str, ...]:
+        """Combinations of parameters that the plan does not tell; effects at neutral conditions tell nothing."""
+        blocks = plan_blocks(self.problem, self.plan.postures, self.plan.weights)
+        return identifiability(blocks, self.problem.model.names, np.ones(self.problem.parameters)).combinations
+
+    @cached_property
+    def outside(self) -> tuple[int, ...]:
+        """Runs (from 1) beyond a joint limit or a constraint by more than rounding: no bound holds for such a plan."""
+        q = self.plan.postures
+        breaks = np.any((q < self.problem.lower - FITS) | (q > self.problem.upper + FITS), axis=1)
+        for constraint in self.problem.constraints:
+            breaks |= np.any(constraint.margin(q) < -FITS, axis=1)
+        return tuple((np.flatnonzero(breaks) + 1).tolist())
+
+    @cached_property
+    def log_det(self) -> float:
+        """log det M' (THEORY.md section 3), whatever the criterion."""
+        return float(D().value(self.information)) if self.identifies_all else -np.inf
+
+    @cached_property
+    def efficiency(self) -> float | None:
+        """Share 0..1 of the runs that a plan at the bound would need, above 1 if it is no bound; None without one."""
+        if self.bound is None:
+            return None
+        return without_rounding(
+            self.problem.criterion.efficiency(self.value, self.bound.value, self.problem.parameters)
+        )
+
+    @property
+    def certified_optimal(self) -> bool:
+        """True if the plan is allowed and none that is can be better by more than 1e-6 of efficiency."""
+        efficiency = np.nan if self.efficiency is None else self.efficiency
+        return bool(np.isfinite(efficiency) and efficiency >= CERTIFIED and not self.outside)
+
+    @cached_property
+    def table_1_max_residual(self) -> float | None:
+        """Largest |mean exp(i (q_(j+1) + ... + q_k))|, 0 at an unconstrained optimum; None unless the arm is planar."""
+        if self.problem.model.dimension != 2:
+            return None
+        return table_1_max_residual(self.plan.postures, self.plan.weights)
+
+    @cached_property
+    def deviations(self) -> ExpectedDeviations | None:
+        """Expected standard deviations with the arm's sigma, the mean over the draws of an uncertain arm."""
+        if self.deviations_per_draw is not None:
+            return over_draws(self.deviations_per_draw, np.mean)
+        sigma = getattr(getattr(self.problem.model, "arm", None), "sigma", None)
+        return expected_deviations(self.problem, self.plan.postures, sigma, self.plan.weights)
+
+    @cached_property
+    def deviations_per_draw(self) -> tuple[ExpectedDeviations, ...] | None:
+        """Expected standard deviations for every draw of an uncertain arm; None for a known arm, or without sigma."""
+        model = self.problem.model
+        if not isinstance(model, EnsembleModel):
+            return None
+        return deviations_per_draw(self.problem, model, self.plan.postures, model.model.arm.sigma, self.plan.weights)
+
+    def to_json(self) -> dict[str, Any]:
+        """The contract's keys of `design` and `score`: millimetres and degrees; None for what cannot be given."""
+        worst = self.deviations_per_draw
+        return {
+            "criterion": self.problem.criterion.name,
+            "runs": len(self.plan),
+            "links": self.plan.links,
+            "value": _number(self.value),
+            "log_det": _number(self.log_det),
+            "bound": None if self.bound is None else self.bound.as_dict(),
+            "efficiency": _number(self.efficiency),
+            "certified_optimal": self.certified_optimal,
+            "not_identifiable": [] if self.identifies_all else list(self.not_identifiable),
+            "outside_limits": list(self.outside),
+            "postures_deg": np.degrees(self.plan.postures).tolist(),
+            "table_1_max_residual": _number(self.table_1_max_residual),
+            "std": _deviations_json(self.deviations),
+            **({} if worst is None else {"std_worst_draw": _deviations_json(over_draws(worst, np.max))}),
+            "solver": self.solver,
+            "status": self.status.name,
+            "starts": self.starts,
+            "seconds": self.seconds,
+        }
+
+    def __str__(self) -> str:
+        efficiency = "no bound known" if self.efficiency is None else f"efficiency {self.efficiency:.6f}"
+        optimal = ", certified optimal" if self.certified_optimal else ""
+        return (
+            f"{len(self.plan)} runs of a {self.plan.links}-link arm, {self.problem.criterion.name} = {self.value:.8g} "
+            f"({efficiency}{optimal})\n  bound {self.bound or 'none'}\n  {self.status.name}: {self.status.value}"
+        )
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        head = "".join(f"<th>q{j + 1} [deg]</th>" for j in range(self.plan.links))
+        rows = "".join(
+            f"<tr><td>{run}</td>" + "".join(f"<td>{angle:.2f}</td>" for angle in posture) + "</tr>"
+            for run, posture in enumerate(np.degrees(self.plan.postures), start=1)
+        )
+        return f"<pre>{self}</pre><table><tr><th>run</th>{head}</tr>{rows}</table>"
+
+
+def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = None) -> Design:
+    """Any plan as a `Design`, judged against `bound` if one is given; knows no solver."""
+    return Design(problem, given_plan(problem, plan), bound)
+
+
+def given_plan(problem: DesignProblem, plan: Plan | ArrayLike) -> Plan:
+    """The plan itself, or of its postures (m, n) [rad]. Raises `InputError` for what is no plan of this arm."""
+    try:
+        given = plan if isinstance(plan, Plan) else Plan(np.asarray(plan, dtype=float))
+    except (TypeError, ValueError):
+        raise InputError(f"plan: {plan!r:.40}, allowed: an array (m, {problem.joints}) of joint angles [rad]") from None
+    if given.postures.ndim != 2 or given.links != problem.joints:
+        raise InputError(f"plan: shape {given.postures.shape}, allowed: (m, {problem.joints})")
+    if len(wrong := np.flatnonzero(~np.isfinite(given.postures).all(axis=1))):
+        raise InputError(f"plan: run {wrong[0] + 1} is not finite, allowed: finite joint angles")
+    return given
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+def _deviations_json(deviations: ExpectedDeviations | None) -> dict[str, list[float] | None]:
+    if deviations is None:
+        return {"length_mm": None, "orientation_deg": None, "joint_offset_deg": None}
+    return {
+        "length_mm": deviations.length.tolist(),
+        "orientation_deg": np.degrees(deviations.orientation).tolist(),
+        "joint_offset_deg": np.degrees(deviations.joint_offset).tolist(),
+    }

@@ -1,0 +1,271 @@
+"""Plans that are (nearly) D-optimal AND can tell missing effects apart.
+
+A D-optimal plan knows nothing of effects that are not in its model: under joint limits its angles sit on two levels,
+where cos q_j, cos 2 q_j and q_j are one and the same column, and on any plan the sag of a link looks much like that of
+a joint. Starting from the best plan (or one from theory that is as good), moved off the limits, runs are swapped for
+postures that lower the probability of a wrong name (`doe.discrimination.misidentification`), for as much D-efficiency
+as may be lost. The order of measurement matters to backlash and drift only: the best of many shuffles is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from doe.criteria import D
+from doe.design import Design
+from doe.discrimination.swaps import BY_ORDER, ExtendedProblem, extended_problem, improving_swaps, pool_of, repeats
+from doe.plan.plan import Plan
+from doe.plan.replicate_spacing import spread_free_joints
+from doe.problem.problem import DesignProblem
+from doe.solvers import MANY, PATIENCE, Solver, solve
+from doe.solvers.driver import feasible_value
+from doe.solvers.planar_theory import Analytic
+from doe.solvers.solver import Budget
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.gap.detectability import Detectability, detectability
+from identification.gap.hypotheses import hypotheses
+from identification.information import information_matrix
+from identification.measurements import Conditions, directions_from_order, session_time
+from identification.model import Model
+from identification.progress import Progress, silent
+from identification.status import Status
+
+TURN = 2.0 * np.pi
+MOVES, TRIES = np.radians([30.0, 20.0, 15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.0]), 10
+THEORY_PLANS, SHUFFLES = 64, 200
+
+
+@dataclass(frozen=True)
+class DiscriminationDesign:
+    """A plan, what it loses against the best one, and what it can and cannot see.
+
+    arm : with its own effects
+    design : judged by the criterion of the problem;  best : the best plan without regard to missing effects
+    sees, best_sees : pre-flight of both, with the postures measured already
+    wrong, best_wrong, random_wrong : the mean probability of a wrong name is at most this, with the plan, the best plan
+        and as many random postures (the median of many such plans), for effects that postures show and that are
+        `LAMBDA` long on random ones; see `doe.discrimination.misidentification`
+    """
+
+    arm: Arm
+    design: Design
+    best: Design
+    sees: Detectability
+    best_sees: Detectability
+    wrong: float
+    best_wrong: float
+    random_wrong: float
+
+    @property
+    def relative_efficiency(self) -> float:
+        """D-efficiency relative to the best plan found."""
+        criterion, p = self.design.problem.criterion, self.design.problem.parameters
+        return criterion.efficiency(self.design.value, self.best.value, p)
+
+
+def discrimination_design(
+    problem: DesignProblem,
+    arm: Arm,
+    runs: int,
+    *,
+    loss: float = 0.05,
+    solver: Solver | str | None = None,
+    seed: int = 0,
+    starts: int | None = None,
+    seconds: float | None = None,
+    progress: Progress = silent,
+) -> DiscriminationDesign:
+    """The plan of `runs` measurements that shows missing effects best, at a D-efficiency within `loss` of the best.
+
+    loss : share 0..1 of the D-efficiency that may be given up
+    solver, starts : of the search for the best plan, as in `solve`
+    seconds : for both searches together, half of it for the best plan; left out: none up to 100 runs, 60 s for more
+    Raises `InputError` for a loss outside 0..1, a criterion other than D, and too few runs (4 spare degrees of freedom
+    are needed). Ctrl-C returns the plan so far, status `interrupted`.
+    """
+    if not 0.0 <= loss < 1.0:
+        raise InputError(f"loss: {loss}, allowed: 0 <= loss < 1")
+    if not isinstance(problem.criterion, D):
+        raise InputError(f"criterion: {problem.criterion.name} for a discriminating plan, allowed: D")
+    began = perf_counter()
+    if runs > MANY and starts is None and seconds is None:
+        seconds = 2.0 * PATIENCE
+    budget = Budget(1, None if seconds is None else began + seconds)
+    half = None if seconds is None else seconds / 2.0
+    best = solve(problem, runs, solver, seed=seed, starts=starts, seconds=half, progress=progress)
+    best_sees = detectability(arm, with_kept(problem, best.plan.postures))
+    generator = np.random.default_rng(seed)
+    wide = extended_problem(problem, arm)
+    chosen, status = search(problem, wide, best, loss, generator, budget, progress)
+    plan = Plan(best_order(arm, chosen, generator))
+    design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
+    bounds = wide.wrong(chosen), wide.wrong(best.plan.postures), wide.at_random(runs)
+    sees = detectability(arm, with_kept(problem, plan.postures))
+    return DiscriminationDesign(arm, design, best, sees, best_sees, *(min(1.0, bound) for bound in bounds))
+
+
+def search(
+    problem: DesignProblem,
+    wide: ExtendedProblem,
+    best: Design,
+    loss: float,
+    generator: np.random.Generator,
+    budget: Budget,
+    progress: Progress,
+) -> tuple[Array, Status]:
+    """(m, n) the plan that tells effects apart, and how the search ended; the best plan if that was interrupted."""
+    chosen, status = np.array(best.plan.postures), best.status
+    if status is Status.interrupted:
+        return chosen, status
+    allowed = problem.parameters * float(-np.log1p(-loss))
+    status, bound = Status.local_optimum, np.inf
+    try:
+        for postures, stop in beginnings(problem, wide, best, allowed, generator, budget):
+            swaps = improving_swaps(problem, wide, postures, best.value - allowed, generator, stop, progress)
+            for plan in chain([postures], swaps):
+                if (wrong := wide.wrong(plan)) < bound:
+                    chosen, bound = plan, wrong
+            status = Status.time_limit if stop.out_of_time else status
+    except KeyboardInterrupt:
+        status = Status.interrupted
+    return chosen, status
+
+
+def beginnings(
+    problem: DesignProblem,
+    wide: ExtendedProblem,
+    best: Design,
+    allowed: float,
+    generator: np.random.Generator,
+    budget: Budget,
+) -> Iterator[tuple[Array, Budget]]:
+    """Plans from which swaps start, each with its share of the time.
+
+    Under joint limits a D-optimal plan stands in the corners, far from plans that tell effects apart: there is a second
+    beginning with as many random postures as three quarters of the loss allow.
+    """
+    part = budget.remaining / 2.0 if narrow(problem) else budget.remaining
+    stop = budget.deadline if budget.deadline is None else budget.deadline - budget.remaining + part
+    yield start(problem, wide, best, best.value - allowed / 2.0, generator), Budget(1, stop)
+    if narrow(problem):
+        corners = start(problem, wide, best, best.value - allowed / 8.0, generator)
+        yield mixed(problem, corners, best.value - 0.75 * allowed, generator), budget
+
+
+def mixed(problem: DesignProblem, postures: Array, least: float, generator: np.random.Generator) -> Array:
+    """The postures with random ones in the place of as many of them as the value `least` allows."""
+    plan = np.array(postures)
+    for row, drawn in zip(generator.permutation(len(plan)), pool_of(problem, len(plan), generator), strict=True):
+        trial = np.array(plan)
+        trial[row] = drawn
+        if feasible_value(problem, trial) >= least:
+            plan = trial
+    return plan
+
+
+def with_kept(problem: DesignProblem, postures: Array) -> Array:
+    """(k + m, n) all postures whose measurements will be judged together."""
+    return postures if problem.kept is None else np.vstack([problem.kept, postures])
+
+
+def start(
+    problem: DesignProblem, wide: ExtendedProblem, best: Design, least: float, generator: np.random.Generator
+) -> Array:
+    """(m, n) the best plan or one from theory, whichever tells effects apart best, off the limits down to `least`."""
+    runs = len(best.plan.postures)
+    plans = [np.array(best.plan.postures)]
+    plans += [plan for plan in theory_plans(problem, runs, generator) if feasible_value(problem, plan) >= least]
+    chosen = min(plans, key=wide.wrong)
+    moved = off_the_limits(problem, chosen, least, generator) if narrow(problem) else chosen
+    if any(repeats(problem, posture, moved[:row]) for row, posture in enumerate(moved)):
+        return spread_free_joints(problem, moved, generator)
+    return moved
+
+
+def theory_plans(problem: DesignProblem, runs: int, generator: np.random.Generator) -> Iterator[Array]:
+    """Random plans that attain the bound up to `off_the_grid`; joints that play no part stand at random angles.
+
+    None for a list of postures.
+    """
+    if problem.choices is not None:
+        return
+    offers = Analytic().offers(problem, runs, generator, Budget(1))
+    free = [joint for joint in range(problem.joints) if joint not in problem.active_joints]
+    for offer, _ in zip(offers, range(THEORY_PLANS), strict=False):
+        postures = problem.clip(off_the_grid(problem, offer.postures, TURN / runs, generator))
+        for joint in free:
+            postures[:, joint] = generator.uniform(problem.lower[joint], problem.upper[joint], runs)
+        yield postures
+
+
+def turning(problem: DesignProblem) -> NDArray[np.bool_]:
+    """(n,) joints that turn all the way round."""
+    return np.asarray(problem.upper - problem.lower >= TURN * (1.0 - 1e-9))
+
+
+def narrow(problem: DesignProblem) -> bool:
+    """True if a joint has limits within which the postures may be chosen freely."""
+    return problem.choices is None and not np.all(turning(problem))
+
+
+def off_the_limits(problem: DesignProblem, postures: Array, least: float, generator: np.random.Generator) -> Array:
+    """The postures with the other joints moved by as much as the value `least` allows, turned back at the limits.
+
+    On the few angles that D-optimality chooses under limits, ripples of many orders are one and the same column, and
+    some are that of an eccentric encoder. Part of the loss that is allowed is kept for this.
+    """
+    joints = np.flatnonzero(~turning(problem))
+    low, high = problem.lower[joints], problem.upper[joints]
+    for size in MOVES:
+        for _ in range(TRIES):
+            angle = postures[:, joints] + generator.uniform(-size, size, (len(postures), len(joints)))
+            moved = np.array(postures)
+            moved[:, joints] = np.clip(high - np.abs(high - (low + np.abs(angle - low))), low, high)
+            if feasible_value(problem, moved) >= least:
+                return moved
+    return postures
+
+
+def off_the_grid(problem: DesignProblem, postures: Array, step: float, generator: np.random.Generator) -> Array:
+    """The postures with joints that turn all the way round moved by up to half a step of the grid they are on.
+
+    On N equal steps of a turn, k and N - k periods are the same: with N = 50 a gear ripple of order 49 would be an
+    eccentric encoder. D-optimality asks for sums over all postures (THEORY.md section 3), which hardly change. A list
+    of postures is left as it is.
+    """
+    moved = np.array(postures)
+    if problem.choices is not None:
+        return moved
+    for joint in np.flatnonzero(turning(problem)):
+        angle = moved[:, joint] + step * generator.uniform(-0.5, 0.5, len(moved))
+        moved[:, joint] = problem.lower[joint] + np.mod(angle - problem.lower[joint], TURN)
+    return moved
+
+
+def best_order(arm: Arm, postures: Array, generator: np.random.Generator) -> Array:
+    """The postures in the order, of many shuffles, that shows backlash and drift best beside the arm's own model."""
+    found = hypotheses(arm, frozenset()).unscanned
+    specs = [h.spec for h in found if h.effect.needs & BY_ORDER]
+    model = Model(arm.with_effects(*arm.effects, *specs))
+    own = len(Model(arm).names)
+    shuffles = [generator.permutation(len(postures)) for _ in range(SHUFFLES)]
+    return np.asarray(postures[max(shuffles, key=lambda order: order_score(model, own, postures[order]))])
+
+
+def order_score(model: Model, own: int, postures: Array) -> float:
+    """log det of what the data tell of the order's effects, beyond what the base model explains."""
+    conditions = Conditions(
+        time=session_time(np.arange(len(postures), dtype=float)), directions=directions_from_order(postures)
+    )
+    information = information_matrix(model.jacobian(postures, conditions=conditions) / model.scales)
+    base, cross, rest = information[:own, :own], information[:own, own:], information[own:, own:]
+    sign, value = np.linalg.slogdet(rest - cross.T @ np.linalg.lstsq(base, cross, rcond=None)[0])
+    return float(value) if sign > 0 else -np.inf

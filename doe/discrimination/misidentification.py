@@ -1,0 +1,163 @@
+"""How often the wrong effect would be named: what a plan is chosen by that is to tell missing effects apart.
+
+Two effects are told apart by what the base model and one of them leave of the other. With d the length of that in
+standard deviations of the measurement, the likelihood ratio of the two, sizes known, names the wrong one with
+probability Phi(-d / 2), and the sum over all rivals (one of them: nothing at all) bounds the probability of any wrong
+name. The squared length is a Schur complement, so everything follows from the information matrix M of the plan:
+
+    d^2 = (v - w)^T S (v - w),   S = M_ee - M_eb M_bb^-1 M_be,   w = B (B^T S B)^-1 B^T S v
+
+with b the base parameters, e those of all effects, v a combination of one effect's parameters and B a basis of the
+rival's. v is scaled such that a random plan of as many runs shows it with a length of `LAMBDA`: effects much larger are
+told apart by any plan, much smaller ones by none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, groupby
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from identification.arrays import Array
+
+LAMBDA = 8.0
+UNSEEN = 1e-9  # share of its length off the base model below which no plan is judged by a direction
+RIDGE = 1e-12  # of a rival's length on random postures: keeps the inverse of a rival that a plan hides
+NEAR = 0.05  # the gradient is infinite where two effects are the same, d = 0
+
+
+@dataclass(frozen=True)
+class MisidentificationBound:
+    """The bound on the mean probability of a wrong name, of a plan's information matrix. -log of it is maximised.
+
+    No criterion of optimality: it is no concave function of M, so there is no certificate for it.
+
+    own : p, the base model's parameters, which come first
+    bases : per effect (K, s), the combinations of the K parameters of effects that it may take
+    weights : (H,) how likely each effect is, in any unit
+    reference : (p + K, p + K) information per run of random postures
+    """
+
+    own: int
+    bases: Sequence[Array]
+    weights: Array
+    reference: Array
+
+    def value(self, information: Array) -> Array:
+        """(...) -log of `wrong` of matrices (..., p + K, p + K)."""
+        return np.asarray(-np.log(self.wrong(information)))
+
+    def wrong(self, information: Array) -> Array:
+        """(...) bound on the mean probability of a wrong name; infinite where the base model's part is singular."""
+        p = self.own
+        signs, logs = np.linalg.slogdet(information[..., :p, :p])
+        usable = (signs > 0) & np.isfinite(logs)
+        schur = self._off_base(np.where(usable[..., None, None], information, self.reference))[0]
+        seen = self.directions @ schur
+        lengths = np.sum(seen * self.directions, axis=-1)
+        total = np.sum(self._shares * ndtr(-0.5 * np.sqrt(np.maximum(lengths, 0.0))), axis=-1)
+        for group in self._groups:
+            explained = np.sum(np.multiply(*group.fit(schur, seen)), axis=-1)
+            d = np.sqrt(np.maximum(lengths[..., None] - explained, 0.0))
+            total = total + np.sum(self._shares[:, None] * group.others * ndtr(-0.5 * d), axis=(-2, -1))
+        return np.where(usable, total, np.inf)
+
+    def gradient(self, information: Array) -> Array:
+        """(p + K, p + K) derivative of `value`: each pair adds its residual's u u^T (envelope theorem)."""
+        schur, base = self._off_base(information)
+        left: list[tuple[Array, Array]] = [(self.directions, np.ones(len(self.directions)))]
+        for group in self._groups:
+            fitted = group.fit(schur, self.directions @ schur)[1]
+            beside = self.directions[:, None] - np.einsum("dgs,kgs->dgk", fitted, group.columns)
+            left.append((beside.reshape(-1, beside.shape[-1]), group.others.astype(float).ravel()))
+        u = np.vstack([rows for rows, _ in left])
+        shares = np.concatenate([(self._shares[:, None] * o.reshape(len(self._shares), -1)).ravel() for _, o in left])
+        d = np.maximum(np.sqrt(np.maximum(np.sum((u @ schur) * u, axis=1), 0.0)), NEAR)
+        slopes = shares * np.exp(-(d**2) / 8.0) / (4.0 * d * np.sqrt(2.0 * np.pi))
+        lift = np.vstack([base, np.eye(len(schur))])
+        return np.asarray(lift @ ((u * slopes[:, None]).T @ u) @ lift.T / self.wrong(information))
+
+    def _off_base(self, information: Array) -> tuple[Array, Array]:
+        """S (..., K, K), and (..., p, K) what the base parameters must do to leave that."""
+        p = self.own
+        cross = information[..., :p, p:]
+        base = -np.linalg.solve(information[..., :p, :p], cross)
+        return np.asarray(information[..., p:, p:] + np.swapaxes(cross, -1, -2) @ base), np.asarray(base)
+
+    @cached_property
+    def _drawn(self) -> tuple[Array, NDArray[np.intp], Array]:
+        """(D, K) directions, (D,) the effect of each and (D,) its share."""
+        schur = self._off_base(self.reference)[0]
+        whole = np.diag(self.reference)[self.own :]
+        rows, owners, shares = [], [], []
+        for number, basis in enumerate(self.bases):
+            found = []
+            for mix in mixes(basis.shape[1]):
+                v = basis @ mix
+                length = float(v @ schur @ v)
+                if length > UNSEEN * float(v**2 @ whole):
+                    found.append(v * (LAMBDA / np.sqrt(length)))
+            rows += found
+            owners += [number] * len(found)
+            shares += [float(self.weights[number]) / len(found) for _ in found]
+        share = np.array(shares)
+        return np.array(rows), np.array(owners, dtype=np.intp), share / share.sum()
+
+    @property
+    def directions(self) -> Array:
+        """(D, K) effects, each `LAMBDA` long on random postures, in the scaled parameters."""
+        return self._drawn[0]
+
+    @property
+    def _shares(self) -> Array:
+        return self._drawn[2]
+
+    @cached_property
+    def _groups(self) -> tuple[Rivals, ...]:
+        """The rivals, those with as many parameters together; none that the base model explains on any plan."""
+        schur, owners = self._off_base(self.reference)[0], self._drawn[1]
+        order = sorted(np.unique(owners).tolist(), key=lambda number: self.bases[number].shape[1])
+        groups = []
+        for _, numbers in groupby(order, key=lambda number: self.bases[number].shape[1]):
+            chosen = list(numbers)
+            columns = np.stack([self.bases[number] for number in chosen], axis=1)
+            lengths = np.einsum("kgs,kl,lgs->g", columns, schur, columns)
+            groups.append(Rivals(columns, owners[:, None] != chosen, RIDGE * np.maximum(lengths, 1e-300)))
+        return tuple(groups)
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """Effects with as many parameters.
+
+    columns : (K, G, s) their bases;  others : (D, G) False where a direction belongs to the rival itself
+    ridge : (G,) added to the diagonal of B^T S B
+    """
+
+    columns: Array
+    others: NDArray[np.bool_]
+    ridge: Array
+
+    def fit(self, schur: Array, seen: Array) -> tuple[Array, Array]:
+        """(..., D, G, s) B^T S v, and the parameters of the rivals that come nearest to each direction."""
+        k, g, s = self.columns.shape
+        flat = self.columns.reshape(k, g * s)
+        shown = (seen @ flat).reshape(*seen.shape[:-1], g, s)
+        halves = np.moveaxis((schur @ flat).reshape(*schur.shape[:-1], g, s), -3, -1)  # (..., G, s, K)
+        gram = halves @ np.moveaxis(self.columns, 1, 0) + self.ridge[:, None, None] * np.eye(s)
+        inverse = np.linalg.inv(gram)[..., None, :, :, :]
+        return shown, (shown[..., None, :] @ inverse)[..., 0, :]
+
+
+def mixes(size: int) -> Iterator[Array]:
+    """Unit vectors along each axis, and along the sum and the difference of every two."""
+    axes = np.eye(size)
+    yield from axes
+    for one, two in combinations(axes, 2):
+        yield (one + two) / np.sqrt(2.0)
+        yield (one - two) / np.sqrt(2.0)

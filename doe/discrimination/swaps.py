@@ -1,0 +1,228 @@
+"""Swaps that make a plan tell missing effects apart, at a D-efficiency that is kept.
+
+Runs are exchanged for postures of a pool: random ones of the design space and neighbours of the plan's own. The first
+derivative of the criterion says which swaps are worth trying, the criterion itself which is best; near the least
+D-efficiency the derivative is mixed with that of the base model's log det. The pool is drawn again as long as that
+helps. Every plan that is taken keeps the constraints and the least value, recomputed from the base problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from doe.discrimination.misidentification import MisidentificationBound
+from doe.plan.replicate_spacing import ROUNDING, gaps
+from doe.problem.candidates import listed
+from doe.problem.feasible import random_postures
+from doe.problem.problem import DesignProblem
+from doe.solvers.driver import feasible_value
+from doe.solvers.solver import Budget
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.gap.hypotheses import hypotheses
+from identification.information import information_matrix
+from identification.model import Model
+from identification.progress import Progress, silent
+
+BY_ORDER = frozenset({"time", "directions"})  # what the order of the postures decides, not the postures
+CLOUD, POOL, NEARBY = 512, 1500, 0.15  # postures; neighbours differ by this share of a joint's range
+OUTS, INS, MORE_OUTS = 4, 8, 50  # runs and postures that are tried per derivative; runs where those bring nothing
+MULTIPLIERS = (2.0, 10.0)  # of the derivative of log det where little of it is left to lose
+TIGHT = 0.1  # log det above the least that counts as little
+WORTH_IT, ROUNDS = 1e-3, 5  # gain of the criterion that makes a swap, and ten of it a new pool, worth while
+RANDOM_PLANS = 25  # whose median bound is shown beside a plan's
+
+
+@dataclass(frozen=True)
+class ExtendedProblem:
+    """A design space with every effect in the model that postures alone can show.
+
+    problem : for that model; the first parameters are those of the arm's own
+    """
+
+    problem: DesignProblem
+    misidentification: MisidentificationBound
+
+    def wrong(self, postures: Array) -> float:
+        """Bound on the mean probability of a wrong name that a plan leaves, see `MisidentificationBound.wrong`."""
+        return float(self.misidentification.wrong(self.problem.information(postures)))
+
+    def at_random(self, runs: int) -> float:
+        """The bound that as many random postures leave, the median of many plans."""
+        generator = np.random.default_rng(0)
+        cloud = pool_of(self.problem, RANDOM_PLANS * runs, generator)
+        plans = [generator.permutation(cloud)[:runs] for _ in range(RANDOM_PLANS)]
+        return float(np.median([self.wrong(plan) for plan in plans]))
+
+
+def extended_problem(problem: DesignProblem, arm: Arm) -> ExtendedProblem:
+    """The same design space for the arm with the effects of the library that it can have."""
+    members = hypotheses(arm, frozenset()).members
+    found = [h for h in members if not h.spec.values and not h.effect.needs & BY_ORDER]
+    tied = {h.key for h in found if h.tied}
+    own = len(Model(arm).names)
+    model = Model(arm.with_effects(*arm.effects, *(h.spec for h in found if not h.tied)))
+    slots = {name: k - own for k, name in enumerate(model.names)}
+    bases, weights = [], []
+    for hypothesis in found:
+        if hypothesis.key in tied and not hypothesis.tied:
+            continue  # one size for all joints is what is seen first
+        columns = [slots[parameter.name] for parameter in hypothesis.effect.parameters]
+        basis = np.zeros((len(model.names) - own, len(columns)))
+        basis[columns, range(len(columns))] = model.scales[own:][columns]
+        bases.append(basis.sum(axis=1, keepdims=True) if hypothesis.tied else basis)
+        weights.append(hypothesis.weight)
+    wide = replace(problem, model=model)
+    cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
+    reference = information_matrix(wide.blocks(cloud)) / len(cloud)
+    return ExtendedProblem(wide, MisidentificationBound(own, tuple(bases), np.array(weights), reference))
+
+
+def pool_of(problem: DesignProblem, count: int, generator: np.random.Generator) -> Array:
+    """(count, n) random postures of the design space; all of a list that is shorter."""
+    if problem.choices is None:
+        return random_postures(problem, count, generator)
+    listed_ones = listed(problem, problem.choices).postures
+    return generator.permutation(listed_ones)[:count]
+
+
+def repeats(problem: DesignProblem, posture: Array, others: Array) -> bool:
+    """True if a posture (n,) is within the minimum distance of one of the others (k, n) or of those kept.
+
+    Unlike `feasible_value`, which leaves it to joints that play no part in the base model to set such postures apart:
+    here these joints are chosen too. Out of a list only one and the same posture of the plan is a repeat.
+    """
+    if problem.minimum_distance == 0.0:
+        return False
+    if problem.choices is not None:
+        return bool(np.any(np.all(others == posture, axis=1)))
+    near = gaps(posture[None], others if problem.kept is None else np.vstack([others, problem.kept]))
+    return bool(np.any(near < problem.minimum_distance / ROUNDING))
+
+
+def improving_swaps(
+    problem: DesignProblem,
+    wide: ExtendedProblem,
+    postures: Array,
+    least: float,
+    generator: np.random.Generator,
+    budget: Budget,
+    progress: Progress = silent,
+) -> Iterator[Array]:
+    """(m, n) the plan after every swap, better and better; none where no swap helps.
+
+    least : of the base problem's criterion
+    """
+    state = Swaps(problem, wide, np.array(postures), least)
+    for number in range(ROUNDS):
+        before = state.value
+        state.draw(generator)
+        while not budget.out_of_time and state.swap():
+            yield state.postures
+            progress(number, ROUNDS, f"wrong names at most {float(np.exp(-state.value)):.3f}")
+        if budget.out_of_time or state.value < before + 10.0 * WORTH_IT:
+            break
+
+
+@dataclass
+class Swaps:
+    """A plan, its information and the pool.
+
+    postures : (m, n);  blocks : (m, d, P) of the wide problem;  pool, offered : the same of the pool
+    """
+
+    problem: DesignProblem
+    wide: ExtendedProblem
+    postures: Array
+    least: float
+
+    def __post_init__(self) -> None:
+        self.misidentification = self.wide.misidentification
+        self.blocks = self.wide.problem.blocks(self.postures)
+        kept = self.problem.kept
+        self.total = len(self.postures) + (0 if kept is None else len(kept))
+        self.information = self.wide.problem.information(self.postures)
+        self.value = float(self.misidentification.value(self.information))
+        self.slack = feasible_value(self.problem, self.postures) - self.least
+
+    def draw(self, generator: np.random.Generator) -> None:
+        """A new pool."""
+        self.pool = pool_of(self.problem, POOL, generator)
+        if self.problem.choices is None:
+            near = self.postures[generator.integers(len(self.postures), size=POOL)]
+            width = NEARBY * (self.problem.upper - self.problem.lower)
+            near = self.problem.clip(near + width * generator.uniform(-1.0, 1.0, near.shape))
+            self.pool = np.concatenate([self.pool, near[self.problem.feasible(near)]])
+        self.offered = self.wide.problem.blocks(self.pool)
+        self.open = np.ones(len(self.pool), dtype=bool)
+        if self.problem.choices is not None and self.problem.minimum_distance > 0.0:  # no place for what is in the plan
+            self.open = ~np.any(np.all(self.pool[:, None] == self.postures, axis=-1), axis=1)
+
+    def swap(self) -> bool:
+        """The best of the most promising swaps, else of more of them; False if none is worth while."""
+        gradients = list(self._gradients())
+        few = self._best(gradients, OUTS, INS)
+        return few or self._best(gradients, MORE_OUTS, INS)
+
+    def _gradients(self) -> Iterator[Array]:
+        ascent = self.misidentification.gradient(self.information)
+        yield ascent
+        if self.slack < TIGHT:
+            p = self.misidentification.own
+            inverse = np.linalg.inv(self.information[:p, :p])
+            for multiplier in MULTIPLIERS:
+                mixed = np.array(ascent)
+                mixed[:p, :p] += multiplier * inverse
+                yield mixed
+
+    def _best(self, gradients: list[Array], outs: int, ins: int) -> bool:
+        """Makes the best swap of the `outs` runs and `ins` postures that look best by any of the gradients."""
+        pairs = np.unique(np.concatenate([self._promising(g, outs, ins) for g in gradients]), axis=0)
+        gains = np.concatenate([self._gains(part) for part in np.array_split(pairs, len(pairs) // CLOUD + 1)])
+        for k in np.argsort(-gains, kind="stable"):
+            if not gains[k] > WORTH_IT:
+                return False
+            if self._make(*pairs[k]):
+                return True
+        return False
+
+    def _promising(self, gradient: Array, outs: int, ins: int) -> NDArray[np.intp]:
+        """(c, 2) runs and postures of the pool."""
+        lost = np.sum((self.blocks @ gradient) * self.blocks, axis=(1, 2))
+        won = np.where(self.open, np.sum((self.offered @ gradient) * self.offered, axis=(1, 2)), -np.inf)
+        ins = min(ins, int(self.open.sum()))
+        runs, places = np.argsort(lost, kind="stable")[:outs], np.argsort(-won, kind="stable")[:ins]
+        return np.stack(np.meshgrid(runs, places, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    def _gains(self, pairs: NDArray[np.intp]) -> Array:
+        """(c,) what each swap adds to the criterion; -inf below the least value."""
+        old, new = self.blocks[pairs[:, 0]], self.offered[pairs[:, 1]]
+        change = np.swapaxes(new, -1, -2) @ new - np.swapaxes(old, -1, -2) @ old
+        informations = self.information + change / self.total
+        p = self.misidentification.own
+        room = np.linalg.slogdet(informations[:, :p, :p])[1] - np.linalg.slogdet(self.information[:p, :p])[1]
+        gains = np.full(len(pairs), -np.inf)
+        fits = room + self.slack >= 0.0
+        if fits.any():
+            gains[fits] = self.misidentification.value(informations[fits]) - self.value
+        return gains
+
+    def _make(self, run: int, place: int) -> bool:
+        """Makes a swap, if the plan keeps its least value and its distances; else the posture is not offered again."""
+        self.open[place] = False
+        if repeats(self.problem, self.pool[place], np.delete(self.postures, run, axis=0)):
+            return False
+        trial = np.array(self.postures)
+        trial[run] = self.pool[place]
+        value = feasible_value(self.problem, trial)
+        if value < self.least:
+            return False
+        self.postures, self.slack = trial, value - self.least
+        self.blocks[run] = self.offered[place]
+        self.information = self.wide.problem.information(self.postures)
+        self.value = float(self.misidentification.value(self.information))
+        return True

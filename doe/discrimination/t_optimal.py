@@ -1,0 +1,213 @@
+"""The next postures that tell the remaining explanations of a diagnosis apart.
+
+T-optimality (Atkinson & Fedorov 1975) for several rivals: were candidate i the truth, rival j, fitted to the old and
+the new measurements together, would miss the new ones by delta, which has the noncentrality
+
+    lambda_ij^2 = delta^T (sigma^2 I + J_j C_j J_j^T)^-1 delta
+
+with C_j the covariance of rival j's parameters from the data at hand, J_j its Jacobian at the new postures. Postures
+are added one at a time and then exchanged; C_j and what j has already given way to i are updated like a Kalman filter.
+Delta BIC between i and j grows by a normal variable of mean lambda^2 and variance 4 lambda^2, which gives the chance
+that the right candidate is the only one left within the window of the ambiguity set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from doe.plan.plan import Plan
+from doe.problem.constraints import constraints_of
+from identification.arm import Arm
+from identification.arrays import Array, readonly
+from identification.errors import InputError, JobError
+from identification.gap.result import Candidate, Diagnosis
+from identification.gap.selection import WINDOW
+from identification.measurements import Conditions, Measurements
+from identification.model import Model
+
+POOL = 1500  # random postures to choose from
+SWEEPS = 2  # exchange passes after the greedy choice
+NUDGE = 1e-2  # weight of the smooth part of the merit, which leads where the chance is still flat
+
+
+@dataclass(frozen=True)
+class NextPostures:
+    """The measurements that should tell the candidates apart.
+
+    plan : (K) postures in the order of measurement
+    payload : (K,) [kg], None if there was no choice;  directions : (K, n) of approach, None if they do not matter
+    chance : predicted probability that one candidate, the right one, is left
+    pairs : (candidate, rival) -> expected lambda of telling them apart
+    """
+
+    plan: Plan
+    payload: Array | None
+    directions: Array | None
+    chance: float
+    pairs: dict[tuple[str, str], float]
+
+    def __str__(self) -> str:
+        return f"{len(self.plan)} postures; chance that they settle it: {100.0 * self.chance:.0f} %"
+
+
+@dataclass(frozen=True)
+class _Options:
+    """The pool: postures with the conditions under which they could be measured."""
+
+    postures: Array  # (N, n)
+    conditions: Conditions
+
+
+@dataclass
+class _Rivals:
+    """What is known of the candidates: weights (K,), Delta BIC (K, K) of rival over truth so far, pool predictions."""
+
+    weights: Array
+    ahead: Array  # (K, K) BIC_j - BIC_i
+    positions: Array  # (K, N, 2) / sigma
+    jacobians: list[Array]  # (N, 2, p_j) / sigma, parameters scaled so that the covariance is the identity
+
+
+def discriminate(
+    arm: Arm,
+    diagnosis: Diagnosis,
+    measurements: Measurements,
+    runs: int,
+    seed: int = 0,
+    payloads: tuple[float, ...] | None = None,
+) -> NextPostures:
+    """The `runs` measurements most likely to settle an ambiguous diagnosis.
+
+    payloads : [kg] that can be hung on the arm, default its own only
+
+    Raises `InputError` for a diagnosis that is not ambiguous or `runs` < 1, `JobError` if no posture is allowed.
+    """
+    if runs < 1:
+        raise InputError(f"runs: {runs}, allowed: at least 1")
+    if len(diagnosis.candidates) < 2:
+        raise InputError(
+            f"diagnosis: the verdict is {diagnosis.verdict}, allowed: ambiguous, with candidates to tell apart"
+        )
+    generator = np.random.default_rng(seed)
+    options = _pool(arm, diagnosis, generator, payloads)
+    rivals = _rivals(diagnosis, measurements, options)
+    chosen: list[int] = []
+    for _ in range(runs):
+        chosen.append(_best(rivals, chosen))
+    for _ in range(SWEEPS):
+        before = list(chosen)
+        for k in range(runs):
+            chosen[k] = _best(rivals, chosen[:k] + chosen[k + 1 :])
+        if chosen == before:
+            break
+    return _result(diagnosis, rivals, options, chosen, payloads)
+
+
+def _pool(
+    arm: Arm, diagnosis: Diagnosis, generator: np.random.Generator, payloads: tuple[float, ...] | None
+) -> _Options:
+    """Random allowed postures, each with a payload and directions of approach."""
+    postures = generator.uniform(arm.lower, arm.upper, (4 * POOL, arm.links))
+    for constraint in constraints_of(arm):
+        margin = np.asarray(constraint.margin(postures)).reshape(len(postures), -1)
+        postures = postures[margin.min(axis=1) >= 0.0]
+    postures = postures[:POOL]
+    if not len(postures):
+        raise JobError("constraints: no random posture satisfies them, nothing can be proposed")
+    count = len(postures)
+    own = 0.0 if arm.gravity is None else arm.gravity.payload
+    payload = generator.choice(np.array(payloads or (own,)), count)
+    directions = generator.choice(np.array([-1.0, 1.0]), (count, arm.links))
+    return _Options(postures, Conditions(payload, None, np.full(count, 0.5), directions))
+
+
+def _rivals(diagnosis: Diagnosis, measurements: Measurements, options: _Options) -> _Rivals:
+    """Predictions of every candidate, fitted to the data at hand, over the pool."""
+    sigma = diagnosis.sigma
+    positions, jacobians = [], []
+    for candidate in diagnosis.candidates:
+        model = Model(diagnosis.extended_arm(candidate))
+        position, jacobian = model.linearize(options.postures, None, options.conditions)
+        positions.append(position / sigma)
+        jacobians.append(jacobian @ _root(candidate, model) / sigma)
+    delta = np.array([candidate.delta_bic for candidate in diagnosis.candidates])
+    weights = np.exp(-0.5 * delta)
+    return _Rivals(weights / weights.sum(), delta[None, :] - delta[:, None], np.array(positions), jacobians)
+
+
+def _root(candidate: Candidate, model: Model) -> Array:
+    """(p, p) with root root^T the covariance of the candidate's parameters, in the model's order."""
+    order = [candidate.calibration.parameter_names.index(name) for name in model.names]
+    if candidate.calibration.covariance is None:
+        raise InputError("diagnosis: a candidate has no covariance, allowed: the result of diagnose()")
+    covariance = candidate.calibration.covariance[np.ix_(order, order)]
+    scaled = covariance * np.outer(model.scales, model.scales)
+    values, vectors = np.linalg.eigh(scaled)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) / model.scales[:, None])
+
+
+def _noncentrality(rivals: _Rivals, chosen: list[int]) -> tuple[Array, Array]:
+    """(K, K) lambda^2 of the chosen postures, and (K, K, N) what each posture of the pool would add to it."""
+    count = len(rivals.weights)
+    pool = rivals.positions.shape[1]
+    settled, gain = np.zeros((count, count)), np.zeros((count, count, pool))
+    for j, jacobian in enumerate(rivals.jacobians):
+        given = jacobian[chosen].reshape(-1, jacobian.shape[2])  # (2k, p), prior covariance of the parameters is I
+        inner = np.linalg.inv(np.eye(len(given)) + given @ given.T)
+        posterior = np.eye(jacobian.shape[2]) - given.T @ inner @ given
+        spread = np.eye(2) + np.einsum("nap,pq,nbq->nab", jacobian, posterior, jacobian, optimize=True)
+        precision = np.linalg.inv(spread)
+        for i in range(count):
+            delta = rivals.positions[i] - rivals.positions[j]
+            known = delta[chosen].ravel()
+            settled[i, j] = known @ inner @ known
+            left = delta - np.einsum("nap,p->na", jacobian, given.T @ (inner @ known))
+            gain[i, j] = np.einsum("na,nab,nb->n", left, precision, left)
+    return settled, gain
+
+
+def _best(rivals: _Rivals, chosen: list[int]) -> int:
+    settled, gain = _noncentrality(rivals, chosen)
+    return int(np.argmax(_merit(rivals, settled[:, :, None] + gain)))
+
+
+def _merit(rivals: _Rivals, squares: Array) -> Array:
+    """(N,) weighted sum over pairs of the chance to tell them apart, and a little of the logarithm of lambda^2."""
+    chance = _pair_chance(rivals, squares)
+    count = len(rivals.weights)
+    off = 1.0 - np.eye(count)
+    value = chance + NUDGE * np.log1p(squares)
+    return np.asarray(np.einsum("i,ij,ijn->n", rivals.weights, off, value))
+
+
+def _pair_chance(rivals: _Rivals, squares: Array) -> Array:
+    """(K, K, N) probability that Delta BIC of rival j over truth i exceeds the window."""
+    length = np.sqrt(np.maximum(squares, 1e-12))
+    return np.asarray(ndtr((squares + rivals.ahead[:, :, None] - WINDOW) / (2.0 * length)))
+
+
+def _result(
+    diagnosis: Diagnosis, rivals: _Rivals, options: _Options, chosen: list[int], payloads: tuple[float, ...] | None
+) -> NextPostures:
+    settled, _ = _noncentrality(rivals, chosen)
+    chance = _pair_chance(rivals, settled[:, :, None])[:, :, 0]
+    np.fill_diagonal(chance, 1.0)
+    names = [" + ".join(c.effects) for c in diagnosis.candidates]
+    pairs = {
+        (names[i], names[j]): float(np.sqrt(settled[i, j]))
+        for i in range(len(names))
+        for j in range(len(names))
+        if i != j
+    }
+    needs = frozenset().union(*(Model(diagnosis.extended_arm(c)).needs for c in diagnosis.candidates))
+    conditions = options.conditions.rows(chosen)
+    return NextPostures(
+        Plan(options.postures[chosen]),
+        readonly(conditions.payload) if payloads and conditions.payload is not None else None,
+        readonly(conditions.directions) if "directions" in needs and conditions.directions is not None else None,
+        float(rivals.weights @ chance.min(axis=1)),
+        pairs,
+    )

@@ -1,0 +1,1 @@
+"""Running many tasks: workers, isolated processes, and tables of finished rows."""

@@ -1,0 +1,114 @@
+"""One call in a process of its own, with a time limit: a call that hangs or crashes stops nothing else.
+
+The process is an ordinary Python started for this call, so it works from anywhere (a notebook, a pool, a dask worker),
+inherits no locks or threads, and builds its own CasADi functions.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+SINGLE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+GRACE = 60.0  # [s] for the interpreter to start, import and answer; not part of the limit on the call itself
+COMMAND = "from doe.jobs.isolated import answer; answer()"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a call in its own process ended.
+
+    value : what it returned, None unless `status` is "done"
+    status : "done", "failed" (it raised), "timeout" (killed), "crashed" (the process died)
+    error : one line on what went wrong
+    seconds : wall time of the call itself, without starting the process
+    peak_memory_mb : largest resident memory of the process, with its imports; None where the system does not tell
+    """
+
+    value: Any
+    status: str
+    error: str | None
+    seconds: float
+    peak_memory_mb: float | None
+
+
+def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> Outcome:
+    """`function(*arguments)` in a new process, killed `seconds` [s] after it was called.
+
+    function : importable by name there;  arguments : picklable
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        result = Path(folder) / "result"
+        task = pickle.dumps((str(result), seconds, sys.path, pickle.dumps((function, arguments))))
+        started = time.monotonic()
+        process = subprocess.Popen(
+            [sys.executable, "-c", COMMAND],
+            env={**os.environ, **SINGLE_THREAD, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,  # solvers print banners there
+            stderr=subprocess.PIPE,
+        )
+        try:
+            _, errors = process.communicate(task, timeout=seconds + GRACE)
+        except subprocess.TimeoutExpired:
+            return Outcome(None, "timeout", f"killed after {seconds:g} s", seconds, None)
+        finally:
+            process.kill()
+            process.communicate()
+        return _outcome(process.returncode, result, errors, seconds, time.monotonic() - started)
+
+
+def _outcome(code: int, result: Path, errors: bytes, limit: float, wall: float) -> Outcome:
+    if code == 0 and result.exists():
+        return Outcome(*pickle.loads(result.read_bytes()))
+    if code == -signal.SIGALRM:
+        return Outcome(None, "timeout", f"killed after {limit:g} s", limit, None)
+    lines = errors.decode(errors="replace").strip().splitlines()
+    reason = f"signal {-code}" if code < 0 else f"exit code {code}"
+    return Outcome(None, "crashed", f"{reason}: {lines[-1] if lines else 'no message'}", wall, None)
+
+
+def answer() -> None:
+    """What runs in the new process: the task from standard input, the outcome into its file."""
+    path, limit, search, task = pickle.load(sys.stdin.buffer)
+    sys.path[:] = search
+    try:
+        function, arguments = pickle.loads(task)
+        signal.setitimer(signal.ITIMER_REAL, limit)  # its default action ends the process even inside compiled code
+        started = time.perf_counter()
+        value, status, error = function(*arguments), "done", None
+        seconds = time.perf_counter() - started
+    except Exception as raised:  # noqa: BLE001 - whatever it was, it becomes the outcome
+        value, status, error = None, "failed", one_line(raised)
+        seconds = time.perf_counter() - started if "started" in locals() else 0.0
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    Path(path).write_bytes(pickle.dumps((value, status, error, seconds, peak_memory_mb())))
+
+
+def one_line(error: BaseException) -> str:
+    """`TypeName: message`, on one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def peak_memory_mb() -> float | None:
+    """Largest resident memory of this process so far [MB].
+
+    Linux's own figure of the address space: `getrusage` would count what the parent had before this process began.
+    """
+    try:
+        status = Path("/proc/self/status").read_text()
+        return int(status.split("VmHWM:")[1].split()[0]) / 1024.0
+    except (OSError, IndexError):
+        import resource
+
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)

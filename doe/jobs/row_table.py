@@ -1,0 +1,218 @@
+"""Tables of rows under keys: written as rows finish, whole after a crash, continued where they stopped.
+
+A table is one Parquet file. While work goes on, finished rows are appended to a journal beside it (one line of JSON per
+key, floats to the last bit); `finish` turns both into the Parquet file. After a kill the journal is still there, and
+`RowTable.open(..., resume=True)` reads it; a line torn by the crash is dropped, its key is simply done again.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import io
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from identification.errors import InputError
+from identification.files.io import PathLike, write_whole
+
+if TYPE_CHECKING:
+    import polars
+
+Key = Mapping[str, Any]  # JSON types only; says everything that the rows depend on
+Row = dict[str, Any]
+KEY = "key"  # column with the key's canonical text
+
+
+def canonical(key: Key) -> str:
+    """The key as text, the same whatever the order of its entries.
+
+    >>> canonical({"runs": 4, "arm": "a"})
+    '{"arm":"a","runs":4}'
+    """
+    return json.dumps(key, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+@dataclass
+class RowTable:
+    """Rows per key, in memory and in the journal."""
+
+    path: Path
+    rows: dict[str, list[Row]] = field(default_factory=dict)
+    _journal: IO[bytes] | None = None
+
+    @classmethod
+    @contextmanager
+    def open(cls, path: PathLike | None, *, resume: bool = False, force: bool = False) -> Iterator[RowTable]:
+        """A table to add rows to, Parquet file written on the way out (also after Ctrl-C or an error).
+
+        path : the Parquet file; None keeps the rows in memory only
+        resume : continue a table that exists;  force : replace it
+        Raises `InputError` if the table exists and neither is given, or another process is writing it.
+        """
+        if path is None:
+            yield cls(Path())
+            return
+        target = _target(path, resume, force)
+        table = cls(target)
+        journal = _locked(journal_of(target))
+        try:
+            if resume:
+                table.rows = {**_from_parquet(target), **_from_journal(journal)}
+            else:
+                journal.truncate(0)
+            journal.seek(0, io.SEEK_END)
+            table._journal = journal
+            try:
+                yield table
+            finally:
+                table._finish()
+        finally:
+            journal.close()
+
+    @classmethod
+    @contextmanager
+    def within(
+        cls, folder: PathLike | None, name: str, *, resume: bool = False, force: bool = False
+    ) -> Iterator[RowTable]:
+        """The table NAME in a folder, which is made; None keeps the rows in memory. As `open` otherwise."""
+        if folder is not None:
+            try:
+                Path(folder).mkdir(exist_ok=True)
+            except OSError as error:
+                raise InputError(
+                    f"{folder}: cannot be made ({error.strerror}), allowed: a folder in another one"
+                ) from None
+        with cls.open(None if folder is None else Path(folder) / name, resume=resume, force=force) as table:
+            yield table
+
+    def add(self, key: Key, rows: Sequence[Row]) -> None:
+        """The rows of one key, on the disk before this returns."""
+        text = canonical(key)
+        self.rows[text] = [{KEY: text, **row} for row in rows]
+        if self._journal is not None:
+            self._journal.write(json.dumps([text, list(rows)]).encode() + b"\n")
+            self._journal.flush()
+
+    def forget(self, keys: Iterable[str]) -> None:
+        """Drops the rows of these keys (canonical text), to do them again."""
+        for key in keys:
+            self.rows.pop(key, None)
+
+    def arrange(self, keys: Iterable[Key]) -> None:
+        """Puts the rows of these keys first, in their order: the file then does not tell who finished first."""
+        first = [text for key in keys if (text := canonical(key)) in self.rows]
+        self.rows = {text: self.rows[text] for text in dict.fromkeys([*first, *self.rows])}
+
+    def __contains__(self, key: Key) -> bool:
+        return canonical(key) in self.rows
+
+    def frame(self, keys: Iterable[Key] | None = None) -> polars.DataFrame:
+        """All rows, or those of some keys in their order; without a row, a frame without columns."""
+        wanted = self.rows if keys is None else [text for key in keys if (text := canonical(key)) in self.rows]
+        return frame_of([row for text in wanted for row in self.rows[text]])
+
+    def _finish(self) -> None:
+        assert self._journal is not None
+        if self.rows:
+            buffer = io.BytesIO()
+            self.frame().write_parquet(buffer)
+            write_whole(self.path, buffer.getvalue(), force=True)
+        journal_of(self.path).unlink(missing_ok=True)
+
+
+def frame_of(rows: Sequence[Row]) -> polars.DataFrame:
+    """Rows as a polars frame; a column is the union of the rows' types, what a row does not have is null."""
+    import polars
+
+    if not rows:
+        return polars.DataFrame()
+    names = dict.fromkeys(name for row in rows for name in row)
+    columns = {name: [row.get(name) for row in rows] for name in names}
+    return polars.DataFrame({name: polars.Series(name, values, strict=False) for name, values in columns.items()})
+
+
+def read_rows(path: PathLike) -> polars.DataFrame:
+    """The rows of a table, also of one that is being written or was interrupted. Raises `InputError` if none."""
+    target, journal = Path(path), journal_of(Path(path))
+    if not target.exists() and not journal.exists():
+        raise InputError(f"{path}: no such table, allowed: the Parquet file of an earlier run")
+    rows = _from_parquet(target)
+    if journal.exists():
+        with open(journal, "rb") as stream:
+            rows |= _parse(stream.read())[0]
+    return frame_of([row for found in rows.values() for row in found])
+
+
+def journal_of(path: Path) -> Path:
+    """Where the rows of a table stand while work goes on."""
+    return path.with_name(path.name + ".journal")
+
+
+def _target(path: PathLike, resume: bool, force: bool) -> Path:
+    target = Path(path).resolve()
+    if not target.parent.is_dir():
+        raise InputError(f"{path}: there is no folder {str(target.parent)!r}, allowed: a file in an existing folder")
+    if target.is_dir():
+        raise InputError(f"{path}: is a directory, allowed: a file name")
+    if not (resume or force):
+        for there in (target, journal_of(target)):
+            if there.exists():
+                raise InputError(f"{there}: exists, allowed: a new name, --resume to go on, or --force to replace it")
+    return target
+
+
+def _locked(journal: Path) -> IO[bytes]:
+    """The journal, open for this process only."""
+    try:
+        stream = open(journal, "a+b")  # noqa: SIM115 - closed by the caller
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        stream.close()
+        raise InputError(f"{journal}: another run is writing this table, allowed: one at a time") from None
+    except OSError as error:
+        raise InputError(f"{journal}: cannot be written ({error.strerror})") from None
+    return stream
+
+
+def _from_parquet(path: Path) -> dict[str, list[Row]]:
+    import polars
+
+    if not path.exists():
+        return {}
+    try:
+        frame = polars.read_parquet(path)
+    except (polars.exceptions.PolarsError, OSError) as error:
+        raise InputError(f"{path}: not a Parquet file ({str(error).splitlines()[0]})") from None
+    if KEY not in frame.columns:
+        raise InputError(f"{path}: has no column {KEY!r}, allowed: a table written by armcal")
+    rows: dict[str, list[Row]] = {}
+    for row in frame.iter_rows(named=True):
+        rows.setdefault(row[KEY], []).append(row)
+    return rows
+
+
+def _from_journal(stream: IO[bytes]) -> dict[str, list[Row]]:
+    """The journal's rows; the torn end of a crashed run is cut off."""
+    stream.seek(0)
+    rows, size = _parse(stream.read())
+    os.ftruncate(stream.fileno(), size)
+    return rows
+
+
+def _parse(content: bytes) -> tuple[dict[str, list[Row]], int]:
+    rows, size = {}, 0
+    for line in content.splitlines(keepends=True):
+        try:
+            text, found = json.loads(line)
+        except ValueError:
+            break
+        if not line.endswith(b"\n"):
+            break
+        rows[text] = [{KEY: text, **row} for row in found]
+        size += len(line)
+    return rows, size

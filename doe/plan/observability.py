@@ -1,0 +1,47 @@
+"""Observability indices O1 to O5 of a plan, for comparison with the robot calibration literature.
+
+Y. Sun, J. M. Hollerbach, "Observability index selection for robot calibration", ICRA 2008: from the singular values
+s_1 >= ... >= s_p of the identification Jacobian of all m runs, here scaled (lengths in mm, angles times link length).
+O1 is D-, O3 is E-, O5 is close to A-optimality (of deviations, not variances). Only O1's order of plans is invariant to
+units. Larger is better for each; 0 where the plan does not identify all parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
+
+
+@dataclass(frozen=True)
+class Observability:
+    """o1: (s_1 ... s_p)^(1/p) / sqrt(m);  o2: s_p / s_1;  o3: s_p;  o4: s_p^2 / s_1;  o5: 1 / sum(1 / s_i)."""
+
+    o1: float
+    o2: float
+    o3: float
+    o4: float
+    o5: float
+
+    def to_json(self) -> dict[str, float]:
+        """By name."""
+        return asdict(self)
+
+
+def observability(problem: DesignProblem, postures: Array) -> Observability:
+    """The five indices of a plan (m, n), measured postures (`kept`) included."""
+    everything = postures if problem.kept is None else np.vstack([postures, problem.kept])
+    blocks = problem.blocks(everything)
+    values = np.linalg.svd(blocks.reshape(-1, problem.parameters), compute_uv=False)
+    if len(values) < problem.parameters or values[-1] <= 1e-12 * values[0]:
+        return Observability(0.0, 0.0, 0.0, 0.0, 0.0)
+    return Observability(
+        float(np.exp(np.mean(np.log(values))) / np.sqrt(len(everything))),
+        float(values[-1] / values[0]),
+        float(values[-1]),
+        float(values[-1] ** 2 / values[0]),
+        float(1.0 / np.sum(1.0 / values)),
+    )

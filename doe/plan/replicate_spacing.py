@@ -1,0 +1,161 @@
+"""Repeats only when asked for: postures of a plan that are too near each other are moved apart, at the least loss."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from doe.criteria.criterion import surrogate, values_after_adding
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
+from identification.information import information_matrix
+
+ROUNDING = 1.0 + 1e-9
+CHUNK = 10_000_000  # numbers in memory, or pairs of rows to compare, at once
+MANY = 5000  # rows whose pairs are not listed one by one
+REACH = 3  # multiples of the minimum distance that a posture may be moved by, in each of a few joints
+
+
+def free_values(problem: DesignProblem) -> Array:
+    """(n,) the middle of the joint limits: where joints stay that play no part in the criterion."""
+    return (problem.lower + problem.upper) / 2.0
+
+
+def distance_to_keep(problem: DesignProblem, runs: int) -> float:
+    """[rad] by which a search keeps postures apart in its joints; 0 where spreading a free joint sets them apart."""
+    return problem.minimum_distance if 1.0 == replicates_allowed(problem) < runs else 0.0
+
+
+def free_joints(problem: DesignProblem) -> list[int]:
+    """Joints (from 0) that play no part, the one with the widest range first."""
+    free = [joint for joint in range(problem.joints) if joint not in problem.searched_joints]
+    return sorted(free, key=lambda joint: problem.lower[joint] - problem.upper[joint])
+
+
+def replicates_allowed(problem: DesignProblem) -> float:
+    """How many postures that are alike in the searched joints a free joint can set apart; infinite: repeats are fine.
+
+    A list of postures says itself which are different.
+    """
+    if problem.choices is not None or problem.minimum_distance == 0.0:
+        return float("inf")
+    width = max((problem.upper[j] - problem.lower[j] for j in free_joints(problem)), default=0.0)
+    return float(max(1.0, np.floor(width / problem.minimum_distance * (1.0 + 1e-9))))
+
+
+def gaps(postures: Array, others: Array) -> Array:
+    """(m, k) largest joint difference [rad] between postures (m, n) and others (k, n)."""
+    return np.abs(postures[:, None] - others).max(axis=-1, initial=0.0)
+
+
+def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
+    """Rows that come too near earlier rows, or postures measured already, in more places than a free joint has.
+
+    Without a free joint that is within the minimum distance of a single one. In very long plans later rows count too.
+    """
+    room = replicates_allowed(problem)
+    if room >= len(postures):
+        return np.empty(0, dtype=np.intp)
+    searched, distance = postures[:, list(problem.searched_joints)], problem.minimum_distance / ROUNDING
+    near = np.zeros(len(postures))
+    if problem.kept is not None and len(problem.kept):
+        blocked = 1 if room == 1.0 else 2  # places on a free joint within the distance of a measured posture
+        near += blocked * (gaps(searched, problem.kept[:, list(problem.searched_joints)]) < distance).sum(axis=1)
+    if room > 1.0:
+        most = near + neighbours(searched, distance)
+        if most.max() < room or len(postures) > MANY:
+            return np.flatnonzero(most >= room)
+    rows = max(1, CHUNK // max(1, searched.size))
+    for start in range(0, len(searched), rows):
+        chunk = gaps(searched[start : start + rows], searched[: start + rows]) < distance
+        near[start : start + rows] += np.tril(chunk, k=start - 1).sum(axis=1)
+    return np.flatnonzero(near >= room)
+
+
+def neighbours(points: Array, distance: float) -> NDArray[np.intp]:
+    """(m,) number of other rows nearer than the distance in every column."""
+    tree = _tree(points)
+    if tree is None:
+        return np.full(len(points), len(points) - 1)
+    return np.asarray(tree.query_ball_point(points, distance, p=np.inf, return_length=True)) - 1
+
+
+def _tree(points: Array) -> Any:
+    from scipy.spatial import KDTree  # 0.1 s to import
+
+    return KDTree(points) if points.shape[1] else None
+
+
+def separated(problem: DesignProblem, postures: Array) -> Array:
+    """The same plan with every repeat moved to the best free place around it; unchanged where there is none."""
+    plan, searched = np.array(postures), list(problem.searched_joints)
+    crowded = too_near(problem, plan)
+    for row in crowded if len(crowded) * len(plan) <= CHUNK else ():
+        others = np.delete(plan, row, axis=0)
+        if problem.kept is not None:
+            others = np.vstack([others, problem.kept])
+        places = around(problem, plan[row])
+        near = gaps(places[:, searched], others[:, searched]) < problem.minimum_distance / ROUNDING
+        places = places[near.sum(axis=1) < replicates_allowed(problem)]
+        places = places[problem.feasible(places)] if len(places) else places
+        if len(places):
+            information = information_matrix(problem.blocks(others)) / len(others)
+            blocks = problem.blocks(places) / np.sqrt(len(others))
+            values = values_after_adding(surrogate(problem.criterion), information[None], blocks[None])[0]
+            plan[row] = places[np.argmax(values)]
+    return plan
+
+
+def around(problem: DesignProblem, posture: Array) -> Array:
+    """(k, n) postures within the limits that differ by multiples of the minimum distance in up to two joints."""
+    step = problem.minimum_distance * ROUNDING
+    sizes = step * np.array([s for s in range(-REACH, REACH + 1) if s])
+    moves = []
+    for joint in problem.searched_joints:
+        for size in sizes:
+            move = np.zeros(problem.joints)
+            move[joint] = size
+            moves.append(move)
+    pairs = [a + b for a, b in product(moves, moves) if np.count_nonzero(a + b) == 2]
+    places = posture + np.array(moves + pairs)
+    return places[np.all((places >= problem.lower) & (places <= problem.upper), axis=1)]
+
+
+def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
+    """The same plan with joints that play no part spread evenly over their limits in shuffled order.
+
+    They cost nothing there and help to see missing effects (GAP.md), instead of staying at a constant. Where even steps
+    are below the minimum distance, the widest of them sets apart postures that are alike in all other joints.
+    """
+    spread = np.array(postures)
+    m = len(spread)
+    for joint in free_joints(problem):
+        shares = (generator.permutation(m) + 0.5) / m
+        spread[:, joint] = problem.lower[joint] + shares * (problem.upper[joint] - problem.lower[joint])
+    if 1.0 < replicates_allowed(problem) < m:
+        spread[:, free_joints(problem)[0]] = set_apart(problem, spread, generator)
+    return spread
+
+
+def set_apart(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
+    """(m,) angles of the widest free joint: of evenly spaced places the least used that no alike posture has yet."""
+    joint, searched = free_joints(problem)[0], list(problem.searched_joints)
+    count = int(replicates_allowed(problem))
+    width, distance = problem.upper[joint] - problem.lower[joint], problem.minimum_distance / ROUNDING
+    places = problem.lower[joint] + (np.arange(count) + 0.5) / count * width
+    used, chosen = np.zeros(count), np.full(len(postures), -1)
+    tree = _tree(postures[:, searched])
+    kept = np.empty((0, problem.joints)) if problem.kept is None else problem.kept
+    for row, posture in enumerate(postures):
+        alike = slice(0, row) if tree is None else tree.query_ball_point(posture[searched], distance, p=np.inf)
+        taken = chosen[alike]
+        cost = used + generator.uniform(0.0, 0.5, count)
+        cost[taken[taken >= 0]] = np.inf
+        measured = kept[gaps(posture[None, searched], kept[:, searched])[0] < distance]
+        cost[(gaps(places[:, None], measured[:, joint, None]) < distance).any(axis=1)] = np.inf
+        chosen[row] = np.argmin(cost)
+        used[chosen[row]] += 1.0
+    return np.asarray(places[chosen])

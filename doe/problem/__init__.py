@@ -1,0 +1,1 @@
+"""The design problem: limits, constraints, candidates, what is known beforehand."""

@@ -1,0 +1,163 @@
+"""Finite sets of allowed postures: a grid over the joint limits or a list, made chunk by chunk.
+
+A grid of a million postures is three short axes, not an array: postures exist only while a chunk is looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from math import prod
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array, readonly
+from identification.errors import InputError
+
+Index = NDArray[np.int64]
+CHUNK = 8192  # postures; the blocks of a chunk stay in the processor's cache, which is fastest
+OUTSIDE = 1e-9  # [rad] a listed posture may exceed a joint limit by this much, from rounding in a file in degrees
+
+
+class Candidates(Protocol):
+    """N allowed postures, counted from 0."""
+
+    def __len__(self) -> int: ...
+
+    def take(self, index: Index) -> Array:
+        """(k, n) postures [rad] of some candidates."""
+        ...
+
+
+@dataclass(frozen=True)
+class PostureList:
+    """Candidates that are simply listed.
+
+    postures : (N, n) [rad]
+    dropped : how many more there were, outside the limits or the constraints
+    """
+
+    postures: Array
+    dropped: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "postures", readonly(np.atleast_2d(self.postures)))
+
+    def __len__(self) -> int:
+        return len(self.postures)
+
+    def take(self, index: Index) -> Array:
+        """(k, n) postures [rad] of some candidates."""
+        return self.postures[index]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Every combination of the axes' values, the last axis fastest, or those of them that are `allowed`.
+
+    axes : per joint its values [rad]; one value for a joint that is not gridded
+    allowed : (N,) numbers of the combinations that satisfy the constraints, None: all of them
+    dropped : how many do not
+    """
+
+    axes: tuple[Array, ...]
+    allowed: Index | None = None
+    dropped: int = 0
+    shape: tuple[int, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "axes", tuple(readonly(axis, -1) for axis in self.axes))
+        object.__setattr__(self, "shape", tuple(axis.size for axis in self.axes))
+
+    def __len__(self) -> int:
+        return prod(self.shape) if self.allowed is None else len(self.allowed)
+
+    @property
+    def landmarks(self) -> Index:
+        """(k,) candidates at a limit or in the middle of every axis."""
+        places = np.meshgrid(*(np.unique([0, size // 2, size - 1]) for size in self.shape), indexing="ij")
+        cells = np.ravel_multi_index(tuple(place.ravel() for place in places), self.shape)
+        if self.allowed is None:
+            return cells
+        found = np.minimum(np.searchsorted(self.allowed, cells), len(self.allowed) - 1)
+        return found[self.allowed[found] == cells]
+
+    def take(self, index: Index) -> Array:
+        """(k, n) postures [rad] of some candidates."""
+        cell = np.asarray(index) if self.allowed is None else self.allowed[index]
+        places = np.unravel_index(cell, self.shape)
+        postures = np.empty((len(cell), len(self.axes)))
+        for joint, (axis, place) in enumerate(zip(self.axes, places, strict=True)):
+            postures[:, joint] = axis[place]
+        return postures
+
+
+def chunks(candidates: Candidates, size: int = CHUNK) -> Iterator[tuple[Index, Array]]:
+    """The candidates in order, as (index, postures) of at most `size` at a time."""
+    for start in range(0, len(candidates), size):
+        index = np.arange(start, min(start + size, len(candidates)))
+        yield index, candidates.take(index)
+
+
+def spread(candidates: Candidates, count: int) -> Array:
+    """About `count` of the candidates (k, n), well spread; all of them if there are no more.
+
+    Of a grid, limits and middles of the axes are among them: the optimum is often made of these.
+    """
+    total = len(candidates)
+    if total <= count:
+        return candidates.take(np.arange(total))
+    generator = np.random.default_rng(0)
+    chosen = generator.integers(0, total, count)
+    marks = candidates.landmarks if isinstance(candidates, Grid) else np.array([0, total - 1])
+    few = marks if len(marks) <= count // 2 else generator.choice(marks, count // 2, replace=False)
+    return candidates.take(np.unique(np.concatenate([few, chosen[: count - len(few)]])))
+
+
+def grid(problem: DesignProblem, levels: int) -> Grid:
+    """`levels` values per joint from limit to limit, over the joints that matter, without what constraints forbid.
+
+    A joint that changes neither information nor constraints (q_1 of a free base model) stays in the middle of its
+    range. Raises InputError for fewer than two levels and where no candidate is left.
+    """
+    if levels < 2:
+        raise InputError(f"grid: {levels} levels per joint, allowed: at least 2 (the joint limits)")
+    gridded = set(problem.searched_joints)
+    middle = 0.5 * (problem.lower + problem.upper)
+    axes = tuple(
+        np.linspace(problem.lower[j], problem.upper[j], levels) if j in gridded else middle[j : j + 1]
+        for j in range(problem.joints)
+    )
+    everything = Grid(axes)
+    if not problem.constraints:
+        return everything
+    kept = [index[problem.feasible(postures)] for index, postures in chunks(everything)]
+    allowed = np.concatenate(kept)
+    _require_some(len(allowed), len(everything))
+    return Grid(axes, allowed, len(everything) - len(allowed))
+
+
+def listed(problem: DesignProblem, postures: ArrayLike) -> PostureList:
+    """Those of the (N, n) `postures` [rad] that are within the limits and satisfy the constraints.
+
+    Raises InputError for another number of joints and where no candidate is left.
+    """
+    given = np.atleast_2d(np.asarray(postures, dtype=float))
+    if given.ndim != 2 or given.shape[1] != problem.joints:
+        raise InputError(f"candidates: shape {np.shape(postures)}, allowed: (N, {problem.joints})")
+    if not np.all(np.isfinite(given)):
+        row = int(np.flatnonzero(~np.isfinite(given).all(axis=1))[0])
+        raise InputError(f"candidates: row {row + 1} is not finite, allowed: finite joint angles")
+    inside = np.all((given >= problem.lower - OUTSIDE) & (given <= problem.upper + OUTSIDE), axis=1)
+    clipped = problem.clip(given)
+    inside[inside] = problem.feasible(clipped[inside])
+    _require_some(int(inside.sum()), len(given))
+    return PostureList(clipped[inside], len(given) - int(inside.sum()))
+
+
+def _require_some(left: int, given: int) -> None:
+    if left == 0:
+        raise InputError(f"candidates: 0 of {given} are within limits and constraints, allowed: at least one")

@@ -1,0 +1,190 @@
+"""The design problem: exactly the mathematical ingredients, frozen. Solving it is somebody else's job (`doe.solvers`).
+
+`doe` knows a model only as names, scales, a dimension d, and Jacobians (m, d, p): nothing here assumes a plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from doe.criteria import Criterion, D
+from doe.problem.constraints import Constraint, constraints_of
+from identification.arrays import Array, readonly
+from identification.errors import InputError
+from identification.information import information_matrix
+from identification.model import Model
+from identification.vectorize import vectorize
+
+ONE_DEGREE = float(np.radians(1.0))
+
+
+class InformationModel(Protocol):
+    """All that design needs of a model: `identification.model.Model` has it, a spatial arm would too."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def scales(self) -> Array: ...
+    @property
+    def dimension(self) -> int: ...
+    @property
+    def values(self) -> Array: ...
+    @property
+    def neutral_conditions(self) -> Array: ...
+    @property
+    def jacobian_function(self) -> ca.Function: ...
+    def jacobian(self, postures: ArrayLike, parameters: Any = None, conditions: Any = None) -> Array: ...
+
+
+@dataclass(frozen=True)
+class DesignProblem:
+    """Choose postures within the limits and constraints that maximise the criterion of the information per run.
+
+    model : gives Jacobians;  lower, upper : (n,) joint limits [rad]
+    constraints : what a posture must satisfy besides the limits, see `doe.problem.constraints`
+    kept : (k, n) postures already measured, which count in the information, or None
+    choices : (N, n) postures to choose from, None: anything within limits and constraints
+    minimum_distance : [rad] two postures of a plan differ by this in some joint at least; 0: repeats are allowed
+    """
+
+    model: InformationModel
+    lower: Array
+    upper: Array
+    criterion: Criterion = field(default_factory=D)
+    constraints: Sequence[Constraint] = ()
+    kept: Array | None = None
+    choices: Array | None = None
+    minimum_distance: float = ONE_DEGREE
+
+    def __post_init__(self) -> None:
+        check_parts(self)
+        for name in ("lower", "upper"):
+            object.__setattr__(self, name, readonly(getattr(self, name), -1))
+        if not (np.isfinite(self.minimum_distance) and self.minimum_distance >= 0.0):
+            raise InputError(f"minimum distance: {np.degrees(self.minimum_distance):g} deg, allowed: a number >= 0")
+        if not np.all(self.lower < self.upper):
+            raise InputError("joint limits: lower >= upper, allowed: lower < upper for every joint")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What pickles: the CasADi functions do not, and are built anew where they are needed."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
+    @classmethod
+    def of(cls, model: Model, **changes: Any) -> DesignProblem:
+        """The problem of an arm's model within the arm's own joint limits and constraints."""
+        if not isinstance(model, Model):
+            raise InputError(f"model: {type(model).__name__}, allowed: a Model, such as Model(arm)")
+        return cls(model, model.arm.lower, model.arm.upper, **{"constraints": constraints_of(model.arm)} | changes)
+
+    @property
+    def joints(self) -> int:
+        """n, joints of a posture."""
+        return int(self.lower.size)
+
+    @property
+    def parameters(self) -> int:
+        """p, parameters to identify."""
+        return len(self.model.names)
+
+    @property
+    def fewest_runs(self) -> int:
+        """The smallest number of runs with as many equations as unknowns: m d >= p."""
+        missing = self.parameters - (0 if self.kept is None else self.model.dimension * len(self.kept))
+        return max(1, -(-missing // self.model.dimension))
+
+    def blocks(self, postures: ArrayLike) -> Array:
+        """(..., d, p) dimensionless sensitivities B of (..., n) postures: Jacobian columns over `model.scales`."""
+        angles = np.atleast_2d(np.asarray(postures, dtype=float))
+        if angles.shape[-1] != self.joints:
+            raise InputError(f"postures: shape {angles.shape}, allowed: (..., {self.joints})")
+        return self._blocks(angles)[0]
+
+    def information(self, postures: ArrayLike, weights: Array | None = None) -> Array:
+        """(p, p) information per run M' = S (sum_i w_i J_i^T J_i) S; the mean over runs without weights.
+
+        Postures already measured (`kept`) count as runs; weights are the shares of the new runs only.
+        """
+        m = len(np.atleast_2d(postures))
+        shares = np.full(m, 1.0 / m) if weights is None else weights
+        new = information_matrix(self.blocks(postures), shares)
+        if self.kept is None:
+            return new
+        k = len(self.kept)
+        return (m * new + information_matrix(self.blocks(self.kept))) / (m + k)
+
+    def objective(self, postures: ArrayLike, weights: Array | None = None) -> float:
+        """Criterion value of a plan (to maximise); -inf if its information matrix is singular."""
+        return float(self.criterion.value(self.information(postures, weights)))
+
+    def clip(self, postures: ArrayLike) -> Array:
+        """Postures moved into the joint limits (solvers exceed bounds by about 1e-8)."""
+        return np.clip(np.asarray(postures, dtype=float), self.lower, self.upper)
+
+    def feasible(self, postures: Array) -> NDArray[np.bool_]:
+        """(...) True where postures (..., n) satisfy every constraint (joint limits apart)."""
+        flat = np.reshape(postures, (-1, self.joints))
+        fits = np.ones(len(flat), dtype=bool)
+        for constraint in self.constraints:
+            fits &= np.all(constraint.margin(flat) >= 0.0, axis=1)
+        return fits.reshape(np.shape(postures)[:-1])
+
+    @cached_property
+    def block_function(self) -> ca.Function:
+        """CasADi q -> B (d, p) at neutral conditions and the model's best known parameter values."""
+        q = ca.SX.sym("q", self.joints)
+        arguments = (ca.DM(self.model.neutral_conditions), ca.DM(self.model.values))
+        jacobian = self.model.jacobian_function(q, *arguments)[1]
+        scaled = ca.cse(jacobian @ ca.diag(ca.DM(1.0 / self.model.scales)))
+        return ca.Function("block", [q], [scaled], ["q"], ["block"])
+
+    @cached_property
+    def _blocks(self) -> Callable[..., tuple[Array, ...]]:
+        return vectorize(self.block_function)
+
+    @cached_property
+    def without_effect(self) -> tuple[str, ...]:
+        """Names of parameters that move the tip at no posture, as thermal growth does at the mean temperature."""
+        cloud = np.random.default_rng(0).uniform(self.lower, self.upper, (16, self.joints))
+        still = ~np.any(self.blocks(cloud), axis=(0, 1))
+        return tuple(name for name, zero in zip(self.model.names, still, strict=True) if zero)
+
+    @cached_property
+    def active_joints(self) -> tuple[int, ...]:
+        """Joints (from 0) that change B^T B; the others, such as q_1 of the base model, are free for other ends."""
+        generator = np.random.default_rng(0)
+        base = generator.uniform(self.lower, self.upper, (16, self.joints))
+        before = information_of_each(self.blocks(base))
+        active = []
+        for joint in range(self.joints):
+            moved = base.copy()
+            moved[:, joint] = generator.uniform(self.lower[joint], self.upper[joint], 16)
+            change = np.abs(information_of_each(self.blocks(moved)) - before).max()
+            if change > 1e-9 * np.abs(before).max():
+                active.append(joint)
+        return tuple(active)
+
+    @cached_property
+    def searched_joints(self) -> tuple[int, ...]:
+        """Joints (from 0) that a solver must choose: the active ones, or all where constraints or a list tie them."""
+        tied = bool(self.constraints) or self.choices is not None
+        return tuple(range(self.joints)) if tied else self.active_joints
+
+
+def check_parts(problem: DesignProblem) -> None:
+    """Raises `InputError` for a model or criterion that is none, such as a name."""
+    for name, part, needed in (("model", problem.model, "jacobian"), ("criterion", problem.criterion, "value")):
+        if not callable(getattr(part, needed, None)):
+            made = "Model(arm)" if name == "model" else "doe.criteria.criterion('A', ...)"
+            raise InputError(f"{name}: {part!r:.40}, allowed: an object with {needed}(), such as {made}")
+
+
+def information_of_each(blocks: Array) -> Array:
+    """(m, p, p) B_i^T B_i of every posture by itself."""
+    return np.swapaxes(blocks, -1, -2) @ blocks

@@ -1,0 +1,65 @@
+"""What a plan could show of missing effects, before anything is measured: for the terminal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from doe.discrimination.design import DiscriminationDesign
+from doe.discrimination.misidentification import LAMBDA
+from identification.gap.detectability import Detectability
+
+HIDDEN = 0.01
+
+
+def preflight_tables(sees: Detectability) -> list[Any]:
+    """Share, smallest size and look-alikes of every effect."""
+    table = Table(title="What this plan can show of missing effects", title_justify="left")
+    table.add_column("effect")
+    for heading in ("visible share", "smallest size found (90 %)", "looks like"):
+        table.add_column(Text(heading), justify="right")
+    pairs = sees.pairs()
+    for name, share in zip(sees.names, sees.shares, strict=True):
+        alike = [f"{other} ({likeness:.2f})" for one, other, likeness in pairs if one == name]
+        more = f" and {len(alike) - 2} more" if len(alike) > 2 else ""
+        size = sees.detectable[name]
+        table.add_row(name, f"{share:.2f}", str(size), Text(", ".join(alike[:2]) + more))
+    skipped = [Text(f"not judged: {key}: {why}") for key, why in sees.skipped.items()]
+    never = [Text(f"never visible: {key}: the same as {why}") for key, why in sees.aliases.items()]
+    return [table, Text(f"{sees.freedom} degrees of freedom to spare"), *skipped, *never]
+
+
+def discriminating_tables(found: DiscriminationDesign) -> list[Any]:
+    """What the plan gives up, and what it shows for it."""
+    blind, clear = hidden(found.best_sees), hidden(found.sees)
+    lines = [
+        f"D-efficiency {found.relative_efficiency:.4f} of the best plan found",
+        f"probability that a missing effect gets a wrong name: at most {found.wrong:.3f} "
+        f"(the best plan: {found.best_wrong:.3f}, random postures: {found.random_wrong:.3f})",
+        f"  for effects that shift the tip by {LAMBDA:g} sigma in all (root of the sum of squares) at as many random "
+        "postures; gear ripple, backlash and drift left out",
+        f"effects it cannot see: {', '.join(clear) or 'none'} (the best plan: {', '.join(blind) or 'none'})",
+    ]
+    return [*(Text(line) for line in lines), *preflight_tables(found.sees)]
+
+
+def discriminating_data(found: DiscriminationDesign) -> dict[str, Any]:
+    """The JSON keys that `--discriminating` adds."""
+    return {
+        "relative_efficiency": found.relative_efficiency,
+        "wrong_name_at_most": {
+            "plan": found.wrong,
+            "best_plan": found.best_wrong,
+            "random_postures": found.random_wrong,
+        },
+        "preflight": found.sees.to_json(),
+        "not_visible": hidden(found.sees),
+        "not_visible_in_best_plan": hidden(found.best_sees),
+    }
+
+
+def hidden(sees: Detectability) -> list[str]:
+    """Effects of which less than a hundredth of a column's norm is left for the tests to see."""
+    return [name for name, share in zip(sees.names, sees.shares, strict=True) if share < HIDDEN]

@@ -1,0 +1,146 @@
+"""Blocks of runs that attain the closed-form bound by themselves: orthogonal columns built from group characters.
+
+Number the b runs of a block by the elements of a group Z_2^t x Z_(b / 2^t), and write z_j in C^b for the column of
+exp(i theta_j). The proof in `doe.bounds.planar_theorem` says when the bound is attained: every new column, less what
+its neighbour explains of it, is orthogonal to all columns so far. Going from any link to the left or to the right,
+
+- *wide* joint (range pi or more): the new column itself is orthogonal. It is tried as a character times any earlier
+  column, and taken where the angles it asks of the joint fit into the range; their common phase stays free.
+- *narrow* joint: always at one of its limits, exp(i q_j) = exp(i middle) (cos h + i s sin h), 2 h the range, with the
+  signs s a character of order two such that s times the neighbour is orthogonal.
+
+A phase of a wide joint changes no |H_jk| and leaves H_jk = 0 across that joint. So blocks of any sizes and phases can
+be put together: the mean of their matrices H is optimal again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arrays import Array
+
+Columns = NDArray[np.complex128]
+ROUNDING = 1e-9  # [rad] by which a range may fall short; and of a mean product of columns that counts as zero
+ALL, SAMPLE = 64, 32  # block size up to which all characters are tried; number tried of a larger group
+TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True)
+class Block:
+    """Runs that attain the bound. angles : (b, J) above the lower limits [rad];  room : (J,) free phase [rad]."""
+
+    angles: Array
+    room: Array
+
+    def placed(self, lower: Array, upper: Array, generator: np.random.Generator) -> Array:
+        """(b, J) joint angles with random phases."""
+        placed: Array = np.minimum(lower + self.angles + generator.uniform(0.0, self.room), upper)
+        return placed
+
+
+def blocks(widths: Array, size: int, tries: int, generator: np.random.Generator) -> Iterator[Block]:
+    """Those of a number of random constructions that come to their end; widths (J,) of the joints' ranges [rad]."""
+    if size <= len(widths) or (halves(widths) and size % 2):  # as many orthogonal columns as links
+        return
+    moduli = moduli_of(size)
+    for k in range(tries):
+        found = Construction(widths, moduli[k % len(moduli)], generator).run()
+        if found is not None:
+            yield found
+
+
+def halves(widths: Array) -> bool:
+    """True if half the runs must stand at each limit of some joint: their number is even."""
+    return bool(np.any(widths < np.pi - ROUNDING))
+
+
+def moduli_of(size: int) -> list[tuple[int, ...]]:
+    """The groups Z_2^t x Z_(b / 2^t) of b elements, as lists of moduli."""
+    groups: list[tuple[int, ...]] = [(size,)]
+    twos = 0
+    while size % 2 ** (twos + 1) == 0:
+        twos += 1
+        groups.append((2,) * twos + (size // 2**twos,))
+    return groups
+
+
+class Construction:
+    """One random choice of directions and characters."""
+
+    def __init__(self, widths: Array, moduli: tuple[int, ...], generator: np.random.Generator) -> None:
+        self.widths, self.generator = widths, generator
+        self.moduli = np.array(moduli)
+        self.elements = np.indices(moduli).reshape(len(moduli), -1).T
+        self.angles = np.empty((len(self.elements), len(widths)))
+        self.room = np.zeros(len(widths))
+
+    def run(self) -> Block | None:
+        """The block, None in a dead end."""
+        joints = len(self.widths)
+        left = right = int(self.generator.integers(joints + 1))
+        columns = np.ones((len(self.elements), 1), dtype=complex)  # of links left..right
+        while right - left < joints:
+            to_right = left == 0 or (right < joints and self.generator.random() < 0.5)
+            new = self._next(columns, right if to_right else left - 1, to_right=to_right)
+            if new is None:
+                return None
+            columns = np.column_stack([columns, new] if to_right else [new, columns])
+            left, right = (left, right + 1) if to_right else (left - 1, right)
+        return Block(self.angles, self.room)
+
+    def _next(self, columns: Columns, joint: int, *, to_right: bool) -> Columns | None:
+        """The column beyond a joint, whose angles are noted."""
+        neighbour = columns[:, -1 if to_right else 0]
+        if self.widths[joint] < np.pi - ROUNDING:
+            return self._two_levels(columns, neighbour, joint, to_right=to_right)
+        offered = (self._characters()[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
+        for k in self._orthogonal(columns, offered):
+            new = offered[:, k]
+            angles, needed = arc(np.angle(new / neighbour if to_right else neighbour / new))
+            if needed <= self.widths[joint] + ROUNDING:
+                self.angles[:, joint] = angles
+                self.room[joint] = max(self.widths[joint] - needed, 0.0)
+                return np.asarray(new)
+        return None
+
+    def _two_levels(self, columns: Columns, neighbour: Columns, joint: int, *, to_right: bool) -> Columns | None:
+        signs = self._signs()
+        found = self._orthogonal(columns, signs * neighbour[:, None])
+        if not len(found):
+            return None
+        sign, half = signs[:, found[0]], self.widths[joint] / 2.0
+        self.angles[:, joint] = np.where((sign > 0) == to_right, self.widths[joint], 0.0)
+        return np.asarray(neighbour * np.exp(1j * half * sign))
+
+    def _orthogonal(self, columns: Columns, offered: Columns) -> NDArray[np.intp]:
+        """Offered columns that are orthogonal to all so far, in random order."""
+        products = np.abs(columns.conj().T @ offered).max(axis=0)
+        return self.generator.permutation(np.flatnonzero(products < ROUNDING * len(columns)))
+
+    def _characters(self) -> Columns:
+        """(b, k) characters of the group: all of a small one, else a random choice."""
+        chosen = self.elements
+        if len(chosen) > ALL:
+            chosen = chosen[self.generator.integers(len(chosen), size=SAMPLE)]
+        return np.exp(TURN * 1j * (self.elements @ (chosen / self.moduli).T % 1.0))
+
+    def _signs(self) -> Array:
+        """(b, k) characters of order two: +1 and -1."""
+        even = self.moduli % 2 == 0
+        bits = np.arange(1, min(2 ** int(even.sum()), SAMPLE * ALL))
+        chosen = (bits[:, None] >> np.arange(int(even.sum()))) & 1
+        return 1.0 - 2.0 * (self.elements[:, even] @ chosen.T % 2)
+
+
+def arc(angles: Array) -> tuple[Array, float]:
+    """Angles counted from the start of the shortest arc that holds them, and its length [rad]."""
+    turned = np.sort(np.mod(angles, TURN))
+    gaps = np.diff(turned, append=turned[0] + TURN)
+    last = int(np.argmax(gaps))
+    start = turned[(last + 1) % len(turned)]
+    above = np.mod(angles, TURN) - start
+    return np.where(above < 0.0, above + TURN, above), float(TURN - gaps[last])

@@ -1,0 +1,168 @@
+"""D-optimal plans from theory, where the joint limits and the number of runs allow any: no search.
+
+One block of m runs (`doe.solvers.planar_characters`), or blocks of smaller sizes, each with its own phases, that make
+up m. With no limits a block of m runs is theta_j = 2 pi i f_j / m with distinct random frequencies f_j and random
+phases: any columns of the DFT matrix (THEORY.md section 3), in shuffled order, since the plan f_j = j hides missing
+effects (GAP.md). With all ranges below pi it is the two-level factorial, 2^(joints) runs or a multiple.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from doe.bounds.planar_theorem import applies, chain_joints
+from doe.plan.replicate_spacing import free_values, gaps, replicates_allowed, too_near
+from doe.problem.problem import DesignProblem
+from doe.solvers.exchange import Exchange
+from doe.solvers.planar_characters import Block, blocks, halves
+from doe.solvers.solver import Budget, Offer
+from identification.arrays import Array
+
+WHOLE = 2048  # runs up to which one block is tried
+SMALL = 48  # runs of the blocks that are put together, or as many as the factorial of all joints has
+PATTERNS = 16  # different blocks of one size, and places that are tried for each
+ATTEMPTS = 8  # plans of one block before smaller ones are put together
+NEARLY = 64  # runs by which a plan may exceed one from theory to be begun from it
+
+
+@dataclass(frozen=True)
+class Analytic:
+    """Random plans that attain the closed-form bound; none where the limits or the number of runs do not allow any."""
+
+    tries: int = 60
+    name: str = "analytic"
+
+    def starts_for(self, problem: DesignProblem) -> int:
+        """One: any such plan is optimal."""
+        return 1
+
+    def offers(
+        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
+    ) -> Iterator[Offer]:
+        """One plan per start, as long as any is found."""
+        if not applies(problem) or problem.constraints:
+            return
+        composed = Composition(problem, runs, self.tries, generator)
+        while (plan := composed.plan()) is not None:
+            yield Offer(generator.permutation(plan), 1)
+
+
+@dataclass(frozen=True)
+class NearlyAnalytic:
+    """A plan from theory of a few runs less, the others chosen by exchange; nothing where there is none."""
+
+    name: str = "nearly_analytic"
+
+    def starts_for(self, problem: DesignProblem) -> int:
+        """One."""
+        return 1
+
+    def offers(
+        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
+    ) -> Iterator[Offer]:
+        """The plan before and after exchange."""
+        exchange = Exchange()
+        for fewer in range(runs - 1, max(runs - NEARLY, problem.fewest_runs) - 1, -1):
+            known = next(Analytic(tries=12).offers(problem, fewer, generator, budget), None)
+            if known is not None:
+                plan = np.vstack([known.postures, exchange.begin(problem, 1, runs - fewer, generator)[0]])
+                yield Offer(plan)
+                yield Offer(exchange.improve(problem, plan[None], generator, budget)[0][0], 1)
+                return
+            if budget.out_of_time:
+                return
+
+
+class Composition:
+    """Blocks found so far for one number of runs."""
+
+    def __init__(self, problem: DesignProblem, runs: int, tries: int, generator: np.random.Generator) -> None:
+        self.problem, self.joints = problem, list(chain_joints(problem))
+        self.lower, self.upper = problem.lower[self.joints], problem.upper[self.joints]
+        self.runs, self.tries, self.generator = runs, tries, generator
+        self.whole = runs <= WHOLE  # until proven otherwise
+        self.patterns: dict[int, list[Block]] | None = None
+        self.apart = (
+            problem.minimum_distance if replicates_allowed(problem) == 1.0 else 0.0
+        )  # [rad] no free joint helps
+
+    def plan(self) -> Array | None:
+        """(m, n) a random plan, None where none is found; without repeats, as far as a few attempts find one."""
+        for _ in range(ATTEMPTS if self.whole else 0):
+            plan = self._of_one_block()
+            if plan is None:
+                self.whole = False
+                break
+            if not len(too_near(self.problem, plan)):
+                return plan
+        return self._of_many()
+
+    def _of_one_block(self) -> Array | None:
+        found = next(self._blocks(self.runs), None)
+        return None if found is None else self._full(found.placed(self.lower, self.upper, self.generator))
+
+    def _of_many(self) -> Array | None:
+        if self.patterns is None:
+            self.patterns = self._small_blocks()
+        if not self.patterns:
+            return None
+        angles, filled = np.empty((self.runs, len(self.joints))), 0
+        for size in composed(list(self.patterns), self.runs, self.generator):
+            angles[filled : filled + size] = self._placed(self.patterns[size], angles[:filled])
+            filled += size
+        return self._full(angles)
+
+    def _placed(self, patterns: list[Block], others: Array) -> Array:
+        """(b, J) a random block, at phases that keep it away from the others where some are found."""
+        for _ in range(PATTERNS):
+            pattern = patterns[self.generator.integers(len(patterns))]
+            angles = pattern.placed(self.lower, self.upper, self.generator)
+            if self.apart == 0.0 or np.all(gaps(angles, others) >= self.apart):
+                break
+        return angles
+
+    def _full(self, angles: Array) -> Array:
+        """(m, n) postures whose other joints stay in the middle."""
+        plan = np.tile(free_values(self.problem), (len(angles), 1))
+        plan[:, self.joints] = angles
+        return plan
+
+    def _blocks(self, size: int) -> Iterator[Block]:
+        return blocks(self.upper - self.lower, size, self.tries, self.generator)
+
+    def _small_blocks(self) -> dict[int, list[Block]]:
+        """Size -> blocks, the smallest sizes that make up the number of runs; empty where none do."""
+        found: dict[int, list[Block]] = {}
+        if halves(self.upper - self.lower) and self.runs % 2:
+            return found
+        for size in range(len(self.lower) + 1, min(self.runs // 2, max(SMALL, 2 ** len(self.lower))) + 1):
+            if found and size % np.gcd.reduce(list(found)) == 0:
+                continue  # nothing that the smaller sizes cannot make, but for the smallest multiples
+            some = list(islice(self._blocks(size), PATTERNS))
+            if some:
+                found[size] = some
+            if found and makes(list(found), self.runs)[self.runs]:
+                return found
+        return {}
+
+
+def makes(sizes: list[int], runs: int) -> list[bool]:
+    """(runs + 1) True for numbers that are sums of these sizes."""
+    made = [True] + [False] * runs
+    for total in range(1, runs + 1):
+        made[total] = any(size <= total and made[total - size] for size in sizes)
+    return made
+
+
+def composed(sizes: list[int], runs: int, generator: np.random.Generator) -> list[int]:
+    """Random sizes that add up to the number of runs, which they can make."""
+    made, chosen, left = makes(sizes, runs), [], runs
+    while left:
+        fitting = [size for size in sizes if size <= left and made[left - size]]
+        chosen.append(fitting[generator.integers(len(fitting))])
+        left -= chosen[-1]
+    return chosen

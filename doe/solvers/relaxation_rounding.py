@@ -1,0 +1,53 @@
+"""Relaxation, rounding, polish: optimal weights by column generation, made whole, then improved as plans are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from doe.plan.rounding import rounded
+from doe.problem.problem import DesignProblem
+from doe.solvers.exchange import Exchange
+from doe.solvers.ipopt import Climber, Ipopt
+from doe.solvers.solver import Budget, Offer
+from identification.arrays import Array
+
+
+@dataclass(frozen=True)
+class RelaxRound:
+    """Start 1 is the rounded optimum of the relaxation, the others have some runs thrown anew; exchange, then IPOPT.
+
+    count : starts;  thrown : share of the runs
+    """
+
+    count: int = 20
+    redrawn: float = 0.25
+    exchange: Exchange = field(default_factory=Exchange)
+    ipopt: Ipopt = field(default_factory=lambda: Ipopt(warm=True))
+    name: str = "relaxation_rounding"
+
+    def starts_for(self, problem: DesignProblem) -> int:
+        """The same for every problem."""
+        return self.count
+
+    def offers(
+        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
+    ) -> Iterator[Offer]:
+        """The rounded plan as it is, then one offer per start."""
+        from doe.bounds.column_generation import continuous_design  # deferred: it needs scipy.linalg
+
+        first = rounded(continuous_design(problem, runs=runs, proof=0.0).plan, runs)
+        yield Offer(first)
+        climb = Climber(problem, runs, self.ipopt, budget)
+        begun = self._begin(problem, first, budget.starts, generator)
+        for plan in self.exchange.improve(problem, begun, generator, budget)[0]:
+            yield Offer(climb(plan), 1)
+            climb.pass_on_interrupt()
+
+    def _begin(self, problem: DesignProblem, first: Array, count: int, generator: np.random.Generator) -> Array:
+        plans = self.exchange.begin(problem, count, len(first), generator)
+        kept = generator.random(plans.shape[:2]) > self.redrawn
+        kept[0] = True
+        return np.where(kept[..., None], first, plans)

@@ -1,0 +1,69 @@
+"""What a solver is: a small frozen settings object whose one method offers plans. Everything else is `solve`'s job."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Protocol
+
+import numpy as np
+
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A plan that a solver offers.
+
+    postures : (m, n) [rad];  starts : how many starts have come to their end with this offer
+    independent : True for the end of a local search that knew nothing of the others; many that agree end the job
+    """
+
+    postures: Array
+    starts: int = 0
+    independent: bool = False
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How long to search.
+
+    starts : number of starts, at most;  deadline : value of `perf_counter` at which to stop, None: no time limit
+    may_agree : stop before all starts are used when many independent ones came to the same best value
+    """
+
+    starts: int
+    deadline: float | None = None
+    may_agree: bool = True
+
+    @property
+    def remaining(self) -> float:
+        """Seconds left; infinite without a time limit."""
+        return float("inf") if self.deadline is None else self.deadline - perf_counter()
+
+    @property
+    def out_of_time(self) -> bool:
+        """True once the time is up."""
+        return self.remaining <= 0.0
+
+
+class Solver(Protocol):
+    """Settings, a name, and one method that offers plans, better and better or not; the driver keeps the best.
+
+    A solver need not clip, certify, count or watch for Ctrl-C. It should look at `budget.out_of_time` between steps of
+    more than a few milliseconds, and yield whenever a plan is worth looking at. It must be deterministic given the
+    generator, as long as the time limit does not bind.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    def starts_for(self, problem: DesignProblem) -> int:
+        """Starts that are used when the caller does not say."""
+        ...
+
+    def offers(
+        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
+    ) -> Iterator[Offer]: ...

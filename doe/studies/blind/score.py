@@ -1,0 +1,184 @@
+"""Truth and diagnoses joined: shares with their Monte Carlo errors, the confusion matrix, and the bars of GAP.md."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import sqrt
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from doe.jobs.row_table import frame_of
+from identification.effects import library
+
+if TYPE_CHECKING:
+    import polars
+
+NOTHING = "nothing"
+RIVALS = {"true": "gap_true_mm", "library": "gap_library_mm", "process": "gap_process_mm"}
+FURTHER = ("next_2", "next_8", "loaded_2", "loaded_8", "random_2", "random_8")
+
+
+@dataclass(frozen=True)
+class BlindStudy:
+    """What the blind study found.
+
+    cells : cell, measure, value, standard_error, count;  bars : the same rows with what is asked and how it came out
+    confusion : hidden, named (classes of effects, joints left out), count
+    sets : one row per data set, hidden and named side by side;  failures : blocks that could not be done
+    """
+
+    cells: polars.DataFrame
+    bars: polars.DataFrame
+    confusion: polars.DataFrame
+    sets: polars.DataFrame
+    failures: int
+
+    def value(self, cell: str, measure: str) -> float:
+        """One figure. Raises `KeyError` if the cell has no such measure."""
+        for row in self.cells.iter_rows(named=True):
+            if (row["cell"], row["measure"]) == (cell, measure):
+                return float(row["value"])
+        raise KeyError((cell, measure))
+
+    def __str__(self) -> str:
+        counts = Counter(self.bars["outcome"]) if len(self.bars) else Counter[str]()
+        told = ", ".join(f"{counts[word]} {word}" for word in OUTCOMES if counts[word])
+        failed = f"; {self.failures} blocks failed" if self.failures else ""
+        return f"{len(self.sets)} blind data sets; bars: {told or 'none'}{failed}"
+
+    __repr__ = __str__
+
+
+OUTCOMES = ("met", "within its error", "missed")
+
+
+@dataclass(frozen=True)
+class Bar:
+    """What GAP.md asks of a measure in a cell."""
+
+    cell: str
+    measure: str
+    value: float
+    at_most: bool = False
+
+    def outcome(self, value: float, error: float) -> str:
+        """`met`, `within its error` (missed by less than two standard errors) or `missed`."""
+        short = value - self.value if self.at_most else self.value - value
+        return OUTCOMES[0] if short <= 0.0 else OUTCOMES[1] if short <= 2.0 * error else OUTCOMES[2]
+
+
+def _bars() -> Iterator[Bar]:
+    for m in (20, 50, 200):
+        yield Bar(f"none m={m}", "alarm", 0.05, at_most=True)
+    for noise in ("joint", "reach"):
+        yield Bar(f"none, {noise} noise", "alarm", 0.07, at_most=True)
+    for plan in ("m=50", "m=200", "discriminating plan"):
+        cell = f"one, lambda 6, {plan}"
+        yield from (Bar(cell, "exact", 0.93), Bar(cell, "class", 0.97), Bar(cell, "in the set", 0.95))
+        yield Bar(cell, "size of the set", 1.3, at_most=True)
+    for plan in ("m=50", "discriminating plan"):
+        cell = f"one, lambda 8, {plan}"
+        yield from (Bar(cell, "exact", 0.95), Bar(cell, "class", 0.99))
+        yield Bar(cell, "gap / true", 1.05, at_most=True)
+        yield from (Bar(cell, f"gap / {rival}", 1.0, at_most=True) for rival in ("library", "process"))
+    yield from (Bar("two, lambda 8", "exact", 0.87), Bar("two, lambda 8", "class", 0.92))
+    yield Bar("outside, lambda 7", "located", 0.95)
+    yield Bar("three outliers, lambda 8", "exact", 0.94)
+    yield Bar("three outliers, lambda 8", "outliers listed", 1.0)
+    yield from (Bar("one, lambda 8, m=20", "next_2 right", 0.75), Bar("one, lambda 8, m=20", "next_8 right", 0.88))
+
+
+BARS = tuple(_bars())
+
+
+def score(truth: polars.DataFrame, found: polars.DataFrame) -> BlindStudy:
+    """Join the table of truths and that of diagnoses."""
+    failures = sum(int((frame["status"] != "done").sum()) for frame in (truth, found))
+    hidden = {(row["cell"], row["set"]): row for row in truth.iter_rows(named=True) if row["status"] == "done"}
+    done = [row for row in found.iter_rows(named=True) if row["status"] == "done"]
+    families = {name: cls.family or name for name, cls in library().items()}
+    sets = [
+        judged({**row, **hidden[place]}, families) for row in done if (place := (row["cell"], row["set"])) in hidden
+    ]
+    cells = [
+        row
+        for cell in dict.fromkeys(s["cell"] for s in sets)
+        for row in _measures([s for s in sets if s["cell"] == cell])
+    ]
+    pairs = Counter((s["hidden_class"], s["named_class"]) for s in sets)
+    confusion = [{"hidden": a, "named": b, "count": n} for (a, b), n in pairs.most_common()]
+    return BlindStudy(
+        frame_of(cells), frame_of(list(_against_bars(cells))), frame_of(confusion), frame_of(sets), failures
+    )
+
+
+def judged(row: Mapping[str, Any], families: Mapping[str, str]) -> dict[str, Any]:
+    """One data set: what was hidden, what was named, and in which respects that is right (None: not asked)."""
+    hidden, named = sorted(row["hidden"] or ()), sorted(row["named"] or ())
+    options = row["candidates"] or []
+    known = row["verdict"] != "unknown"
+    outside = row["place"] is not None
+    judgement = {
+        "cell": row["cell"],
+        "set": row["set"],
+        "hidden": " + ".join(hidden) or (f"outside the library, {row['place']}" if outside else NOTHING),
+        "named": " + ".join(named + ([] if known else [f"unknown, {row['where']}"])) or NOTHING,
+        "hidden_class": _classes(hidden, families, "outside the library" if outside else None),
+        "named_class": _classes(named, families, None if known else "unknown"),
+        "alarm": row["verdict"] != "none",
+    }
+    if hidden:
+        judgement["exact"] = known and named == hidden
+        judgement["class"] = judgement["hidden_class"] == judgement["named_class"]
+        judgement["in the set"] = known and " + ".join(hidden) in options
+        judgement["size of the set"] = len(options) or None
+    if outside:
+        judgement["located"] = not known and row["where"] == row["place"]
+    if row["wrong_rows"]:
+        judgement["outliers listed"] = set(row["wrong_rows"]) <= set(row["outlier_rows"] or ())
+    for rival, column in RIVALS.items():
+        if row.get(column) and row["gap_named_mm"]:
+            judgement[f"gap / {rival}"] = row["gap_named_mm"] / row[column]
+    for way in FURTHER:
+        if (verdict := row.get(f"{way}_verdict")) is not None:
+            again = sorted(row[f"{way}_named"] or ())
+            right = verdict in ("named", "ambiguous") and again == hidden
+            judgement[f"{way} right"] = right
+            kind = "gravity" if judgement["hidden_class"] == "gravity" else "others"
+            judgement[f"{way} right, {kind}"] = right
+            judgement[f"{way} right, alone"] = right and verdict == "named"
+            judgement[f"{way} class"] = _classes(again, families, None) == judgement["hidden_class"]
+            judgement[f"{way} predicted"] = row.get(f"{way}_chance")
+    return judgement
+
+
+def _classes(keys: Sequence[str], families: Mapping[str, str], more: str | None) -> str:
+    """Classes of effects, joints left out; `nothing` for none."""
+    names = sorted(families.get(name, name) for name in (key.partition(":")[0] for key in keys))
+    return " + ".join([*names, *([more] if more else [])]) or NOTHING
+
+
+def _measures(sets: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Mean and standard error of everything that was judged in a cell."""
+    texts = ("cell", "set", "hidden", "named", "hidden_class", "named_class")
+    for measure in dict.fromkeys(name for row in sets for name in row if name not in texts):
+        values = [row[measure] for row in sets if row.get(measure) is not None]
+        if not values:
+            continue
+        mean, n = float(np.mean(values)), len(values)
+        if isinstance(values[0], bool):  # never claims to be certain: at least the error of half a case
+            error = sqrt(max(mean * (1.0 - mean), 0.25 / n) / n)
+        else:
+            error = float(np.std(values, ddof=1)) / sqrt(n) if n > 1 else float("inf")
+        yield {"cell": sets[0]["cell"], "measure": measure, "value": mean, "standard_error": error, "count": n}
+
+
+def _against_bars(cells: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
+    figures = {(row["cell"], row["measure"]): row for row in cells}
+    for bar in BARS:
+        if (row := figures.get((bar.cell, bar.measure))) is not None:
+            asked = f"{'<=' if bar.at_most else '>='} {bar.value:g}"
+            yield {**row, "asked": asked, "outcome": bar.outcome(row["value"], row["standard_error"])}

@@ -1,0 +1,207 @@
+"""The blind study: how often is the diagnosis right about effects that it cannot know? (GAP.md, bars)
+
+A simulator that shares no code with the models (plain numpy) draws arm, plan, noise and hidden effects and
+hands over what a user has: arm file and measurements. What it hid goes to a table of its own, written by other tasks;
+the diagnoses are made and stored without it, and both meet when they are scored.
+
+Blocks of sets are the tasks: keyed, resumable and on any workers as every study is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from doe.jobs.row_table import Key, Row, RowTable, canonical
+from doe.jobs.workers import Workers, run
+from doe.studies.blind import simulator
+from doe.studies.blind.case import Case
+from doe.studies.blind.score import BARS, BlindStudy, score
+from doe.studies.registry import NamedResult
+from identification.errors import InputError, nearest
+from identification.gap.diagnose import diagnose
+from identification.gap.result import Diagnosis
+from identification.progress import Progress, silent
+
+if TYPE_CHECKING:
+    import polars
+
+BLOCK = 10  # sets per task
+DRAWS = 499  # of the bootstrap
+NULL_SETS, SETS = 1000, 400  # data sets per cell, without and with a hidden effect
+AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured further
+MANY_SETS = 1200  # in this cell, of which a third are ambiguous, and where ten sets share an arm and its plan
+NULLS = tuple(bar.cell for bar in BARS if bar.measure == "alarm")
+COMPARED = ("one, lambda 8, m=50", "one, lambda 8, discriminating plan")  # cells whose gap is compared with rivals'
+PLANS, TRUTH, DIAGNOSES = "plans.parquet", "truth.parquet", "diagnoses.parquet"
+
+
+def blind_study(
+    cells: Sequence[str] | None = None,
+    count: int | None = None,
+    folder: Path | None = None,
+    workers: Workers | None = None,
+    *,
+    seed: int = 0,
+    draws: int = DRAWS,
+    resume: bool = False,
+    force: bool = False,
+    progress: Progress = silent,
+) -> BlindStudy:
+    """Diagnose data sets with hidden effects and compare with the truth afterwards.
+
+    cells : names of the simulator's cells, default those of the full study
+    count : data sets per cell; left out: 1000 without a hidden effect where there is a bar, else 400 or 1200
+    folder : where plans.parquet, truth.parquet and diagnoses.parquet go;  draws : of the bootstrap
+
+    Raises `InputError` for an unknown cell.
+    """
+    known = list(simulator.CELLS)
+    for cell in cells or ():
+        if cell not in known:
+            raise InputError(f"cell: unknown name {cell!r}, {nearest(cell, known)}")
+    reported = [cell for cell, spec in simulator.CELLS.items() if spec.reported]
+    keys = [dict(key) for cell in cells or reported for key in _keys(cell, count, seed)]
+    to_plan = [key for key in keys if simulator.to_be_planned(key["cell"], _number(key)) is not None]
+    with RowTable.within(folder, PLANS, resume=resume, force=force) as table:
+        run(plan, to_plan, table, workers, progress=progress)
+        plans = {text: rows[0].get("postures_deg") for text, rows in table.rows.items()}
+
+    def planned(key: Key) -> list[list[float]] | None:
+        return plans.get(canonical({name: value for name, value in key.items() if name != "draws"}))
+
+    with RowTable.within(folder, TRUTH, resume=resume, force=force) as table:
+        truth = run(hide, keys, table, workers, payload=planned, progress=progress)
+    keys = [{**key, "draws": draws} for key in keys]
+    with RowTable.within(folder, DIAGNOSES, resume=resume, force=force) as table:
+        found = run(examine, keys, table, workers, payload=planned, progress=progress)
+    return score(truth, found)
+
+
+def study(
+    *,
+    folder: Path | None,
+    workers: Workers,
+    seed: int,
+    replications: int | None,
+    resume: bool,
+    force: bool,
+    progress: Progress,
+) -> NamedResult:
+    """`armcal study blind`: every cell; passes if every set could be diagnosed."""
+    from doe.report.blind import blind_tables, write_pictures
+
+    found = blind_study(None, replications, folder, workers, seed=seed, resume=resume, force=force, progress=progress)
+    frames: dict[str, polars.DataFrame] = {
+        "cells": found.cells,
+        "bars": found.bars,
+        "confusion": found.confusion,
+    }
+    if folder is not None:
+        for name, frame in frames.items():
+            frame.write_parquet(folder / f"{name}.parquet")
+        write_pictures(folder, found)
+    return NamedResult(frames, tuple(blind_tables(found)), found.failures == 0)
+
+
+def _keys(cell: str, count: int | None, seed: int) -> Iterator[Key]:
+    many = cell == AMBIGUOUS or simulator.CELLS[cell].designed
+    total = count or (MANY_SETS if many else NULL_SETS if cell in NULLS else SETS)
+    for first in range(0, total, BLOCK):
+        yield {"cell": cell, "first": first, "sets": min(BLOCK, total - first), "seed": seed}
+
+
+# -- tasks -------------------------------------------------------------------------------------------------------------
+def plan(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
+    """The postures that `armcal design --discriminating` gives for the arm of a block."""
+    from doe.discrimination.design import discrimination_design
+    from doe.problem.problem import DesignProblem
+    from identification.model import Model
+
+    planned = simulator.to_be_planned(key["cell"], _number(key))
+    assert planned is not None  # only such cells are tasks
+    arm, runs = planned
+    found = discrimination_design(DesignProblem.of(Model(arm)), arm, runs)
+    return [{"postures_deg": np.degrees(found.design.plan.postures).tolist()}]
+
+
+def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[float]] | None = None) -> list[Row]:
+    """What is hidden in each set of a block, and the held-out gap that knowing it would leave."""
+    rows = []
+    for number, case in _cases(key, planned):
+        wrong = list(case.wrong_rows)
+        gap = None if case.holdout is None or case.place is not None else case.true_gap()
+        hidden = {"hidden": sorted(case.effects), "place": case.place, "wrong_rows": wrong, "gap_true_mm": gap}
+        rows.append({"set": number, "links": case.arm.links, **hidden})
+    return rows
+
+
+def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[float]] | None = None) -> list[Row]:
+    """What the diagnosis says of each set of a block."""
+    from doe.studies.blind.rivals import library_gap, process_gap
+
+    rows = []
+    for number, case in _cases(key, planned):
+        found = diagnose(case.arm, case.measurements, case.holdout, seed=number, draws=key["draws"])
+        row = {"set": number, **_said(found), "gap_before_mm": found.gap.held_out_before}
+        row["gap_named_mm"] = found.gap.held_out_after
+        if key["cell"] in COMPARED:
+            row |= {"gap_library_mm": library_gap(case), "gap_process_mm": process_gap(case)}
+        if key["cell"] == AMBIGUOUS and found.verdict == "ambiguous":
+            row |= _measured_further(case, found, number, key["draws"])
+        rows.append(row)
+    return rows
+
+
+def _said(found: Diagnosis) -> Row:
+    return {
+        "verdict": found.verdict,
+        "named": sorted(found.effects),
+        "candidates": [" + ".join(sorted(candidate.effects)) for candidate in found.candidates],
+        "where": found.where,
+        "outlier_rows": list(found.outlier_rows),
+        "scatter": [finding.name for finding in found.scatter],
+    }
+
+
+def _measured_further(case: Case, found: Diagnosis, number: int, draws: int) -> Row:
+    """The ambiguous set again after 2 and 8 more postures: chosen ones, with a choice of payload, and random ones."""
+    row: Row = {}
+    payload = 0.0 if case.arm.gravity is None else case.arm.gravity.payload
+    for runs in (2, 8):
+        for how, payloads in (("next", None), ("loaded", (0.0, payload)), ("random", None)):
+            data, chance = _appended(case, found, runs, how == "random", payloads, number)
+            again = diagnose(case.arm, data, seed=number, draws=draws)
+            name = f"{how}_{runs}"
+            row |= {f"{name}_verdict": again.verdict, f"{name}_named": sorted(again.effects), f"{name}_chance": chance}
+    return row
+
+
+def _appended(
+    case: Case, found: Diagnosis, runs: int, random: bool, payloads: tuple[float, ...] | None, number: int
+) -> tuple[Any, float | None]:
+    from doe.discrimination.t_optimal import discriminate
+
+    assert case.more is not None
+    if random:
+        generator = np.random.default_rng([20261124, number, runs])
+        postures = generator.uniform(case.arm.lower, case.arm.upper, (runs, case.arm.links))
+        return case.more(postures, None, None, runs), None
+    best = discriminate(case.arm, found, case.measurements, runs, seed=number, payloads=payloads)
+    return case.more(best.plan.postures, best.payload, best.directions, runs), best.chance
+
+
+# -- cases -------------------------------------------------------------------------------------------------------------
+def _cases(key: dict[str, Any], planned: list[list[float]] | None) -> Iterator[tuple[int, Case]]:
+    """Number and case of every set of a block."""
+    postures = None if planned is None else np.radians(planned)
+    for k in range(key["sets"]):
+        yield key["first"] + k, simulator.case(key["cell"], _number(key) + k, postures)
+
+
+def _number(key: Key) -> int:
+    """The simulator's number of a block's first set; the user's seed moves all of them."""
+    return int(key["seed"]) * 1_000_000 + int(key["first"])

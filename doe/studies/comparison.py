@@ -1,0 +1,253 @@
+"""Solvers side by side: every solver on every problem, several times over, each run in a process of its own.
+
+A row is one run of one solver: what it cost, and what its plan is worth on our own evaluation of the stored problem.
+`status` says whether the run ended well, `correct` whether the plan is what the solver claims: these are two things.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from doe.criteria import criterion
+from doe.jobs.isolated import call
+from doe.jobs.row_table import Key, Row, RowTable
+from doe.jobs.workers import Workers, run
+from doe.problem.problem import DesignProblem
+from identification.arm import Arm
+from identification.errors import InputError, nearest
+from identification.files.arm import arm_from_tables, dump_arm
+from identification.model import Model
+from identification.progress import Progress, silent
+
+if TYPE_CHECKING:
+    import polars
+
+    from doe.design import Design
+    from doe.solvers import Solver
+
+Task = tuple[str, "str | Solver"]  # arm file's text, solver
+FEASIBLE = 1e-9  # [rad] outside the joint limits, or below zero in a constraint's margin
+AGREES = 1e-9  # between the solver's value and ours
+HIT = 1e-6  # a run has found the best known plan if it loses less than this share of efficiency
+KILL_FACTOR, KILL_EXTRA = 1.5, 10.0  # a run that overstays its time limit by so much [s] is killed
+PROBLEM = ("arm", "arm_hash", "criterion", "runs")
+CRITERIA = ("D", "A", "E", "Dstar")  # those that need nothing but the arm
+SETTING = ("solver", "starts")
+OWN = 0  # in the column `starts`: the solver's own number
+COLUMNS = {
+    "value": "Float64",
+    "bound": "Float64",
+    "efficiency": "Float64",
+    "parameters": "Int64",
+    "correct": "Boolean",
+    "seconds": "Float64",
+    "peak_memory_mb": "Float64",
+}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is compared: problems x solvers x settings x repeats.
+
+    arms : the arms;  runs : numbers of measurements m
+    solvers : names as in `armcal design --solver`, or settings objects of your own (see `doe.solvers.solver.Solver`),
+        of classes that can be imported where the runs happen; each has a name that no other has
+    starts : numbers of starts of one run, None: the solver's own number
+    repeats : runs of each, with seeds of their own
+    seconds : time limit of one run [s]: told to the solver, and the run is killed if it does not keep it
+    criteria : names as in `armcal design --criterion`, of those in `CRITERIA`
+    """
+
+    arms: Sequence[Arm]
+    runs: Sequence[int]
+    solvers: Sequence[str | Solver]
+    starts: Sequence[int | None] = (None,)
+    repeats: int = 5
+    seconds: float = 60.0
+    criteria: Sequence[str] = ("D",)
+
+    def __post_init__(self) -> None:
+        from doe.solvers import library
+
+        for solver in self.solvers:
+            if isinstance(solver, str) and solver not in library():
+                raise InputError(f"solvers: unknown name {solver!r}, {nearest(solver, library())}")
+        for name in self.criteria:
+            if name not in CRITERIA:
+                raise InputError(f"criterion: {name!r} in a comparison, {nearest(name, CRITERIA)}")
+        if len(self.by_name) < len(self.solvers):
+            names = ", ".join(s if isinstance(s, str) else s.name for s in self.solvers)
+            raise InputError(f"solvers: {names}, allowed: each name once")
+
+    @property
+    def by_name(self) -> dict[str, str | Solver]:
+        """Name -> name or settings object."""
+        return {solver if isinstance(solver, str) else solver.name: solver for solver in self.solvers}
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """Hash -> text of the arm files."""
+        texts = [dump_arm(arm) for arm in self.arms]
+        return {hashlib.sha256(text.encode()).hexdigest()[:12]: text for text in texts}
+
+    @property
+    def keys(self) -> list[Key]:
+        """One key per run of a solver."""
+        hashes = list(self.texts)
+        return [
+            {
+                "arm": self.arms[k].name,
+                "arm_hash": hashes[k],
+                "criterion": criterion,
+                "runs": runs,
+                "solver": name,
+                "settings": solver if isinstance(solver, str) else repr(solver),
+                "starts": starts or OWN,
+                "limit_s": self.seconds,
+                "repeat": repeat,
+            }
+            for k, criterion, runs, (name, solver), starts, repeat in product(
+                range(len(hashes)), self.criteria, self.runs, self.by_name.items(), self.starts, range(self.repeats)
+            )
+        ]
+
+
+def compare(
+    comparison: Comparison,
+    table: RowTable | None = None,
+    workers: Workers | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> polars.DataFrame:
+    """One row per run: the key's columns, `status`, `outcome` (the solver's own), `value`, `claimed` (the solver's),
+    `bound`, `efficiency`, `correct`, `violation`, `seconds`, `peak_memory_mb`, `error`.
+
+    Runs that fail, crash or hang are rows too. Rows depend on the seed, not on the workers (times do, of course: for
+    times that can be compared use one process less than there are cores).
+    """
+    texts, solvers = comparison.texts, comparison.by_name
+    rows = RowTable(Path()) if table is None else table
+
+    def payload(key: Key) -> Task:
+        return texts[key["arm_hash"]], solvers[key["solver"]]
+
+    return run(run_of, comparison.keys, rows, workers, seed=seed, payload=payload, progress=progress)
+
+
+def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: Task) -> list[Row]:
+    """The row of one run, which happens in a new process; the task is the arm file's text and the solver."""
+    number = int(seed.generate_state(1)[0])
+    limit = key["limit_s"] * KILL_FACTOR + KILL_EXTRA
+    outcome = call(solve_and_judge, task, key, number, seconds=limit)
+    measured = {"status": outcome.status, "error": outcome.error, "peak_memory_mb": outcome.peak_memory_mb}
+    return [{**measured, "seconds": outcome.seconds, **(outcome.value or {})}]
+
+
+def solve_and_judge(task: Task, key: dict[str, Any], seed: int) -> Row:
+    """Runs the solver in this process; `seconds` is the search alone."""
+    from doe.solvers import solve
+
+    text, solver = task
+    problem = problem_of(arm_from_tables(tomllib.loads(text)), key["criterion"])
+    design = solve(problem, key["runs"], solver, seed=seed, starts=key["starts"] or None, seconds=key["limit_s"])
+    return judged(problem, key["runs"], design)
+
+
+def problem_of(arm: Arm, name: str) -> DesignProblem:
+    """What is compared: an arm and a criterion of `CRITERIA`."""
+    model = Model(arm)
+    units = [parameter.unit for parameter in model.parameters]
+    return DesignProblem.of(model, criterion=criterion(name, units=units))
+
+
+def judged(problem: DesignProblem, runs: int, design: Design) -> Row:
+    """What a design is worth by the stored problem, whatever it says of itself."""
+    postures = design.plan.postures
+    value, violation = problem.objective(postures), violation_of(problem, postures)
+    bound = design.bound
+    efficiency = None if bound is None else problem.criterion.efficiency(value, bound.value, problem.parameters)
+    return {
+        "outcome": design.status.name,
+        "starts_done": design.starts,
+        "value": value if np.isfinite(value) else None,
+        "claimed": design.value if np.isfinite(design.value) else None,
+        "bound": None if bound is None else bound.value,
+        "bound_source": None if bound is None else bound.source,
+        "efficiency": efficiency,
+        "parameters": problem.parameters,
+        "violation": violation,
+        "correct": bool(
+            len(postures) == runs
+            and design.plan.weights is None
+            and violation <= FEASIBLE
+            and np.isclose(value, design.value, rtol=0.0, atol=AGREES)
+            and (bound is None or value <= bound.value + AGREES)
+        ),
+        "seconds": design.seconds,
+    }
+
+
+def violation_of(problem: DesignProblem, postures: np.ndarray) -> float:
+    """How far the worst posture is outside limits and constraints, 0 if all are inside."""
+    outside = [np.max(problem.lower - postures), np.max(postures - problem.upper)]
+    outside += [-np.min(constraint.margin(postures)) for constraint in problem.constraints]
+    return float(max(0.0, *outside))
+
+
+def summary(rows: polars.DataFrame) -> polars.DataFrame:
+    """One row per problem and setting, best value first.
+
+    `hit_rate` : share of all runs (failed ones too) that found the best value known of the problem
+    `seconds_to_hit` : expected time until a hit when runs are repeated, total seconds / hits [s]; null without a hit
+    """
+    import polars as pl
+
+    good, value = pl.col("good"), pl.when(pl.col("good")).then(pl.col("value"))
+    hits, first = pl.col("hit").sum(), [False] * len(PROBLEM)
+    return (
+        with_hits(rows)
+        .group_by(*PROBLEM, *SETTING, maintain_order=True)
+        .agg(
+            pl.len().alias("repeats"),
+            (~good).sum().alias("not_correct"),
+            value.max().alias("best"),
+            value.median().alias("median"),
+            pl.when(good).then(pl.col("efficiency")).max().alias("efficiency"),
+            pl.col("hit").mean().alias("hit_rate"),
+            pl.col("seconds").mean().alias("seconds"),
+            pl.when(hits > 0).then(pl.col("seconds").sum() / hits).alias("seconds_to_hit"),
+            pl.col("peak_memory_mb").max(),
+        )
+        .sort(*PROBLEM, pl.col("best").round(8), "seconds", descending=[*first, True, False], nulls_last=True)
+    )
+
+
+def with_hits(rows: polars.DataFrame) -> polars.DataFrame:
+    """The rows with `good` (done and correct), `loss` of efficiency against the best value known of the problem, and
+    `hit`. Columns that no row has are there, empty.
+
+    Efficiencies against the same bound divide to the efficiency against the best plan, whatever the criterion; D needs
+    no bound for it.
+    """
+    import polars as pl
+
+    for name, dtype in COLUMNS.items():
+        column = pl.col(name).cast(getattr(pl, dtype)) if name in rows.columns else pl.lit(None, getattr(pl, dtype))
+        rows = rows.with_columns(column.alias(name))
+    if "criterion" not in rows.columns:
+        rows = rows.with_columns(pl.lit("D").alias("criterion"))
+    good = (pl.col("status") == "done") & pl.col("correct").fill_null(value=False) & pl.col("value").is_not_null()
+    best = pl.when(good).then(pl.col("value")).max().over(PROBLEM)
+    share = pl.col("efficiency") / pl.when(good).then(pl.col("efficiency")).max().over(PROBLEM)
+    d_share = ((pl.col("value") - best) / pl.col("parameters")).exp()
+    loss = pl.when(good).then(1.0 - pl.when(pl.col("criterion") == "D").then(d_share).otherwise(share))
+    return rows.with_columns(good.alias("good"), loss.alias("loss"), (loss <= HIT).fill_null(value=False).alias("hit"))

@@ -1,0 +1,238 @@
+"""A study as a grid: arms x plans x runs x sigma x truths x models, and the file that describes one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from doe.plan.file import load_plan
+from doe.plan.plan import Plan
+from doe.studies.monte_carlo.schema import MOST_BLOCK, MOST_REPLICATIONS, MOST_RUNS, StudyFile, check
+from identification.arm import Arm, Calibration, EffectSpec
+from identification.arrays import readonly
+from identification.effects import library
+from identification.errors import InputError, nearest
+from identification.files.arm import arm_from_tables, load_arm
+from identification.files.io import PathLike, read_toml
+from identification.model import DIMENSION, Model
+
+DFT, RANDOM = "dft", "random"
+MOST_TASKS = 100_000  # of a cell: each is a row of a table
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is really there. None: as in the arm's own calibration and effects.
+
+    length_errors : (n,) [mm];  joint_offsets : (n,) [rad];  effects : with values
+    """
+
+    name: str = "arm"
+    length_errors: Sequence[float] | None = None
+    joint_offsets: Sequence[float] | None = None
+    effects: tuple[EffectSpec, ...] | None = None
+
+    def of(self, arm: Arm) -> Arm:
+        """The true arm. Raises `InputError` if the errors are not one for each link."""
+        own = arm.calibration or Calibration(readonly(np.zeros(arm.links)), readonly(np.zeros(arm.links)))
+        lengths = own.length_errors if self.length_errors is None else readonly(self.length_errors)
+        offsets = own.joint_offsets if self.joint_offsets is None else readonly(self.joint_offsets)
+        for name, values in (("length_errors_mm", lengths), ("joint_offsets_deg", offsets)):
+            if values.size != arm.links:
+                raise InputError(f"{name}: found {values.size} values for {arm.links} links, allowed: {arm.links}")
+        if self.effects is None:
+            return replace(arm, calibration=Calibration(lengths, offsets, own.effects))
+        return replace(arm, effects=self.effects, calibration=Calibration(lengths, offsets))
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What the fit estimates besides lengths and offsets. None: the arm's own effects."""
+
+    name: str = "arm"
+    effects: tuple[EffectSpec, ...] | None = None
+
+    def of(self, arm: Arm) -> Arm:
+        """The arm as the fit knows it: nominal."""
+        return replace(arm, effects=arm.effects if self.effects is None else self.effects, calibration=None)
+
+
+@dataclass(frozen=True)
+class Study:
+    """A Monte Carlo study.
+
+    arms : nominal arms;  runs : numbers of measurements m
+    plans : solver names, "dft" (theta_j = 2 pi i j / m), "random" (a new plan for each replication, uniform
+        over the allowed postures), or given plans, which have a number of runs of their own
+    sigma : standard deviations of the measurement [mm], empty: each arm's own
+    truths, models : what is simulated, and what is fitted
+    replications : simulated data sets of each cell, done `block` at a time
+    solver_seconds : time limit of a solver [s]
+    """
+
+    arms: Sequence[Arm]
+    plans: Sequence[str | tuple[str, Plan]]
+    runs: Sequence[int] = ()
+    sigma: Sequence[float] = ()
+    truths: Sequence[Truth] = (Truth(),)
+    models: Sequence[Fitted] = (Fitted(),)
+    replications: int = 10_000
+    block: int = 10_000
+    solver_seconds: float = 60.0
+
+    def __post_init__(self) -> None:
+        from doe.solvers import SOLVERS
+
+        allowed = {*SOLVERS, DFT, RANDOM}
+        for plan in self.plans:
+            if isinstance(plan, str) and plan not in allowed:
+                raise InputError(f"plans: unknown {plan!r}, {nearest(plan, allowed)}, or NAME.csv")
+            if isinstance(plan, str) and not self.runs:
+                raise InputError(f"runs: is missing, allowed: whole numbers >= 1, as plan {plan!r} needs them")
+        for what, entries in self._named:
+            names = [entry.name for entry in entries]
+            if len(set(names)) < len(names):
+                raise InputError(f"{what}: name {max(names, key=names.count)!r} is given twice, allowed: once")
+        names = [arm.name for arm in self.arms]
+        if len(set(names)) < len(names):
+            raise InputError(f"arms: two arms are named {max(names, key=names.count)!r}, allowed: names of their own")
+        self._check_numbers()
+        for arm in self.arms:
+            self._check(arm)
+        self._check_runs()
+
+    def _check_numbers(self) -> None:
+        """The same limits as in a file, for those who write Python."""
+        counts = [("replications", self.replications, MOST_REPLICATIONS), ("block", self.block, MOST_BLOCK)]
+        for name, value, most in [*counts, *(("runs", runs, MOST_RUNS) for runs in self.runs)]:
+            if not (isinstance(value, int | np.integer) and 1 <= value <= most):
+                raise InputError(f"{name}: found {value!r}, allowed: a whole number >= 1, at most {most:,}")
+        for sigma in self.sigma:
+            if not 0.0 < sigma < np.inf:
+                raise InputError(f"sigma_mm: found {sigma!r}, allowed: numbers > 0 [mm]")
+        if self.replications / self.block > MOST_TASKS:
+            least = -(-self.replications // MOST_TASKS)
+            raise InputError(
+                f"block: found {self.block}, allowed: at least {least} for {self.replications} replications"
+            )
+
+    def _check_runs(self) -> None:
+        """Some cell must have as many equations as unknowns; the others are rows that say why there is nothing."""
+        sizes = [size for plan in self.plans for size in (self.runs if isinstance(plan, str) else [len(plan[1])])]
+        fitted = [Model(entry.of(arm)) for arm in self.arms for entry in self.models]
+        unknowns = min((len(model.names) for model in fitted), default=0)
+        if sizes and DIMENSION * max(sizes) < unknowns:
+            allowed = f"at least {-(-unknowns // DIMENSION)} for {unknowns} parameters"
+            raise InputError(f"runs: found {max(sizes)}, allowed: {allowed}")
+
+    @property
+    def _named(self) -> list[tuple[str, Sequence[Truth | Fitted]]]:
+        return [("truths", self.truths), ("models", self.models)]
+
+    def _check(self, arm: Arm) -> None:
+        """Everything that can be said about an arm's cells before work starts."""
+        if arm.sigma is None and not self.sigma:
+            raise InputError(f"sigma_mm: is missing, allowed: numbers > 0 [mm], as arm {arm.name} has none")
+        for what, entries in self._named:
+            for entry in entries:
+                try:
+                    model = Model(entry.of(arm))
+                    _ = model.symbols  # raises for an effect that needs what the arm does not have
+                except InputError as error:
+                    raise InputError(f"{what}: {entry.name} with arm {arm.name}: {error}") from None
+                if what == "truths" and (spec := _scattering(entry, arm)):
+                    no = f"{spec.key}, which changes the scatter, is not simulated here"
+                    raise InputError(f"{what}: {entry.name} with arm {arm.name}: {no}, allowed: other effects")
+                if "temperature" in model.needs:
+                    raise InputError(f"{what}: {entry.name} needs temperatures, allowed: effects without them")
+        for plan in self.plans:
+            if not isinstance(plan, str) and plan[1].links != arm.links:
+                raise InputError(f"plans: {plan[0]} has {plan[1].links} joints, allowed: {arm.links} as arm {arm.name}")
+
+
+def _scattering(truth: Truth | Fitted, arm: Arm) -> EffectSpec | None:
+    """An effect on the scatter that a truth asks for; the arm's own may stand there unknown."""
+    asked = [spec for spec in truth.of(arm).effects if truth.effects is not None or spec.values]
+    return next((spec for spec in asked if library()[spec.name].scatter), None)
+
+
+def load_study(path: PathLike) -> Study:
+    """The study that a TOML file describes; names of files in it are beside it.
+
+    ```toml
+    arms = ["arm.toml"]
+    plans = ["exchange_ipopt", "random", "plan.csv"]   # solvers of `armcal design`, "dft", "random", or plan files
+    runs = [10, 20]                                    # numbers of measurements m; a plan file has its own
+    sigma_mm = [0.05, 0.1]                             # left out: the arm's own
+    replications = 10000                               # simulated data sets per cell
+
+    [[truths]]                                         # left out: the arm's own calibration and effects
+    name = "eccentric"
+    length_errors_mm = [1.5, -0.6, -0.4, 0.7]
+    joint_offsets_deg = [0.5, -0.5, 0.7, -0.3]
+    effects = [{name = "encoder_eccentricity", joint = 2, a_deg = 0.03, b_deg = -0.01}]
+
+    [[models]]                                         # left out: one, with the arm's own effects
+    name = "base"
+    effects = []
+
+    [[models]]
+    name = "with eccentricity"
+    effects = [{name = "encoder_eccentricity", joint = 2}]
+    ```
+
+    Raises `InputError`, one line naming file, key, what was found and what is allowed.
+    """
+    tables = read_toml(path)
+    folder = Path(path).parent
+    try:
+        file = check(tables)
+        arms = [load_arm(folder / name) for name in file.arms]
+        plans = [(name, load_plan(folder / name)) if name.endswith(".csv") else name for name in file.plans]
+        return Study(
+            arms,
+            plans,
+            file.runs,
+            file.sigma_mm or (),
+            _truths(file, arms),
+            _models(file, arms),
+            file.replications,
+            file.block,
+            file.solver_seconds,
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _truths(file: StudyFile, arms: Sequence[Arm]) -> Sequence[Truth]:
+    if file.truths is None:
+        return (Truth(),)
+    return [
+        Truth(
+            table.name,
+            table.length_errors_mm,
+            None if table.joint_offsets_deg is None else np.radians(table.joint_offsets_deg).tolist(),
+            None if table.effects is None else _effects(f"truths[{k}]", table.effects, arms),
+        )
+        for k, table in enumerate(file.truths, start=1)
+    ]
+
+
+def _models(file: StudyFile, arms: Sequence[Arm]) -> Sequence[Fitted]:
+    if file.models is None:
+        return (Fitted(),)
+    entries = enumerate(file.models, start=1)
+    return [Fitted(table.name, _effects(f"models[{k}]", table.effects, arms)) for k, table in entries]
+
+
+def _effects(place: str, entries: list[dict[str, Any]], arms: Sequence[Arm]) -> tuple[EffectSpec, ...]:
+    """Entries as under `[[effects]]` of an arm file, which every arm of the study must be able to have."""
+    try:
+        found = [arm_from_tables({"links_mm": arm.lengths.tolist(), "effects": entries}).effects for arm in arms]
+    except InputError as error:
+        raise InputError(f"{place}.{error}") from None
+    return found[0]

@@ -1,0 +1,107 @@
+"""`armcal study paper`: everything of the paper, in parts that run on any workers and are kept as they finish."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from doe.jobs.row_table import Key, Row, RowTable, frame_of
+from doe.jobs.workers import Workers, run
+from doe.studies.paper.errata import CHECKS, errata
+from doe.studies.paper.figures import RUNS, figure_1, figure_2
+from doe.studies.paper.tables import CASES, REPLICATIONS, consistent, table_1, table_2, table_3, text_figures
+from doe.studies.registry import NamedResult
+from identification.errors import InputError, JobError
+from identification.files.io import check_writable, write_together
+from identification.progress import Progress
+
+if TYPE_CHECKING:
+    import polars
+
+NAMES = ("table_1", "table_2", "table_3", "text", "errata", "figure_1", "figure_2")
+PARTS = "parts.parquet"
+ALLOWED = 100, 100_000  # replications
+
+
+def study(
+    *,
+    folder: Path | None,
+    workers: Workers,
+    seed: int,
+    replications: int | None,
+    resume: bool,
+    force: bool,
+    progress: Progress,
+) -> NamedResult:
+    """Everything of the paper; passes if theory and simulation agree everywhere and every erratum is confirmed.
+
+    Raises `InputError` for so few replications that a deviation means nothing, or so many that memory ends.
+    """
+    least, most = ALLOWED
+    if replications is not None and not least <= replications <= most:
+        raise InputError(f"--replications: found {replications}, allowed for the paper: {least} to {most:,}")
+    from doe.report.paper import paper_tables, write_pictures
+
+    targets = {} if folder is None else {name: folder / f"{name}.parquet" for name in NAMES}
+    keys = list(parts(replications or REPLICATIONS, seed))
+    with RowTable.within(folder, PARTS, resume=resume, force=force) as table:
+        for target in targets.values():
+            check_writable(target, resume or force)
+        table.forget([key for key, rows in table.rows.items() if rows[0]["status"] != "done"])
+        tables = assemble(run(part, keys, table, workers, seed=seed, progress=progress))
+    passed = consistent(tables["table_3"]) and bool(tables["errata"]["confirmed"].all())
+    if folder is not None:
+        write_together({target: _bytes(tables[name]) for name, target in targets.items()}, force=True)
+        write_pictures(folder, tables["figure_1"], tables["figure_2"])
+    return NamedResult(tables, tuple(paper_tables(tables, passed)), passed)
+
+
+def parts(replications: int, seed: int) -> Iterator[Key]:
+    """One key per part: what takes long comes in pieces."""
+    common = {"replications": replications, "seed": seed}
+    pieces: dict[str, Any] = {"table_3": CASES, "errata": range(len(CHECKS)), "figure_2": RUNS}
+    for name in NAMES:
+        for piece in pieces.get(name, (None,)):
+            yield {"table": name, "piece": piece, **common}
+
+
+def part(key: dict[str, Any], seed: np.random.SeedSequence) -> list[Row]:
+    """A piece of a table as one row: its own rows as JSON, as tables differ in their columns."""
+    number, own, piece = key["replications"], key["seed"], (key["piece"],)
+    match key["table"]:
+        case "table_1":
+            found = table_1()
+        case "table_2":
+            found = table_2()
+        case "table_3":
+            found = table_3(number, own, piece)
+        case "text":
+            found = text_figures()
+        case "errata":
+            found = errata(number, own, piece)
+        case "figure_1":
+            found = figure_1(number, own)
+        case _:
+            found = figure_2(number, own, piece)
+    return [{"rows": json.dumps(found.to_dicts())}]
+
+
+def assemble(found: polars.DataFrame) -> dict[str, polars.DataFrame]:
+    """Name -> table, of the parts in their order. Raises `JobError` with the reason if a part failed."""
+    rows: dict[str, list[Row]] = {name: [] for name in NAMES}
+    for row in found.iter_rows(named=True):
+        if row["status"] != "done":
+            raise JobError(f"{row['table']}: {row['error']}; go on with --resume")
+        rows[row["table"]] += json.loads(row["rows"])
+    return {name: frame_of(entries) for name, entries in rows.items()}
+
+
+def _bytes(frame: polars.DataFrame) -> bytes:
+    buffer = io.BytesIO()
+    frame.write_parquet(buffer)
+    return buffer.getvalue()

@@ -1,0 +1,239 @@
+"""The arm file's tables and what each key allows. The description of a field is the end of its error message."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from identification.arm import LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
+from identification.arrays import Array
+from identification.errors import InputError, nearest
+
+ROUNDED = 1e-5  # of a correlation, where a covariance is written with six digits
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Positive = Annotated[float, Field(gt=0)]
+Length = Annotated[float, Field(ge=LENGTH_RANGE[0], le=LENGTH_RANGE[1])]
+Angle = Annotated[float, Field(ge=-LARGEST_ANGLE, le=LARGEST_ANGLE)]
+Sigma = Annotated[float, Field(ge=SIGMA_RANGE[0], le=SIGMA_RANGE[1])]
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class LimitsTable(_Table):
+    """`[joint_limits_deg]`."""
+
+    lower: list[Angle] = Field(description=f"one angle [deg] for each link, up to {LARGEST_ANGLE:g}")
+    upper: list[Angle] = Field(description=f"one angle [deg] for each link, up to {LARGEST_ANGLE:g}")
+
+
+class MeasurementTable(_Table):
+    """`[measurement]`."""
+
+    sigma_mm: Sigma | None = Field(None, description=f"a number > 0 [mm], {SIGMA_RANGE[0]:g} to {SIGMA_RANGE[1]:g}")
+
+
+class GravityTable(_Table):
+    """`[gravity]`."""
+
+    acceleration_m_s2: Pair = Field(description="two numbers [m/s^2]")
+    link_masses_kg: list[NotNegative] = Field(description="one mass >= 0 [kg] for each link")
+    center_of_mass: list[Annotated[float, Field(ge=0, le=1)]] | None = Field(
+        None, description="one fraction 0 to 1 for each link"
+    )
+    payload_kg: NotNegative = Field(0.0, description="a number >= 0 [kg]")
+
+
+class BoxTable(_Table):
+    """`kind = "workspace_box"`."""
+
+    kind: Literal["workspace_box"]
+    x_mm: Pair = Field(description="two numbers [mm], the lower one first")
+    y_mm: Pair = Field(description="two numbers [mm], the lower one first")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for key, (low, high) in (("x_mm", self.x_mm), ("y_mm", self.y_mm)):
+            if low >= high:
+                raise ValueError(f"{key}: found [{low:g}, {high:g}], allowed: the lower one first")
+        return self
+
+
+class CircleTable(_Table):
+    """`kind = "keep_out_circle"`."""
+
+    kind: Literal["keep_out_circle"]
+    center_mm: Pair = Field(description="two numbers [mm]")
+    radius_mm: Positive = Field(description="a number > 0 [mm]")
+
+
+class SightTable(_Table):
+    """`kind = "line_of_sight"`."""
+
+    kind: Literal["line_of_sight"]
+    tracker_mm: Pair = Field(description="two numbers [mm]")
+    half_angle_deg: Annotated[float, Field(gt=0, le=180)] = Field(description="a number > 0 and <= 180 [deg]")
+    toward_mm: Pair = Field(description="two numbers [mm], another point than tracker_mm")
+
+    @model_validator(mode="after")
+    def _has_axis(self) -> Self:
+        if self.toward_mm == self.tracker_mm:
+            raise ValueError(f"toward_mm: found {self.toward_mm}, allowed: another point than tracker_mm")
+        return self
+
+
+class EffectTable(BaseModel):
+    """`[[effects]]`: the keys besides these are the effect's own parameters."""
+
+    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
+    __pydantic_extra__: dict[str, float]
+
+    name: str = Field(description="the name of an effect")
+    joint: int | None = Field(None, description="the whole number of a joint, from 1")
+
+    @property
+    def own(self) -> dict[str, float]:
+        """The parameters, as in the file."""
+        return dict(self.__pydantic_extra__)
+
+
+class CalibrationTable(_Table):
+    """`[calibration]`."""
+
+    length_errors_mm: list[float] = Field(description="one number [mm] for each link")
+    joint_offsets_deg: list[float] = Field(description="one angle [deg] for each link")
+    effects: dict[str, float] = Field(
+        default_factory=dict, description="a table of numbers, its keys as EFFECT:JOINT.PARAMETER"
+    )
+    parameters: list[str] | None = Field(None, description="a list of names")
+    covariance: list[list[float]] | None = Field(
+        None, description="a square matrix of numbers, one row for each of parameters"
+    )
+    provenance: dict[str, Any] = Field(default_factory=dict, description="a table")
+
+
+ConstraintTable = Annotated[BoxTable | CircleTable | SightTable, Field(discriminator="kind")]
+
+
+class ArmFile(_Table):
+    """The whole file."""
+
+    links_mm: list[Length] = Field(
+        min_length=1,
+        max_length=MAX_LINKS,
+        description=f"1 to {MAX_LINKS} link lengths > 0 [mm], {LENGTH_RANGE[0]:g} to {LENGTH_RANGE[1]:g}",
+    )
+    name: str = Field("arm", description="a text")
+    joint_limits_deg: LimitsTable | None = Field(None, description="a table with lower and upper")
+    measurement: MeasurementTable | None = Field(None, description="a table with sigma_mm")
+    gravity: GravityTable | None = Field(
+        None, description="a table with acceleration_m_s2, link_masses_kg, center_of_mass, payload_kg"
+    )
+    constraints: list[ConstraintTable] = Field(default_factory=list, description="tables [[constraints]]")
+    effects: list[EffectTable] = Field(default_factory=list, description="tables [[effects]]")
+    calibration: CalibrationTable | None = Field(
+        None, description="a table with length_errors_mm and joint_offsets_deg"
+    )
+
+
+_CONSTRAINTS: dict[str, type[BaseModel]] = {
+    "workspace_box": BoxTable,
+    "keep_out_circle": CircleTable,
+    "line_of_sight": SightTable,
+}
+_MODELS: dict[str, type[BaseModel]] = {
+    "": ArmFile,
+    "joint_limits_deg": LimitsTable,
+    "measurement": MeasurementTable,
+    "gravity": GravityTable,
+    "effects": EffectTable,
+    "calibration": CalibrationTable,
+    **{f"constraints.{kind}": model for kind, model in _CONSTRAINTS.items()},
+}
+
+
+def check(tables: dict[str, Any]) -> ArmFile:
+    """The tables of an arm file, checked. Raises `InputError` naming key, what was found and what is allowed."""
+    try:
+        return ArmFile.model_validate(tables)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        # a misspelt key is both unknown and missing: the first of the two says more
+        first = min(details, key=lambda detail: detail["type"] != "extra_forbidden")
+        raise InputError(_sentence(first)) from None
+
+
+def _sentence(detail: Any) -> str:
+    loc, kind = detail["loc"], detail["type"]
+    key = _dotted(loc)
+    if kind == "extra_forbidden":
+        return f"{key}: unknown key, {nearest(str(loc[-1]), _model(loc[:-1]).model_fields)}"
+    if kind == "union_tag_invalid":
+        tag = str(detail["ctx"]["tag"])
+        return f"{key}.kind: found {tag!r}, {nearest(tag, _CONSTRAINTS)}"
+    if kind == "union_tag_not_found":
+        return f"{key}.kind: is missing, allowed: {', '.join(sorted(_CONSTRAINTS))}"
+    if kind == "value_error":  # from a validator above: a sentence already
+        return f"{key}.{detail['ctx']['error']}"
+    found = "is missing" if kind == "missing" else f"found {_shown(detail)}"
+    return f"{key}: {found}, allowed: {_allowed(loc)}"
+
+
+def _dotted(loc: tuple[int | str, ...]) -> str:
+    """`constraints[2].x_mm`: entries are counted from 1, and the kind of a constraint is not part of its key."""
+    if loc[0] == "constraints":
+        loc = (*loc[:2], *loc[3:])
+    text = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in loc)
+    return text.removeprefix(".")
+
+
+def _model(loc: tuple[int | str, ...]) -> type[BaseModel]:
+    return _MODELS[".".join(part for part in loc if isinstance(part, str))]
+
+
+def _allowed(loc: tuple[int | str, ...]) -> str:
+    """The description of the innermost field that `loc` lies in."""
+    if loc[0] == "effects" and len(loc) == 3 and loc[2] not in EffectTable.model_fields:
+        return "a finite number"
+    for end in range(len(loc), 0, -1):
+        path = ".".join(part for part in loc[: end - 1] if isinstance(part, str))
+        fields = _MODELS[path].model_fields if path in _MODELS else {}
+        if loc[end - 1] in fields:
+            return str(fields[str(loc[end - 1])].description)
+    return "a table"
+
+
+def _shown(detail: Any) -> str:
+    value = detail["input"]
+    if detail["type"] in ("too_long", "too_short"):
+        return f"{len(value)} values"
+    if isinstance(value, dict):
+        return "a table"
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def check_covariance(matrix: Array, names: list[str]) -> None:
+    """Raises `InputError` for a (p, p) matrix that no numbers can have as their covariance, but for rounding."""
+    variances = np.diag(matrix)
+    if np.any(variances < 0.0):
+        k = int(np.argmax(variances < 0.0))
+        raise InputError(f"calibration.covariance: found variance {variances[k]:g} of {names[k]}, allowed: >= 0")
+    largest = np.outer(np.sqrt(variances), np.sqrt(variances))
+    scale = np.where(largest > 0.0, largest, 1.0)
+    beyond = np.abs(matrix) > (1.0 + ROUNDED) * largest
+    uneven = np.abs(matrix - matrix.T) > ROUNDED * largest
+    for wrong, allowed in ((beyond, "a correlation of -1 to 1"), (uneven, "a symmetric matrix")):
+        if np.any(wrong):
+            i, j = (int(k) for k in np.argwhere(wrong)[0])
+            found = f"{matrix[i, j]:g} and {matrix[j, i]:g} of {names[i]} and {names[j]}"
+            raise InputError(f"calibration.covariance: found {found}, allowed: {allowed}")
+    if matrix.size and (least := float(np.linalg.eigvalsh(matrix / scale)[0])) < -ROUNDED * len(matrix):
+        found = f"a combination of variance {least:.3g} (of correlations)"
+        raise InputError(f"calibration.covariance: found {found}, allowed: no negative one")

@@ -1,0 +1,169 @@
+"""CSV tables: columns of text, turned into numbers with complaints that name file, row, column and what is allowed."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import hashlib
+import io
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from identification.arrays import Array
+from identification.errors import InputError, nearest
+from identification.files.io import PathLike, decode, read_bytes
+
+FINITE = "a finite number"
+Test = Callable[[Array], NDArray[np.bool_]]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A CSV file as text, blank lines left out.
+
+    frame : the columns, all of them strings; an empty cell is null
+    lines : (m,) line number of every row in the file, from 1; the header is line 1
+    sha256 : of the file's bytes
+    """
+
+    path: str
+    frame: pl.DataFrame
+    lines: NDArray[np.int64]
+    sha256: str
+
+    def __len__(self) -> int:
+        return self.frame.height
+
+    def __contains__(self, column: str) -> bool:
+        return column in self.frame.columns
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns, in the order of the file."""
+        return tuple(self.frame.columns)
+
+    @property
+    def file_name(self) -> str:
+        """Name of the file without its folder, for provenance."""
+        return Path(self.path).name
+
+    def require(self, columns: Iterable[str]) -> None:
+        """Raises `InputError` naming the first of `columns` that is missing and the nearest one the file has."""
+        for column in columns:
+            if column not in self:
+                raise InputError(
+                    f"{self.path}: column {column!r} is missing; in the file, {nearest(column, self.columns)}"
+                )
+
+    def place(self, row: int, column: str) -> str:
+        """`data.csv: row 3 (line 4), column x_mm`; `row` counts from 0."""
+        return f"{self.path}: row {row + 1} (line {self.lines[row]}), column {column}"
+
+    def floats(self, column: str, allowed: str = FINITE, test: Test | None = None) -> Array:
+        """(m,) the column as finite numbers for which `test` (vectorised) holds.
+
+        Raises `InputError` naming the first row that has anything else; `allowed` says in words what `test` wants.
+        """
+        self.require([column])
+        text = self.frame[column]
+        numbers = text.cast(pl.Float64, strict=False)
+        if numbers.null_count() > text.null_count():  # spaces around a number are fine, and rare
+            numbers = text.str.strip_chars().cast(pl.Float64, strict=False)
+        values: Array = numbers.fill_null(np.nan).to_numpy()
+        good = np.isfinite(values)
+        if test is not None:
+            good &= test(values)
+        if not good.all():
+            row = int(np.argmin(good))
+            found = "an empty cell" if text[row] is None else repr(text[row])
+            raise InputError(f"{self.place(row, column)}: found {found}, allowed: {allowed}")
+        return values
+
+
+def read_table(path: PathLike) -> Table:
+    """Reads a comma-separated file with one header line.
+
+    Raises `InputError` for a missing or empty file, no data rows, other separators, a header that is missing, repeats a
+    name or does not fit the rows (ragged rows), and bytes that are not UTF-8.
+    """
+    content = read_bytes(path)
+    header = _header(path, content)
+    frame = _frame(path, content, header)
+    lines = pl.arange(2, frame.height + 2, eager=True, dtype=pl.Int64)
+    filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
+    if not filled.all():
+        frame, lines = frame.filter(filled), lines.filter(filled)
+    if frame.height == 0:
+        raise InputError(f"{path}: there are no rows below the header, allowed: at least 1 row")
+    frame = _without_unnamed(path, frame)
+    return Table(str(path), frame, lines.to_numpy(), hashlib.sha256(content).hexdigest())
+
+
+def _header(path: PathLike, content: bytes) -> list[str]:
+    first = decode(path, content.split(b"\n", 1)[0]).rstrip("\r")
+    if "\r" in first:
+        raise InputError(f"{path}: lines end with a bare carriage return, allowed: line feeds (LF or CRLF)")
+    if not first.strip():
+        raise InputError(f"{path}: line 1 is blank, allowed: the names of the columns")
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if separator in first and "," not in first:
+            raise InputError(f"{path}: columns are separated by {name}, allowed: commas (and points in the numbers)")
+    header = [cell.strip() for cell in next(csv.reader([first]))]
+    if any(_is_number(cell) for cell in header):
+        found = next(cell for cell in header if _is_number(cell))
+        raise InputError(f"{path}: line 1 has the number {found!r}, allowed: the names of the columns")
+    named = [cell for cell in header if cell]
+    for column in named:
+        if named.count(column) > 1:
+            raise InputError(f"{path}: column {column!r} is there {named.count(column)} times, allowed: once")
+    return header
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _frame(path: PathLike, content: bytes, header: list[str]) -> pl.DataFrame:
+    """All rows as strings. Polars fills short rows up with nulls: a null in the last column asks for a closer look."""
+    try:
+        frame = pl.read_csv(io.BytesIO(content), infer_schema=False)
+    except pl.exceptions.PolarsError as error:
+        _raise_for_ragged_row(path, content, len(header))
+        raise InputError(f"{path}: not a valid CSV file: {str(error).splitlines()[0]}") from None
+    if frame.width != len(header) or (frame.width > 1 and frame.to_series(-1).null_count()):
+        _raise_for_ragged_row(path, content, len(header))
+    # an unnamed column gets a name that no header can have
+    frame.columns = [name or f"\n{k}" for k, name in enumerate(header)]
+    return frame
+
+
+def _raise_for_ragged_row(path: PathLike, content: bytes, columns: int) -> None:
+    reader = csv.reader(io.StringIO(decode(path, content), newline=""))
+    row = -1  # the header
+    with contextlib.suppress(csv.Error):  # a quote that never ends: the caller says so
+        for cells in reader:
+            if not any(cell.strip() for cell in cells):
+                continue
+            row += 1
+            if len(cells) != columns:
+                place = f"{path}: row {row} (line {reader.line_num})"
+                raise InputError(f"{place}: found {len(cells)} cells, allowed: {columns}, as in the header")
+
+
+def _without_unnamed(path: PathLike, frame: pl.DataFrame) -> pl.DataFrame:
+    """Spreadsheets leave empty columns behind; data without a name is an error."""
+    for k, column in enumerate(frame.columns):
+        if column.startswith("\n"):
+            if frame[column].null_count() < frame.height:
+                raise InputError(f"{path}: column {k + 1} has no name in line 1, allowed: a name")
+            frame = frame.drop(column)
+    return frame

@@ -1,0 +1,244 @@
+"""Measurement files: CSV in millimetres and degrees <-> `Measurements` in millimetres and radians."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterable
+from types import MappingProxyType
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, MAX_LINKS, SIGMA_RANGE, Arm
+from identification.arrays import Array
+from identification.errors import InputError, nearest
+from identification.files.csv import Table, read_table
+from identification.files.io import PathLike
+from identification.measurements import Measurements
+
+_JOINT = re.compile(r"q([1-9]\d*)_(deg|rad)")
+_DIRECTION = re.compile(r"direction([1-9]\d*)")
+_OPTIONAL = ("order", "time_s", "temperature_C", "payload_kg", "posture", "sigma_mm")
+_OF_PLANS = ("run",)  # a plan with the positions added is a measurement file
+_WHOLE = 2.0**53  # above it a float cannot count
+
+
+def load_measurements(path: PathLike, links: int | None = None) -> Measurements:
+    """The measurements of a CSV file, of an arm with `links` links if that is said.
+
+    Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
+    once about columns that are not used.
+    """
+    table = read_table(path)
+    postures = read_postures(table, links)
+    n = postures.shape[1]
+    measurements = Measurements(
+        postures=postures,
+        positions=np.column_stack([_millimetres(table, "x"), _millimetres(table, "y")]),
+        order=_order(table),
+        **read_conditions(table, n),
+        sigma=_sigma(table),
+        repeats=_repeats(table),
+        provenance=MappingProxyType({"file": table.file_name, "sha256": table.sha256}),
+    )
+    lengths = [f"{name}_{unit}" for name in ("x", "y", "sigma") for unit in ("mm", "m")]
+    known = [*joint_columns(table), *lengths, *_OPTIONAL, *_OF_PLANS, *(f"direction{j}" for j in range(1, n + 1))]
+    warn_unknown(table, known)
+    return measurements
+
+
+def measurement_text(measurements: Measurements) -> str:
+    """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad)."""
+    columns = posture_columns(measurements.postures)
+    columns |= {"x_mm": measurements.positions[:, 0], "y_mm": measurements.positions[:, 1]}
+    if measurements.order is not None:
+        whole = bool(np.all(measurements.order == np.round(measurements.order)))
+        columns["order" if whole else "time_s"] = measurements.order
+    for name, values in (("temperature_C", measurements.temperature), ("payload_kg", measurements.payload)):
+        if values is not None:
+            columns[name] = values
+    if measurements.directions is not None:
+        columns |= {f"direction{j + 1}": column for j, column in enumerate(measurements.directions.T)}
+    if measurements.repeats is not None:
+        columns["posture"] = measurements.repeats
+    if measurements.sigma is not None:
+        columns["sigma_mm"] = measurements.sigma
+    return csv_text(columns)
+
+
+# -- columns shared with plans ----------------------------------------------------------------------------------------
+def joint_columns(table: Table) -> tuple[str, ...]:
+    """The columns of joint angles a table has, `q1_deg` or `q1_rad`, in the order of the joints."""
+    found = [match for column in table.columns if (match := _JOINT.fullmatch(column))]
+    return tuple(match.group() for match in sorted(found, key=lambda match: int(match.group(1))))
+
+
+def read_postures(table: Table, links: int | None = None) -> Array:
+    """(m, n) joint angles [rad]; n is `links`, or what the table has. Raises `InputError` for anything else."""
+    columns = joint_columns(table)
+    if not columns:
+        table.require(["q1_deg"])
+    joints = [int(column[1:-4]) for column in columns]
+    n = max(joints) if links is None else links
+    for column, joint, following in zip(columns, joints, [*joints[1:], 0], strict=True):
+        if joint == following:
+            raise InputError(f"{table.path}: found both q{joint}_deg and q{joint}_rad, allowed: one of them")
+        if joint > n:
+            raise InputError(
+                f"{table.path}: found column {column}, but the arm has {n} links, allowed: q1_deg to q{n}_deg"
+            )
+    if n > MAX_LINKS:
+        raise InputError(f"{table.path}: found column {columns[-1]}, allowed: 1 to {MAX_LINKS} joints")
+    table.require(f"q{j}_deg" for j in range(1, n + 1) if j not in joints)
+    postures = np.empty((len(table), n))
+    for j, column in enumerate(columns):
+        in_degrees = column.endswith("_deg")
+        most = LARGEST_ANGLE if in_degrees else np.radians(LARGEST_ANGLE)
+        values = _up_to(table, column, "a finite angle", most)
+        postures[:, j] = np.radians(values) if in_degrees else values
+    return postures
+
+
+def _up_to(table: Table, column: str, allowed: str, most: float) -> Array:
+    """(m,) finite numbers of at most this absolute value."""
+    return table.floats(column, f"{allowed}, up to {most:g}", lambda values: np.abs(values) <= most)
+
+
+def posture_columns(postures: Array) -> dict[str, NDArray[np.generic]]:
+    """Columns `q1_deg..qn_deg` of (m, n) joint angles [rad]."""
+    degrees = np.round(np.degrees(postures), 12)  # 30 rather than 29.999999999999996; 12 decimals are 2e-14 rad
+    return {f"q{j + 1}_deg": column + 0.0 for j, column in enumerate(degrees.T)}  # + 0: no -0
+
+
+def csv_text(columns: dict[str, NDArray[np.generic]]) -> str:
+    """CSV of columns of one length; whole floats that only count (`order`, directions) lose their `.0`."""
+    series = []
+    for name, values in columns.items():
+        counts = name == "order" or _DIRECTION.fullmatch(name)
+        small = counts and bool(np.all(np.abs(values) < _WHOLE))
+        series.append(pl.Series(name, values.astype(np.int64) if small else np.ascontiguousarray(values)))
+    return pl.DataFrame(series).write_csv()
+
+
+def warn_unknown(table: Table, known: Iterable[str]) -> None:
+    """One `UserWarning` for all columns that are not `known`, with the nearest known one where there is one."""
+    known = list(known)
+    unknown = []
+    for column in table.columns:
+        if column not in known:
+            hint = nearest(column, [k for k in known if k not in table] or known).partition(" allowed:")[0]
+            unknown.append(f"{column!r} ({hint})" if hint.startswith("did you mean") else f"{column!r}")
+    if unknown:
+        columns = "column is" if len(unknown) == 1 else "columns are"
+        warnings.warn(f"{table.path}: {columns} not used: {', '.join(unknown)}", UserWarning, stacklevel=3)
+
+
+def read_conditions(table: Table, n: int) -> dict[str, Array | None]:
+    """`payload` (m,) [kg], `temperature` (m,) [deg C] and `directions` (m, n), each None if the table has none."""
+    return {
+        "payload": _optional(table, "payload_kg", ">= 0 [kg]", lambda v: v >= 0.0),
+        "temperature": _optional(table, "temperature_C", ">= -273.15 [deg C]", lambda v: v >= -273.15),
+        "directions": _directions(table, n),
+    }
+
+
+# -- columns of measurements ------------------------------------------------------------------------------------------
+def _millimetres(table: Table, name: str) -> Array:
+    """(m,) column `x_mm`, or `x_m` converted."""
+    if f"{name}_mm" in table and f"{name}_m" in table:
+        raise InputError(f"{table.path}: found both {name}_mm and {name}_m, allowed: one of them")
+    if f"{name}_m" in table:
+        return _up_to(table, f"{name}_m", "a finite length", LARGEST_LENGTH / 1000.0) * 1000.0
+    return _up_to(table, f"{name}_mm", "a finite length", LARGEST_LENGTH)
+
+
+def _sigma(table: Table) -> Array | None:
+    if "sigma_m" in table and "sigma_mm" in table:
+        raise InputError(f"{table.path}: found both sigma_mm and sigma_m, allowed: one of them")
+    low, high = SIGMA_RANGE
+    metres = _optional(
+        table, "sigma_m", f"> 0 [m], {low / 1000.0:g} to {high / 1000.0:g}", lambda v: _within(v * 1000.0, SIGMA_RANGE)
+    )
+    millimetres = _optional(table, "sigma_mm", f"> 0 [mm], {low:g} to {high:g}", lambda v: _within(v, SIGMA_RANGE))
+    return millimetres if metres is None else metres * 1000.0
+
+
+def _within(values: Array, limits: tuple[float, float]) -> NDArray[np.bool_]:
+    return (values >= limits[0]) & (values <= limits[1])
+
+
+def _optional(table: Table, column: str, allowed: str, test: object = None) -> Array | None:
+    return table.floats(column, f"a number {allowed}", test) if column in table else None  # type: ignore[arg-type]
+
+
+def _order(table: Table) -> Array | None:
+    """(m,) `time_s` or `order`; of both, the time says more, if it says the same."""
+    order, time = (table.floats(c) if c in table else None for c in ("order", "time_s"))
+    if order is None or time is None:
+        return time if order is None else order
+    by_order, by_time = np.argsort(order, kind="stable"), np.argsort(time, kind="stable")
+    if np.array_equal(by_order, by_time):
+        return time
+    row = int(by_time[np.argmax(by_order != by_time)])
+    place = table.place(row, "time_s")
+    raise InputError(
+        f"{place}: order and time_s put the rows in different orders, allowed: the same order, or one column"
+    )
+
+
+def _directions(table: Table, n: int) -> Array | None:
+    """(m, n) +1 or -1."""
+    columns = [column for column in table.columns if _DIRECTION.fullmatch(column)]
+    if not columns:
+        return None
+    table.require(f"direction{j}" for j in range(1, n + 1))
+    for column in columns:
+        if int(column.removeprefix("direction")) > n:
+            allowed = f"direction1 to direction{n}"
+            raise InputError(f"{table.path}: found column {column}, but there are {n} joints, allowed: {allowed}")
+    signs = [table.floats(f"direction{j}", "+1 or -1", lambda v: np.abs(v) == 1.0) for j in range(1, n + 1)]
+    return np.column_stack(signs)
+
+
+def _repeats(table: Table) -> NDArray[np.int64] | None:
+    """(m,) whole numbers that are equal for repeats of a posture."""
+    if "posture" not in table:
+        return None
+    whole = table.floats("posture", "a whole number", lambda v: (v == np.round(v)) & (np.abs(v) < _WHOLE))
+    return whole.astype(np.int64)
+
+
+# -- units that the numbers contradict --------------------------------------------------------------------------------
+def unit_warnings(measurements: Measurements, arm: Arm) -> list[str]:
+    """Sentences about columns whose numbers fit the arm clearly better (3 times) in another unit, each with what to do.
+
+    Radians in a `_deg` column are suspected only where all angles are below 7 deg, metres in a `_mm` column only where
+    all positions are within 1/50 of the arm's reach. Raises `InputError` if the numbers of links differ.
+    """
+    if measurements.links != arm.links:
+        raise InputError(f"measurements: found {measurements.links} joints, allowed: {arm.links}, as the arm has")
+    small_angles = bool(np.all(np.abs(measurements.postures) < np.radians(7.0)))
+    near = bool(np.all(np.linalg.norm(measurements.positions, axis=1) < np.sum(arm.lengths) / 50.0))
+    readings = [(q, p) for q in (False, True)[: 1 + small_angles] for p in (False, True)[: 1 + near]]
+    misfits = [_misfit(measurements, arm, *reading) for reading in readings]
+    best = int(np.argmin(misfits))
+    if 3.0 * misfits[best] >= misfits[0]:
+        return []
+    radians, metres = readings[best]
+    sentences = []
+    if radians:
+        sentences.append("the joint angles look like radians: name the columns q1_rad.. instead of q1_deg..")
+    if metres:
+        sentences.append("the positions look like metres: name the columns x_m, y_m instead of x_mm, y_mm")
+    return sentences
+
+
+def _misfit(measurements: Measurements, arm: Arm, radians: bool, metres: bool) -> float:
+    """Median distance [mm] from the nominal arm's tip, with the numbers of the file read in the other unit."""
+    postures = np.degrees(measurements.postures) if radians else measurements.postures
+    positions = measurements.positions * (1000.0 if metres else 1.0)
+    theta = np.cumsum(postures, axis=1)
+    tip = np.column_stack([np.cos(theta) @ arm.lengths, np.sin(theta) @ arm.lengths])
+    return float(np.median(np.linalg.norm(positions - tip, axis=1)))

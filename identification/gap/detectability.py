@@ -1,0 +1,211 @@
+"""Before any data: what a plan could show (GAP.md, step 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from types import MappingProxyType
+
+import numpy as np
+from scipy.special import fdtri, ncfdtr, nctdtr, stdtrit
+
+from identification.arm import Arm
+from identification.arrays import Array, readonly
+from identification.errors import InputError
+from identification.gap.f_tests import Dictionary, basis, dictionary
+from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses
+from identification.gap.whitening import Rows
+from identification.measurements import Conditions, directions_from_order, session_time
+
+SPARE = 4  # degrees of freedom below which nothing is tested
+POWER = 0.9
+LEVEL = 0.05
+EXACT, NEAR = 0.9999, 0.9  # correlations that make an alias
+LARGEST = (
+    0.1  # of the reach: an effect that must move the tip farther to be seen is invisible, and beyond linear theory
+)
+
+
+@dataclass(frozen=True)
+class Size:
+    """A parameter size in the unit of files and tables; None if no size can be seen."""
+
+    value: float | None
+    unit: str
+
+    def __str__(self) -> str:
+        if self.value is None:
+            return "invisible"
+        return f"{self.value:.3g}" if self.unit == "1" else f"{self.value:.3g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class Detectability:
+    """What a plan can show of each effect.
+
+    names : (H) effects, unscanned;  shares : (H,) share of the columns' norm that survives projection (worst direction)
+    likeness : (H, H) root mean square share of effect h (row) that effect g (column) explains after projection
+    detectable : effect -> smallest size (of its least visible combination) found with 90 % power
+    freedom : degrees of freedom the base model leaves
+    """
+
+    names: tuple[str, ...]
+    shares: Array
+    likeness: Array
+    detectable: Mapping[str, Size]
+    freedom: int
+    skipped: Mapping[str, str]
+    aliases: Mapping[str, str]
+
+    def pairs(self, level: float = NEAR) -> list[tuple[str, str, float]]:
+        """Effects that another explains to at least `level`, strongest first."""
+        rows, columns = np.nonzero((self.likeness >= level) & ~np.eye(len(self.names), dtype=bool))
+        found = [(self.names[i], self.names[j], float(self.likeness[i, j])) for i, j in zip(rows, columns, strict=True)]
+        return sorted(found, key=lambda pair: -pair[2])
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data for `--json`."""
+        return {
+            "effects": [
+                {
+                    "effect": name,
+                    "share": float(share),
+                    "detectable": self.detectable[name].value,
+                    "unit": self.detectable[name].unit,
+                }
+                for name, share in zip(self.names, self.shares, strict=True)
+            ],
+            "alias_pairs": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.pairs()],
+            "degrees_of_freedom": self.freedom,
+            "skipped": dict(self.skipped),
+            "never_visible": dict(self.aliases),
+        }
+
+    def __str__(self) -> str:
+        lines = [f"{self.freedom} degrees of freedom to spare", f"{'effect':32} share  smallest size found (90 %)"]
+        for name, share in zip(self.names, self.shares, strict=True):
+            lines.append(f"{name:32} {share:5.2f}  {self.detectable[name]}")
+        return "\n".join(lines)
+
+
+def detectability(
+    arm: Arm,
+    postures: Array,
+    conditions: Conditions | None = None,
+    sigma: float | None = None,
+    library: HypothesisSet | None = None,
+) -> Detectability:
+    """What measuring the arm at (m, n) postures [rad] could show.
+
+    sigma : [mm], default the arm's, else 1 (sizes are then per millimetre of noise). Temperature is taken into account
+    if `conditions` has it. library : the arm's hypotheses, for many plans of one arm. Raises `InputError` with fewer
+    than 4 spare degrees of freedom.
+    """
+    rows = _planned(postures, conditions)
+    given = frozenset() if rows.conditions.temperature is None else frozenset({"temperature"})
+    library = library or hypotheses(arm, given)
+    noise = sigma or arm.sigma or 1.0
+    return assess(library, rows, library.base.jacobian(rows.postures, None, rows.conditions), {}, noise)
+
+
+def _planned(postures: Array, conditions: Conditions | None) -> Rows:
+    q = np.atleast_2d(np.asarray(postures, dtype=float))
+    order = np.arange(len(q), dtype=float)
+    given = {} if conditions is None else {k: v for k, v in vars(conditions).items() if v is not None}
+    filled = Conditions(**({"time": session_time(order), "directions": directions_from_order(q)} | given))
+    return Rows(q, np.zeros((len(q), 2)), filled, order)
+
+
+def require_spare(freedom: int, rows: int) -> None:
+    """Refuse to test with fewer than `SPARE` degrees of freedom."""
+    if freedom < SPARE:
+        raise InputError(
+            f"measurements: {rows} rows leave {freedom} degrees of freedom for tests, "
+            f"allowed: at least {SPARE}; measure more postures"
+        )
+
+
+def assess(
+    library: HypothesisSet,
+    rows: Rows,
+    jacobian: Array,
+    values: Mapping[str, float],
+    sigma: float,
+    level: float | None = None,
+) -> Detectability:
+    """The pre-flight figures at given base parameters; level : weighted p-value the gate asks for."""
+    white = rows.whiten(jacobian)
+    freedom = len(white) - basis(white).shape[1]
+    require_spare(freedom, len(rows))
+    raw = [rows.whiten(c) for c in library.columns(rows, values, library.slopes(rows))]
+    members = library.members
+    tested = dictionary(white, raw, np.array([h.one_sided for h in members]), np.array([h.weight for h in members]))
+    threshold = LEVEL / sum(h.weight for h in members) if level is None else level
+    plain = [k for k, h in enumerate(members) if not h.spec.values and not h.tied]
+    detectable: dict[str, Size] = {}
+    for k, hypothesis in enumerate(members):
+        if hypothesis.tied:
+            continue
+        limit = LARGEST * float(np.sum(library.arm.lengths))
+        size = _detectable(hypothesis, raw[k], tested, sigma, threshold * hypothesis.weight, limit)
+        before = detectable.get(hypothesis.key)
+        detectable[hypothesis.key] = size if before is None else _larger(before, size)
+    return Detectability(
+        tuple(members[k].key for k in plain),
+        readonly(tested.shares[plain]),
+        readonly(likeness(tested, plain)),
+        MappingProxyType(detectable),
+        freedom,
+        library.skipped,
+        library.aliases,
+    )
+
+
+def _larger(one: Size, other: Size) -> Size:
+    if one.value is None or other.value is None:
+        return Size(None, one.unit)
+    return one if one.value >= other.value else other
+
+
+def likeness(tested: Dictionary, members: list[int]) -> Array:
+    """(H, H) root mean square share of each member's visible space that each other member's space holds."""
+    blocks = [tested.block(k) for k in members]
+    matrix = np.zeros((len(blocks), len(blocks)))
+    for i, one in enumerate(blocks):
+        for j, other in enumerate(blocks):
+            if one.shape[1] and other.shape[1]:
+                matrix[i, j] = np.linalg.norm(other.T @ one) / np.sqrt(one.shape[1])
+    return np.minimum(matrix, 1.0)
+
+
+def _detectable(
+    hypothesis: Hypothesis, raw: Array, tested: Dictionary, sigma: float, level: float, limit: float
+) -> Size:
+    parameter = hypothesis.effect.parameters[0]
+    projected = raw - tested.model_basis @ (tested.model_basis.T @ raw)
+    visible = np.linalg.svd(projected, compute_uv=False)
+    whole = np.linalg.norm(raw, axis=0).max()
+    if whole == 0.0 or visible[-1] <= 1e-6 * whole or tested.freedom <= hypothesis.size:
+        return Size(None, parameter.file_unit)
+    needed = detectable_lambda(hypothesis.size, tested.freedom - hypothesis.size, level, hypothesis.one_sided)
+    size = needed * sigma / visible[-1]
+    if size * whole / np.sqrt(len(raw) / 2) > limit:  # root mean square distance [mm] that it would move the tip
+        return Size(None, parameter.file_unit)
+    return Size(float(size * parameter.to_file), parameter.file_unit)
+
+
+@lru_cache(4096)  # hundreds of hypotheses share a few cases
+def detectable_lambda(size: int, freedom: int, level: float, one_sided: bool = False) -> float:
+    """Length lambda (in standard deviations) of a projected effect that a test at `level` finds with 90 % power.
+
+    The power of an F test is the tail of the noncentral F distribution with noncentrality lambda^2, that of a
+    one-sided t test the tail of the noncentral t with lambda; both grow with lambda, so bisection finds it.
+    """
+    limit = stdtrit(freedom, 1.0 - level) if one_sided else fdtri(size, freedom, 1.0 - level)
+    low, high = 0.0, 200.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        missed = nctdtr(freedom, middle, limit) if one_sided else ncfdtr(size, freedom, middle**2, limit)
+        low, high = (middle, high) if missed > 1.0 - POWER else (low, middle)
+    return high

@@ -1,0 +1,149 @@
+"""F statistics of all hypotheses at once, for one residual vector or for many.
+
+The columns of a hypothesis, projected off the Jacobian of the fitted model, span what only this hypothesis can
+explain. With U an orthonormal basis of that (N, d), the sum of squares falls by |U^T r|^2 when it is added, and
+F = (|U^T r|^2 / d) / ((|r|^2 - |U^T r|^2) / (dof - d)). All hypotheses share one matrix product, however many.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc, stdtr
+
+from identification.arrays import Array
+
+VISIBLE = 1e-4  # share of a column's norm that must survive projection; less is an alias of what is in the model
+TINY = 1e-300  # p-values below are not told apart
+
+
+def basis(jacobian: Array) -> Array:
+    """(N, r) orthonormal basis of the column space of a Jacobian (N, p), r its rank."""
+    norms = np.linalg.norm(jacobian, axis=0)
+    q, singular, _ = np.linalg.svd(jacobian / np.where(norms > 0.0, norms, 1.0), full_matrices=False)
+    return q[:, singular > 1e-9 * singular[0]] if singular.size else q
+
+
+@dataclass(frozen=True)
+class Dictionary:
+    """Hypotheses projected off a fitted model.
+
+    bases : (N, C) the orthonormal bases side by side;  starts, sizes : (H,) where each begins, how wide it is
+    shares : (H,) share of the columns' norm that survives projection
+    one_sided : (H,) physics allows one sign only;  weights : (H,) prior weights
+    """
+
+    model_basis: Array
+    bases: Array
+    starts: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+    shares: Array
+    one_sided: NDArray[np.bool_]
+    weights: Array
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom the fitted model leaves."""
+        return len(self.model_basis) - self.model_basis.shape[1]
+
+    def subset(self, keep: NDArray[np.int64]) -> Dictionary:
+        """Only some of the hypotheses."""
+        owner = np.repeat(np.arange(len(self)), self.sizes)
+        columns = np.isin(owner, keep)
+        widths = self.sizes[keep]
+        return Dictionary(
+            self.model_basis,
+            self.bases if columns.all() else self.bases[:, columns],
+            np.cumsum(widths) - widths,
+            widths,
+            self.shares[keep],
+            self.one_sided[keep],
+            self.weights[keep],
+        )
+
+    def block(self, k: int) -> Array:
+        """(N, d) orthonormal basis of one hypothesis."""
+        return self.bases[:, self.starts[k] : self.starts[k] + self.sizes[k]]
+
+    def reductions(self, residuals: Array) -> Array:
+        """(H, B) fall of the sum of squares for residuals (N, B) orthogonal to the model; 0 for the forbidden sign."""
+        if len(self) == 0:
+            return np.zeros((0, residuals.shape[1]))
+        scores = self.bases.T @ residuals
+        squares = np.square(scores)
+        falls = np.add.reduceat(squares, self.starts, axis=0) if self.sizes.max() > 1 else squares[self.starts]
+        first = scores[self.starts[self.one_sided]]
+        falls[self.one_sided] = np.where(first > 0.0, falls[self.one_sided], 0.0)
+        return falls
+
+    @cached_property
+    def groups(self) -> list[tuple[int, bool, float, NDArray[np.int64]]]:
+        """Hypotheses that share (size, one_sided, weight): within a group the largest fall has the smallest p-value."""
+        keys = list(zip(self.sizes.tolist(), self.one_sided.tolist(), self.weights.tolist(), strict=True))
+        return [(*key, np.flatnonzero([k == key for k in keys])) for key in sorted(set(keys))]
+
+    def p_values(self, falls: Array, squares: Array) -> Array:
+        """(H, B) p-value of each hypothesis on its own, from the falls (H, B) and the sums of squares (B)."""
+        result = np.ones_like(falls)
+        for size, one_sided, _, members in self.groups:
+            result[members] = self._p(size, one_sided, falls[members], squares)
+        return result
+
+    def smallest_weighted(self, falls: Array, squares: Array) -> Array:
+        """(B,) smallest p-value divided by prior weight over all hypotheses."""
+        best = np.full(falls.shape[1], np.inf)
+        for size, one_sided, weight, members in self.groups:
+            best = np.minimum(best, self._p(size, one_sided, falls[members].max(axis=0), squares) / weight)
+        return best
+
+    def _p(self, size: int, one_sided: bool, falls: Array, squares: Array) -> Array:
+        rest = self.freedom - size
+        variance = np.maximum(squares - falls, 1e-12 * squares) / rest
+        if one_sided:
+            return np.where(falls > 0.0, np.maximum(stdtr(rest, -np.sqrt(falls / variance)), TINY), 1.0)
+        return np.maximum(fdtrc(size, rest, falls / size / variance), TINY)
+
+    def f_values(self, falls: Array, squares: Array) -> Array:
+        """(H, B) F statistics."""
+        sizes = self.sizes[:, None]
+        variance = np.maximum(squares - falls, 1e-12 * squares) / (self.freedom - sizes)
+        return falls / sizes / variance
+
+
+def dictionary(jacobian: Array, columns: list[Array], one_sided: NDArray[np.bool_], weights: Array) -> Dictionary:
+    """Project the columns (N, d) of each hypothesis off a Jacobian (N, p) and orthonormalise them.
+
+    Directions of which less than `VISIBLE` survives are dropped; a hypothesis that has none left gets size 0 and the
+    caller must leave it out (see `visible`).
+    """
+    q = basis(jacobian)
+    sizes = np.array([c.shape[1] for c in columns], dtype=np.int64)
+    # a row for each column, so that what is worked on together lies together in memory
+    stacked = np.concatenate([np.zeros((0, len(q))), *(c.T for c in columns)])
+    norms = np.linalg.norm(stacked, axis=1, keepdims=True)
+    stacked /= np.where(norms > 0.0, norms, 1.0)
+    for _ in range(2):  # the second pass takes away what rounding left
+        stacked -= (stacked @ q) @ q.T
+    starts = np.cumsum(sizes) - sizes
+    shares, widths = np.zeros(len(sizes)), np.zeros(len(sizes), dtype=np.int64)
+    seen = np.zeros(len(stacked), dtype=bool)
+    for size in np.unique(sizes):
+        members = np.flatnonzero(sizes == size)
+        index = starts[members][:, None] + np.arange(size)  # (members, d)
+        blocks = stacked[index]  # (members, d, N)
+        squares, turn = np.linalg.eigh(blocks @ blocks.transpose(0, 2, 1))  # ascending
+        lengths = np.sqrt(np.maximum(squares, 0.0))
+        if size == 1:
+            turn = np.ones_like(turn)  # a positive score is a positive parameter
+        shares[members] = lengths[:, 0]
+        widths[members] = np.sum(lengths > VISIBLE, axis=1)
+        seen[index] = lengths > VISIBLE
+        stacked[index] = (turn / np.maximum(lengths, VISIBLE)[:, None, :]).transpose(0, 2, 1) @ blocks
+    bases = stacked.T if seen.all() else stacked[seen].T
+    return Dictionary(q, bases, np.cumsum(widths) - widths, widths, shares, one_sided, weights)

@@ -1,0 +1,120 @@
+"""Step 8: does the gap shrink on data that were not used?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.gap.fit import Fit
+from identification.measurements import Conditions, Measurements
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Root mean square distances between model and measurement [mm]; None where there is nothing to say.
+
+    rms_before, rms_after : on the data, base model and named model refitted (outlier rows left out)
+    held_out_before, held_out_after : the same two models on the held-out data
+    noise_floor : what a perfect model would leave;  predicted : what the named model should leave on held-out data
+    """
+
+    rms_before: float
+    rms_after: float
+    noise_floor: float
+    held_out_before: float | None = None
+    held_out_after: float | None = None
+    predicted: float | None = None
+
+    def to_json(self) -> dict[str, float | None]:
+        """Keys of the contract."""
+        return {f"{name}_mm": value for name, value in vars(self).items()}
+
+
+def rms_distance(residual: Array) -> float:
+    """Root mean square over rows of the distance of (m, 2) residuals."""
+    return float(np.sqrt(np.mean(np.sum(np.square(residual), axis=-1))))
+
+
+def residuals(found: Fit, measurements: Measurements, conditions: Conditions) -> Array:
+    """(m, 2) measured less predicted position [mm]."""
+    return np.asarray(measurements.positions - found.model.position(measurements.postures, found.values, conditions))
+
+
+def held_out_conditions(measurements: Measurements, holdout: Measurements) -> Conditions:
+    """Conditions of the hold-out, its temperature counted from the mean of the identification data."""
+    conditions = holdout.conditions
+    if measurements.temperature is None or holdout.temperature is None:
+        return conditions
+    deviation = holdout.temperature - np.mean(measurements.temperature)
+    return Conditions(conditions.payload, deviation, conditions.time, conditions.directions)
+
+
+def confirm(
+    base: Fit, named: Fit, measurements: Measurements, kept: NDArray[np.bool_], holdout: Measurements | None
+) -> Gap:
+    """The gap before and after, on the data and on the hold-out."""
+    conditions = measurements.conditions
+    before = rms_distance(residuals(base, measurements, conditions)[kept])
+    remaining = residuals(named, measurements, conditions)[kept]
+    after = rms_distance(remaining)
+    floor = after * float(np.sqrt(remaining.size / max(named.freedom, 1)))
+    if holdout is None:
+        return Gap(before, after, floor)
+    there = held_out_conditions(measurements, holdout)
+    return Gap(
+        before,
+        after,
+        floor,
+        rms_distance(residuals(base, holdout, there)),
+        rms_distance(residuals(named, holdout, there)),
+        float(np.sqrt(floor**2 + np.mean(prediction_variance(named, holdout, there)))),
+    )
+
+
+def prediction_variance(found: Fit, holdout: Measurements, there: Conditions) -> Array:
+    """(m,) variance [mm^2] of the predicted positions, both axes together."""
+    jacobian = found.model.jacobian(holdout.postures, found.values, there)
+    return np.asarray(np.einsum("mip,pq,miq->m", jacobian, found.covariance(), jacobian, optimize=True))
+
+
+def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements) -> None:
+    """Refuse a hold-out that the arm calibrated on the data misses by far more than any effect would make it.
+
+    The limit is ten times what the base model should leave, and a hundredth of the reach: another payload or another
+    part of the workspace stays below, other links or another set-up of base and instrument do not.
+    """
+    there = held_out_conditions(measurements, holdout)
+    expected = np.mean(np.sum(np.square(residuals(base, measurements, measurements.conditions)), axis=1))
+    expected += np.mean(prediction_variance(base, holdout, there))
+    limit = max(10.0 * float(np.sqrt(expected)), 0.01 * float(np.sum(base.model.arm.lengths)))
+    missed = float(np.median(np.linalg.norm(residuals(base, holdout, there), axis=1)))  # a few outliers are no arm
+    if missed > limit:
+        raise InputError(
+            f"holdout: {missed:.3g} mm off the arm calibrated on the data (median), allowed: up to {limit:.3g} mm; "
+            "another arm, set-up or unit?"
+        )
+
+
+def _distance_to_data(measurements: Measurements, holdout: Measurements) -> Array:
+    """(m,) largest difference to the most similar row of the data, in units of 1e-5 rad and 1e-3 mm."""
+    from scipy.spatial import cKDTree
+
+    data, rows = (np.column_stack([d.postures / 1e-5, d.positions / 1e-3]) for d in (measurements, holdout))
+    return np.asarray(cKDTree(data).query(rows, p=np.inf)[0])
+
+
+def check_holdout(measurements: Measurements, holdout: Measurements) -> None:
+    """Refuse a hold-out of another arm, or one that is (in part) the data itself."""
+    if holdout.links != measurements.links:
+        raise InputError(f"holdout: {holdout.links} joints, allowed: {measurements.links} as in the data")
+    distance = _distance_to_data(measurements, holdout)
+    shared, near = int(np.sum(distance == 0.0)), int(np.sum(distance <= 1.0))
+    if shared or 2 * near > len(holdout):  # a few repeats may agree by chance, most rows only in a rounded copy
+        shared = max(shared, near)
+        raise InputError(
+            f"holdout: {shared} of {len(holdout)} rows are also in the data, allowed: rows not used before"
+        )

@@ -1,0 +1,203 @@
+"""The result of the gap workflow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from html import escape
+from typing import Any
+
+from identification.arm import Arm, Calibration, EffectSpec
+from identification.arrays import Array
+from identification.gap.detectability import Detectability, Size
+from identification.gap.holdout import Gap
+from identification.gap.noise import Finding
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter with its 95 % interval, in the unit of files and tables."""
+
+    name: str
+    unit: str
+    value: float
+    std: float
+    low_95: float
+    high_95: float
+
+    def __str__(self) -> str:
+        return f"{self.name} = {self.value:.4g} +- {self.high_95 - self.value:.2g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A set of effects that explains the data about as well as the best.
+
+    effects : names;  specs : how they stand in an arm file (settings, no estimates)
+    f, p_adjusted : F statistic and adjusted p-value of the member that enters last
+    parameters : estimates of the effects' parameters;  calibration : everything estimated, with its covariance
+    """
+
+    effects: tuple[str, ...]
+    specs: tuple[EffectSpec, ...]
+    classes: tuple[str, ...]
+    delta_bic: float
+    f: float
+    p_adjusted: float
+    parameters: tuple[Estimate, ...]
+    calibration: Calibration
+
+    @property
+    def title(self) -> str:
+        """The effects with the settings that were found: `transmission_ripple:2 (k = 18)`."""
+        return " + ".join(_titled(key, spec) for key, spec in zip(self.effects, self.specs, strict=True))
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of the contract."""
+        named = zip(self.effects, self.specs, strict=True)
+        settings = {f"{key}.{name}": value for key, spec in named for name, value in spec.values.items()}
+        return {
+            "effects": list(self.effects),
+            "classes": list(self.classes),
+            "delta_bic": self.delta_bic,
+            "f": self.f,
+            "p_adjusted": self.p_adjusted,
+            "parameters": [vars(p) for p in self.parameters],
+            "settings": settings,
+        }
+
+
+def _titled(key: str, spec: EffectSpec) -> str:
+    settings = ", ".join(f"{name} = {value:g}" for name, value in spec.values.items())
+    return f"{key} ({settings})" if settings and "[" not in key else key
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One effect against the base model: F, its p-value alone and adjusted for all effects tried, change of BIC."""
+
+    effect: str
+    f: float
+    p: float
+    p_adjusted: float
+    delta_bic: float
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """(m, 2) residuals [mm] of base and named model over all rows, and (m,) what to draw them against, by name."""
+
+    before: Array
+    after: Array
+    against: Mapping[str, Array]
+    positions: Array
+
+
+WIDE = 3.0  # times the sigma of the arm file: no verdict should be read without it
+VERDICTS = {
+    "none": "none: nothing is missing that these data could show; larger effects than the sizes listed are excluded",
+    "named": "named: {effects} is missing from the model",
+    "ambiguous": "ambiguous: {count} explanations fit about equally well ({options}); measure more postures",
+    "unknown": "unknown: something outside the library at {where}{beside}",
+}
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Whether model and data disagree, where, which effect is missing, and what is left with it in the model.
+
+    verdict : `none`, `named`, `ambiguous` or `unknown`;  where : place of an unknown effect, with the shape seen there
+    trials : every effect against the base model;  preflight : what the plan could show
+    """
+
+    arm: Arm
+    verdict: str
+    candidates: tuple[Candidate, ...]
+    named: Candidate
+    classes: tuple[str, ...]
+    aliases: tuple[tuple[str, str, float], ...]
+    where: str | None
+    shape: str | None
+    p_unknown: float
+    scatter: tuple[Finding, ...]
+    outlier_rows: tuple[int, ...]
+    excluded: Mapping[str, Size]
+    gap: Gap
+    trials: tuple[Trial, ...]
+    detectability: Detectability
+    residuals: Residuals
+    sigma: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the best set; empty if nothing is named."""
+        return self.named.effects
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one line."""
+        options = " | ".join(c.title for c in self.candidates)
+        beside = f", beside {self.named.title}" if self.effects else ""
+        shape = f" (shape: {self.shape})" if self.shape else ""
+        times = 1.0 if self.arm.sigma is None else self.sigma / self.arm.sigma
+        wide = f"; but the scatter is {times:.3g} times sigma_mm" if times > WIDE else ""
+        verdict = VERDICTS[self.verdict].format(
+            effects=self.named.title,
+            count=len(self.candidates),
+            options=options,
+            where=f"{self.where}{shape}",
+            beside=beside,
+        )
+        return verdict + wide
+
+    def extended_arm(self, candidate: Candidate | None = None) -> Arm:
+        """The arm with the effects of the best set (or of `candidate`) in its model, to be estimated, and the fitted
+        values as its calibration."""
+        chosen = candidate or self.named
+        return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=chosen.calibration)
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of the contract, and a few more."""
+        return {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "effects": list(self.effects),
+            "named": self.named.to_json(),
+            "candidates": [c.to_json() for c in self.candidates],
+            "classes": list(self.classes),
+            "aliases": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.aliases],
+            "where": self.where,
+            "shape": self.shape,
+            "scatter": [{"finding": f.name, "p": f.p, "size": f.size} for f in self.scatter],
+            "outlier_rows": list(self.outlier_rows),
+            "excluded": {name: vars(size) for name, size in self.excluded.items()},
+            "gap": self.gap.to_json(),
+            "sigma_mm": self.sigma,
+            "degrees_of_freedom": self.detectability.freedom,
+            "trials": [vars(t) for t in self.trials],
+            "notes": list(self.notes),
+        }
+
+    def __str__(self) -> str:
+        lines = [self.sentence]
+        for c in self.candidates or (self.named,):
+            if not c.effects:
+                continue
+            figures = f"F = {c.f:.1f}, p = {c.p_adjusted:.2g}, Delta BIC = {c.delta_bic:.1f}"
+            lines.append(f"  {c.title}: {figures}; {'; '.join(str(p) for p in c.parameters)}")
+        lines += [f"  scatter: {f}" for f in self.scatter]
+        if self.outlier_rows:
+            lines.append(f"  outliers: rows {', '.join(map(str, self.outlier_rows))} are left out")
+        g = self.gap
+        floor = f"noise floor {g.noise_floor:.4g} mm"
+        lines.append(f"  gap: {g.rms_before:.4g} mm before, {g.rms_after:.4g} mm after, {floor}")
+        if g.held_out_after is not None:
+            then = f"{g.held_out_before:.4g} mm before, {g.held_out_after:.4g} mm after"
+            lines.append(f"  held out: {then}, {g.predicted:.4g} mm predicted")
+        if not self.effects:
+            lines += [f"  excluded above: {name} {size}" for name, size in self.excluded.items()]
+        return "\n".join([*lines, *(f"  note: {n}" for n in self.notes)])
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(str(self))}</pre>"

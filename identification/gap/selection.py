@@ -1,0 +1,278 @@
+"""Which effects: BIC inside the gate, forward, swap and backward, with nonlinear refits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy.special import fdtrc
+
+from identification.gap.f_tests import Dictionary, basis, dictionary
+from identification.gap.fit import Fit, fit, links_start
+from identification.gap.hypotheses import Hypothesis, HypothesisSet
+from identification.gap.noise import homoscedastic
+from identification.gap.omnibus_test import OmnibusTest, Scatter, omnibus_test
+from identification.gap.whitening import Rows
+from identification.model import Model
+
+MOST = 4  # effects at once
+ALPHA_FIRST, ALPHA_NEXT = 0.035, 0.005  # below 0.05 and 0.01: screening and the look for the unknown take their part
+# Two effects can hide each other from the gate; both at once must then be far beyond chance, and one alone not absurd
+ALPHA_PAIR, PAIR_HINT = 1e-5, 0.35
+PAIR_STARTS = 3
+STRICTER = 0.5  # factor on the levels where the noise model, too, was estimated from the data
+MARGIN = 8.0  # linear BIC within which rivals are refitted
+REFITS = 6
+WINDOW = 6.0  # Delta BIC of the ambiguity set
+Choice = tuple[Hypothesis, ...]
+
+
+@dataclass(frozen=True)
+class Test:
+    """One pass of the gate over all hypotheses that could be added to a set."""
+
+    members: list[Hypothesis]
+    omnibus_test: OmnibusTest
+    change: np.ndarray  # (H,) linear change of BIC
+
+
+@dataclass
+class Search:
+    """Fits of sets of effects to the same rows, kept so that none is made twice.
+
+    careful : the noise model of the rows was estimated from the same data, so every level is made stricter
+    """
+
+    hypotheses: HypothesisSet
+    rows: Rows
+    strict_levels: bool = False
+    fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+    tests: dict[frozenset[str], Test] = field(default_factory=dict)
+
+    @cached_property
+    def slopes(self) -> np.ndarray:
+        """What the scanned hypotheses add to the joint angles, see `HypothesisSet.slopes`."""
+        return self.hypotheses.slopes(self.rows)
+
+    def fit(self, chosen: Choice) -> Fit:
+        """The base model with these effects added, refitted."""
+        key = frozenset(h.label for h in chosen)
+        if key not in self.fits:
+            arm = self.hypotheses.arm
+            model = Model(arm.with_effects(*arm.effects, *(h.spec for h in chosen)))
+            known = dict(zip(model.names, model.values, strict=True))
+            start = known | (links_start(model, self.rows) if not chosen else self.fit(()).by_name)
+            ties = [[p.name for p in h.effect.parameters] for h in chosen if h.tied]
+            self.fits[key] = fit(model, self.rows, start, ties)
+        return self.fits[key]
+
+    def bic(self, chosen: Choice) -> float:
+        """BIC of a set; of a family whose parameters may be alike, the better of the two forms."""
+        forms = [self._bic(chosen)]
+        alike = {h.key: h for h in self.hypotheses.members if h.tied}
+        if any(h.key in alike and not h.tied for h in chosen):
+            forms.append(self._bic(tuple(alike.get(h.key, h) for h in chosen)))
+        return min(forms)
+
+    def _bic(self, chosen: Choice) -> float:
+        """N log(RSS / N) + p log N - 2 log(prior weight); the scan of a setting costs the logarithm of its length."""
+        found = self.fit(chosen)
+        n = len(found.residual)
+        prior = -2.0 * sum(np.log(h.weight) for h in chosen)
+        return float(n * np.log(max(found.squares, 1e-300) / n) + found.count * np.log(n) + prior)
+
+    def tested(self, chosen: Choice, draws: int, generator: np.random.Generator) -> Test:
+        """Gate and linear BIC of every hypothesis that could be added to a set."""
+        key = frozenset(h.label for h in chosen)
+        if key not in self.tests:
+            found = self.fit(chosen)
+            members, against = self.rivals(chosen)
+            scatter = self.scatter(chosen, members, against, generator)
+            result = omnibus_test(found.residual, against, draws, generator, scatter)
+            self.tests[key] = Test(
+                members, result, bic_change(result.falls, against, len(found.residual), found.squares)
+            )
+        return self.tests[key]
+
+    def scatter(
+        self, chosen: Choice, members: list[Hypothesis], against: Dictionary, generator: np.random.Generator
+    ) -> Scatter | None:
+        """What is left beside the strongest hypothesis, if that looks like the same noise everywhere; else None.
+
+        An effect that is there makes the residuals larger where it is strong, and a bootstrap of them expects just
+        that of chance. Where the noise itself may be larger at some postures, that caution is right.
+        """
+        if self.strict_levels or not members:
+            return None
+        found = self.fit(chosen)
+        falls = against.reductions(found.residual[:, None])
+        p = against.p_values(falls, np.array([found.squares]))[:, 0] / against.weights
+        best = self.fit((*chosen, members[int(np.argmin(p))]))
+        return (best.residual, basis(best.jacobian)) if homoscedastic(best, self.rows, generator) else None
+
+    def rivals(self, chosen: Choice) -> tuple[list[Hypothesis], Dictionary]:
+        """Hypotheses that can still be added to a set, projected off its fit."""
+        found = self.fit(chosen)
+        used = {h.effect.label for h in chosen}
+        columns = self.hypotheses.columns(self.rows, found.by_name, self.slopes)
+        pairs = [
+            (h, self.rows.whiten(c))
+            for h, c in zip(self.hypotheses.members, columns, strict=True)
+            if h.effect.label not in used and h.size < found.freedom
+        ]
+        members = [h for h, _ in pairs]
+        full = dictionary(
+            found.jacobian,
+            [c for _, c in pairs],
+            np.array([h.one_sided for h in members], dtype=bool),
+            np.array([h.weight for h in members]),
+        )
+        return visible(members, full)
+
+
+def visible(members: list[Hypothesis], full: Dictionary) -> tuple[list[Hypothesis], Dictionary]:
+    """Only the hypotheses of which something survives projection."""
+    keep = np.flatnonzero(full.sizes > 0)
+    return [members[k] for k in keep], full.subset(keep)
+
+
+def bic_change(falls: np.ndarray, against: Dictionary, n: int, squares: float) -> np.ndarray:
+    """(H,) change of BIC when each hypothesis is added, from the linear fit's falls of the sum of squares (H,)."""
+    left = np.maximum(1.0 - falls / squares, 1e-12)
+    return n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """chosen : the best set, empty if the gate stayed shut;  rivals : all sets within `window` of its BIC, best first
+    first : the gate's test of the base model;  last : that of the chosen set
+    """
+
+    chosen: Choice
+    rivals: tuple[tuple[Choice, float], ...]
+    first: Test
+    last: Test
+
+
+def trial_of(search: Search, chosen: Choice, draws: int, generator: np.random.Generator) -> tuple[float, float]:
+    """F and adjusted p-value of the member of a set that enters last, the weakest if the order is not clear."""
+    found = []
+    for k, member in enumerate(chosen):
+        tested = search.tested(chosen[:k] + chosen[k + 1 :], draws, generator)
+        same = [i for i, h in enumerate(tested.members) if h.free.label == member.label]
+        if same:
+            at = min(same, key=lambda i: tested.omnibus_test.adjusted[i])
+            found.append((float(tested.omnibus_test.f[at]), float(tested.omnibus_test.adjusted[at])))
+    return max(found, key=lambda trial: (trial[1], -trial[0]), default=(0.0, 1.0))
+
+
+def best_of(search: Search, chosen: Choice, members: list[Hypothesis], change: np.ndarray) -> Choice | None:
+    """The set with the one hypothesis added that has the lowest BIC; the best few by linear BIC are refitted."""
+    order = np.argsort(change, kind="stable")[:REFITS]
+    near = [k for k in order if np.isfinite(change[k]) and change[k] <= change[order[0]] + MARGIN]
+    return min(((*chosen, members[k].free) for k in near), key=search.bic, default=None)
+
+
+def select(search: Search, draws: int, generator: np.random.Generator) -> Selection:
+    """Forward inside the gate, swap after every addition, backward at the end."""
+    chosen: Choice = ()
+    first = tested = search.tested(chosen, draws, generator)
+    while len(chosen) < MOST:
+        level = (ALPHA_NEXT if chosen else ALPHA_FIRST) * (STRICTER if search.strict_levels else 1.0)
+        longer = best_of(
+            search, chosen, tested.members, np.where(tested.omnibus_test.adjusted <= level, tested.change, np.inf)
+        )
+        if longer is None and not chosen and tested.omnibus_test.smallest <= PAIR_HINT:
+            longer = pair(search, tested, generator)
+        if longer is None or search.bic(longer) >= search.bic(chosen):
+            break
+        chosen = swapped(search, longer)
+        tested = search.tested(chosen, draws, generator)
+    shorter = backward(search, chosen)
+    if len(shorter) < len(chosen):
+        chosen, tested = shorter, search.tested(shorter, draws, generator)
+    return Selection(chosen, neighbours(search, chosen), first, tested)
+
+
+def pair(search: Search, tested: Test, generator: np.random.Generator) -> Choice | None:
+    """The best two effects at once, if together they are significant under noise that is the same everywhere.
+
+    F test of both against neither, times the weighted number of pairs (Bonferroni).
+    """
+    if search.strict_levels:
+        return None
+    starts = [tested.members[k].free for k in np.argsort(tested.change, kind="stable")[:PAIR_STARTS]]
+    best = min((two for one in starts if (two := _with_second(search, one)) is not None), key=search.bic, default=None)
+    if best is None:
+        return None
+    before, after = search.fit(()), search.fit(best)
+    size = after.rank - before.rank
+    f = (before.squares - after.squares) / size / (after.squares / after.freedom)
+    pairs = sum(h.weight for h in search.hypotheses.members) ** 2 / 2.0 / np.prod([h.weight for h in best])
+    if fdtrc(size, after.freedom, f) * pairs > ALPHA_PAIR or not homoscedastic(after, search.rows, generator):
+        return None
+    return best
+
+
+def _with_second(search: Search, one: Hypothesis) -> Choice | None:
+    """A hypothesis and the one that lowers the linear BIC most beside it.
+
+    Two settings of one effect are no pair: they do not hide each other, and joint noise makes ripples of any order.
+    """
+    found = search.fit((one,))
+    members, against = search.rivals((one,))
+    if not members:
+        return None
+    falls = against.reductions(found.residual[:, None])[:, 0]
+    change = bic_change(falls, against, len(found.residual), found.squares)
+    change = np.where([h.key == one.key for h in members], np.inf, change)
+    return (one, members[int(np.argmin(change))].free)
+
+
+def exchanges(search: Search, chosen: Choice) -> list[Choice]:
+    """Sets in which one member is replaced by one of its best rivals."""
+    found = []
+    for k in range(len(chosen)):
+        rest = chosen[:k] + chosen[k + 1 :]
+        members, against = search.rivals(rest)
+        without = search.fit(rest)
+        falls = against.reductions(without.residual[:, None])[:, 0]
+        change = bic_change(falls, against, len(without.residual), without.squares)
+        for index in np.argsort(change, kind="stable")[:REFITS]:
+            if change[index] <= change.min() + MARGIN + WINDOW:
+                found.append((*rest, members[index].free))
+    return found
+
+
+def swapped(search: Search, chosen: Choice) -> Choice:
+    """The best set that single exchanges lead to: the gate says that something is missing, BIC says what."""
+    for _ in range(MOST):
+        best = min(exchanges(search, chosen), key=search.bic, default=chosen)
+        if search.bic(best) >= search.bic(chosen) - 1e-9:
+            return chosen
+        chosen = best
+    return chosen
+
+
+def backward(search: Search, chosen: Choice) -> Choice:
+    """Drop members as long as BIC falls."""
+    while len(chosen) > 1:
+        best = min((chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))), key=search.bic)
+        if search.bic(best) >= search.bic(chosen):
+            break
+        chosen = best
+    return chosen
+
+
+def neighbours(search: Search, chosen: Choice) -> tuple[tuple[Choice, float], ...]:
+    """Sets of the same length within `WINDOW` of the best BIC, one per set of names, best first."""
+    if not chosen:
+        return ()
+    best = search.bic(chosen)
+    found: dict[tuple[str, ...], tuple[Choice, float]] = {}
+    for option in sorted([chosen, *exchanges(search, chosen)], key=search.bic):
+        delta = search.bic(option) - best
+        if delta <= WINDOW:
+            found.setdefault(tuple(sorted(h.key for h in option)), (option, delta))
+    return tuple(found.values())

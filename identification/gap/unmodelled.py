@@ -1,0 +1,148 @@
+"""Is something left that no effect of the library explains, and where does it sit?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.arrays import Array
+from identification.gap.f_tests import Dictionary, dictionary
+from identification.gap.omnibus_test import wild_draws
+from identification.gap.selection import STRICTER, Choice, Search
+from identification.gap.unmodelled_shapes import GeneralShape, general_shapes
+
+LEVEL = 0.001
+WILD = 0.05
+DRAWS = (399, 1999)  # the second number only where the first shows nothing as strange
+CROWD = 3  # effects at one joint
+# BIC that an unknown shape must gain on the effects of the library that it would replace: one effect is believed, two
+# have no credit left, three or four at once are the series expansion of something else
+ODDS = {1: 6.0, 2: 0.0, 3: -6.0, 4: -12.0}
+PLACES = {"base_drift": "time", "base_rotation_drift": "time", "axes_skew": "workspace"}
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """p : adjusted for all shapes at all places;  place : `joint:j`, `time`, `workspace`, or None if nothing is left
+    shape : the shape that fits best, for people;  chosen : effects of the library that stay named beside it
+    bic : of the named effects, with the unknown shape where there is one
+    """
+
+    p: float
+    place: str | None
+    shape: str | None
+    chosen: Choice
+    bic: float
+
+
+@dataclass(frozen=True)
+class _Shapes:
+    """The atoms projected off a fit, with their falls of the sum of squares."""
+
+    listed: list[GeneralShape]
+    against: Dictionary
+    falls: Array
+    bic: Array  # (atoms,) of the fit with the atom added
+    smallest: float  # weighted p-value
+
+
+def find_unmodelled(search: Search, chosen: Choice, generator: np.random.Generator) -> Unknown:
+    """General block test after the last accepted effect, then the place by BIC."""
+    after = _shapes(search, chosen)
+    p = _adjusted(after, search.fit(chosen).residual, generator) if after.listed else 1.0
+    best = search.bic(chosen)
+    options = [
+        (float(s.bic[k]), chosen_without, s.listed[k]) for chosen_without, s, k in _options(search, chosen, after)
+    ]
+    crowd = _crowded(chosen)
+    if crowd is not None and options:
+        options = [o for o in options if place_of_all(o[1], crowd) == 0] or options
+        return _named(p, min(options, key=lambda option: option[0]), place=crowd)
+    if p <= LEVEL * (STRICTER if search.strict_levels else 1.0):
+        return _named(p, min(options, key=lambda option: option[0]))
+    replacing = [o for o in options if len(o[1]) < len(chosen) and o[0] < best - ODDS[len(chosen) - len(o[1])]]
+    if replacing:
+        return _named(p, min(replacing, key=lambda option: option[0]))
+    return Unknown(p, None, None, chosen, best)
+
+
+def _named(p: float, option: tuple[float, Choice, GeneralShape], place: str | None = None) -> Unknown:
+    value, kept, atom = option
+    same = place is None or place == atom.place
+    return Unknown(p, place or atom.place, atom.shape if same else None, kept, value)
+
+
+def place_of_all(chosen: Choice, place: str) -> int:
+    """How many effects of a set sit at a place."""
+    return sum(place_of(h.key) == place for h in chosen)
+
+
+def _crowded(chosen: Choice) -> str | None:
+    """A joint with `CROWD` effects or more: no joint has that many, they are the series of one unknown function."""
+    for place in (place_of(h.key) for h in chosen):
+        if place.startswith("joint:") and place_of_all(chosen, place) >= CROWD:
+            return place
+    return None
+
+
+def _options(search: Search, chosen: Choice, after: _Shapes) -> list[tuple[Choice, _Shapes, int]]:
+    """An atom added to the chosen set, or put in the place of some of its members; few rows may leave none."""
+    sets = [(chosen, after), *((rest, _shapes(search, rest)) for rest in _reduced(chosen))]
+    return [(rest, shapes, int(np.argmin(shapes.bic))) for rest, shapes in sets if shapes.listed]
+
+
+def _reduced(chosen: Choice) -> list[Choice]:
+    """The set without one member, without all members at one place, and the empty set."""
+    sets = [chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))]
+    for place in dict.fromkeys(place_of(h.key) for h in chosen):
+        sets.append(tuple(h for h in chosen if place_of(h.key) != place))
+    unique = {frozenset(h.label for h in s): s for s in [*sets, *([()] if chosen else [])]}
+    return list(unique.values())
+
+
+def place_of(key: str) -> str:
+    """Where an effect of the library would be looked for, were it unknown."""
+    name, _, joint = key.partition(":")
+    return f"joint:{joint}" if joint else PLACES.get(name, name)
+
+
+def _shapes(search: Search, chosen: Choice) -> _Shapes:
+    found = search.fit(chosen)
+    listed = general_shapes(found, search.rows)
+    listed = [a for a in listed if a.columns.shape[2] < found.freedom - 1]
+    places = [a.place for a in listed]
+    counts = {place: places.count(place) for place in set(places)}
+    weights = np.array([1.0 / (counts[place] * len(counts)) for place in places])
+    columns = [search.rows.whiten(a.columns) for a in listed]
+    full = dictionary(found.jacobian, columns, np.zeros(len(listed), dtype=bool), weights)
+    keep = np.flatnonzero((full.sizes > 0) & (full.shares > 0.02))
+    against = full.subset(keep)
+    residual = found.residual[:, None] - against.model_basis @ (against.model_basis.T @ found.residual[:, None])
+    falls, n = against.reductions(residual)[:, 0], len(residual)
+    left = np.maximum(1.0 - falls / found.squares, 1e-12)
+    bic = search.bic(chosen) + n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights)
+    smallest = against.smallest_weighted(falls[:, None], np.square(residual).sum(axis=0))[0]
+    return _Shapes([listed[k] for k in keep], against, falls, bic, float(smallest))
+
+
+def _adjusted(shapes: _Shapes, residual: Array, generator: np.random.Generator) -> float:
+    """Adjusted p-value of the best shape under white Gaussian noise, if the wild bootstrap does not object.
+
+    The wild bootstrap alone would have no power against a shape that moves a few postures only (their signs come out
+    alike too often), Gaussian noise alone would take scatter for waves; so the bootstrap is asked at `WILD` only.
+    """
+    q = shapes.against.model_basis
+    scatter = _tail(shapes, wild_draws(residual, q, q, DRAWS[0], generator)) * LEVEL / WILD
+    white = 1.0
+    for draws in DRAWS:
+        drawn = generator.standard_normal((len(q), draws))
+        white = _tail(shapes, drawn - q @ (q.T @ drawn))
+        if white > 1.0 / (draws + 1.0):
+            break
+    return max(white, scatter)
+
+
+def _tail(shapes: _Shapes, drawn: Array) -> float:
+    smallest = shapes.against.smallest_weighted(shapes.against.reductions(drawn), np.square(drawn).sum(axis=0))
+    return float((1.0 + np.sum(smallest <= shapes.smallest)) / (1.0 + drawn.shape[1]))

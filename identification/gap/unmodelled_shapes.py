@@ -1,0 +1,143 @@
+"""General shapes that no effect of the library has, by place: what an unknown effect may look like.
+
+An unknown effect at a joint is some function of that joint (or of its neighbours), acting through the joint's lever
+arm; one in time is a step, a bend or a wave of the base; one in the workspace is a smooth warp or a local dent of the
+measured positions. Each shape has few columns; a place is said to hold an unknown effect when the best of its shapes
+explains what is left, after correction for all shapes of all places.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.arrays import Array
+from identification.gap.fit import Fit
+from identification.gap.whitening import Rows
+
+FREE_ORDERS = np.arange(0.5, 160.5, 0.5)  # periods per turn, whole or not
+SMOOTH_ORDERS = np.arange(1, 6)
+CENTRES = 24
+WIDTHS = (0.2, 0.3, 0.45, 0.7, 1.0)  # rad
+PERIODS = (2.0, 1.5, 1.0, 0.75, 0.5, 0.35)  # of waves over the workspace, in units of the reach
+STEPS = 100  # in time: every row up to this many
+
+
+@dataclass(frozen=True)
+class GeneralShape:
+    """place : `joint:j`, `time`, `workspace`;  shape : for people;  columns : (m, 2, d)"""
+
+    place: str
+    shape: str
+    columns: Array
+
+
+def general_shapes(found: Fit, rows: Rows) -> list[GeneralShape]:
+    """All shapes at a fitted model."""
+    position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
+    n = rows.postures.shape[1]
+    listed: list[GeneralShape] = []
+    for j in range(n):
+        names, values = _joint_shapes(rows.postures, j)
+        lever = jacobian[:, :, n + j, None]
+        listed += [
+            GeneralShape(f"joint:{j + 1}", name, lever * v[:, None, :]) for name, v in zip(names, values, strict=True)
+        ]
+    time = rows.conditions.time
+    if time is not None and np.ptp(time) > 0.0:
+        listed += _time_atoms(time, position)
+    return listed + _workspace_atoms(position)
+
+
+def _joint_shapes(postures: Array, j: int) -> tuple[list[str], list[Array]]:
+    q = postures[:, j]
+    angle = np.multiply.outer(q, FREE_ORDERS)
+    waves = np.stack([np.cos(angle), np.sin(angle)], axis=-1)  # (m, K, 2)
+    names = [f"wave of {k:g} per turn" for k in FREE_ORDERS]
+    values = list(waves.transpose(1, 0, 2))
+    for name, shape in (*_local_shapes(q), *_smooth_shapes(q), *_shared_shapes(postures, j)):
+        names.append(name)
+        values.append(shape)
+    return names, values
+
+
+def _local_shapes(q: Array) -> list[tuple[str, Array]]:
+    found = []
+    for centre in np.quantile(q, (np.arange(CENTRES) + 0.5) / CENTRES):
+        gap = np.angle(np.exp(1j * (q - centre)))
+        degrees = np.degrees(centre)
+        found += [(f"bump at {degrees:.0f} deg", np.exp(-0.5 * (gap / width) ** 2)[:, None]) for width in WIDTHS]
+        found.append((f"step at {degrees:.0f} deg", np.sign(q - centre)[:, None]))
+        found.append((f"bend at {degrees:.0f} deg", np.maximum(q - centre, 0.0)[:, None]))
+    return found
+
+
+def _smooth_shapes(q: Array) -> list[tuple[str, Array]]:
+    waves = np.concatenate([[np.cos(k * q), np.sin(k * q)] for k in SMOOTH_ORDERS]).T
+    powers = q[:, None] ** np.array([1, 2, 3])
+    return [
+        ("square", powers[:, 1:2]),
+        ("cube", powers[:, 2:]),
+        ("powers 1 to 3", powers),
+        ("smooth function", waves),
+    ]
+
+
+def _shared_shapes(postures: Array, j: int) -> list[tuple[str, Array]]:
+    found = []
+    for k in range(postures.shape[1]):
+        if k != j:
+            other = postures[:, k]
+            found.append((f"product with joint {k + 1}", (postures[:, j] * other)[:, None]))
+            found.append((f"wave over joint {k + 1}", np.column_stack([np.cos(other), np.sin(other)])))
+    return found
+
+
+def _time_atoms(time: Array, position: Array) -> list[GeneralShape]:
+    turn = np.column_stack([-position[:, 1], position[:, 0]])
+    edges = np.quantile(time, np.linspace(0.0, 1.0, min(STEPS, len(time) - 1) + 1)[1:-1])
+    shapes = [(f"step at {edge:+.2f}", np.greater(time, edge) * 1.0) for edge in edges]
+    shapes += [(f"power {k}", time**k) for k in (2, 3)]
+    listed = []
+    for shape, values in shapes:
+        listed.append(GeneralShape("time", shape, values[:, None, None] * np.eye(2)))
+        listed.append(GeneralShape("time", f"rotation {shape}", (values[:, None] * turn)[:, :, None]))
+    for k in (1, 2, 3):
+        columns = (np.eye(2)[None, :, :, None] * _waves(k * time)[:, None, None, :]).reshape(len(time), 2, 4)
+        listed.append(GeneralShape("time", f"wave of {k} per session", columns))
+    return listed
+
+
+def _workspace_atoms(position: Array) -> list[GeneralShape]:
+    x, y = (position / np.sqrt(np.mean(position**2))).T
+    shapes = [(f"x^{a} y^{b}", x**a * y**b) for a in range(4) for b in range(4) if 2 <= a + b <= 3]
+    for cx in (-1.5, -0.75, 0.0, 0.75, 1.5):
+        for cy in (-1.5, -0.75, 0.0, 0.75, 1.5):
+            dent = np.exp(-0.5 * ((x - cx) ** 2 + (y - cy) ** 2) / 0.5**2)
+            if np.sum(dent > 0.3) >= 3:
+                shapes.append((f"dent near ({cx:g}, {cy:g}) rms reach", dent))
+    listed = [GeneralShape("workspace", shape, values[:, None, None] * np.eye(2)) for shape, values in shapes]
+    return listed + _instrument_atoms(position)
+
+
+def _instrument_atoms(position: Array) -> list[GeneralShape]:
+    """What bends an instrument's frame: the cubic distortion of a lens, waves along an axis or along the radius."""
+    radius = np.linalg.norm(position, axis=1)
+    reach = max(float(radius.max()), 1e-300)
+    listed = [GeneralShape("workspace", "lens distortion", (position * radius[:, None] ** 2)[:, :, None])]
+    outward = position / np.maximum(radius, 1e-12 * reach)[:, None]
+    for period in PERIODS:
+        for name, values in (("x", position[:, 0]), ("y", position[:, 1])):
+            columns = (np.eye(2)[None, :, :, None] * _waves(values / reach / period)[:, None, None, :]).reshape(
+                -1, 2, 4
+            )
+            listed.append(GeneralShape("workspace", f"wave of {period:g} reach along {name}", columns))
+        columns = outward[:, :, None] * _waves(radius / reach / period)[:, None, :]
+        listed.append(GeneralShape("workspace", f"wave of {period:g} reach along the radius", columns))
+    return listed
+
+
+def _waves(turns: Array) -> Array:
+    """(m, 2) cosine and sine."""
+    return np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)], axis=1)

@@ -1,0 +1,123 @@
+"""Steps 2 to 6: screen, gate, rank, ambiguity, unknown; repeated until screening and naming agree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.gap.fit import Fit
+from identification.gap.hypotheses import HypothesisSet
+from identification.gap.noise import Finding, outliers, screen, whitened
+from identification.gap.selection import Search, Selection, select
+from identification.gap.unmodelled import Unknown, find_unmodelled
+from identification.gap.whitening import Rows
+
+PASSES = 4
+CREDIT = 6.0  # BIC by which effects must beat a finding of the screening that they replace
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the data say.
+
+    search : the fits, to the rows that were kept, with their noise model;  outlier : (m,) rows left out
+    """
+
+    search: Search
+    selection: Selection
+    unknown: Unknown
+    scatter: tuple[Finding, ...]
+    outlier: NDArray[np.bool_]
+
+
+def investigate(
+    hypotheses: HypothesisSet,
+    rows: Rows,
+    draws: int,
+    generator: np.random.Generator,
+    tell: Callable[[str], None] = lambda message: None,
+) -> Findings:
+    """Name effects, then look at the scatter under the named model; if that changes what is white, name again.
+
+    The scatter is judged after naming because a missing effect looks like scatter (a drift like serial correlation),
+    and before the final naming because scatter looks like an effect.
+    """
+    tell("fitting the base model")
+    noisy = rows
+    scatter: tuple[Finding, ...] = ()
+    outlier = _screen_rows(Search(hypotheses, rows), (), rows)
+    seen: list[tuple[object, ...]] = []
+    for number in range(PASSES):
+        tell(f"testing the effects, pass {number + 1}")
+        search = Search(hypotheses, noisy.pick(~outlier), strict_levels=bool(scatter))
+        selection = select(search, draws, generator)
+        again = _screen_rows(search, selection.chosen, noisy)
+        plain = rows.pick(~again)
+        named = Search(hypotheses, plain).fit(selection.chosen)
+        new = screen(named, plain, generator)
+        state = (*(f.name for f in new), *np.flatnonzero(again))
+        if state == (*(f.name for f in scatter), *np.flatnonzero(outlier)) or state in seen:
+            break
+        seen.append(state)
+        outlier, scatter, noisy = again, new, whitened(rows, named, new)
+    tell("looking for what the library does not explain")
+    unknown = find_unmodelled(search, selection.chosen, generator)
+    found = Findings(search, selection, unknown, scatter, outlier)
+    others = [_explained(hypotheses, r, s, o, draws, generator) for r, s, o in _other_noise(found, rows, noisy, named)]
+    best = min(others, key=lambda f: cost(f, len(rows)), default=found)
+    return best if cost(best, len(rows)) < cost(found, len(rows)) - CREDIT else found
+
+
+def _other_noise(
+    found: Findings, rows: Rows, noisy: Rows, named: Fit
+) -> list[tuple[Rows, tuple[Finding, ...], NDArray[np.bool_]]]:
+    """The same data without outliers, without serial correlation, without a noise model: rows, findings, rows left out.
+
+    An effect that moves a few postures only (a bump at one joint angle) looks like outliers, and a step in time like
+    serial correlation; whichever explanation has the lower BIC is right.
+    """
+    others = []
+    if found.outlier.any():
+        others.append((noisy, found.scatter, np.zeros_like(found.outlier)))
+    memoryless = tuple(f for f in found.scatter if f.name != "serial_correlation")
+    for kept in dict.fromkeys((memoryless, ())):  # not a set: its order would change from run to run
+        if kept == found.scatter:
+            continue
+        others.append((whitened(rows, named, kept), kept, found.outlier))
+    return others
+
+
+def _explained(
+    hypotheses: HypothesisSet,
+    rows: Rows,
+    scatter: tuple[Finding, ...],
+    outlier: NDArray[np.bool_],
+    draws: int,
+    generator: np.random.Generator,
+) -> Findings:
+    search = Search(hypotheses, rows.pick(~outlier), strict_levels=bool(scatter))
+    selection = select(search, draws, generator)
+    return Findings(search, selection, find_unmodelled(search, selection.chosen, generator), scatter, outlier)
+
+
+def cost(found: Findings, m: int) -> float:
+    """BIC of effects and noise model together, comparable between different sets of outliers.
+
+    Each outlier is a model of its own: two free coordinates at one of m rows. The noise model costs its parameters and
+    the logarithm of its covariance's determinant.
+    """
+    n, taken = 2 * m, int(found.outlier.sum())
+    kept = found.search.fit(found.unknown.chosen)
+    rest = found.unknown.bic - len(kept.residual) * np.log(kept.squares / len(kept.residual))
+    effects = n * np.log(kept.squares / n) + rest
+    noise = found.search.rows.log_determinant + len(found.scatter) * np.log(n)
+    return float(effects + noise + taken * (2.0 * np.log(n) + 2.0 * np.log(m)))
+
+
+def _screen_rows(search: Search, chosen: tuple, rows: Rows) -> NDArray[np.bool_]:
+    found = search.fit(chosen)
+    position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
+    return outliers(position, jacobian, rows)

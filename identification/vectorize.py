@@ -1,0 +1,121 @@
+"""CasADi expressions on numpy arrays: the instructions of an SX function as vectorised numpy source.
+
+CasADi evaluates one posture at a time. Here each of its instructions runs once on arrays, so a million postures cost
+one pass, and arguments broadcast: what depends only on the posture is computed per posture, what depends only on the
+parameters is computed per parameter set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+BINARY = {
+    ca.OP_ADD: "{0} + {1}",
+    ca.OP_SUB: "{0} - {1}",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
+    ca.OP_POW: "np.power({0}, {1})",
+    ca.OP_CONSTPOW: "np.power({0}, {1})",
+    ca.OP_ATAN2: "np.arctan2({0}, {1})",
+    ca.OP_FMIN: "np.minimum({0}, {1})",
+    ca.OP_FMAX: "np.maximum({0}, {1})",
+    ca.OP_FMOD: "np.fmod({0}, {1})",
+    ca.OP_HYPOT: "np.hypot({0}, {1})",
+    ca.OP_COPYSIGN: "np.copysign({0}, {1})",
+    ca.OP_LT: "np.less({0}, {1}) * 1.0",
+    ca.OP_LE: "np.less_equal({0}, {1}) * 1.0",
+    ca.OP_EQ: "np.equal({0}, {1}) * 1.0",
+    ca.OP_NE: "np.not_equal({0}, {1}) * 1.0",
+    ca.OP_AND: "np.logical_and({0}, {1}) * 1.0",
+    ca.OP_OR: "np.logical_or({0}, {1}) * 1.0",
+    ca.OP_IF_ELSE_ZERO: "np.where({0}, {1}, 0.0)",
+}
+UNARY = {
+    ca.OP_ASSIGN: "{0}",
+    ca.OP_NEG: "-{0}",
+    ca.OP_SIN: "np.sin({0})",
+    ca.OP_COS: "np.cos({0})",
+    ca.OP_TAN: "np.tan({0})",
+    ca.OP_ASIN: "np.arcsin({0})",
+    ca.OP_ACOS: "np.arccos({0})",
+    ca.OP_ATAN: "np.arctan({0})",
+    ca.OP_SINH: "np.sinh({0})",
+    ca.OP_COSH: "np.cosh({0})",
+    ca.OP_TANH: "np.tanh({0})",
+    ca.OP_EXP: "np.exp({0})",
+    ca.OP_LOG: "np.log({0})",
+    ca.OP_LOG1P: "np.log1p({0})",
+    ca.OP_EXPM1: "np.expm1({0})",
+    ca.OP_SQRT: "np.sqrt({0})",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "2.0 * {0}",
+    ca.OP_INV: "1.0 / {0}",
+    ca.OP_FABS: "np.abs({0})",
+    ca.OP_SIGN: "np.sign({0})",
+    ca.OP_FLOOR: "np.floor({0})",
+    ca.OP_CEIL: "np.ceil({0})",
+    ca.OP_NOT: "np.logical_not({0}) * 1.0",
+}
+
+
+def vectorize(function: ca.Function) -> Callable[..., tuple[np.ndarray, ...]]:
+    """Numpy version of an SX function whose inputs are dense column vectors.
+
+    The result takes, per input, an array whose LAST axis runs over the components and whose leading axes broadcast
+    against those of the other inputs; it returns, per output, an array of the broadcast shape + (rows, columns).
+    """
+    compiled = _compile(function)
+    sparsities = [function.sparsity_out(i) for i in range(function.n_out())]
+    places = [tuple(zip(*s.get_triplet(), strict=True)) for s in sparsities]
+
+    def evaluate(*arguments: ArrayLike) -> tuple[np.ndarray, ...]:
+        inputs = [np.asarray(a, dtype=float) for a in arguments]
+        batch = np.broadcast_shapes(*(a.shape[:-1] for a in inputs))
+        outputs = compiled([[a[..., k] for k in range(a.shape[-1])] for a in inputs])
+        return tuple(
+            _assemble(values, place, sparsity.shape, batch)
+            for values, place, sparsity in zip(outputs, places, sparsities, strict=True)
+        )
+
+    return evaluate
+
+
+def _assemble(
+    values: Sequence[ArrayLike], places: Sequence[tuple[int, int]], shape: tuple[int, int], batch: tuple[int, ...]
+) -> np.ndarray:
+    """Component arrays to one array of shape batch + (rows, columns); structural zeros are zero."""
+    full = np.zeros((*shape, *batch))  # components first: each is written in one contiguous run
+    for value, (row, column) in zip(values, places, strict=True):
+        full[row, column] = value
+    return np.moveaxis(full, (0, 1), (-2, -1))
+
+
+def _compile(function: ca.Function) -> Callable[[list[list[np.ndarray]]], list[list[np.ndarray]]]:
+    lines = ["def tape(x):", f"    y = [[0.0] * k for k in {[function.nnz_out(i) for i in range(function.n_out())]}]"]
+    for k in range(function.n_instructions()):
+        lines.append("    " + _line(function, k))
+    lines.append("    return y")
+    scope: dict[str, object] = {"np": np}
+    exec(compile("\n".join(lines), f"<tape of {function.name()}>", "exec"), scope)
+    return scope["tape"]  # type: ignore[return-value]
+
+
+def _line(function: ca.Function, k: int) -> str:
+    operation = function.instruction_id(k)
+    sources, targets = function.instruction_input(k), function.instruction_output(k)
+    if operation == ca.OP_CONST:
+        return f"w{targets[0]} = {function.instruction_constant(k)!r}"
+    if operation == ca.OP_INPUT:
+        return f"w{targets[0]} = x[{sources[0]}][{sources[1]}]"
+    if operation == ca.OP_OUTPUT:
+        return f"y[{targets[0]}][{targets[1]}] = w{sources[0]}"
+    template = UNARY.get(operation) or BINARY.get(operation)
+    if template is None:
+        raise NotImplementedError(
+            f"CasADi operation {operation} has no numpy form here; add it to identification/vectorize.py"
+        )
+    return f"w{targets[0]} = " + template.format(*(f"w{s}" for s in sources))

@@ -1,0 +1,103 @@
+"""Approximate designs: what is recomputed, and what is not believed."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from doe.bounds.approximate_design import Mixture, assess, largest_sensitivity, proper_weights
+from doe.plan.plan import Plan
+from doe.problem.candidates import grid
+from identification.errors import InputError
+from identification.status import Status
+from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
+
+FACTORIAL = Plan(np.radians([[0, a, b, c] for a in (-90, 90) for b in (-90, 60) for c in (-90, 90)]), np.full(8, 0.125))
+
+
+def judged(plan: Plan, status: Status = Status.converged):  # type: ignore[no-untyped-def]
+    case = problem(FOUR)
+    candidates = grid(case, 5)
+    gradient = np.linalg.inv(case.information(plan.postures, plan.shares))
+    largest = largest_sensitivity(case, candidates, gradient, Mixture())
+    return assess(
+        case, Mixture(), plan, largest, candidates=len(candidates), rigorous=True,
+        status=status, solver="by hand", solver_status="done", seconds=0.5,
+    )  # fmt: skip
+
+
+def test_certificate_of_any_weights() -> None:
+    """gap = max d - p, efficiency >= p / max d, bound = log det M + p log(max d / p) (THEORY.md section 5)."""
+    case, found = problem(FOUR), judged(FACTORIAL)
+    information = case.information(FACTORIAL.postures, FACTORIAL.weights)
+    axes = [np.linspace(a, b, 5) for a, b in zip(FOUR.lower[1:], FOUR.upper[1:], strict=True)]
+    q = np.stack([np.zeros(125), *(a.ravel() for a in np.meshgrid(*axes))], axis=1)
+    d = np.array([np.trace(np.linalg.solve(information, b.T @ b)) for b in case.blocks(q)])
+    assert found.log_det == pytest.approx(np.linalg.slogdet(information)[1], abs=1e-12)
+    assert found.gap == pytest.approx(d.max() - 8.0, abs=1e-10)
+    assert found.efficiency_lower_bound == pytest.approx(8.0 / d.max(), abs=1e-12)
+    assert found.bound is not None
+    assert found.bound.value == pytest.approx(found.log_det + 8.0 * np.log(d.max() / 8.0), abs=1e-10)
+    assert found.bound.source == "grid"
+    assert found.bound.value >= 4.0 * np.log(np.sin(np.radians(80.0)))  # the optimum (section 4) is on this grid
+
+
+@pytest.mark.parametrize("status", [s for s in Status if s is not Status.converged])
+def test_no_bound_unless_solved(status: Status) -> None:
+    found = judged(FACTORIAL, status)
+    assert found.bound is None
+    assert found.to_json()["bound"] is None
+    assert found.to_json()["status"] == status.name
+    assert found.gap > 0.0
+
+
+def test_contract_keys() -> None:
+    data = judged(FACTORIAL).to_json()
+    assert json.loads(json.dumps(data)) == data
+    keys = {"candidates", "log_det", "bound", "gap", "efficiency_lower_bound", "support", "status", "seconds"}
+    assert keys <= data.keys()
+    assert data["candidates"] == 125
+    assert len(data["support"]) == 8
+    assert data["support"][3] == {"posture_deg": pytest.approx([0.0, -90.0, 60.0, 90.0]), "weight": 0.125}
+    assert data["bound"].keys() >= {"value", "source"}
+
+
+def test_prints_what_matters() -> None:
+    text = str(judged(FACTORIAL))
+    assert "125 candidates" in text
+    assert "gap" in text
+    assert "<table>" in judged(FACTORIAL)._repr_html_()
+    assert "none" in str(judged(FACTORIAL, Status.almost_solved))
+
+
+def test_proper_weights() -> None:
+    assert proper_weights(np.array([0.3, -1e-9, 0.9])) == pytest.approx([0.25, 0.0, 0.75], abs=1e-15)
+    for bad in ([0.0, 0.0], [-1.0, -2.0], [np.nan, 1.0]):
+        with pytest.raises(InputError, match="weights"):
+            proper_weights(np.array(bad))
+
+
+def test_mixture_with_measured_postures_is_the_information_of_all_runs() -> None:
+    """k kept and m new runs: M of the weighted plan equals the mean over all k + m rows."""
+    generator = np.random.default_rng(0)
+    kept, new = generator.uniform(FOUR.lower, FOUR.upper, (2, 5, 4))
+    case = problem(FOUR, OFFSET, ECCENTRICITY, kept=kept)
+    mixture = Mixture.of(case, 10)
+    weights = np.array([0.1, 0.2, 0.3, 0.3, 0.1])  # ten runs: 1, 2, 3, 3, 1
+    rows = np.concatenate([kept, np.repeat(new, [1, 2, 3, 3, 1], axis=0)])
+    expected = problem(FOUR, OFFSET, ECCENTRICITY).information(rows)
+    information = mixture.information(case.blocks(new), weights)
+    assert information == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    gradient = np.linalg.inv(information)
+    g = mixture.sensitivities(case.blocks(new), gradient)
+    assert weights @ g == pytest.approx(case.parameters, abs=1e-9)  # tr(G M) = p
+    assert g == pytest.approx([np.sum(gradient * f) for f in mixture.atoms(case.blocks(new))], rel=1e-12)
+
+
+def test_measured_postures_need_the_number_of_runs() -> None:
+    case = problem(FOUR, kept=np.zeros((2, 4)))
+    for runs in (None, 0):
+        with pytest.raises(InputError, match="runs"):
+            Mixture.of(case, runs)

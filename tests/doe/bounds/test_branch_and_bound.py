@@ -1,0 +1,114 @@
+"""Branch and bound on trigonometric polynomials against dense sampling and known maxima."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from doe.bounds.branch_and_bound import Waves, maximum
+from doe.bounds.trigonometric import TrigonometricPolynomial
+from identification.arrays import Array
+
+
+def random_polynomial(generator: np.random.Generator, n: int, terms: int, degree: int) -> TrigonometricPolynomial:
+    frequencies = generator.integers(-degree, degree + 1, (terms, n))
+    coefficients = generator.standard_normal(terms) + 1j * generator.standard_normal(terms)
+    return TrigonometricPolynomial(float(generator.standard_normal()), frequencies, coefficients)
+
+
+def plainly(polynomial: TrigonometricPolynomial, q: Array) -> Array:
+    """a cos - b sin, term by term."""
+    total = np.full(len(q), polynomial.constant)
+    for f, c in zip(polynomial.frequencies, polynomial.coefficients, strict=True):
+        total += c.real * np.cos(q @ f) - c.imag * np.sin(q @ f)
+    return total
+
+
+def dense(lower: Array, upper: Array, levels: int) -> Array:
+    axes = [np.linspace(a, b, levels) for a, b in zip(lower, upper, strict=True)]
+    return np.array(list(product(*axes)))
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), n=st.integers(1, 3), terms=st.integers(1, 8))
+def test_upper_bound_holds_and_is_tight(seed: int, n: int, terms: int) -> None:
+    generator = np.random.default_rng(seed)
+    polynomial = random_polynomial(generator, n, terms, 2)
+    lower = generator.uniform(-3.0, 0.0, n)
+    upper = lower + generator.uniform(0.1, 4.0, n)
+    found = maximum(polynomial, lower, upper, known=((lower + upper) / 2)[None], tolerance=1e-6)
+    samples = plainly(polynomial, dense(lower, upper, {1: 2001, 2: 101, 3: 31}[n]))
+    assert found.proven
+    assert samples.max() <= found.upper
+    assert found.upper <= found.value + 1e-6 + 1e-11
+    assert np.all((found.posture >= lower) & (found.posture <= upper))
+    assert found.value == pytest.approx(plainly(polynomial, found.posture[None])[0], abs=1e-12)
+
+
+def test_known_maximum() -> None:
+    """2 cos x + cos(x + y) - cos y is at most 9/4.
+
+    For fixed x the last two terms are -2 sin(x/2) sin(y + x/2), at most 2 s with s = |sin(x/2)|. The whole is then
+    2 (1 - 2 s^2) + 2 s, largest at s = 1/4.
+    """
+    polynomial = TrigonometricPolynomial(0.0, np.array([[1, 0], [1, 1], [0, 1]]), np.array([2.0, 1.0, -1.0]) + 0j)
+    box = np.array([-np.pi, -np.pi]), np.array([np.pi, np.pi])
+    found = maximum(polynomial, *box, known=np.zeros((1, 2)), tolerance=1e-9)
+    assert found.proven
+    assert found.value == pytest.approx(2.25, abs=1e-9)
+    assert 2.25 <= found.upper <= 2.25 + 2e-9
+
+
+def test_waves_of_separate_joints_need_one_box() -> None:
+    """Then the termwise bound is exact, flat directions included: the base model at its optimum."""
+    coefficients = np.array([1.0, 2.0j, -0.5, 0.0, 1.0 - 1.0j])
+    polynomial = TrigonometricPolynomial(1.0, np.eye(5, dtype=int), coefficients)
+    lower, upper = np.full(5, -1.0), np.full(5, 0.6)
+    # cos q at 0; -2 sin q at -1; -cos(q)/2 at -1; nothing; sqrt(2) cos(q - pi/4) at 0.6, which is below pi/4
+    top = 1.0 + 1.0 + 2.0 * np.sin(1.0) - 0.5 * np.cos(1.0) + 0.0 + np.sqrt(2.0) * np.cos(0.6 - np.pi / 4.0)
+    found = maximum(polynomial, lower, upper, known=np.array([[0.0, -1.0, -1.0, 0.2, 0.6]]), tolerance=1e-9)
+    assert found.proven
+    assert found.boxes == 1
+    assert found.value == pytest.approx(top, abs=1e-13)
+    assert top <= found.upper <= top + 1e-12
+
+
+def test_out_of_boxes_is_not_a_proof_but_still_a_bound() -> None:
+    generator = np.random.default_rng(1)
+    polynomial = random_polynomial(generator, 4, 40, 3)
+    lower, upper = np.full(4, -np.pi), np.full(4, np.pi)
+    found = maximum(polynomial, lower, upper, known=np.zeros((1, 4)), tolerance=1e-9, most_boxes=3000)
+    assert not found.proven
+    assert found.upper >= plainly(polynomial, generator.uniform(-np.pi, np.pi, (200_000, 4))).max()
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), n=st.integers(1, 3))
+def test_bounds_over_boxes(seed: int, n: int) -> None:
+    """Termwise bound, slopes and curvature enclose what samples in the box show."""
+    generator = np.random.default_rng(seed)
+    polynomial = random_polynomial(generator, n, 6, 3)
+    waves = Waves.of(polynomial)
+    center, half = generator.uniform(-3.0, 3.0, (1, n)), generator.uniform(0.01, 1.0, (1, n))
+    q = center + half * generator.uniform(-1.0, 1.0, (200, n))
+    assert waves.termwise(center, half)[0] >= plainly(polynomial, q).max() - 1e-12
+    assert waves.bound(center, half)[1][0] >= plainly(polynomial, q).max() - 1e-12
+    low, high = waves.slopes(center, half)
+    curvature = waves.curvature(center, half)[0]
+    for point in q[:20]:
+        slope = numerical_slope(polynomial, point)
+        assert np.all((slope >= low[0] - 1e-6) & (slope <= high[0] + 1e-6))
+        steps = [numerical_slope(polynomial, point + 1e-5 * e) - slope for e in np.eye(n)]
+        hessian = np.array(steps) / 1e-5
+        assert np.linalg.eigvalsh(0.5 * (hessian + hessian.T))[-1] <= curvature + 1e-3
+
+
+def numerical_slope(polynomial: TrigonometricPolynomial, point: Array) -> Array:
+    h = 1e-6
+    moved = np.concatenate([point + h * np.eye(len(point)), point - h * np.eye(len(point))])
+    values = plainly(polynomial, moved)
+    return (values[: len(point)] - values[len(point) :]) / (2 * h)

@@ -1,0 +1,60 @@
+"""The equivalence theorem and its bounds, on designs whose optimality is known otherwise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from doe.bounds.equivalence import gap_and_bound, gap_on_candidates, sensitivity
+from doe.bounds.planar_theorem import closed_form_log_det
+from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
+from tests.doe.bounds.test_planar_theorem import factorial
+
+
+def test_sensitivity_is_the_trace() -> None:
+    case = problem(FOUR, OFFSET)
+    generator = np.random.default_rng(0)
+    plan = generator.uniform(FOUR.lower, FOUR.upper, (12, 4))
+    information = case.information(plan)
+    found = sensitivity(case, information, plan)
+    for value, jacobian in zip(found, case.model.jacobian(plan) / case.model.scales, strict=True):
+        assert value == pytest.approx(np.trace(np.linalg.solve(information, jacobian.T @ jacobian)))
+    assert np.mean(found) == pytest.approx(case.parameters)  # sum_i w_i d_i = tr(M^-1 M) = p for every design
+
+
+def test_gap_is_zero_at_the_optimum() -> None:
+    case = problem(FOUR)
+    candidates = np.random.default_rng(1).uniform(FOUR.lower, FOUR.upper, (5000, 4))
+    gap, bound = gap_on_candidates(case, factorial(FOUR, offset=False), candidates)
+    assert gap <= 1e-12  # d <= p everywhere
+    assert bound.source == "grid"
+    at_support = np.vstack([candidates, factorial(FOUR, offset=False)])
+    gap, bound = gap_on_candidates(case, factorial(FOUR, offset=False), at_support)
+    assert gap == pytest.approx(0.0, abs=1e-12)
+    assert bound.value == pytest.approx(closed_form_log_det(case), abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_bound_of_any_design_holds_for_every_other(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    case = problem(FOUR, ECCENTRICITY)
+    candidates = generator.uniform(FOUR.lower, FOUR.upper, (60, 4))
+    _, bound = gap_on_candidates(case, candidates[:10], candidates)
+    for _ in range(200):
+        assert case.objective(candidates[generator.integers(60, size=10)]) <= bound.value
+        weights = generator.dirichlet(np.full(60, 0.2))
+        assert case.objective(candidates, weights) <= bound.value
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_bound_with_measured_postures(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    kept = generator.uniform(FOUR.lower, FOUR.upper, (7, 4))
+    case = problem(FOUR, kept=kept)
+    candidates = generator.uniform(FOUR.lower, FOUR.upper, (40, 4))
+    plan = candidates[:5]
+    gap, bound = gap_on_candidates(case, plan, candidates)
+    assert gap >= 0.0
+    values = [case.objective(candidates[generator.integers(40, size=5)]) for _ in range(500)]
+    assert max(values) <= bound.value
+    assert gap_and_bound(case, plan, 100.0, "continuous")[1].value > bound.value

@@ -1,0 +1,108 @@
+"""Weights on few postures: textbook optima, another solver, the equivalence theorem, Caratheodory's reduction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+from doe.bounds.approximate_design import Mixture
+from doe.bounds.interior_point import solve_weights, sparsest
+from doe.criteria import A, Criterion, D, Ds, E
+from identification.arrays import Array
+
+POINTS = np.linspace(-1.0, 1.0, 21)
+QUADRATIC = np.power.outer(POINTS, np.arange(3))[:, None, :]  # (21, 1, 3)
+
+
+@pytest.mark.parametrize(
+    ("criterion", "ends", "middle", "tolerance"),
+    [
+        # F. Pukelsheim, Optimal Design of Experiments (2006), section 9.12 and exhibit 9.9: support -1, 0, 1
+        (D(), 1 / 3, 1 / 3, 1e-10),
+        (A(), 1 / 4, 1 / 2, 1e-10),
+        (E(), 1 / 5, 3 / 5, 1e-3),  # a semidefinite program to 1e-8 of the value, which is flat at the optimum
+        (Ds((2,)), 1 / 4, 1 / 2, 1e-10),  # the highest coefficient alone: Chebyshev points
+    ],
+    ids=["D", "A", "E", "Ds"],
+)
+def test_quadratic_regression(criterion: Criterion, ends: float, middle: float, tolerance: float) -> None:
+    weights = solve_weights(QUADRATIC, criterion, Mixture()).weights
+    expected = np.zeros(21)
+    expected[[0, 10, 20]] = ends, middle, ends
+    assert weights == pytest.approx(expected, abs=tolerance)
+
+
+def random_blocks(generator: np.random.Generator, k: int, d: int, p: int) -> Array:
+    return generator.standard_normal((k, d, p))
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), p=st.integers(2, 6), d=st.integers(1, 3))
+def test_equivalence_theorem(seed: int, p: int, d: int) -> None:
+    """max d = p over the postures, and d = p wherever there is weight (Kiefer and Wolfowitz, several coordinates)."""
+    blocks = random_blocks(np.random.default_rng(seed), 4 * p, d, p)
+    weights = solve_weights(blocks, D(), Mixture()).weights
+    information = np.einsum("k,kda,kdb->ab", weights, blocks, blocks)
+    d_values = np.einsum("kda,ab,kdb->k", blocks, np.linalg.inv(information), blocks)
+    assert weights.sum() == pytest.approx(1.0, abs=1e-14)
+    assert weights.min() >= 0.0
+    assert d_values.max() <= p + 1e-9
+    assert d_values[weights > 1e-6] == pytest.approx(p, abs=1e-6)
+
+
+@pytest.mark.parametrize("criterion", [D(), A(), Ds((0, 2))], ids=["D", "A", "Ds"])
+def test_no_better_weights_by_scipy(criterion: Criterion) -> None:
+    """SLSQP on the softmax of the weights, from the answer and from elsewhere, finds nothing better."""
+    generator = np.random.default_rng(3)
+    blocks = random_blocks(generator, 12, 2, 5)
+
+    def minus_value(x: Array) -> float:
+        w = np.exp(x - x.max())
+        return -float(criterion.value(np.einsum("k,kda,kdb->ab", w / w.sum(), blocks, blocks)))
+
+    mine = solve_weights(blocks, criterion, Mixture()).weights
+    reached = minus_value(np.log(np.maximum(mine, 1e-12)))
+    for start in (np.log(np.maximum(mine, 1e-6)), np.zeros(12), generator.standard_normal(12)):
+        assert minimize(minus_value, start, method="SLSQP").fun >= reached - 1e-9
+
+
+def test_a_part_of_the_runs_is_fixed() -> None:
+    """With a fixed offset the multiplicative algorithm (Silvey, Titterington, Torsney) is the oracle."""
+    generator = np.random.default_rng(4)
+    blocks, kept = random_blocks(generator, 15, 2, 4), random_blocks(generator, 3, 2, 4)
+    mixture = Mixture(0.6, 0.4 * np.einsum("kda,kdb->ab", kept, kept) / 3)
+    atoms = 0.6 * np.einsum("kda,kdb->kab", blocks, blocks) + mixture.offset
+    w = np.full(15, 1 / 15)
+    for _ in range(20_000):
+        w *= np.einsum("ab,kab->k", np.linalg.inv(np.einsum("k,kab->ab", w, atoms)), atoms) / 4
+    mine = solve_weights(blocks, D(), mixture)
+    best = np.linalg.slogdet(np.einsum("k,kab->ab", w, atoms))[1]
+    assert np.linalg.slogdet(mixture.information(blocks, mine.weights))[1] >= best - 1e-12
+    assert mine.weights == pytest.approx(w, abs=1e-3)  # the multiplicative algorithm is slow near zero weights
+    assert mine.gap <= 1e-10
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), p=st.integers(1, 5))
+def test_sparsest_keeps_the_information(seed: int, p: int) -> None:
+    generator = np.random.default_rng(seed)
+    blocks = random_blocks(generator, 60, 2, p)
+    weights = generator.dirichlet(np.ones(60))
+    weights[::7] = 0.0
+    weights /= weights.sum()
+    few = sparsest(blocks, weights)
+    assert np.count_nonzero(few) <= p * (p + 1) // 2 + 1
+    assert few.min() >= 0.0
+    assert not few[::7].any()
+    before, after = (np.einsum("k,kda,kdb->ab", w, blocks, blocks) for w in (weights, few))
+    assert after == pytest.approx(before, rel=1e-10, abs=1e-10)
+
+
+def test_a_posture_measured_twice_changes_nothing() -> None:
+    """Equal blocks make the weights ambiguous, not the information."""
+    once = solve_weights(QUADRATIC, D(), Mixture()).weights
+    twice = solve_weights(np.concatenate([QUADRATIC, QUADRATIC]), D(), Mixture()).weights
+    assert twice[:21] + twice[21:] == pytest.approx(once, abs=1e-9)

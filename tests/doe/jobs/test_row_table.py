@@ -1,0 +1,118 @@
+"""Row tables: nothing finished is lost, nothing is overwritten unasked, floats survive to the bit."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from doe.jobs.row_table import RowTable, canonical, frame_of, journal_of, read_rows
+from identification.errors import InputError
+
+KEYS = [{"task": k} for k in range(5)]
+
+
+def fill(path: Path, keys: list[dict[str, int]], **how: bool) -> None:
+    with RowTable.open(path, **how) as table:
+        for key in keys:
+            table.add(key, [{**key, "value": key["task"] / 3.0}])
+
+
+def test_finished_table_is_one_parquet_file(tmp_path: Path) -> None:
+    fill(tmp_path / "rows.parquet", KEYS)
+    assert [f.name for f in tmp_path.iterdir()] == ["rows.parquet"]
+    assert pl.read_parquet(tmp_path / "rows.parquet")["value"].to_list() == [k / 3.0 for k in range(5)]
+
+
+def test_existing_table_is_refused_resumed_or_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "rows.parquet"
+    fill(path, KEYS[:2])
+    with pytest.raises(InputError, match="--resume"), RowTable.open(path):
+        pass
+    fill(path, KEYS[2:], resume=True)
+    assert read_rows(path)["task"].to_list() == [0, 1, 2, 3, 4]
+    fill(path, KEYS[3:], force=True)
+    assert read_rows(path)["task"].to_list() == [3, 4]
+
+
+def test_rows_of_a_killed_process_are_there(tmp_path: Path) -> None:
+    path = tmp_path / "rows.parquet"
+    code = (
+        "import os, signal, sys\nfrom doe.jobs.row_table import RowTable\n"
+        f"with RowTable.open({str(path)!r}) as table:\n"
+        "    for k in range(3): table.add({'task': k}, [{'value': k / 3.0}])\n"
+        '    table._journal.write(b\'["{}", [{"val\'); table._journal.flush()\n'  # torn in mid-line
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[3], check=False).returncode == -9
+    assert not path.exists()
+    assert read_rows(path)["value"].to_list() == [0.0, 1 / 3, 2 / 3]
+    with pytest.raises(InputError, match="journal: exists"), RowTable.open(path):
+        pass
+    with RowTable.open(path, resume=True) as table:
+        assert [{"task": k} in table for k in range(4)] == [True, True, True, False]
+        table.add({"task": 3}, [{"value": 1.0}])
+    assert pl.read_parquet(path)["value"].to_list() == [0.0, 1 / 3, 2 / 3, 1.0]
+
+
+def test_rows_are_kept_when_the_work_raises(tmp_path: Path) -> None:
+    path = tmp_path / "rows.parquet"
+    with suppress(KeyboardInterrupt), RowTable.open(path) as table:
+        table.add({"task": 0}, [{"value": 1}])
+        raise KeyboardInterrupt
+    assert read_rows(path)["value"].to_list() == [1]
+    assert not journal_of(path).exists()
+
+
+def test_two_writers_are_refused(tmp_path: Path) -> None:
+    with (
+        RowTable.open(tmp_path / "rows.parquet"),
+        pytest.raises(InputError, match="another run"),
+        RowTable.open(tmp_path / "rows.parquet", resume=True),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("path", ["missing/rows.parquet", "."])
+def test_bad_place_is_refused(tmp_path: Path, path: str) -> None:
+    with pytest.raises(InputError, match="allowed"), RowTable.open(tmp_path / path):
+        pass
+
+
+def test_foreign_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.parquet").write_text("no")
+    pl.DataFrame({"x": [1]}).write_parquet(tmp_path / "b.parquet")
+    for name, found in (("a", "not a Parquet file"), ("b", "no column")):
+        with pytest.raises(InputError, match=found), RowTable.open(tmp_path / f"{name}.parquet", resume=True):
+            pass
+    with pytest.raises(InputError, match="no such table"):
+        read_rows(tmp_path / "c.parquet")
+
+
+@given(st.dictionaries(st.text(), st.integers() | st.text() | st.booleans() | st.none()))
+def test_canonical_ignores_the_order(key: dict[str, object]) -> None:
+    assert canonical(key) == canonical(dict(reversed(key.items())))
+
+
+def test_columns_are_the_union_of_the_rows() -> None:
+    frame = frame_of([{"a": 1, "b": "x"}, {"a": 2.5, "c": [1.0, 2.0]}, {"a": math.inf, "error": None}])
+    assert frame["a"].to_list() == [1.0, 2.5, math.inf]
+    assert frame["b"].to_list() == ["x", None, None]
+    assert frame["c"].to_list() == [None, [1.0, 2.0], None]
+
+
+def test_floats_survive_journal_and_parquet(tmp_path: Path) -> None:
+    values = np.random.default_rng(1).standard_normal(200) * 10.0 ** np.arange(-100, 100)
+    path = tmp_path / "rows.parquet"
+    with RowTable.open(path) as table:
+        table.add({"task": 0}, [{"value": float(v)} for v in values])
+        assert np.array_equal(read_rows(path)["value"].to_numpy(), values)
+    assert np.array_equal(read_rows(path)["value"].to_numpy(), values)

@@ -1,0 +1,163 @@
+"""Constraints: numeric margins against brute-force geometry, symbolic ones against the numeric, diagnosis of none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from doe.problem.constraints import Constraint, Expression, constraints_of
+from doe.problem.feasible import random_postures
+from doe.problem.problem import DesignProblem
+from doe.solvers import Random, solve
+from doe.solvers.derivatives import ConstraintFunction
+from identification.arm import Arm, Calibration, KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.errors import InputError
+from identification.model import Model
+from tests.doe.arms import FOUR
+
+BOX = WorkspaceBox((-400.0, 600.0), (0.0, 650.0))
+CIRCLE = KeepOutCircle((350.0, 200.0), 60.0)
+SIGHT = LineOfSight((900.0, 300.0), np.radians(25.0), (0.0, 200.0))
+ARM = replace(FOUR, constraints=(BOX, CIRCLE, SIGHT))
+MADE = constraints_of(ARM)
+POSTURES = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (3000, 4))
+
+
+def link_points(posture: np.ndarray, count: int = 400) -> list[np.ndarray]:
+    """Per link, points along it; from sums of cosines and sines."""
+    start, theta, links = np.zeros(2), 0.0, []
+    for length, angle in zip(FOUR.lengths, posture, strict=True):
+        theta += angle
+        along = length * np.array([np.cos(theta), np.sin(theta)])
+        links.append(start + np.linspace(0, 1, count)[:, None] * along)
+        start = start + along
+    return links
+
+
+def test_workspace_box() -> None:
+    margins = MADE[0].margin(POSTURES[:200])
+    for posture, margin in zip(POSTURES, margins, strict=False):
+        x, y = link_points(posture)[-1][-1]
+        np.testing.assert_allclose(margin, [x + 400, 600 - x, y, 650 - y], atol=1e-9)
+
+
+def test_keep_out_circle_sees_every_link() -> None:
+    margins = MADE[1].margin(POSTURES[:200])
+    for posture, margin in zip(POSTURES, margins, strict=False):
+        nearest = [np.linalg.norm(points - [350, 200], axis=1).min() - 60 for points in link_points(posture)]
+        np.testing.assert_allclose(margin, nearest, atol=0.65 / 2)  # points are up to 0.65 mm apart
+
+
+def crossed(a: np.ndarray, b: np.ndarray, link: np.ndarray) -> bool:
+    """Whether the points of a link change sides of the line a-b between a and b: by solving for the crossing."""
+    matrix = np.column_stack([b - a, link[0] - link[-1]])
+    share, along = np.linalg.solve(matrix, link[0] - a)
+    return bool(0 < share < 1 and 0 < along < 1)
+
+
+def test_line_of_sight() -> None:
+    tracker, axis = np.array([900.0, 300.0]), np.array([-900.0, -100.0])
+    margins = MADE[2].margin(POSTURES)
+    seen = 0
+    for posture, margin in zip(POSTURES, margins, strict=True):
+        links = link_points(posture, 2)
+        view = links[-1][-1] - tracker
+        angle = np.arccos(view @ axis / np.linalg.norm(view) / np.linalg.norm(axis))
+        assert (margin[0] >= 0) == (angle <= np.radians(25.0))
+        for k, link in enumerate(links[:-1]):
+            assert (margin[1 + k] < 0) == crossed(tracker, links[-1][-1], link)
+            seen += margin[1 + k] < 0
+    assert seen > 50  # the test does see links in the way
+
+
+@pytest.mark.parametrize("constraint", MADE, ids=[c.kind for c in MADE])
+def test_symbolic_has_the_same_sign(constraint: Constraint) -> None:
+    q = ca.SX.sym("q", 4)
+    function = ca.Function("f", [q], [constraint.symbolic(q)])
+    symbolic, numeric = np.asarray(function(POSTURES.T)).T, constraint.margin(POSTURES)
+    assert symbolic.shape == numeric.shape
+    clear = np.abs(numeric) > 1e-6
+    np.testing.assert_array_equal((symbolic >= 0)[clear], (numeric >= 0)[clear])
+
+
+def test_derivatives() -> None:
+    problem = DesignProblem.of(Model(ARM))
+    function = ConstraintFunction(problem, (0, 1, 2, 3))
+    plan = random_postures(problem, 5, np.random.default_rng(1))
+    rows, step = function.rows, 1e-6
+    assert rows == 4 + 4 + 4
+    multipliers = np.random.default_rng(2).uniform(0.5, 1.5, 5 * rows)
+
+    def dense(postures: np.ndarray) -> np.ndarray:
+        pattern = function.sparsity(5)
+        return np.asarray(ca.DM(pattern, function.jacobian(postures)))
+
+    slopes, curvatures = [], []
+    for entry in range(plan.size):
+        move = np.zeros(plan.size)
+        move[entry] = step
+        up, down = plan + move.reshape(plan.shape), plan - move.reshape(plan.shape)
+        slopes.append((function.values(up) - function.values(down)) / (2 * step))
+        curvatures.append(multipliers @ (dense(up) - dense(down)) / (2 * step))
+    np.testing.assert_allclose(dense(plan), np.array(slopes).T, rtol=1e-5, atol=1e-4)  # of lengths up to 1000 mm
+    np.testing.assert_allclose(function.hessian(plan, multipliers), curvatures, rtol=1e-5, atol=1e-3)
+
+
+@pytest.mark.parametrize("solver", ["exchange", "ipopt", "exchange_ipopt", Random(20)])
+def test_every_solver_honours_them(solver: str | Random) -> None:
+    design = solve(DesignProblem.of(Model(ARM)), 8, solver, starts=6)
+    assert np.isfinite(design.value)
+    for posture in design.plan.postures:  # judged by points along the links
+        links = link_points(posture)
+        assert -400 <= links[-1][-1][0] <= 600
+        assert 0 <= links[-1][-1][1] <= 650
+        assert min(np.linalg.norm(points - [350, 200], axis=1).min() for points in links) >= 60
+        assert not any(crossed(np.array([900.0, 300.0]), links[-1][-1], link) for link in links[:-1])
+
+
+def test_users_own_expression() -> None:
+    """Elbow up, and the tip above the elbow: only what the user said, in a function of CasADi symbols."""
+    above = Expression(lambda q: ca.vertcat(ca.sin(q[0]), 180 * ca.sin(q[0] + q[1])), 4, "elbow")
+    problem = DesignProblem.of(Model(FOUR), constraints=(above,))
+    design = solve(problem, 6, starts=20)
+    q1, q2 = design.plan.postures.T[:2]
+    assert np.all(np.sin(q1) >= 0)
+    assert np.all(np.sin(q1 + q2) >= 0)
+    np.testing.assert_allclose(above.margin(POSTURES[:5])[:, 0], np.sin(POSTURES[:5, 0]))
+
+
+def test_calibrated_lengths_count() -> None:
+    longer = replace(ARM, calibration=Calibration(np.array([10.0, 0, 0, 0]), np.zeros(4)))
+    stretched = constraints_of(longer)[0].margin(np.zeros((1, 4)))
+    assert stretched[0, 0] == pytest.approx(660 + 10 + 400)
+
+
+@pytest.mark.parametrize(
+    ("constraints", "message"),
+    [
+        ((BOX, KeepOutCircle((0.0, 0.0), 50.0)), r"satisfies constraint 2 \(keep_out_circle\)$"),
+        (
+            (WorkspaceBox((-400.0, -300.0), (0.0, 650.0)), CIRCLE, WorkspaceBox((0.0, 600.0), (0.0, 650.0))),
+            r"constraint 1 \(workspace_box\) and constraint 3 \(workspace_box\) together",
+        ),
+        ((WorkspaceBox((700.0, 800.0), (0.0, 650.0)),), r"constraint 1 \(workspace_box\)"),
+    ],
+)
+def test_says_which_constraints_exclude_everything(constraints: tuple, message: str) -> None:
+    arm = replace(FOUR, constraints=constraints)
+    with pytest.raises(InputError, match=message):
+        solve(DesignProblem.of(Model(arm)), 8)
+
+
+def test_finds_a_feasible_set_that_random_postures_miss() -> None:
+    """The tip within 3 mm of the stretched arm's reach: about one posture in a million."""
+    arm = Arm(FOUR.lengths, FOUR.lower, FOUR.upper, constraints=(WorkspaceBox((657.0, 661.0), (-10.0, 10.0)),))
+    problem = DesignProblem.of(Model(arm))
+    found = random_postures(problem, 50, np.random.default_rng(0))
+    tips = Model(arm).position(found)
+    assert found.shape == (50, 4)
+    assert np.all(tips[:, 0] >= 657)
+    assert len(np.unique(found, axis=0)) > 10

@@ -1,0 +1,134 @@
+"""Plans from theory attain the bound: checked by complex arithmetic, limits by comparison."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from doe.bounds.planar_theorem import closed_form_log_det
+from doe.solvers import Analytic, Random, solve
+from doe.solvers.solver import Budget
+from identification.arm import Arm, EffectSpec
+from identification.errors import JobError
+from identification.status import Status
+from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, SIX, problem, random_box
+from tests.doe.bounds.test_planar_theorem import complex_log_det
+
+
+@pytest.mark.parametrize("links", range(2, 9))
+def test_without_limits_any_number_of_runs_is_optimal_without_a_solver(links: int) -> None:
+    arm = Arm(np.full(links, 100.0))
+    for runs in range(links, 3 * links + 1):
+        design = solve(problem(arm), runs, seed=runs)
+        assert design.solver == "analytic"
+        assert abs(complex_log_det(design.plan.postures)) < 1e-8  # the issue's bar
+        assert design.certified_optimal
+    for runs in (links + 1, 3 * links):
+        with_offset = solve(problem(arm, OFFSET), runs)
+        assert abs(complex_log_det(with_offset.plan.postures, offset=True)) < 1e-8
+
+
+@pytest.mark.parametrize(("arm", "runs"), [(FOUR, 8), (FOUR, 12), (FOUR, 16), (FIVE, 16), (SIX, 32), (SIX, 64)])
+def test_with_limits(arm: Arm, runs: int) -> None:
+    offers = Analytic().offers(problem(arm), runs, np.random.default_rng(0), Budget(5))
+    for _, offer in zip(range(5), offers, strict=False):
+        assert np.all(offer.postures >= arm.lower)
+        assert np.all(offer.postures <= arm.upper)
+        assert complex_log_det(offer.postures) == pytest.approx(closed_form_log_det(problem(arm)), abs=1e-12)
+
+
+def smallest_gap(postures: np.ndarray) -> float:
+    """[rad] least difference of two postures, each in the joint where it is greatest."""
+    return min(np.abs(postures[k + 1 :] - postures[k]).max(axis=1).min() for k in range(len(postures) - 1))
+
+
+def check(arm: Arm, runs: int, *effects: EffectSpec) -> None:
+    """Optimal by complex arithmetic, within the limits, without repeats."""
+    case = problem(arm, *effects)
+    design = solve(case, runs)
+    postures = design.plan.postures
+    assert (design.solver, design.status, len(postures)) == ("analytic", Status.bound_reached, runs)
+    value = complex_log_det(postures, offset=bool(effects))
+    assert value == pytest.approx(closed_form_log_det(case), abs=1e-9)
+    assert np.all(postures >= arm.lower)
+    assert np.all(postures <= arm.upper)
+    assert smallest_gap(postures) >= np.radians(1.0) * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("runs", [4, 20, 28, 100, 360, 364, 500, 3000])
+def test_multiples_of_four_with_the_limits_of_the_issue(runs: int) -> None:
+    """THEORY.md section 4: m = 4 attains the bound, and so do blocks of four, however many."""
+    check(FOUR, runs)
+
+
+@pytest.mark.parametrize("runs", [100, 360, 361, 364, 500])
+def test_many_runs_without_limits(runs: int) -> None:
+    check(Arm(FOUR.lengths), runs)
+
+
+@pytest.mark.parametrize("arm", [FOUR, Arm(FOUR.lengths)])
+@pytest.mark.parametrize("runs", [8, 100, 364, 500])
+def test_with_a_base_offset_no_joint_is_free_to_tell_postures_apart(arm: Arm, runs: int) -> None:
+    check(arm, runs, OFFSET)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(2, 6), st.integers(0, 2**32 - 1))
+def test_whole_factorials_in_random_limits(links: int, seed: int) -> None:
+    """The two-level factorial of joints 2..n attains the bound (THEORY.md section 4): so do multiples of its size."""
+    generator = np.random.default_rng(seed)
+    size, box = 2 ** (links - 1), random_box(generator, links)
+    arm = Arm(box.lengths, np.r_[-np.pi, box.lower[1:]], np.r_[np.pi, box.upper[1:]])  # joint 1 is free to tell apart
+    check(arm, size * int(generator.integers(max(1, links // size + 1), 500 // size + 1)))
+
+
+def test_other_numbers_of_many_runs_begin_from_theory() -> None:
+    """361 is odd, so joint 3 cannot be at both limits equally often; 360 runs can, and one more costs 1/361 at most.
+
+    M' of 361 runs is at least 360/361 of that of 360: log det is lower by 8 log(361/360) at most.
+    """
+    design = solve(problem(FOUR), 361, seconds=2.0)
+    assert complex_log_det(design.plan.postures) >= closed_form_log_det(problem(FOUR)) - 8.0 * np.log(361 / 360)
+    assert smallest_gap(design.plan.postures) >= np.radians(1.0) * (1 - 1e-9)
+
+
+def test_many_runs_have_a_time_budget_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("doe.solvers.PATIENCE", 0.2)
+    assert solve(problem(FIVE), 101, "exchange_ipopt").status is Status.time_limit
+    assert solve(problem(FIVE), 101, "random", starts=2).status is Status.starts_finished
+
+
+def test_frequencies_phases_and_order_are_random() -> None:
+    case = problem(Arm(FOUR.lengths))
+    plans = [solve(case, 13, seed=seed).plan.postures for seed in (0, 1)]
+    assert np.ptp(np.diff(plans[0], axis=0), axis=0).min() > 0.1  # not the plain ordered plan, whose steps are equal
+    assert not np.allclose(np.sort(plans[0], axis=0), np.sort(plans[1], axis=0))
+    assert np.array_equal(plans[0], solve(case, 13, seed=0).plan.postures)
+
+
+def test_first_joint_is_spread_over_its_limits_in_shuffled_order() -> None:
+    first = solve(problem(FOUR), 8).plan.postures[:, 0]
+    np.testing.assert_allclose(np.sort(first), np.radians(np.arange(-180 + 22.5, 180, 45)))
+    assert np.any(np.diff(first) < 0)
+
+
+@pytest.mark.parametrize("arm", [SIX, FIVE])
+def test_none_where_the_number_of_runs_does_not_allow_it(arm: Arm) -> None:
+    with pytest.raises(JobError, match="analytic"):
+        solve(problem(arm), 13, "analytic")
+
+
+def test_none_for_models_without_the_theorem() -> None:
+    with pytest.raises(JobError, match="analytic"):
+        solve(problem(Arm(FOUR.lengths), ECCENTRICITY), 20, Analytic())
+
+
+def test_random_is_no_rival() -> None:
+    """The same interface, the same certificate: a random plan is worth less, and says by how much."""
+    design = solve(problem(FOUR), 8, Random())
+    best = solve(problem(FOUR), 8, "best_of_random")
+    assert design.status is Status.starts_finished
+    assert best.starts == 1000
+    assert design.value < best.value < closed_form_log_det(problem(FOUR))

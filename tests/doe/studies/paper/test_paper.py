@@ -1,0 +1,221 @@
+"""The paper reproduced, against plain arithmetic on eq. 1 and on the printed formulas."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner
+
+from doe.cli.study import command
+from doe.jobs.workers import processes, serial
+from doe.report.paper import figure_1_picture, figure_2_picture
+from doe.studies.paper import study as paper_run
+from doe.studies.paper.equations import Erratum
+from doe.studies.paper.errata import errata
+from doe.studies.paper.figures import figure_1, figure_2
+from doe.studies.paper.tables import consistent, joint_offset_std, table_1, table_2, table_3, text_figures, verdict
+from identification.errors import JobError
+from identification.progress import silent
+
+L = np.array([260.0, 180.0, 120.0, 100.0])
+
+
+def tip(postures: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Eq. 1."""
+    return np.exp(1j * np.cumsum(postures + offsets, axis=1)) @ lengths
+
+
+def scaled_jacobian(postures: np.ndarray) -> np.ndarray:
+    """(2m, 2n) central differences of eq. 1 by orientation offsets (over l_j) and lengths."""
+    n = postures.shape[1]
+    columns = []
+    for j in range(n):
+        # an orientation offset of link j alone: joint j forward, joint j + 1 back
+        turn = np.eye(n)[j] - (np.eye(n)[j + 1] if j + 1 < n else 0.0)
+        by_turn = (tip(postures, L[:n], 1e-6 * turn) - tip(postures, L[:n], -1e-6 * turn)) / 2e-6
+        columns.append(by_turn / L[j])
+    columns += [tip(postures, np.eye(n)[j], np.zeros(n)) for j in range(n)]
+    matrix = np.array(columns).T
+    return np.concatenate([matrix.real, matrix.imag])
+
+
+def test_table_1_prints_every_condition() -> None:
+    found = table_1(9)
+    assert found["printed"].all()
+    assert (found["residual"] < 1e-14).all()
+    assert found.group_by("links").len().sort("links")["len"].to_list() == [1, 3, 6]  # pairs of links
+
+
+def test_table_2_holds() -> None:
+    found = table_2(7)
+    assert set(found["verdict"]) == {"agrees"}
+    theta = 2 * np.pi * np.outer(np.arange(7), [1, 2, 3])
+    oracle = scaled_jacobian(np.diff(theta / 7, axis=1, prepend=0.0))
+    np.testing.assert_allclose(oracle.T @ oracle, 7 * np.eye(6), atol=1e-7)  # differences of 1e-6: 1e-9 of 260 mm
+
+
+def test_table_3_agrees_but_for_the_errata() -> None:
+    found = table_3(replications=4_000)
+    assert consistent(found)
+    wrong = found.filter(verdict="erratum")
+    assert wrong.select("links", "runs", "item").rows() == [(2, 20, "length_error:1"), (2, 20, "length_error:2")]
+    lost = found.filter(verdict="not identifiable")
+    assert set(lost.select("links", "runs").rows()) == {(4, 3)}
+    assert len(lost) == 8
+    agrees = found.filter(verdict="agrees")
+    assert len(agrees) == 2 * (4 + 6 + 8) - 8 - 2  # two columns of numbers, the lost, the errata
+    joints = found.filter(pl.col("item").str.starts_with("joint"), links=4, runs=20, place="Table III")
+    np.testing.assert_allclose(joints["ideal"].to_numpy(), joint_offset_std(4, 20), rtol=1e-12)
+    np.testing.assert_allclose(joints["simulated"].to_numpy(), joint_offset_std(4, 20), rtol=0.05)
+
+
+def test_table_3_against_a_loop_of_least_squares() -> None:
+    """Three links, three points: the deviations from 3,000 separate complex solutions."""
+    generator = np.random.default_rng(12)
+    columns = np.exp(2j * np.pi * np.outer(np.arange(3), [1, 2, 3]) / 3)
+    true = (L[:3] + np.array([1.5, -0.6, -0.4])) * np.exp(1j * np.cumsum(np.radians([0.5, -0.5, 0.7])))
+    noise = 0.1 * (generator.standard_normal((3_000, 3)) + 1j * generator.standard_normal((3_000, 3)))
+    u = np.array([np.linalg.lstsq(columns, columns @ true + e, rcond=None)[0] for e in noise])
+    oracle = np.r_[np.std(np.abs(u), axis=0), np.std(np.degrees(np.angle(u)), axis=0)]
+    found = table_3(replications=3_000).filter(links=3, runs=3)
+    ours = found.filter(~pl.col("item").str.starts_with("joint"))["simulated"].to_numpy()
+    # two independent samples of 3,000: each deviation to 1.3 %, six ratios
+    np.testing.assert_allclose(ours, oracle, rtol=4.5 * np.sqrt(2.0) / np.sqrt(6_000))
+
+
+def test_inconsistency_is_seen() -> None:
+    row = {"theory": [1.0, None], "simulated": [1.1, 2.0], "standard_error": [0.01, 0.1]}
+    assert not consistent(pl.DataFrame(row))
+    assert consistent(pl.DataFrame({**row, "simulated": [1.04, 2.0]}))
+
+
+@pytest.mark.parametrize(
+    ("printed", "theory", "expected"),
+    [(0.027, 0.02757, "agrees"), (0.028, 0.02757, "agrees"), (0.058, 0.022361, "erratum"), (None, 1.0, "added")],
+)
+def test_verdict(printed: float | None, theory: float, expected: str) -> None:
+    assert verdict(printed, theory) == expected
+
+
+def test_text() -> None:
+    found = text_figures()
+    assert found["verdict"].to_list() == ["erratum"] * 3 + ["added"] + ["agrees"] * 4
+    np.testing.assert_allclose(found["theory"].to_numpy()[:4], [0.05, 0.1 / np.sqrt(20), 0.01, 0.001])
+
+
+def test_every_erratum_is_confirmed() -> None:
+    found = errata(replications=3_000, seed=1)
+    assert found.filter(~pl.col("confirmed"))["place"].to_list() == []
+    assert len(found) == 15  # THEORY.md section 7, and D*
+
+
+def test_a_correct_statement_is_no_erratum() -> None:
+    assert not Erratum("eq. 1", "x", "x", 1e-6, 1e-12, 1e-9).confirmed
+    assert not Erratum("eq. 1", "x", "y", 0.5, 1e-3, 1e-9).confirmed
+
+
+def test_figure_1_is_made_of_determinants() -> None:
+    found = figure_1(plans=5, seed=2, runs=6)
+    generator = np.random.default_rng([2, 1])
+    postures = generator.uniform(-np.pi, np.pi, (5, 6, 4))
+    for k, plan in enumerate(postures):
+        jacobian = scaled_jacobian(plan) / np.sqrt(6)
+        theta = np.cumsum(plan, axis=1)
+        difference = theta[:, :, None] - theta[:, None, :]
+        assert found["det_d"][k] == pytest.approx(np.linalg.det(jacobian.T @ jacobian), rel=1e-6)
+        assert found["det_c"][k] == pytest.approx(np.linalg.det(np.cos(difference).mean(axis=0)), rel=1e-10)
+        assert found["det_s"][k] == pytest.approx(np.linalg.det(np.sin(difference).mean(axis=0)), abs=1e-12)
+    assert (found["det_d"] < 1.0).all()
+
+
+def test_d_star_does_not_see_s_for_an_odd_number_of_links() -> None:
+    assert figure_1(plans=50, links=3)["det_s"].abs().max() < 1e-15  # type: ignore[operator]
+    # det C' = 1 and det S' = 0, the best D* there is, but not D-optimal: E exp(i q2) = i / 2
+    q = np.radians([[0.0, a, b] for a in (30.0, 150.0) for b in (0.0, 90.0, 180.0, 270.0)])
+    z = np.exp(1j * np.cumsum(q, axis=1))
+    h = z.conj().T @ z / len(q)
+    assert np.linalg.det(h.real) == pytest.approx(1.0)
+    assert np.linalg.det(h.imag) == pytest.approx(0.0, abs=1e-15)
+    assert np.linalg.det(h).real == pytest.approx(0.75)
+
+
+def test_figure_2_curves() -> None:
+    replications = 4_000
+    found = figure_2(replications, seed=5, runs=(6, 20))
+    ideal = np.concatenate([np.r_[np.full(4, 0.1), np.degrees(0.1 / L)] / np.sqrt(m) for m in (6, 20)])
+    np.testing.assert_allclose(found["optimal"].to_numpy(), ideal, rtol=1e-12)
+    # 4.5 standard errors of a deviation, and 0.7 % of the true lengths
+    np.testing.assert_allclose(found["optimal_simulated"].to_numpy(), ideal, rtol=4.5 / np.sqrt(8_000) + 0.007)
+    assert (found["ordinary"] > found["optimal"]).all()
+    generator = np.random.default_rng(7)
+    z = np.exp(1j * np.cumsum(generator.uniform(-np.pi, np.pi, (replications, 6, 4)), axis=2))
+    variances = np.diagonal(np.linalg.inv(np.swapaxes(z.conj(), 1, 2) @ z).real, axis1=1, axis2=2)
+    oracle = 0.1 * np.sqrt(variances).mean(axis=0)
+    curve = found.filter(runs=6)["random_mean"].to_numpy()[:4]
+    # heavy tails at m = 6: both means of 4,000 plans are good to about 2 %
+    np.testing.assert_allclose(curve, oracle, rtol=0.1)
+
+
+def test_pictures() -> None:
+    assert len(figure_1_picture(figure_1(plans=20)).axes) == 2
+    assert len(figure_2_picture(figure_2(50, runs=(4, 6))).axes[0].lines) == 16
+
+
+def test_verb(tmp_path: Path) -> None:
+    options = ["paper", "--out", str(tmp_path / "paper"), "--replications", "400", "--workers", "1"]
+    done = CliRunner().invoke(command, [*options, "--json"])
+    assert done.exit_code == 0, done.output
+    answer = json.loads(done.stdout)
+    assert answer["passed"] is True
+    assert len(answer["errata"]) == 15
+    names = {f.name for f in (tmp_path / "paper").iterdir()}
+    tables = {f"{name}.parquet" for name in ("table_1", "table_2", "table_3", "text", "errata", "figure_1", "figure_2")}
+    assert names == {*tables, "parts.parquet", "figure_1.svg", "figure_2.svg"}
+    assert CliRunner().invoke(command, options).exit_code == 2
+    assert "4 links" in CliRunner().invoke(command, [*options, "--force"]).output
+    for number in ("3", "1000000000"):
+        few = CliRunner().invoke(command, ["paper", "--out", str(tmp_path / "few"), "--replications", number])
+        assert few.exit_code == 2
+        assert f"--replications: found {number}, allowed for the paper: 100 to 100,000" in few.output
+
+
+ARGUMENTS: dict[str, Any] = {"seed": 3, "replications": 100, "force": False, "progress": silent}
+
+
+def test_parts_make_the_same_tables_on_any_workers() -> None:
+    found = paper_run.study(folder=None, workers=processes(2), resume=False, **ARGUMENTS).frames
+    whole = (table_1(), table_2(), table_3(100, 3), text_figures(), errata(100, 3), figure_1(100, 3), figure_2(100, 3))
+    assert tuple(found) == paper_run.NAMES
+    for frame, other in zip(found.values(), whole, strict=True):
+        assert frame.equals(other)
+
+
+def test_resume_keeps_finished_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def stopped(replications: int, seed: int, numbers: Sequence[int]) -> pl.DataFrame:
+        asked.extend(numbers)
+        if numbers[0] == 5 and asked.count(5) == 1:
+            raise KeyboardInterrupt
+        if numbers[0] == 7 and asked.count(7) == 1:
+            raise ValueError("out of luck")
+        return errata(replications, seed, numbers)
+
+    monkeypatch.setattr(paper_run, "errata", stopped)
+    options: dict[str, Any] = {**ARGUMENTS, "folder": tmp_path / "out", "workers": serial()}
+    with pytest.raises(KeyboardInterrupt):
+        paper_run.study(resume=False, **options)
+    with pytest.raises(JobError, match=r"errata: ValueError: out of luck; go on with --resume"):
+        paper_run.study(resume=True, **options)
+    resumed = paper_run.study(resume=True, **options).frames
+    assert sorted(asked) == sorted([*range(15), 5, 7])  # nothing else twice
+    monkeypatch.undo()
+    for name, frame in paper_run.study(folder=None, workers=serial(), resume=False, **ARGUMENTS).frames.items():
+        assert frame.equals(resumed[name])
+        assert frame.equals(pl.read_parquet(tmp_path / "out" / f"{name}.parquet"))

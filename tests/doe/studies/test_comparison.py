@@ -1,0 +1,234 @@
+"""Comparison of solvers: rows judged by the problem, summaries and profiles counted by hand."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner
+
+from doe.cli.compare import command
+from doe.design import score
+from doe.jobs.row_table import RowTable, frame_of
+from doe.plan.plan import Plan
+from doe.problem.problem import DesignProblem
+from doe.report.comparison import comparison_tables, performance_profile, profile_figure, time_figure
+from doe.solvers import Offer, Random, _installed, named
+from doe.studies.comparison import Comparison, compare, judged, summary, with_hits
+from identification.arm import Arm
+from identification.errors import InputError
+from identification.model import Model
+
+LIMITS = np.radians([180.0, 120.0, 100.0])
+ARM = Arm(np.array([260.0, 180.0, 120.0]), -LIMITS, LIMITS, sigma=0.1, name="three")
+PROBLEM = DesignProblem.of(Model(ARM))
+
+
+def row(solver: str, repeat: int, value: float | None, seconds: float, **more: object) -> dict[str, object]:
+    key = {"arm": "a", "arm_hash": "h", "runs": 4, "solver": solver, "starts": 1, "repeat": repeat}
+    found = {"status": "done", "error": None, "value": value, "correct": True, "parameters": 8, "seconds": seconds}
+    return {**key, **found, "efficiency": None if value is None else np.exp(value / 8), **more}
+
+
+# a: hits in 1 s and 4 s;  b: one hit in 2 s, one worse plan;  c: a hang and a plan that claims too much
+ROWS = frame_of(
+    [
+        row("a", 0, -0.1, 1.0),
+        row("a", 1, -0.1 - 1e-7, 4.0),
+        row("b", 0, -0.1, 2.0),
+        row("b", 1, -0.3, 1.0),
+        row("c", 0, None, 9.0, status="timeout", error="killed after 9 s", correct=None, parameters=None),
+        row("c", 1, 0.7, 1.0, correct=False),
+    ]
+)
+
+
+def test_summary_counts_hits_and_time_to_a_hit() -> None:
+    found = {r["solver"]: r for r in summary(ROWS).iter_rows(named=True)}
+    assert list(found) == ["b", "a", "c"]  # equal values: the faster one first; no value: last
+    assert [found[s]["hit_rate"] for s in "abc"] == [1.0, 0.5, 0.0]
+    assert [found[s]["seconds_to_hit"] for s in "abc"] == [2.5, 3.0, None]
+    assert [found[s]["not_correct"] for s in "abc"] == [0, 0, 2]
+    assert [found[s]["best"] for s in "abc"] == [-0.1, -0.1, None]  # the false 0.7 is nobody's best
+    assert found["b"]["median"] == pytest.approx(-0.2)
+
+
+def test_loss_is_of_efficiency() -> None:
+    losses = with_hits(ROWS)["loss"].to_list()
+    assert losses[3] == pytest.approx(1.0 - np.exp(-0.2 / 8))
+    assert losses[4:] == [None, None]
+
+
+def test_profile_by_hand() -> None:
+    profile = performance_profile(ROWS)
+    # instance 0: a in 1 s is the fastest, b takes twice as long; instance 1: only a solves it
+    assert [curve.tolist() for curve in profile["a", 1]] == [[1.0], [1.0]]
+    assert [curve.tolist() for curve in profile["b", 1]] == [[2.0], [0.5]]
+    assert profile["c", 1][0].size == 0
+
+
+def test_rows_without_any_success_have_tables_and_pictures() -> None:
+    failed = ROWS.filter(solver="c", repeat=0)
+    assert summary(failed)["best"].to_list() == [None]
+    for rows in (failed, ROWS):
+        assert len(comparison_tables(rows)) == 2  # the problem, and the sentence about the hang
+        assert len(time_figure(rows).axes) == 1
+        assert profile_figure(rows).axes[0].get_xscale() == "log"
+
+
+def test_judged_by_the_problem() -> None:
+    postures = np.random.default_rng(3).uniform(-LIMITS, LIMITS, (5, 3))
+    honest = judged(PROBLEM, 5, score(PROBLEM, Plan(postures)))
+    theta = np.exp(1j * np.cumsum(postures, axis=1))
+    hermitian = theta.conj().T @ theta / 5
+    assert honest["value"] == pytest.approx(2.0 * np.linalg.slogdet(hermitian)[1], abs=1e-10)  # THEORY.md section 3
+    assert honest["correct"]
+    assert honest["violation"] == 0.0
+    assert not judged(PROBLEM, 6, score(PROBLEM, Plan(postures)))["correct"]  # a run is missing
+
+
+def test_plan_outside_the_limits_is_not_correct() -> None:
+    postures = np.random.default_rng(3).uniform(-LIMITS, LIMITS, (5, 3))
+    postures[2, 1] = LIMITS[1] + 1e-6
+    found = judged(PROBLEM, 5, score(PROBLEM, Plan(postures)))
+    assert found["violation"] == pytest.approx(1e-6)
+    assert not found["correct"]
+
+
+def test_claim_that_the_problem_does_not_confirm_is_not_correct() -> None:
+    postures = np.random.default_rng(3).uniform(-LIMITS, LIMITS, (5, 3))
+    other = replace(PROBLEM, kept=postures)  # the solver worked on another problem
+    found = judged(PROBLEM, 5, score(other, Plan(postures[::-1] * 0.5)))
+    assert found["claimed"] != pytest.approx(found["value"], abs=1e-6)
+    assert not found["correct"]
+
+
+def test_solvers_run_in_their_own_processes_and_failures_are_rows(tmp_path: Path) -> None:
+    comparison = Comparison([ARM], [4], ["exchange", "random"], [2], repeats=2, seconds=20.0)
+    path = tmp_path / "rows.parquet"
+    with RowTable.open(path) as table:
+        rows = compare(comparison, table)
+    assert rows["status"].to_list() == ["done"] * 4
+    assert rows["correct"].all()
+    assert (rows["peak_memory_mb"] > 20.0).all()
+    again = compare(comparison)  # the same seeds: the same plans
+    assert again["value"].to_list() == rows["value"].to_list()
+    assert len(set(rows.filter(solver="random")["value"])) == 2
+    with RowTable.open(path, resume=True) as table:
+        assert compare(comparison, table).equals(rows)
+    few = compare(Comparison([ARM], [2], ["random"], repeats=1))  # two runs cannot tell six parameters
+    assert few["status"].to_list() == ["failed"]
+    assert "InputError" in few["error"][0] or "JobError" in few["error"][0]
+
+
+def test_bad_comparisons() -> None:
+    with pytest.raises(InputError, match="did you mean 'exchange'"):
+        Comparison([ARM], [4], ["exchnge"])
+    with pytest.raises(InputError, match="did you mean 'Dstar'"):
+        Comparison([ARM], [4], ["exchange"], criteria=["Dstr"])
+    with pytest.raises(InputError, match="allowed: each name once"):
+        Comparison([ARM], [4], ["random", Random()])
+
+
+@dataclass(frozen=True)
+class Fourier:
+    """A solver of somebody else's: angles 2 pi i / m for every joint, the columns of the DFT matrix."""
+
+    name: str = "fourier"
+
+    def starts_for(self, _: DesignProblem) -> int:
+        return 1
+
+    def offers(self, problem: DesignProblem, runs: int, *_: object) -> Iterator[Offer]:
+        turns = 2.0 * np.pi * np.arange(runs) / runs
+        yield Offer(np.remainder(np.tile(turns[:, None], problem.joints) + np.pi, 2.0 * np.pi) - np.pi, 1)
+
+
+def test_criterion_and_own_solver_are_settings() -> None:
+    free = Arm(ARM.lengths, sigma=0.1, name="free")
+    rows = compare(Comparison([free], [5], [Fourier(), "random"], criteria=["A", "D"], repeats=1))
+    assert rows["status"].to_list() == ["done"] * 4
+    own = rows.filter(solver="fourier")
+    assert own["criterion"].to_list() == ["A", "D"]
+    assert own["settings"].to_list() == ["Fourier(name='fourier')"] * 2
+    scaled = np.zeros((6, 6))  # of every posture: two rows per length (1) and joint offset (lever over length)
+    turns = 2.0 * np.pi * np.arange(5) / 5
+    for turn in turns:
+        e = np.exp(1j * turn * np.arange(1, 4))
+        lever = np.array([(1j * ARM.lengths * e)[j:].sum() for j in range(3)]) / ARM.lengths
+        both = np.r_[e, lever]
+        scaled += (np.outer(both.real, both.real) + np.outer(both.imag, both.imag)) / 5
+    assert own["value"][0] == pytest.approx(-np.trace(np.linalg.inv(scaled)), rel=1e-9)
+    assert own["value"][1] == pytest.approx(np.linalg.slogdet(scaled)[1], abs=1e-9)
+    found = with_hits(rows)
+    a_values = rows.filter(criterion="A")["value"].to_numpy()  # A: the efficiencies are as the traces
+    np.testing.assert_allclose(
+        found.filter(criterion="A")["loss"].to_numpy(), 1.0 - a_values.max() / a_values, atol=1e-9
+    )
+    assert len(summary(rows)) == 4
+    assert len(comparison_tables(rows)) == 2
+
+
+def test_solver_of_an_installed_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("fourier", f"{__name__}:Fourier", "armcal.solvers")
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == "armcal.solvers" else [])
+    _installed.cache_clear()
+    try:
+        assert named("fourier") == Fourier()
+        Comparison([ARM], [4], ["fourier"])
+    finally:
+        _installed.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [("no_such_package_at_all:Mine", "No module named"), ("math:pi", "a solver with offers"), ("math:tau2", "tau2")],
+)
+def test_a_broken_solver_of_a_package_is_named(monkeypatch: pytest.MonkeyPatch, value: str, expected: str) -> None:
+    point = EntryPoint("mine", value, "armcal.solvers")
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
+    _installed.cache_clear()
+    try:
+        with pytest.raises(InputError, match=f"mine = {value}.*{expected}"):
+            named("mine")
+    finally:
+        _installed.cache_clear()
+
+
+def test_verb(tmp_path: Path) -> None:
+    arm = tmp_path / "arm.toml"
+    arm.write_text("links_mm = [260.0, 180.0]\n")
+    options = [str(arm), "--runs", "2,3", "--solvers", "analytic", "--repeats", "1", "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(command, [*options, "--json"])
+    assert done.exit_code == 0, done.output
+    answer = json.loads(done.stdout)
+    assert [r["best"] for r in answer["summary"]] == pytest.approx([0.0, 0.0], abs=1e-9)
+    written = {f.name for f in (tmp_path / "out").iterdir()}
+    assert written == {"rows.parquet", "summary.parquet", "profile.svg", "time.svg"}
+    assert pl.read_parquet(tmp_path / "out" / "rows.parquet")["runs"].to_list() == [2, 3]
+    refused = CliRunner().invoke(command, options)
+    assert refused.exit_code == 2
+    assert "--resume" in refused.output
+    assert CliRunner().invoke(command, [*options, "--resume"]).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        (["--runs", "0"], "whole numbers >= 1"),
+        (["--runs", "4", "--solvers", "ipop"], "did you mean 'ipopt'"),
+        (["--runs", "4", "--resume"], "needs --out"),
+    ],
+)
+def test_bad_options_are_one_line(tmp_path: Path, options: list[str], found: str) -> None:
+    arm = tmp_path / "arm.toml"
+    arm.write_text("links_mm = [260.0, 180.0]\n")
+    done = CliRunner().invoke(command, [str(arm), *options])
+    assert done.exit_code == 2
+    assert found in done.output

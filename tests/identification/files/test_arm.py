@@ -1,0 +1,441 @@
+"""Arm files: what CONTRACT.md promises, exact round trips, comments kept, and one line for every kind of bad input."""
+
+from __future__ import annotations
+
+import tomllib
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from identification.arm import Arm, Calibration, EffectSpec, Gravity, KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.arrays import readonly
+from identification.errors import InputError
+from identification.files.arm import arm_from_tables, dump_arm, load_arm, with_calibration, with_effects
+from identification.files.io import read_text
+from identification.files.toml import append_tables, replace_table
+
+FULL = """\
+# the arm in the cellar
+name = "paper-4-link"
+links_mm = [260.0, 180.0, 120.0, 100.0]  # measured by Ann
+
+[joint_limits_deg]
+lower = [-180.0, -120.0, -100.0, -90.0]
+upper = [ 180.0,  120.0,   60.0,  90.0]
+
+[measurement]
+sigma_mm = 0.1
+
+[gravity]                               # it hangs
+acceleration_m_s2 = [0.0, -9.81]
+link_masses_kg = [12.0, 8.0, 5.0, 3.0]
+center_of_mass = [0.5, 0.4, 0.5, 0.5]
+payload_kg = 10.0
+
+[[constraints]]
+kind = "workspace_box"
+x_mm = [-400.0, 600.0]
+y_mm = [0.0, 650.0]
+
+[[constraints]]
+kind = "keep_out_circle"
+center_mm = [350.0, 200.0]
+radius_mm = 60.0
+
+[[constraints]]
+kind = "line_of_sight"
+tracker_mm = [1500.0, 300.0]
+half_angle_deg = 25.0
+toward_mm = [0.0, 200.0]
+
+[[effects]]
+name = "base_offset"
+
+[[effects]]
+name = "encoder_eccentricity"
+joint = 2
+a_deg = 0.03
+b_deg = -0.01
+
+# what was found
+[calibration]
+length_errors_mm = [1.5, -0.6, -0.4, 0.7]
+joint_offsets_deg = [0.5, -0.5, 0.7, -0.3]
+parameters = ["length_error:1", "joint_offset:2", "base_offset.x0_mm"]
+covariance = [[1.0, 0.5, 0.0], [0.5, 4.0, 0.0], [0.0, 0.0, 9.0]]
+
+[calibration.effects]
+"base_offset.x0_mm" = 2.5
+
+[calibration.provenance]
+file = "data.csv"
+rms_after_mm = 0.1
+"""
+PLAIN = "links_mm = [260.0, 180.0]\n"
+
+
+def load(tmp_path: Path, text: str) -> Arm:
+    (tmp_path / "arm.toml").write_text(text)
+    return load_arm(tmp_path / "arm.toml")
+
+
+def same(a: object, b: object) -> None:
+    """Equal plain data, numbers to 1e-12."""
+    if hasattr(a, "__dataclass_fields__"):
+        assert type(a) is type(b)
+        for key, value in vars(a).items():
+            same(value, vars(b)[key])
+    elif hasattr(a, "items"):
+        assert set(a) == set(b)
+        for key in a:
+            same(a[key], b[key])
+    elif isinstance(a, tuple):
+        assert len(a) == len(b)
+        for x, y in zip(a, b, strict=True):
+            same(x, y)
+    elif isinstance(a, float | np.ndarray):
+        np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-14)
+    else:
+        assert a == b
+
+
+# -- reading -----------------------------------------------------------------------------------------------------------
+def test_the_contract_is_read(tmp_path: Path) -> None:
+    arm = load(tmp_path, FULL)
+    degree = np.pi / 180.0
+    expected = Arm(
+        lengths=[260.0, 180.0, 120.0, 100.0],
+        lower=degree * np.array([-180.0, -120.0, -100.0, -90.0]),
+        upper=degree * np.array([180.0, 120.0, 60.0, 90.0]),
+        sigma=0.1,
+        name="paper-4-link",
+        gravity=Gravity(readonly([0, -9.81]), readonly([12, 8, 5, 3]), readonly([0.5, 0.4, 0.5, 0.5]), 10.0),
+        constraints=(
+            WorkspaceBox((-400.0, 600.0), (0.0, 650.0)),
+            KeepOutCircle((350.0, 200.0), 60.0),
+            LineOfSight((1500.0, 300.0), 25.0 * degree, (0.0, 200.0)),
+        ),
+        effects=(
+            EffectSpec("base_offset"),
+            EffectSpec("encoder_eccentricity", 2, {"a": 0.03 * degree, "b": -0.01 * degree}),
+        ),
+        calibration=Calibration(
+            length_errors=readonly([1.5, -0.6, -0.4, 0.7]),
+            joint_offsets=degree * np.array([0.5, -0.5, 0.7, -0.3]),
+            effects={"base_offset.x0": 2.5},
+            parameter_names=("length_error:1", "joint_offset:2", "base_offset.x0"),
+            covariance=np.array([[1, 0.5 * degree, 0], [0.5 * degree, 4 * degree**2, 0], [0, 0, 9]]),
+            provenance={"file": "data.csv", "rms_after_mm": 0.1},
+        ),
+    )
+    same(expected, arm)
+
+
+def test_what_is_left_out_has_its_default(tmp_path: Path) -> None:
+    same(Arm(lengths=[260.0, 180.0]), load(tmp_path, PLAIN))
+    arm = load(tmp_path, PLAIN + "[gravity]\nacceleration_m_s2 = [0, -9.81]\nlink_masses_kg = [1, 0]\n")
+    assert arm.gravity is not None
+    assert arm.gravity.center_of_mass.tolist() == [0.5, 0.5]
+    assert arm.gravity.payload == 0.0
+
+
+def test_limits_may_span_more_than_a_turn(tmp_path: Path) -> None:
+    arm = load(tmp_path, PLAIN + "[joint_limits_deg]\nlower = [-360, -400]\nupper = [360, 400]\n")
+    np.testing.assert_allclose(arm.upper, [2 * np.pi, 400 * np.pi / 180])
+
+
+def test_a_whole_number_setting_is_known(tmp_path: Path) -> None:
+    arm = load(tmp_path, PLAIN + '[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 6\n')
+    assert arm.effects == (EffectSpec("transmission_ripple", 1, {"k": 6.0}),)
+
+
+def test_limits_that_look_like_radians_warn(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match=r"arm.toml: joint_limits_deg: .* look like radians; write them in degrees"):
+        load(tmp_path, PLAIN + "[joint_limits_deg]\nlower = [-3.14, -2]\nupper = [3.14, 6.2832]\n")
+
+
+# -- bad input ---------------------------------------------------------------------------------------------------------
+LIMITS = "[joint_limits_deg]\nlower = {}\nupper = {}\n"
+GRAVITY = "[gravity]\nacceleration_m_s2 = [0, -9.81]\n"
+TWO = "[calibration]\nlength_errors_mm = [0, 0]\njoint_offsets_deg = [0, 0]\n"
+TWO += 'parameters = ["length_error:1", "joint_offset:2"]\n'
+THREE = (
+    TWO.replace('", "', '", "length_error:2", "') + "covariance = [[1, -0.6, -0.6], [-0.6, 1, -0.6], [-0.6, -0.6, 1]]\n"
+)
+CALIBRATION = "[calibration]\nlength_errors_mm = [0, 0]\njoint_offsets_deg = [0, 0]\n"
+BASE = '[[effects]]\nname = "base_offset"\n'
+BAD = [
+    ("", ["empty"]),
+    ("name = 'a'\n", ["links_mm: is missing", "allowed: 1 to 12 link lengths > 0 [mm]"]),
+    ("links_mm = []\n", ["links_mm", "found 0 values", "allowed: 1 to 12"]),
+    (f"links_mm = {[1.0] * 13}\n", ["links_mm", "found 13 values", "allowed: 1 to 12"]),
+    ("links_mm = [260, 0]\n", ["links_mm[2]", "found 0", "> 0"]),
+    ("links_mm = [-260.0, 1]\n", ["links_mm[1]", "found -260.0", "> 0"]),
+    ("links_mm = [260, nan]\n", ["links_mm[2]", "found nan", "> 0"]),
+    ("links_mm = [260, inf]\n", ["links_mm[2]", "found inf", "> 0"]),
+    ("links_mm = [260, '180']\n", ["links_mm[2]", "found '180'", "> 0"]),
+    ("links_mm = [260, true]\n", ["links_mm[2]", "found true", "> 0"]),
+    ("links_mm = 260\n", ["links_mm", "found 260", "> 0"]),
+    ("name = 5\n" + PLAIN, ["name", "found 5", "allowed: a text"]),
+    ("lenghts_mm = [1]\n", ["lenghts_mm: unknown key", "did you mean 'links_mm'", "allowed: calibration"]),
+    (PLAIN + LIMITS.format("[0, 0]", "[90, -90]"), ["joint_limits_deg", "joint 2", "-90", "allowed: lower < upper"]),
+    (PLAIN + LIMITS.format("[0]", "[90, 90]"), ["joint_limits_deg.lower", "1 values", "allowed: 2"]),
+    (PLAIN + LIMITS.format("[0, nan]", "[9, 9]"), ["joint_limits_deg.lower[2]", "found nan", "one angle [deg]"]),
+    (PLAIN + "[joint_limits_deg]\nlower = [0, 0]\n", ["joint_limits_deg.upper: is missing", "allowed: one angle"]),
+    (PLAIN + "[joint_limits_deg]\nuper = [0, 0]\n", ["joint_limits_deg.uper", "did you mean 'upper'"]),
+    ("joint_limits_deg = 5\n" + PLAIN, ["joint_limits_deg", "found 5", "allowed: a table with lower and upper"]),
+    (PLAIN + "[measurement]\nsigma_mm = 0\n", ["measurement.sigma_mm", "found 0", "allowed: a number > 0"]),
+    (PLAIN + "[measurement]\nsigma_mm = -0.1\n", ["measurement.sigma_mm", "found -0.1", "allowed: a number > 0"]),
+    (PLAIN + "[measurement]\nsigma = 1\n", ["measurement.sigma", "did you mean 'sigma_mm'"]),
+    (PLAIN + GRAVITY + "link_masses_kg = [1]\n", ["gravity.link_masses_kg", "found 1 values", "allowed: 2"]),
+    (PLAIN + GRAVITY + "link_masses_kg = [1, -1]\n", ["gravity.link_masses_kg[2]", "found -1", "mass >= 0"]),
+    (
+        PLAIN + GRAVITY + "link_masses_kg = [1, 1]\ncenter_of_mass = [0.5, 1.5]\n",
+        ["gravity.center_of_mass[2]", "found 1.5", "fraction 0 to 1"],
+    ),
+    (
+        PLAIN + GRAVITY + "link_masses_kg = [1, 1]\ncenter_of_mass = [0.5]\n",
+        ["gravity.center_of_mass", "found 1 values", "allowed: 2"],
+    ),
+    (PLAIN + GRAVITY, ["gravity.link_masses_kg: is missing", "mass >= 0"]),
+    (PLAIN + "[gravity]\nacceleration_m_s2 = -9.81\n", ["gravity.acceleration_m_s2", "found -9.81", "two numbers"]),
+    (PLAIN + "[gravity]\nacceleration_m_s2 = [0]\n", ["gravity.acceleration_m_s2", "found 1 values", "two numbers"]),
+    (
+        PLAIN + GRAVITY + "link_masses_kg = [1, 1]\npayload_kg = -1\n",
+        ["gravity.payload_kg", "found -1", "allowed: a number >= 0"],
+    ),
+    (PLAIN + '[[constraints]]\nkind = "box"\n', ["constraints[1].kind", "found 'box'", "allowed: keep_out_circle"]),
+    (PLAIN + "[[constraints]]\nx_mm = [0, 1]\n", ["constraints[1].kind: is missing", "allowed: keep_out_circle"]),
+    (
+        PLAIN + '[[constraints]]\nkind = "workspace_box"\nx_mm = [1, 0]\ny_mm = [0, 1]\n',
+        ["constraints[1].x_mm", "found [1, 0]", "allowed: the lower one first"],
+    ),
+    (
+        PLAIN + '[[constraints]]\nkind = "keep_out_circle"\ncenter_mm = [0, 0]\nradius_mm = 0\n',
+        ["constraints[1].radius_mm", "found 0", "allowed: a number > 0"],
+    ),
+    (
+        PLAIN + '[[constraints]]\nkind = "keep_out_circle"\ncentre_mm = [0, 0]\nradius_mm = 1\n',
+        ["constraints[1].centre_mm", "did you mean 'center_mm'"],
+    ),
+    (
+        PLAIN
+        + '[[constraints]]\nkind = "line_of_sight"\ntracker_mm = [0, 0]\nhalf_angle_deg = 200\ntoward_mm = [1, 0]\n',
+        ["constraints[1].half_angle_deg", "found 200", "<= 180"],
+    ),
+    (
+        PLAIN
+        + '[[constraints]]\nkind = "line_of_sight"\ntracker_mm = [1, 0]\nhalf_angle_deg = 20\ntoward_mm = [1, 0]\n',
+        ["constraints[1].toward_mm", "found [1.0, 0.0]", "allowed: another point"],
+    ),
+    (PLAIN + '[[effects]]\nname = "base_ofset"\n', ["effects", "'base_ofset'", "did you mean 'base_offset'"]),
+    (PLAIN + "[[effects]]\njoint = 1\n", ["effects[1].name: is missing", "allowed: the name"]),
+    (PLAIN + '[[effects]]\nname = "backlash"\n', ["effects", "backlash needs a joint", "allowed: 1 to 2"]),
+    (PLAIN + '[[effects]]\nname = "backlash"\njoint = 3\n', ["effects", "joint 3", "allowed: 1 to 2"]),
+    (PLAIN + '[[effects]]\nname = "backlash"\njoint = 1.5\n', ["effects[1].joint", "found 1.5", "allowed: the whole"]),
+    (PLAIN + BASE + "joint = 1\n", ["effects", "base_offset", "not allowed"]),
+    (PLAIN + BASE + "x0 = 1\n", ["effects[1].x0", "did you mean 'x0_mm'", "y0_mm"]),
+    (PLAIN + BASE + "x0_mm = nan\n", ["effects[1].x0_mm", "found nan", "allowed: a finite number"]),
+    (PLAIN + BASE + "x0_mm = '1'\n", ["effects[1].x0_mm", "found '1'", "allowed: a finite number"]),
+    (PLAIN + BASE + BASE, ["effects", "base_offset", "2 times", "allowed: once"]),
+    (
+        PLAIN + '[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 65\n',
+        ["transmission_ripple:1", "k", "65", "allowed: a whole number 3 to 64"],
+    ),
+    (
+        PLAIN + '[[effects]]\nname = "gravity_backlash"\njoint = 1\nb_deg = -1\n',
+        ["effects[1].b_deg", "found -1", "allowed: a number >= 0"],
+    ),
+    (
+        PLAIN + "[calibration]\nlength_errors_mm = [0]\njoint_offsets_deg = [0, 0]\n",
+        ["calibration.length_errors_mm", "found 1 values", "allowed: 2"],
+    ),
+    (PLAIN + "[calibration]\nlength_errors_mm = [0, 0]\n", ["calibration.joint_offsets_deg: is missing", "allowed"]),
+    (PLAIN + CALIBRATION + "length_eror_mm = 1\n", ["calibration.length_eror_mm", "did you mean 'length_errors_mm'"]),
+    (PLAIN + CALIBRATION + "covariance = [[1]]\n", ["calibration.parameters: is missing", "allowed"]),
+    (
+        PLAIN + CALIBRATION + 'parameters = ["length_error:1"]\ncovariance = [[1], [2]]\n',
+        ["calibration.covariance", "found 2 rows", "allowed: 1"],
+    ),
+    (
+        PLAIN + CALIBRATION + 'parameters = ["length_error:1"]\ncovariance = [[1, 2]]\n',
+        ["calibration.covariance", "found 2 values in a row", "allowed: 1"],
+    ),
+    (PLAIN + TWO + "covariance = [[1, 0], [0, -2]]\n", ["variance -2 of joint_offset:2", "allowed: >= 0"]),
+    (PLAIN + TWO + "covariance = [[4, 1], [0, 1]]\n", ["found 1 and 0 of length_error:1 and joint_o", "symmetric"]),
+    (PLAIN + TWO + "covariance = [[1, 2], [2, 1]]\n", ["found 2 and 2 of length_error:1", "correlation of -1 to 1"]),
+    (PLAIN + TWO + "covariance = [[1, 1], [1, 0]]\n", ["found 1 and 1 of length_error:1", "correlation of -1 to 1"]),
+    # correlations -0.6 of each two of three: the sum has variance 3 - 6 * 0.6 = -0.6, a third of it per unit vector
+    (PLAIN + THREE, ["combination of variance -0.2", "allowed: no negative one"]),
+    (
+        PLAIN + CALIBRATION + 'parameters = ["lenght_error:1"]\n',
+        ["calibration.parameters", "did you mean 'length_error:1'"],
+    ),
+    (
+        PLAIN + CALIBRATION + '[calibration.effects]\n"base_offset.x0_mm" = 1\n',
+        ["calibration.effects", "'base_offset.x0_mm'", "allowed: parameters of effects that the file has"],
+    ),
+    (
+        PLAIN + BASE + CALIBRATION + '[calibration.effects]\n"base_offset.x0" = 1\n',
+        ["calibration.effects", "'base_offset.x0'", "did you mean 'base_offset.x0_mm'"],
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "parts"), BAD, ids=[" ".join(parts)[:50] for _, parts in BAD])
+def test_bad_input_gets_one_line(tmp_path: Path, text: str, parts: list[str]) -> None:
+    with pytest.raises(InputError) as caught:
+        load(tmp_path, text)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(f"{tmp_path / 'arm.toml'}: ")
+    missing = [part for part in parts if part not in message]
+    assert not missing, f"{missing} not in {message!r}"
+
+
+# -- writing -----------------------------------------------------------------------------------------------------------
+def test_calibration_is_replaced_where_it_stands_and_the_rest_stays(tmp_path: Path) -> None:
+    found = Calibration(readonly([1, 2, 3, 4.5]), np.radians([30.0, 0, 0, -0.1]), provenance={"file": "new.csv"})
+    text = FULL.replace("# what was found\n", "").replace("[measurement]\n", "# tracker\n[measurement]\n")
+    start, end = text.index("[calibration]"), len(text)
+    moved = text[: text.index("# tracker")] + text[start:end] + "\n" + text[text.index("# tracker") : start]
+    written = with_calibration(moved, found)
+    new = (
+        "[calibration]\nlength_errors_mm = [1.0, 2.0, 3.0, 4.5]\njoint_offsets_deg = [30.0, 0.0, 0.0, -0.1]\n\n"
+        '[calibration.provenance]\nfile = "new.csv"\n'
+    )
+    assert written == moved.replace(text[start:end], new)
+    same(found, load(tmp_path, written).calibration)
+
+
+def test_calibration_is_added_at_the_end() -> None:
+    text = PLAIN.rstrip("\n")  # the file's last line has no end
+    written = with_calibration(text, Calibration(readonly([1, 2]), readonly([0, 0])))
+    added = "[calibration]\nlength_errors_mm = [1.0, 2.0]\njoint_offsets_deg = [0.0, 0.0]\n"
+    assert written == f"{PLAIN}\n{added}"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PLAIN + "calibration = {length_errors_mm = [0, 0], joint_offsets_deg = [0, 0]}\n[measurement]\nsigma_mm = 1\n",
+        PLAIN + CALIBRATION + "[measurement]\nsigma_mm = 1\n[calibration.provenance]\nfile = 'a'\n",
+        "calibration.length_errors_mm = [0, 0]\ncalibration.joint_offsets_deg = [0, 0]\n" + PLAIN,
+        "\ufeff" + (PLAIN + CALIBRATION).replace("\n", "\r\n"),
+    ],
+)
+def test_calibration_in_unusual_layouts(tmp_path: Path, text: str) -> None:
+    found = Calibration(readonly([1, 2]), readonly([0.1, 0.2]), provenance={"file": "b", "fit": {"rms_mm": 0.1}})
+    (tmp_path / "arm.toml").write_bytes(with_calibration(text, found).encode())
+    same(found, load_arm(tmp_path / "arm.toml").calibration)
+
+
+def test_writing_a_calibration_twice_changes_nothing(tmp_path: Path) -> None:
+    calibration = load(tmp_path, FULL).calibration
+    assert calibration is not None
+    once = with_calibration(FULL, calibration)
+    assert with_calibration(once, calibration) == once
+
+
+def test_provenance_leaves_out_what_toml_cannot_say() -> None:
+    provenance = {"p_value": None, "rms": float("nan"), "fit": {"chi2": np.float64(2.0), "rows": (1, 2)}}
+    written = with_calibration(PLAIN, Calibration(readonly([1, 2]), readonly([0, 0]), provenance=provenance))
+    assert tomllib.loads(written)["calibration"]["provenance"] == {"fit": {"chi2": 2.0, "rows": [1, 2]}}
+
+
+def test_calibrations_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(InputError, match=r"length_errors_mm: found 3 values for 2 links"):
+        with_calibration(PLAIN, Calibration(readonly([1, 2, 3]), readonly([0, 0])))
+    with pytest.raises(InputError, match=r"unknown parameter 'base_offset.x0'"):
+        with_calibration(PLAIN, Calibration(readonly([1, 2]), readonly([0, 0]), {"base_offset.x0": 1.0}))
+
+
+def test_effects_are_appended_and_comments_stay(tmp_path: Path) -> None:
+    specs = [EffectSpec("base_offset"), EffectSpec("backlash", 3), EffectSpec("transmission_ripple", 1, {"k": 6})]
+    written = with_effects(FULL, specs)
+    added = (
+        '\n[[effects]]\nname = "backlash"\njoint = 3\n\n[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 6\n'
+    )
+    assert written == FULL.replace("b_deg = -0.01\n", "b_deg = -0.01\n" + added)
+    assert [spec.key for spec in load(tmp_path, written).effects][2:] == ["backlash:3", "transmission_ripple:1"]
+    assert with_effects(written, specs) == written
+
+
+@pytest.mark.parametrize("text", [PLAIN, "effects = []\n" + PLAIN, "effects = [{name = 'axes_skew'}]\n" + PLAIN])
+def test_effects_in_other_layouts(tmp_path: Path, text: str) -> None:
+    spec = EffectSpec("backlash", 2, {"b": 1e-5})
+    same(spec, load(tmp_path, with_effects(text, [spec])).effects[-1])
+
+
+def test_effects_the_arm_cannot_have_are_refused() -> None:
+    with pytest.raises(InputError, match="joint 3, allowed: 1 to 2"):
+        with_effects(PLAIN, [EffectSpec("backlash", 3)])
+
+
+def test_toml_text_makes_tables() -> None:
+    assert append_tables("a = 1\n", "b", [{"c": 1}, {"c": 2}]) == "a = 1\n\n[[b]]\nc = 1\n\n[[b]]\nc = 2\n"
+    assert replace_table("a = 1\n[b]\nc = 1 # one\nd = 2\n", "b", {"c": 3}) == "a = 1\n[b]\nc = 3 # one\n"
+
+
+numbers = st.floats(-1e3, 1e3, allow_subnormal=False)
+angles = st.floats(-7.0, 7.0, allow_subnormal=False)
+
+
+@st.composite
+def arms(draw: st.DrawFn) -> Arm:
+    """Any arm that a file can describe."""
+    n = draw(st.integers(1, 4))
+    lengths = draw(arrays(float, n, elements=st.floats(1e-3, 1e4)))
+    lower = draw(arrays(float, n, elements=angles))
+    names = [*(f"length_error:{j + 1}" for j in range(n)), *(f"joint_offset:{j + 1}" for j in range(n))]
+    effects = (
+        EffectSpec("axes_skew", None, draw(st.dictionaries(st.sampled_from("ab"), numbers))),
+        EffectSpec("encoder_eccentricity", n, {"a": draw(angles)}),
+    )
+    names.append(f"encoder_eccentricity:{n}.b")
+    steps = st.integers(-1000, 1000).map(lambda step: 0.01 * step)
+    root = draw(arrays(float, (2 * n + 1, 2), elements=steps))  # singular: parameters may be tied
+    calibration = Calibration(
+        length_errors=lengths * draw(arrays(float, n, elements=st.floats(-0.9, 10.0))),
+        joint_offsets=draw(arrays(float, n, elements=angles)),
+        effects={f"encoder_eccentricity:{n}.b": draw(angles)},
+        parameter_names=tuple(names),
+        covariance=root @ root.T,
+        provenance={"file": draw(st.text(st.characters(codec="utf-8"))), "rms_mm": draw(numbers)},
+    )
+    masses, center = (draw(arrays(float, n, elements=st.floats(0, 1))) for _ in range(2))
+    return Arm(
+        lengths=lengths,
+        lower=lower,
+        upper=lower + draw(arrays(float, n, elements=st.floats(0.1, 7.0))),
+        sigma=draw(st.none() | st.floats(1e-6, 10)),
+        name=draw(st.text(st.characters(codec="utf-8"))),
+        gravity=draw(st.none() | st.just(Gravity(readonly([0.1, -9.81]), masses, center, 1.0))),
+        constraints=(LineOfSight((draw(numbers), 2e3), draw(st.floats(1e-3, 3.0)), (draw(numbers), 0.0)),),
+        effects=effects,
+        calibration=draw(st.none() | st.just(calibration)),
+    )
+
+
+def test_a_rounded_covariance_is_read(tmp_path: Path) -> None:
+    text = PLAIN + TWO + "covariance = [[0.333333, 0.577350], [0.577351, 1.0]]\n"  # of 1/3 and 1, correlation 1
+    assert load(tmp_path, text).calibration.covariance.shape == (2, 2)
+
+
+@given(arms())
+def test_round_trip(arm: Arm) -> None:
+    same(arm, arm_from_tables(tomllib.loads(dump_arm(arm))))
+
+
+def test_dumped_arm_is_the_loaded_arm(tmp_path: Path) -> None:
+    arm = load(tmp_path, FULL)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        same(arm, load(tmp_path, dump_arm(arm)))
+    assert "upper = [180.0, 120.0, 60.0, 90.0]" in dump_arm(arm)  # tidy numbers, as a person writes them
+    assert read_text(tmp_path / "arm.toml") == dump_arm(arm)

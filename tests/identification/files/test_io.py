@@ -1,0 +1,213 @@
+"""Files are written whole or not at all; every complaint is one line with the file, the place and what is allowed."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from identification import files
+from identification.errors import InputError
+from identification.files.csv import read_table
+
+
+def message_of(call, *arguments) -> str:
+    """The one-line message of the `InputError` that the call raises."""
+    with pytest.raises(InputError) as caught:
+        call(*arguments)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def names(message: str, *parts: str) -> None:
+    """The message has every part."""
+    missing = [part for part in parts if part not in message]
+    assert not missing, f"{missing} not in {message!r}"
+
+
+# -- writing -----------------------------------------------------------------------------------------------------------
+def test_write_whole_writes_and_leaves_nothing_else(tmp_path: Path) -> None:
+    files.write_whole(tmp_path / "a.csv", "ä\n")
+    assert (tmp_path / "a.csv").read_bytes() == "ä\n".encode()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_existing_file_needs_force_and_keeps_its_mode(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("old")
+    path.chmod(0o640)
+    names(message_of(files.write_whole, path, "new"), "a.csv", "exists", "--force")
+    assert path.read_text() == "old"
+    files.write_whole(path, b"new", force=True)
+    assert path.read_text() == "new"
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
+def test_write_through_a_link_replaces_its_target(tmp_path: Path) -> None:
+    (tmp_path / "real").write_text("old")
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    files.write_whole(tmp_path / "link", "new", force=True)
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "real").read_text() == "new"
+
+
+def test_bad_targets(tmp_path: Path) -> None:
+    names(message_of(files.write_whole, tmp_path / "no" / "a.csv", ""), "a.csv", "there is no folder", "allowed")
+    names(message_of(files.write_whole, tmp_path, "", True), "is a directory", "allowed")
+    names(message_of(files.check_writable, tmp_path / "no" / "a.csv"), "there is no folder")
+    files.check_writable(None)
+    files.check_writable(tmp_path / "a.csv")
+    assert not list(tmp_path.iterdir())
+
+
+def test_write_together_is_all_or_none(tmp_path: Path) -> None:
+    (tmp_path / "b").write_text("old")
+    both = {tmp_path / "a": "1", tmp_path / "b": "2"}
+    names(message_of(files.write_together, both), "b: the file exists")
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]
+    files.write_together(both, force=True)
+    assert [(tmp_path / name).read_text() for name in "ab"] == ["1", "2"]
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a"
+    path.write_text("old")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files.os, "fsync", full)
+    names(message_of(files.write_whole, path, "new", True), "a: cannot be written", "No space left")
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]
+
+
+def test_file_hash(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"abc")
+    assert files.file_hash(tmp_path / "a") == hashlib.sha256(b"abc").hexdigest()
+
+
+# -- TOML --------------------------------------------------------------------------------------------------------------
+def test_read_toml_drops_a_byte_order_mark(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbfa = 1\r\n")
+    assert files.read_toml(tmp_path / "a.toml") == {"a": 1}
+
+
+@pytest.mark.parametrize(
+    ("content", "parts"),
+    [
+        (b"a = 1\nb = = 2\n", ["line 2, column 5", "not valid TOML", "allowed"]),
+        (b"", ["empty"]),
+        (b" \n\n", ["empty"]),
+        (b"a = 1\nb = '\xff'\n", ["UTF-8", "byte 0xff on line 2"]),
+        (b"a = " + b"[" * 5000, ["not valid TOML"]),
+    ],
+)
+def test_bad_toml(tmp_path: Path, content: bytes, parts: list[str]) -> None:
+    (tmp_path / "a.toml").write_bytes(content)
+    names(message_of(files.read_toml, tmp_path / "a.toml"), "a.toml: ", *parts)
+
+
+def test_missing_file_and_directory(tmp_path: Path) -> None:
+    for read in (files.read_toml, read_table):
+        names(message_of(read, tmp_path / "no.toml"), "no.toml: no such file", "allowed")
+        names(message_of(read, tmp_path), "is a directory", "allowed")
+
+
+# -- CSV ---------------------------------------------------------------------------------------------------------------
+def table(tmp_path: Path, content: str | bytes):
+    path = tmp_path / "data.csv"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return read_table(path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"a,b\n1,2\n3,4\n",
+        b"a,b\n1,2\n3,4",
+        b"\xef\xbb\xbfa,b\r\n1,2\r\n3,4\r\n",
+        b' a ,"b"\n 1 ,2\n3," 4"\n',
+        b"a,b,\n1,2,\n3,4,\n",
+        b"a,b\n\n1,2\n\n,\n3,4\n\n",
+    ],
+)
+def test_forms_of_a_csv_file(tmp_path: Path, content: bytes) -> None:
+    read = table(tmp_path, content)
+    assert read.columns == ("a", "b")
+    np.testing.assert_array_equal([read.floats("a"), read.floats("b")], [[1, 3], [2, 4]])
+    assert read.sha256 == hashlib.sha256(content).hexdigest()
+    assert read.file_name == "data.csv"
+
+
+@pytest.mark.parametrize(
+    ("content", "parts"),
+    [
+        ("", ["empty"]),
+        ("a,b\n", ["no rows", "at least 1 row"]),
+        ("a,b\n\n,\n", ["no rows"]),
+        ("a,b\n1,2\n3\n4,5\n", ["row 2 (line 3)", "found 1 cells", "allowed: 2"]),
+        ("a,b\n1,2\n\n3,4,5\n", ["row 2 (line 4)", "found 3 cells", "allowed: 2"]),
+        ("a,b,a\n1,2,3\n", ["column 'a'", "2 times", "allowed: once"]),
+        ("a;b\n1,5;2\n", ["semicolons", "allowed: commas"]),
+        ("a\tb\n1\t2\n", ["tabs", "allowed: commas"]),
+        ("1,2\n3,4\n", ["line 1", "'1'", "allowed: the names"]),
+        ("\na,b\n1,2\n", ["line 1 is blank", "allowed"]),
+        ("a,,b\n1,2,3\n", ["column 2 has no name", "allowed"]),
+        ("a,b\r1,2\r", ["carriage return", "allowed"]),
+        (b"a,b\n1,\xff\n", ["UTF-8", "line 2"]),
+        (b"\xff\xfea\x00,\x00b\x00\n\x00", ["UTF-8", "line 1"]),
+        ('a,b\n1,"2\n3,4\n', ["not a valid CSV file"]),
+    ],
+)
+def test_bad_csv(tmp_path: Path, content: str | bytes, parts: list[str]) -> None:
+    names(message_of(table, tmp_path, content), "data.csv: ", *parts)
+
+
+@pytest.mark.parametrize("cell", ["nan", "inf", "-inf", "abc", "1.2.3", "1e999", "0x10", "1_000", "--1"])
+def test_cells_that_are_not_finite_numbers(tmp_path: Path, cell: str) -> None:
+    read = table(tmp_path, f"a,x_mm\n1,1.5\n\n1,{cell}\n")
+    names(
+        message_of(read.floats, "x_mm"),
+        "data.csv: row 2 (line 4), column x_mm",
+        f"found '{cell}'",
+        "allowed: a finite number",
+    )
+
+
+def test_empty_cell_and_own_test(tmp_path: Path) -> None:
+    read = table(tmp_path, "a,b\n1,-2\n,3\n")
+    names(message_of(read.floats, "a"), "row 2 (line 3), column a", "an empty cell")
+    names(
+        message_of(read.floats, "b", "> 0", lambda v: v > 0), "row 1 (line 2), column b", "found '-2'", "allowed: > 0"
+    )
+
+
+def test_missing_column_names_the_nearest(tmp_path: Path) -> None:
+    read = table(tmp_path, "q1_deg,x_mn\n1,2\n")
+    names(message_of(read.floats, "x_mm"), "data.csv", "'x_mm' is missing", "did you mean 'x_mn'", "q1_deg")
+
+
+def test_names_with_wildcards_are_plain_names(tmp_path: Path) -> None:
+    (tmp_path / "a[1]*.csv").write_text("a\n1\n")
+    assert read_table(tmp_path / "a[1]*.csv").floats("a") == 1.0
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=20))
+def test_floats_are_read_exactly(tmp_path_factory: pytest.TempPathFactory, values: list[float]) -> None:
+    path = tmp_path_factory.mktemp("table") / "data.csv"
+    path.write_text("a\n" + "\n".join(map(repr, values)) + "\n")
+    np.testing.assert_array_equal(read_table(path).floats("a"), values)
+
+
+def test_a_read_only_folder_is_found_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # who runs the tests may be root, whom no mode bits stop
+    monkeypatch.setattr(os, "access", lambda path, mode: not (path == tmp_path.resolve() and mode == os.W_OK))
+    with pytest.raises(InputError, match="cannot be written to"):
+        files.check_writable(tmp_path / "plan.csv")

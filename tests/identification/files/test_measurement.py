@@ -1,0 +1,235 @@
+"""Measurement files: what CONTRACT.md promises, exact round trips, units that the numbers contradict."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from identification.arm import Arm
+from identification.errors import InputError
+from identification.files.measurement import load_measurements, measurement_text, unit_warnings
+from identification.measurements import Measurements
+
+UR10 = Path(__file__).parents[4] / "shared/data/ur10_planar/measurements.csv"
+PLAIN = "q1_deg,q2_deg,x_mm,y_mm\n30,-60,1.5,2.5\n90,0,-3,4\n"
+
+
+def load(tmp_path: Path, text: str, links: int | None = None) -> Measurements:
+    (tmp_path / "data.csv").write_text(text)
+    return load_measurements(tmp_path / "data.csv", links)
+
+
+def with_columns(**columns: tuple[object, object]) -> str:
+    """`PLAIN` with more columns."""
+    lines = PLAIN.splitlines()
+    for name, (first, second) in columns.items():
+        lines = [f"{line},{cell}" for line, cell in zip(lines, (name, first, second), strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+# -- reading -----------------------------------------------------------------------------------------------------------
+def test_required_columns(tmp_path: Path) -> None:
+    data = load(tmp_path, PLAIN, links=2)
+    np.testing.assert_allclose(data.postures, np.radians([[30, -60], [90, 0]]))
+    np.testing.assert_array_equal(data.positions, [[1.5, 2.5], [-3, 4]])
+    assert data.given == frozenset()
+    assert data.provenance == {"file": "data.csv", "sha256": hashlib.sha256(PLAIN.encode()).hexdigest()}
+
+
+def test_optional_columns(tmp_path: Path) -> None:
+    text = with_columns(
+        order=(2, 1),
+        temperature_C=(20.5, 21),
+        payload_kg=(0, 5),
+        direction2=(-1, "+1"),
+        direction1=(1, -1.0),
+        posture=(7, 7),
+        sigma_mm=(0.1, 0.2),
+        run=(1, 2),
+    )
+    data = load(tmp_path, text)
+    assert data.order.tolist() == [2, 1]
+    assert data.temperature.tolist() == [20.5, 21]
+    assert data.payload.tolist() == [0, 5]
+    assert data.directions.tolist() == [[1, -1], [-1, 1]]
+    assert data.repeats.tolist() == [7, 7]
+    assert data.repeats.dtype == np.int64
+    assert data.sigma.tolist() == [0.1, 0.2]
+
+
+def test_radians_and_metres_are_converted(tmp_path: Path) -> None:
+    data = load(tmp_path, "y_m,x_m,q2_rad,q1_deg,sigma_m\n0.25,0.5,1.5,180,0.001\n")
+    np.testing.assert_allclose(data.postures, [[np.pi, 1.5]])
+    np.testing.assert_allclose(data.positions, [[500, 250]])
+    np.testing.assert_allclose(data.sigma, [1.0])
+
+
+def test_time_is_the_order(tmp_path: Path) -> None:
+    assert load(tmp_path, with_columns(time_s=(10.5, 2))).order.tolist() == [10.5, 2]
+    assert load(tmp_path, with_columns(order=(2, 1), time_s=(10.5, 2))).order.tolist() == [10.5, 2]
+
+
+def test_one_row_and_equal_rows_are_fine(tmp_path: Path) -> None:
+    assert len(load(tmp_path, "q1_deg,x_mm,y_mm\n0,0,0\n")) == 1
+    assert len(load(tmp_path, "q1_deg,x_mm,y_mm\n" + "0,0,0\n" * 3)) == 3
+
+
+def test_unknown_columns_are_named_once(tmp_path: Path) -> None:
+    text = with_columns(temprature_C=(1, 2), operator=("Ann", ""))
+    with pytest.warns(UserWarning, match="not used") as caught:
+        assert load(tmp_path, text).given == frozenset()
+    message = str(caught[0].message)
+    assert len(caught) == 1
+    assert "data.csv: columns are not used: 'temprature_C' (did you mean 'temperature_C'?), 'operator'" in message
+
+
+BAD = [
+    ("q1_deg,q2_deg,x_mm,y_mm\n", ["no rows"]),
+    ("x_mm,y_mm\n1,2\n", ["'q1_deg' is missing"]),
+    ("q1,q2,x_mm,y_mm\n1,2,3,4\n", ["'q1_deg' is missing", "did you mean 'q1'"]),
+    ("q1_deg,q3_deg,x_mm,y_mm\n1,2,3,4\n", ["'q2_deg' is missing"]),
+    ("q1_deg,q2_deg,x_mm,y\n1,2,3,4\n", ["'y_mm' is missing", "q2_deg, x_mm, y"]),
+    ("q1_deg,q1_rad,x_mm,y_mm\n1,2,3,4\n", ["both q1_deg and q1_rad", "allowed: one"]),
+    ("q1_deg,x_m,x_mm,y_mm\n1,2,3,4\n", ["both x_mm and x_m", "allowed: one"]),
+    (with_columns(sigma_mm=(1, 1), sigma_m=(1, 1)), ["both sigma_mm and sigma_m", "allowed: one"]),
+    (",".join(f"q{j}_deg" for j in range(1, 14)) + "\n" + "0," * 12 + "0\n", ["q13_deg", "allowed: 1 to 12"]),
+    (PLAIN.replace("-3", "nan"), ["row 2 (line 3), column x_mm", "found 'nan'", "allowed: a finite length"]),
+    (PLAIN.replace("-60", "left"), ["row 1 (line 2), column q2_deg", "found 'left'", "allowed: a finite angle"]),
+    (PLAIN.replace("2.5", ""), ["row 1 (line 2), column y_mm", "an empty cell", "allowed"]),
+    (with_columns(payload_kg=(0, -1)), ["row 2 (line 3), column payload_kg", "found '-1'", "allowed: a number >= 0"]),
+    (with_columns(sigma_mm=(0.1, 0)), ["row 2 (line 3), column sigma_mm", "found '0'", "allowed: a number > 0"]),
+    (with_columns(temperature_C=("x", 0)), ["row 1 (line 2), column temperature_C", "found 'x'", "allowed"]),
+    (with_columns(temperature_C=(-300, 0)), ["column temperature_C", "found '-300'", "allowed: a number >= -273.15"]),
+    (with_columns(direction1=(1, 1), direction2=(1, 0)), ["row 2 (line 3), column direction2", "'0'", "+1 or -1"]),
+    (with_columns(direction1=(1, 1)), ["'direction2' is missing", "did you mean 'direction1'"]),
+    (
+        with_columns(direction1=(1, 1), direction2=(1, 1), direction3=(1, 1)),
+        ["direction3", "allowed: direction1 to direction2"],
+    ),
+    (with_columns(posture=("A", "B")), ["row 1 (line 2), column posture", "found 'A'", "allowed: a whole number"]),
+    (with_columns(posture=(1, 1.5)), ["row 2 (line 3), column posture", "found '1.5'", "allowed: a whole number"]),
+    (with_columns(order=(1, "")), ["row 2 (line 3), column order", "an empty cell"]),
+    (with_columns(order=(1, 2), time_s=(5, 4)), ["column time_s", "different orders", "allowed"]),
+]
+
+
+@pytest.mark.parametrize(("text", "parts"), BAD, ids=[" ".join(parts)[:50] for _, parts in BAD])
+def test_bad_input_gets_one_line(tmp_path: Path, text: str, parts: list[str]) -> None:
+    with pytest.raises(InputError) as caught:
+        load(tmp_path, text)
+    message = str(caught.value)
+    assert "\n" not in message
+    missing = [part for part in ["data.csv: ", *parts] if part not in message]
+    assert not missing, f"{missing} not in {message!r}"
+
+
+def test_number_of_links_must_fit(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"data.csv: column 'q3_deg' is missing"):
+        load(tmp_path, PLAIN, links=3)
+    with pytest.raises(InputError, match=r"data.csv: found column q2_deg, but the arm has 1 links, allowed: q1_deg"):
+        load(tmp_path, PLAIN, links=1)
+
+
+# -- writing -----------------------------------------------------------------------------------------------------------
+def test_text_is_tidy() -> None:
+    data = Measurements(np.radians([[30.0, -0.0]]), [[1.5, 2]], order=[3], directions=[[1, -1]], sigma=[0.1])
+    assert measurement_text(data) == (
+        "q1_deg,q2_deg,x_mm,y_mm,order,direction1,direction2,sigma_mm\n30.0,0.0,1.5,2.0,3,1,-1,0.1\n"
+    )
+
+
+numbers = st.floats(-1e6, 1e6)
+
+
+@st.composite
+def measured(draw: st.DrawFn) -> Measurements:
+    """Any measurements that a file can hold."""
+    m, n = draw(st.integers(1, 5)), draw(st.integers(1, 3))
+
+    def maybe(elements: st.SearchStrategy, *shape: int, dtype: type = float):
+        return draw(st.none() | arrays(dtype, (m, *shape), elements=elements))
+
+    return Measurements(
+        postures=draw(arrays(float, (m, n), elements=st.floats(-10, 10))),
+        positions=draw(arrays(float, (m, 2), elements=numbers)),
+        order=maybe(numbers),
+        payload=maybe(st.floats(0, 1e3)),
+        temperature=maybe(st.floats(-200, 1e3)),
+        directions=maybe(st.sampled_from([-1.0, 1.0]), n),
+        sigma=maybe(st.floats(1e-9, 10)),
+        repeats=maybe(st.integers(-100, 2**52), dtype=np.int64),
+    )
+
+
+@given(measured())
+def test_round_trip(tmp_path_factory: pytest.TempPathFactory, data: Measurements) -> None:
+    path = tmp_path_factory.mktemp("data") / "data.csv"
+    path.write_text(measurement_text(data))
+    again = load_measurements(path, data.links)
+    np.testing.assert_allclose(again.postures, data.postures, rtol=0, atol=1e-13)
+    assert again.given == data.given
+    for name in ("positions", *data.given):
+        np.testing.assert_array_equal(getattr(again, name), getattr(data, name))
+
+
+@pytest.mark.benchmark
+def test_a_million_rows_load_in_three_seconds(tmp_path: Path) -> None:
+    generator = np.random.default_rng(1)
+    m = 1_000_000
+    text = measurement_text(Measurements(generator.uniform(-3, 3, (m, 4)), generator.normal(size=(m, 2))))
+    (tmp_path / "data.csv").write_text(text)
+    start = time.perf_counter()
+    assert len(load_measurements(tmp_path / "data.csv", 4)) == m
+    assert time.perf_counter() - start < 3.0
+
+
+@pytest.mark.skipif(not UR10.exists(), reason="the data set is not part of the repository")
+def test_real_measurements() -> None:
+    data = load_measurements(UR10, 3)
+    assert len(data) == 2773
+    assert data.given == {"order", "temperature"}
+    assert unit_warnings(data, Arm(lengths=[612.0, 572.3, 115.7])) == []
+
+
+# -- units that the numbers contradict ---------------------------------------------------------------------------------
+ARM = Arm(lengths=[260.0, 180.0])
+
+
+def simulated(span: float, *, angles: float = 1.0, lengths: float = 1.0) -> Measurements:
+    """Measurements of `ARM` whose numbers were multiplied by factors, as a wrong unit does."""
+    generator = np.random.default_rng(2)
+    q = generator.uniform(-span, span, (30, 2))
+    theta = np.cumsum(q, axis=1)
+    tip = np.column_stack([np.cos(theta) @ ARM.lengths, np.sin(theta) @ ARM.lengths])
+    return Measurements(q * angles, (tip + generator.normal(0.0, 1.0, tip.shape)) * lengths)
+
+
+def test_right_units_do_not_warn() -> None:
+    for span in (3.0, 0.1):
+        assert unit_warnings(simulated(span), ARM) == []
+
+
+def test_radians_in_a_column_of_degrees() -> None:
+    (sentence,) = unit_warnings(simulated(3.0, angles=np.pi / 180.0), ARM)
+    assert "look like radians: name the columns q1_rad" in sentence
+
+
+def test_metres_in_a_column_of_millimetres() -> None:
+    (sentence,) = unit_warnings(simulated(3.0, lengths=1e-3), ARM)
+    assert "look like metres: name the columns x_m, y_m" in sentence
+
+
+def test_both_units_wrong() -> None:
+    assert len(unit_warnings(simulated(3.0, angles=np.pi / 180.0, lengths=1e-3), ARM)) == 2
+
+
+def test_another_number_of_links() -> None:
+    with pytest.raises(InputError, match="found 2 joints, allowed: 3"):
+        unit_warnings(simulated(1.0), Arm(lengths=[1.0, 1.0, 1.0]))

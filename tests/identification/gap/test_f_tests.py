@@ -1,0 +1,84 @@
+"""F statistics of many hypotheses at once against one least-squares fit per hypothesis."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from identification.gap.f_tests import basis, dictionary
+
+
+def _problem(seed: int, sizes: list[int]) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+    rng = np.random.default_rng(seed)
+    jacobian = rng.standard_normal((40, 6)) * 10.0 ** rng.uniform(-3, 3, 6)
+    columns = [rng.standard_normal((40, d)) * 10.0 ** rng.uniform(-4, 4) for d in sizes]
+    return jacobian, columns, rng.standard_normal(40)
+
+
+@given(seed=st.integers(0, 10_000), sizes=st.lists(st.integers(1, 4), min_size=1, max_size=6))
+@settings(max_examples=40, deadline=None)
+def test_f_and_p_are_those_of_two_nested_fits(seed: int, sizes: list[int]) -> None:
+    jacobian, columns, y = _problem(seed, sizes)
+    tested = dictionary(jacobian, columns, np.zeros(len(sizes), dtype=bool), np.ones(len(sizes)))
+    q = basis(jacobian)
+    residual = (y - q @ (q.T @ y))[:, None]
+    falls = tested.reductions(residual)
+    squares = np.square(residual).sum(axis=0)
+    for k, added in enumerate(columns):
+        scaled = jacobian / np.linalg.norm(jacobian, axis=0)
+        without = np.linalg.lstsq(scaled, y, rcond=None)[1][0]
+        both = np.hstack([scaled, added / np.linalg.norm(added, axis=0)])
+        with_it = np.linalg.lstsq(both, y, rcond=None)[1][0]
+        d, rest = added.shape[1], 40 - 6 - added.shape[1]
+        f = (without - with_it) / d / (with_it / rest)
+        assert tested.f_values(falls, squares)[k, 0] == pytest.approx(f, rel=1e-6)
+        assert tested.p_values(falls, squares)[k, 0] == pytest.approx(stats.f.sf(f, d, rest), rel=1e-5)
+
+
+def test_forbidden_sign_is_no_evidence_and_the_allowed_one_is_a_one_sided_t_test() -> None:
+    jacobian, columns, _ = _problem(3, [1])
+    q = basis(jacobian)
+    for sign in (1.0, -1.0):
+        y = sign * 2.0 * columns[0][:, 0] / np.linalg.norm(columns[0]) + 0.3 * np.random.default_rng(1).normal(size=40)
+        residual = (y - q @ (q.T @ y))[:, None]
+        tested = dictionary(jacobian, columns, np.array([True]), np.ones(1))
+        p = tested.p_values(tested.reductions(residual), np.square(residual).sum(axis=0))[0, 0]
+        if sign < 0.0:
+            assert p == 1.0
+            continue
+        both = np.hstack([jacobian, columns[0]])
+        inverse = np.linalg.inv(both.T @ both)
+        estimate = inverse @ both.T @ y
+        left = y - both @ estimate
+        t = estimate[-1] / np.sqrt(inverse[-1, -1] * (left @ left) / 33)
+        assert p == pytest.approx(stats.t.sf(t, 33), rel=1e-6)
+
+
+def test_columns_inside_the_model_are_invisible() -> None:
+    jacobian, _, _ = _problem(5, [1])
+    inside = jacobian @ np.array([[1.0], [2.0], [0.0], [0.0], [0.0], [0.5]])
+    half = np.hstack([inside, np.random.default_rng(0).normal(size=(40, 1))])
+    tested = dictionary(jacobian, [inside, half, np.zeros((40, 1))], np.zeros(3, dtype=bool), np.ones(3))
+    assert tested.sizes.tolist() == [0, 1, 0]
+
+
+def test_smallest_weighted_p_value_is_the_smallest_over_all() -> None:
+    jacobian, columns, _ = _problem(7, [1, 2, 1, 3, 2])
+    weights = np.array([1.0, 0.1, 1.0, 1.0, 0.5])
+    tested = dictionary(jacobian, columns, np.array([True, False, False, False, False]), weights)
+    q = basis(jacobian)
+    drawn = np.random.default_rng(8).normal(size=(40, 30))
+    drawn -= q @ (q.T @ drawn)
+    falls, squares = tested.reductions(drawn), np.square(drawn).sum(axis=0)
+    expected = (tested.p_values(falls, squares) / weights[:, None]).min(axis=0)
+    np.testing.assert_allclose(tested.smallest_weighted(falls, squares), expected)
+
+
+def test_subset_keeps_the_columns_of_its_members() -> None:
+    jacobian, columns, y = _problem(9, [2, 1, 3, 1])
+    tested = dictionary(jacobian, columns, np.zeros(4, dtype=bool), np.ones(4))
+    part = tested.subset(np.array([0, 2]))
+    np.testing.assert_allclose(part.reductions(y[:, None]), tested.reductions(y[:, None])[[0, 2]])

@@ -1,0 +1,94 @@
+"""Arms, plans and measurements as values: equality, hash, copies, pickles, and limits in the wrong unit."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from doe.plan.plan import Plan
+from identification.arm import Arm, Calibration, EffectSpec, Gravity, WorkspaceBox
+from identification.estimation import estimate
+from identification.measurements import Conditions, Measurements
+from identification.model import Model
+from identification.simulate import simulate
+
+EFFECT = EffectSpec("encoder_eccentricity", 2, MappingProxyType({"a": 0.001, "b": 0.0}))
+
+
+def gravity(payload: float = 0.0) -> Gravity:
+    return Gravity([0.0, -9.81], [3.0, 2.0], [0.5, 0.5], payload)
+
+
+def calibration(error: float = 0.3) -> Calibration:
+    return Calibration([error, 0.1], [0.01, 0.02], {"base_offset.x": 1.0}, ("length_error:1",), [[0.5]], {"by": ["me"]})
+
+
+def arm(lower: float = -2.0) -> Arm:
+    box = WorkspaceBox((0.0, 1.0), (0.0, 1.0))
+    return Arm([200.0, 100.0], [lower, -1.0], [2.0, 1.0], 0.1, "two", gravity(), (box,), (EFFECT,), calibration())
+
+
+def measured(x: float = 1.0) -> Measurements:
+    return Measurements([[0.1, 0.2], [0.3, 0.4]], [[x, 2.0], [3.0, 4.0]], sigma=[0.1, 0.2])
+
+
+CASES: list[tuple[Callable[..., Any], Any]] = [
+    (gravity, 1.0),
+    (calibration, 0.4),
+    (arm, -1.5),
+    (measured, 2.0),
+    (lambda t=0.0: Conditions(time=np.array([t, 1.0])), 0.5),
+    (lambda q=0.1: Plan([[q, 0.2]]), 0.3),
+    (lambda w=0.5: Plan([[0.1, 0.2], [0.3, 0.4]], [w, 1.0 - w]), 0.4),
+    (lambda lower=-2.0: Model(arm(lower)), -1.5),
+]
+
+
+@pytest.mark.parametrize(("make", "other"), CASES)
+def test_equal_by_value(make: Callable[..., Any], other: Any) -> None:
+    assert make() == make()
+    assert hash(make()) == hash(make())
+    assert make() != make(other)
+    assert len({make(), make(), make(other)}) == 2
+    assert make() != "text"
+
+
+def test_what_one_has_and_the_other_has_not_is_no_equality() -> None:
+    assert replace(measured(), sigma=None) != measured()
+    assert replace(arm(), calibration=None) != arm()
+    assert Plan([[0.1, 0.2]]) != Plan([[0.1, 0.2], [0.1, 0.2]])
+    assert replace(arm(), effects=()) != arm()
+    assert replace(EFFECT, values={"a": 0.001, "b": 0.1}) != EFFECT
+    assert Gravity([0.0, -0.0], [1.0], [0.5]) == Gravity([0.0, 0.0], [1.0], [0.5])
+    assert hash(Gravity([0.0, -0.0], [1.0], [0.5])) == hash(Gravity([0.0, 0.0], [1.0], [0.5]))
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda item: pickle.loads(pickle.dumps(item))])
+def test_copies_and_pickles(again: Callable[[Any], Any]) -> None:
+    for make, _ in CASES:
+        assert again(make()) == make()
+    truth = Arm([200.0, 100.0], sigma=0.1)
+    data = simulate(truth, np.random.default_rng(1).uniform(-2.0, 2.0, (9, 2)), np.random.default_rng(2))
+    found = estimate(Model(truth), data)
+    copied = again(found)
+    np.testing.assert_array_equal(copied.parameters, found.parameters)
+    np.testing.assert_array_equal(copied.covariance, found.covariance)
+    assert copied.model == found.model
+    np.testing.assert_array_equal(copied.model.position(data.postures), found.model.position(data.postures))
+    assert str(copied) == str(found)
+
+
+def test_limits_that_look_like_degrees_warn() -> None:
+    with pytest.warns(UserWarning, match=r"limit 180 of joint 1 is 29 turns and looks like degrees.*radians") as caught:
+        Arm([200.0, 100.0], lower=[-180.0, -90.0], upper=[180.0, 90.0])
+    assert caught[0].filename == __file__
+    with pytest.warns(UserWarning, match=r"limit -90 of joint 2"):
+        Arm([200.0, 100.0], lower=[-3.0, -90.0])
+    Arm([200.0], lower=[-10.0 * np.pi], upper=[10.0 * np.pi])  # five turns either way: no warning
