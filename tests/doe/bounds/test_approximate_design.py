@@ -93,7 +93,7 @@ def test_mixture_with_measured_postures_is_the_information_of_all_runs() -> None
     gradient = np.linalg.inv(information)
     g = mixture.sensitivities(case.blocks(new), gradient)
     assert weights @ g == pytest.approx(case.parameters, abs=1e-9)  # tr(G M) = p
-    assert g == pytest.approx([np.sum(gradient * f) for f in mixture.atoms(case.blocks(new))], rel=1e-12)
+    assert g == pytest.approx([np.sum(gradient * f) for f in mixture.posture_information(case.blocks(new))], rel=1e-12)
 
 
 def test_measured_postures_need_the_number_of_runs() -> None:

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial, legendre
 
+from doe.bounds import column_generation as module
 from doe.bounds.column_generation import column_generation, continuous_bound, continuous_design
 from doe.criteria import A, Criterion, D, Ds, E, I
 from doe.problem.candidates import PostureList, grid, listed
-from doe.solvers import column_generation as module
 from identification.arm import Arm, EffectSpec, WorkspaceBox
 from identification.arrays import Array
 from identification.errors import JobError

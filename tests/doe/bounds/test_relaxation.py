@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from doe.bounds import relaxation
 from doe.bounds.relaxation import LARGEST, SOLVERS, Answer, relax
 from doe.criteria import A, Criterion, D, Ds, E, I
 from doe.problem.candidates import PostureList, grid
-from doe.solvers import relaxation
 from identification.errors import InputError, JobError
 from identification.status import Status
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem

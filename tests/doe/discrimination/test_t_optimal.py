@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from doe import discriminate as module
+from doe.discrimination import t_optimal as module
 from doe.discrimination.t_optimal import discriminate
 from doe.problem.constraints import constraints_of
 from identification.arm import Arm, Gravity, WorkspaceBox

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification import files
 from identification.errors import InputError
+from identification.files import io as files
 from identification.files.csv import read_table
 
 

@@ -198,7 +198,7 @@ def test_the_seed_moves_the_data_and_nothing_else_does() -> None:
 
 
 def test_designed_plans_are_shared_by_neighbouring_sets() -> None:
-    simulator = blind.simulator()
+    simulator = blind.simulator
     cell = "one, lambda 6, discriminating plan"
     arm, runs = simulator.to_be_planned(cell, 0)
     postures = np.random.default_rng(1).uniform(arm.lower, arm.upper, (runs, arm.links))
@@ -211,14 +211,6 @@ def test_designed_plans_are_shared_by_neighbouring_sets() -> None:
 def test_an_unknown_cell_is_named() -> None:
     with pytest.raises(InputError, match="none m=50"):
         blind_study(["none m=5"], 1)
-
-
-def test_without_the_simulator_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(blind, "SIMULATOR", Path("tests", "nowhere.py"))
-    blind.simulator.cache_clear()
-    with pytest.raises(InputError, match="source checkout"):
-        blind_study(["none m=50"], 1)
-    blind.simulator.cache_clear()
 
 
 def test_tables_and_picture_can_be_made(tmp_path: Path) -> None:
