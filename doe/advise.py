@@ -1,6 +1,6 @@
 """How many measurements? Efficiency and expected accuracy against the number of runs.
 
-The number matters more than the solver: 10 runs can be worse than 8 (THEORY.md section 4).
+The number matters more than the solver: 10 runs can be worse than 8 (doe/README.md, "Exact plans").
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ class Design:
 
     @cached_property
     def log_det(self) -> float:
-        """log det M' (THEORY.md section 3), whatever the criterion."""
+        """log det M' (doe/README.md, "Information matrix"), whatever the criterion."""
         return float(D().value(self.information)) if self.identifies_all else -np.inf
 
     @cached_property

@@ -54,7 +54,7 @@ class Compensation:
         return self.errors <= TOLERANCE
 
     def to_json(self) -> dict[str, Any]:
-        """The keys of CONTRACT.md: counts, largest error over the targets reached, unreachable rows from 1."""
+        """Counts, largest error over targets reached, unreached rows (identification/files/README.md, "JSON keys")."""
         reached = self.reached
         return {
             "targets": len(self.targets),

@@ -48,13 +48,13 @@ class Conditions(ByValue):
 
 
 def session_time(order: Array) -> Array:
-    """`order` or time stamps scaled to -0.5..0.5 over the session (GAP.md); 0 if all are equal."""
+    """`order` or time stamps scaled to -0.5..0.5 (identification/README.md, "Effects"); 0 if all are equal."""
     low, high = float(np.min(order)), float(np.max(order))
     return (order - low) / (high - low) - 0.5 if high > low else np.zeros_like(order)
 
 
 def directions_from_order(postures: Array, order: Array | None = None) -> Array:
-    """(..., m, n) sign of the change from the posture measured before; first row +1, no change: as before (GAP.md).
+    """(..., m, n) sign of the change from the posture measured before; first row +1, no change: as before.
 
     postures : (m, n), or (K, m, n) of K sessions;  order : (m,), None: as they stand
     """

@@ -139,7 +139,7 @@ class Model:
         return q, c, p, self._tip(chain, everything)
 
     def _tip(self, chain: Chain, values: ca.SX) -> ca.SX:
-        """The chain of GAP.md: joint -> link -> mounting -> instrument, effects added where they sit."""
+        """Joint -> link -> mounting -> instrument, each with its effects (identification/README.md, "Effects")."""
         n = chain.links
         parts, start = [], 2 * n
         for effect in self.effects:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 class Bound:
     """No design of the design space named by `source` has a criterion value above `value`.
 
-    source : `closed_form` (THEORY.md section 4), `continuous` (every posture within limits and constraints) or `grid`
+    source : `closed_form` (doe/README.md, "Planar theorem"), `continuous` (every feasible posture) or `grid`
         (the candidates only)
     rigorous : True if it is a theorem (closed form, interval arithmetic, all candidates visited); False if it rests on
         a numerical search for the largest sensitivity, which could have missed a posture

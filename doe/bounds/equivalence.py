@@ -2,8 +2,8 @@
 
 A design w is optimal over a set Q of postures exactly when max_(q in Q) tr(G B(q)^T B(q)) = tr(G M(w)), with G the
 gradient of the criterion at M(w) and B the (d, p) block of a posture: the d coordinates measured at one posture are
-indivisible (THEORY.md section 5). For D, G = M^-1 and the right side is p. From any design, optimal or not, the
-maximum gives an upper bound for every other one, exact plans of any number of runs included.
+indivisible (doe/README.md, "Equivalence theorem"). For D, G = M^-1 and the right side is p. From any design, optimal or
+not, the maximum gives an upper bound for every other one, exact plans of any number of runs included.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.information import information_matrix
 
-CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal (CONTRACT.md)
+CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal (identification/files/README.md, "JSON keys")
 REACHED = 1.0 - 1e-9  # efficiency from which searching on cannot matter
 ROUNDING = 1e-12  # by which an efficiency may exceed 1 where value and bound are the same number but for rounding
 

@@ -1,6 +1,6 @@
 """The D-optimum of the planar base model under joint limits, in closed form, and its Table I conditions.
 
-Theorem (THEORY.md section 4). Over all designs, exact or approximate, with joint j inside a range Delta_j,
+Theorem (doe/README.md, "Planar theorem"). Over all designs, exact or approximate, with joint j inside a range Delta_j,
 
     max log det M' = 4 sum_j log sin( min(Delta_j, pi) / 2 )
 

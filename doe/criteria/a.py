@@ -12,7 +12,7 @@ from identification.arrays import Array
 
 @dataclass(frozen=True)
 class A(InverseTrace):
-    """Sum of the variances of the scaled parameters: lengths in mm, angles times link length (THEORY.md section 6).
+    """Sum of the variances of the scaled parameters [mm^2]: angles times link length (doe/README.md, "Criteria").
 
     Not invariant to units. The paper's reason against it (a constant trace) is about tr M, not tr M^-1.
     """

@@ -12,7 +12,7 @@ from identification.arrays import Array
 
 @dataclass(frozen=True)
 class D:
-    """Phi(M) = log det M (paper, Section V; invariant to units, THEORY.md section 6)."""
+    """Phi(M) = log det M (paper, Section V; invariant to units, doe/README.md, "Criteria")."""
 
     name: str = "D"
 

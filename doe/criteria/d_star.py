@@ -18,7 +18,7 @@ class DStar:
     The paper maximises det C' and asks for det S' = 0, C' and S' being the diagonal and off-diagonal blocks of M'
     (eq. 20). Of the base model both diagonal blocks are C', so Phi = 2 log det C' >= log det M', with equality when
     S' = 0. What the lengths lose to the angles is not counted: prefer D, whose units do not matter either
-    (THEORY.md section 6). det S' = 0 alone says nothing for odd n, where every antisymmetric matrix has it, and
+    (doe/README.md, "Criteria"). det S' = 0 alone says nothing for odd n, where every antisymmetric matrix has it, and
     little for even n >= 4, where such a matrix may be singular without being zero: D* agrees with D for 2 links only.
 
     groups : indices (from 0) of the parameters of each block, say lengths and angles

@@ -238,8 +238,8 @@ def off_the_grid(problem: DesignProblem, postures: Array, step: float, generator
     """The postures with joints that turn all the way round moved by up to half a step of the grid they are on.
 
     On N equal steps of a turn, k and N - k periods are the same: with N = 50 a gear ripple of order 49 would be an
-    eccentric encoder. D-optimality asks for sums over all postures (THEORY.md section 3), which hardly change. A list
-    of postures is left as it is.
+    eccentric encoder. D-optimality asks for sums over all postures (doe/README.md, "Information matrix"), which
+    hardly change. A list of postures is left as it is.
     """
     moved = np.array(postures)
     if problem.choices is not None:

@@ -20,7 +20,8 @@ class ExpectedDeviations:
 
     length : (n,) of the length errors [mm]
     orientation : (n,) of the orientation offsets dtheta_j = dq_1 + ... + dq_j [rad]: the paper's sigma_q (eq. 25)
-    joint_offset : (n,) of the joint offsets dq_j themselves [rad], larger for j >= 2 (THEORY.md section 2)
+    joint_offset : (n,) of the joint offsets dq_j themselves [rad], larger for j >= 2
+        (identification/README.md, "Covariance and intervals")
     """
 
     length: Array

@@ -127,8 +127,9 @@ def around(problem: DesignProblem, posture: Array) -> Array:
 def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
     """The same plan with joints that play no part spread evenly over their limits in shuffled order.
 
-    They cost nothing there and help to see missing effects (GAP.md), instead of staying at a constant. Where even steps
-    are below the minimum distance, the widest of them sets apart postures that are alike in all other joints.
+    They cost nothing and help to see missing effects (identification/README.md, "Lessons"), instead of staying at a
+    constant. Where even steps are below the minimum distance, the widest of them sets apart postures that are alike in
+    all other joints.
     """
     spread = np.array(postures)
     m = len(spread)

@@ -22,7 +22,7 @@ def paper_tables(tables: Mapping[str, polars.DataFrame], passed: bool) -> list[A
     every = [*tables["table_1"]["verdict"], *tables["table_2"]["verdict"], *tables["table_3"]["verdict"]]
     every += [*tables["text"]["verdict"]]
     counts = ", ".join(f"{every.count(word)} {text}" for word, text in WORDS.items())
-    sentence = "theory and simulation agree everywhere" if passed else "THEORY AND SIMULATION DISAGREE SOMEWHERE"
+    sentence = "theory and simulation agree everywhere" if passed else "theory and simulation DISAGREE somewhere"
     return [
         f"The paper reproduced: {sentence}. Printed statements: {counts}.",
         _figures_table("Table III and joint limits", tables["table_3"]),

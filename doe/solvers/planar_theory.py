@@ -2,8 +2,9 @@
 
 One block of m runs (`doe.solvers.planar_characters`), or blocks of smaller sizes, each with its own phases, that make
 up m. With no limits a block of m runs is theta_j = 2 pi i f_j / m with distinct random frequencies f_j and random
-phases: any columns of the DFT matrix (THEORY.md section 3), in shuffled order, since the plan f_j = j hides missing
-effects (GAP.md). With all ranges below pi it is the two-level factorial, 2^(joints) runs or a multiple.
+phases: any columns of the DFT matrix (doe/README.md, "Information matrix"), in shuffled order, since the plan f_j = j
+hides missing effects (identification/README.md, "Lessons"). With all ranges below pi it is the two-level factorial,
+2^(joints) runs or a multiple.
 """
 
 from __future__ import annotations

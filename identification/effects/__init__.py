@@ -1,4 +1,4 @@
-"""The effect library: every physical effect is one class in one place (GAP.md's table).
+"""The effect library: every physical effect is one class (identification/README.md, "Effects").
 
 A user's own effect is a subclass of `Effect` under the decorator `register`, or is found through the entry-point group
 `armcal.effects` of an installed package.

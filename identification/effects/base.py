@@ -71,7 +71,7 @@ class Chain:
 
     @cached_property
     def torques(self) -> ca.SX:
-        """(n,) gravity torque tau_j about joint j [N m] at the nominal pose (GAP.md)."""
+        """(n,) gravity torques tau_j about joints j [N m] at the posture (identification/README.md, "Effects")."""
         return ca.vertcat(*(self.load_moment(j, 0.0, beyond=j) for j in range(self.links)))
 
     def _gravity(self) -> Gravity:

@@ -102,7 +102,7 @@ def _chunks(count: int, rows: int) -> Iterator[slice]:
 
 # -- closed form ---------------------------------------------------------------------------------------------------
 def _closed_form(problem: Problem, measured: Array) -> BatchFit:
-    """One pseudo-inverse for all (THEORY.md, section 2)."""
+    """One pseudo-inverse for all (identification/README.md, "Closed form")."""
     count, m, _ = measured.shape
     parameters, rss = np.empty((count, len(problem.model.parameters))), np.empty(count)
     solve = _linear_solver(problem)

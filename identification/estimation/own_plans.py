@@ -60,7 +60,7 @@ def _told(model: Model, postures: Array) -> NDArray[np.bool_]:
 
 
 def _closed_form(model: Model, postures: Array, measured: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """THEORY.md section 2, one small system per plan."""
+    """One small system per plan (identification/README.md, "Closed form")."""
     count, m, n = postures.shape
     columns, nominal = design(model, postures.reshape(-1, n))
     columns = columns.reshape(count, m, -1)

@@ -1,4 +1,4 @@
-"""The closed form (THEORY.md, section 2): the paper says there is none, but eq. 1 is linear in u_j.
+"""The closed form (identification/README.md, "Closed form"): the paper says there is none, but eq. 1 is linear in u_j.
 
 With u_j = (l_j + dl_j) exp(i dtheta_j) the tip is sum_j exp(i theta_j) u_j (+ x0 + i y0): a complex linear
 least-squares problem. Its solution is the exact global minimiser of eq. 3, then dl_j = |u_j| - l_j and

@@ -164,7 +164,7 @@ class Identification:
         return replace(self.model.arm, calibration=self.calibration())
 
     def to_json(self) -> dict[str, Any]:
-        """The keys of CONTRACT.md for `identify`: file units, null for what cannot be given."""
+        """Keys of `identify` (identification/files/README.md, "JSON keys"): file units, null for unknown values."""
         rows = zip(self.model.parameters, self.identifiable, self.parameters, self.std, self.intervals, strict=True)
         return {
             "parameters": [

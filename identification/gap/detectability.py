@@ -1,4 +1,4 @@
-"""Before any data: what a plan could show (GAP.md, step 1)."""
+"""Before any data: what a plan could show (identification/README.md, "Gap workflow", step 1)."""
 
 from __future__ import annotations
 

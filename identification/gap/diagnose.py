@@ -1,4 +1,4 @@
-"""`diagnose`: the eight steps of the gap workflow in order (GAP.md)."""
+"""`diagnose`: the eight steps of the gap workflow in order (identification/README.md, "Gap workflow")."""
 
 from __future__ import annotations
 

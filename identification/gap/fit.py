@@ -73,7 +73,7 @@ class Fit:
 
 
 def links_start(model: Model, rows: Rows) -> dict[str, float]:
-    """Start values from the closed form position_i = sum_j exp(i theta_j) u_j + offset (THEORY.md, section 2)."""
+    """Start values: position_i = sum_j exp(i theta_j) u_j + offset (identification/README.md, "Closed form")."""
     theta = np.cumsum(rows.postures, axis=1)
     columns = np.exp(1j * theta)
     offset = any(name.startswith("base_offset.") for name in model.names)

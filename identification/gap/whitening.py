@@ -1,7 +1,7 @@
 """The rows that are tested, and the transformation that makes their noise white.
 
 Only relative sizes of sigma matter here: every test divides by a scale estimated from the residuals, since a sigma
-from a data sheet that is 1.5 times too small would always raise the alarm (GAP.md).
+from a data sheet that is 1.5 times too small would always raise the alarm (identification/README.md, "Lessons").
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ def test_many_candidates(levels: int, seconds: float, megabytes: float) -> None:
 
 @pytest.mark.parametrize(("links", "seconds"), [(3, 0.3), (4, 0.3), (5, 5.0), (6, 5.0), (7, 5.0), (8, 5.0)])
 def test_continuous_box(links: int, seconds: float) -> None:
-    """Random limits: equal to the closed form (written here from THEORY.md section 4) to 1e-9, and proven."""
+    """Random limits: equal to the closed form (doe/README.md, "Planar theorem", written here) to 1e-9, proven."""
     generator = np.random.default_rng(100 + links)
     took, worst = [], 0.0
     for _ in range(5):

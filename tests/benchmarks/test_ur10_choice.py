@@ -21,8 +21,8 @@ RUNS, DRAWS = 20, 1000
 
 
 def estimates(postures: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """(p,) linear least squares for u_j = (l_j + dl_j) exp(i dtheta_j) and the base (THEORY.md section 2), as numbers
-    of one unit [mm]: real and imaginary parts."""
+    """(p,) least squares for u_j = (l_j + dl_j) exp(i dtheta_j) and base (identification/README.md, "Closed form"), as
+    numbers of one unit [mm]: real and imaginary parts."""
     columns = np.hstack([np.exp(1j * np.cumsum(postures, axis=1)), np.ones((len(postures), 1))])
     u = np.linalg.lstsq(columns, positions[:, 0] + 1j * positions[:, 1], rcond=None)[0]
     return np.concatenate([u.real, u.imag])

@@ -12,7 +12,7 @@ from identification.arm import Arm
 from identification.model import Model
 from identification.status import Status
 
-# THEORY.md section 4: only joint 3 with 160 deg is too narrow, 2 log(sin 80 deg) for each of its two tied links
+# doe/README.md, "Planar theorem": only joint 3 with 160 deg is too narrow, 2 log(sin 80 deg) for each of its two links
 EXPECTED = 4.0 * np.log(np.sin(np.radians(80.0)))
 
 

@@ -14,7 +14,7 @@ from identification.measurements import Measurements, directions_from_order, ses
 @given(st.integers(0, 2**32), st.integers(1, 15), st.booleans())
 @settings(max_examples=60, deadline=None, derandomize=True)
 def test_directions_are_the_last_motion(seed: int, m: int, shuffled: bool) -> None:
-    """Row by row as GAP.md says: first row +1, then the sign of the change, no change: as before."""
+    """First row +1, then the sign of the change, no change: as before (identification/README.md, "Effects")."""
     generator = np.random.default_rng(seed)
     postures = generator.integers(0, 3, (m, 3)).astype(float)  # few values, so that joints often rest
     order = generator.permutation(m).astype(float) * 7.0 if shuffled else None

@@ -1,4 +1,4 @@
-"""Truth and diagnoses joined: shares with their Monte Carlo errors, the confusion matrix, and the bars of GAP.md."""
+"""Truth and diagnoses joined: shares with their Monte Carlo errors, the confusion matrix, and the targets."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ OUTCOMES = ("met", "within its error", "missed")
 
 @dataclass(frozen=True)
 class Bar:
-    """What GAP.md asks of a measure in a cell."""
+    """Target of a measure in a cell (identification/README.md, "How often is the diagnosis right?")."""
 
     cell: str
     measure: str

@@ -1,4 +1,4 @@
-"""A second implementation of the arm and its effects, written from GAP.md's table in plain numpy.
+"""A second implementation of the arm and its effects, from identification/README.md, "Effects", in plain numpy.
 
 The blind study simulates the truth with this file; diagnosis fits with `identification.model`. Nothing here calls the
 model or its effects. Positions are complex numbers x + iy in millimetres.
@@ -330,7 +330,7 @@ class CellSpec:
     lam: float | None = None
     effects: int = 1
     noise: str = "white"
-    limits: str = "full"  # full, some (narrow joints), paper (the 4-link arm of GAP.md)
+    limits: str = "full"  # full, some (narrow joints), paper (the paper's 4-link arm)
     outside: bool = False
     wrong_masses: bool = False
     reported: bool = True  # in the full study; the others can be asked for by name

@@ -1,4 +1,4 @@
-"""The blind study: how often is the diagnosis right about effects that it cannot know? (GAP.md, bars)
+"""The blind study: how often is the diagnosis right about effects that it cannot know?
 
 A simulator that shares no code with the models (plain numpy) draws arm, plan, noise and hidden effects and
 hands over what a user has: arm file and measurements. What it hid goes to a table of its own, written by other tasks;

@@ -110,7 +110,7 @@ def make_plan(key: dict[str, Any], seed: np.random.SeedSequence, text: str) -> l
 
 
 def dft_postures(links: int, runs: int) -> np.ndarray:
-    """(m, n) theta_j = 2 pi i j / m, that is q_j = 2 pi i / m for every joint, in (-pi, pi] (THEORY.md section 3)."""
+    """(m, n) theta_j = 2 pi i j / m, so every q_j = 2 pi i / m, in (-pi, pi] (doe/README.md, "Information matrix")."""
     turn = 2.0 * np.pi * np.arange(runs) / runs
     return np.tile(np.where(turn > np.pi, turn - 2.0 * np.pi, turn)[:, None], (1, links))
 

@@ -1,4 +1,4 @@
-"""Mistakes in the paper's equations and conditions, each shown by algebra on random plans (THEORY.md section 7)."""
+"""Mistakes in the paper's equations and conditions, each shown by algebra on random plans (doe/README.md, "Errata")."""
 
 from __future__ import annotations
 

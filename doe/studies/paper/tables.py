@@ -4,7 +4,7 @@ Klimchik, Wu, Caro, Pashkevich, "Design of Experiments for Calibration of Planar
 table is one row per printed statement:
 
 `place`, `links`, `runs`, `item`, `unit` : what is spoken of
-`printed` : what the paper says;  `theory` : what our own derivation says (THEORY.md)
+`printed` : what the paper says;  `theory` : what our own derivation says (doe/README.md, "Errata")
 `simulated`, `standard_error` : what so many simulated calibrations say
 `verdict` : "agrees" (to one unit of the last printed digit), "erratum", "not identifiable", or "added" where the paper
     says nothing
@@ -37,7 +37,7 @@ JOINT_OFFSETS_DEG = (0.5, -0.5, 0.7, -0.3)
 SIGMA = 0.1  # [mm]
 REPLICATIONS = 10_000
 LIMITED = "4 links within joint limits"
-LIMITS_DEG = ((-180.0, 180.0), (-120.0, 120.0), (-100.0, 60.0), (-90.0, 90.0))  # THEORY.md section 4
+LIMITS_DEG = ((-180.0, 180.0), (-120.0, 120.0), (-100.0, 60.0), (-90.0, 90.0))  # doe/README.md, "Planar theorem"
 CASES = ("2 links", "3 links", "4 links", LIMITED)  # names of the arms of `table_3`
 LAST_DIGIT = 0.001  # Table III and the text print three decimals
 ALERT = 4.5  # standard errors between simulation and theory; 100 rows from one fixed seed: 1 in 1,500 by chance
@@ -57,7 +57,7 @@ TABLE_1 = {
 
 
 def paper_arm(links: int = 4, limited: bool = False) -> Arm:
-    """The first links of the paper's arm; `limited`: within the joint limits of THEORY.md section 4."""
+    """The first links of the paper's arm; `limited`: within the joint limits of doe/README.md, "Planar theorem"."""
     lower, upper = np.radians(LIMITS_DEG[:links]).T if limited else (None, None)
     name = LIMITED if limited else f"{links} links"
     return Arm(np.array(LENGTHS[:links]), lower, upper, SIGMA, name)  # type: ignore[arg-type]
@@ -74,7 +74,7 @@ def orientation_std(links: int, runs: int, sigma: float = SIGMA) -> np.ndarray:
 
 
 def joint_offset_std(links: int, runs: int, sigma: float = SIGMA) -> np.ndarray:
-    """(n,) [deg] of dq_j = dtheta_j - dtheta_(j-1), two uncorrelated orientations (THEORY.md section 2)."""
+    """(n,) [deg] of dq_j = dtheta_j - dtheta_(j-1) (identification/README.md, "Covariance and intervals")."""
     own = orientation_std(links, runs, sigma)
     return np.sqrt(own**2 + np.r_[0.0, own[:-1] ** 2])
 

@@ -29,7 +29,10 @@ def judged(plan: Plan, status: Status = Status.converged):  # type: ignore[no-un
 
 
 def test_certificate_of_any_weights() -> None:
-    """gap = max d - p, efficiency >= p / max d, bound = log det M + p log(max d / p) (THEORY.md section 5)."""
+    """gap = max d - p, efficiency >= p / max d, bound = log det M + p log(max d / p).
+
+    doe/README.md, "Equivalence theorem".
+    """
     case, found = problem(FOUR), judged(FACTORIAL)
     information = case.information(FACTORIAL.postures, FACTORIAL.weights)
     axes = [np.linspace(a, b, 5) for a, b in zip(FOUR.lower[1:], FOUR.upper[1:], strict=True)]

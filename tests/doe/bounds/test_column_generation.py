@@ -23,7 +23,10 @@ from tests.doe.regression import regression
 
 
 def closed_form(lower: Array, upper: Array, offset: bool = False) -> float:
-    """THEORY.md section 4: 4 sum_j log sin(min(Delta_j / 2, pi / 2)), j = 2..n; with a base offset j = 1 too."""
+    """4 sum_j log sin(min(Delta_j / 2, pi / 2)), j = 2..n; with a base offset j = 1 too.
+
+    doe/README.md, "Planar theorem".
+    """
     half = np.minimum((upper - lower) / 2.0, np.pi / 2.0)
     return float(4.0 * np.sum(np.log(np.sin(half[0 if offset else 1 :]))))
 

@@ -24,7 +24,7 @@ ROUNDING = 1e-9  # log det of well-conditioned matrices of at most 14 rows, cond
 
 
 def complex_log_det(postures: np.ndarray, *, offset: bool = False) -> float:
-    """2 log det H from complex exponentials, without any of the project's code (THEORY.md section 3)."""
+    """2 log det H from complex exponentials, without the project's code (doe/README.md, "Information matrix")."""
     columns = np.exp(1j * np.cumsum(postures, axis=1))
     if offset:
         columns = np.hstack([np.ones((len(columns), 1)), columns])
@@ -67,7 +67,7 @@ def test_no_design_is_better(links: int, offset: bool, seed: int) -> None:
 
 
 def test_value_of_the_issue() -> None:
-    assert closed_form_log_det(problem(FOUR)) == pytest.approx(-0.0612353259, abs=5e-11)  # THEORY.md section 4
+    assert closed_form_log_det(problem(FOUR)) == pytest.approx(-0.0612353259, abs=5e-11)  # the box of doe/README.md
     assert closed_form_log_det(problem(SIX)) == pytest.approx(-1.2994579, abs=5e-8)  # issue 2
 
 
@@ -80,13 +80,13 @@ def test_first_joint_plays_a_part_only_with_a_base_offset() -> None:
 
 @pytest.mark.parametrize("errors", [[5.0, -3.0, 2.0, 1.0], [10.0] * 4, [-520.0, 90.0, -60.0, 0.0]])
 def test_log_det_does_not_depend_on_lengths_calibrated_or_not(errors: list[float]) -> None:
-    """CONTRACT.md: log det M' of the base model, which is 2 log det H <= 0 whatever the lengths (THEORY.md section 3).
+    """log det M' of the base model is 2 log det H <= 0 whatever the lengths (doe/README.md, "Information matrix").
 
     The third case turns link 1 round: its length is -260 mm.
     """
     calibration = Calibration(np.array(errors), np.array([0.02, -0.01, 0.03, 0.01]))
     arm = Arm(FOUR.lengths, FOUR.lower, FOUR.upper, calibration=calibration)
-    assert closed_form_log_det(problem(arm)) == pytest.approx(-0.0612353259, abs=5e-11)  # THEORY.md section 4
+    assert closed_form_log_det(problem(arm)) == pytest.approx(-0.0612353259, abs=5e-11)  # the box of doe/README.md
     anywhere = np.random.default_rng(4).uniform(FOUR.lower, FOUR.upper, (9, 4))
     for plan in (factorial(arm, offset=False), anywhere):
         assert problem(arm).objective(plan) == pytest.approx(complex_log_det(plan), abs=ROUNDING)

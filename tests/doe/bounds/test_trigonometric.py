@@ -45,7 +45,10 @@ def test_equals_the_blocks(case) -> None:  # type: ignore[no-untyped-def]
 
 
 def test_base_model_has_a_wave_per_pair_of_links() -> None:
-    """THEORY.md section 3: d depends on q through exp(i (q_(j+1) + .. + q_k)), j < k, only; q_1 plays no part."""
+    """d depends on q through exp(i (q_(j+1) + .. + q_k)), j < k, only; q_1 plays no part.
+
+    doe/README.md, "Information matrix".
+    """
     found = trigonometric_blocks(problem(FOUR))
     assert found is not None
     frequencies = {tuple(f) for f in found.sensitivity(np.diag(np.arange(1.0, 9.0)) + 1.0).frequencies}

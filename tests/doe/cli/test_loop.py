@@ -21,7 +21,7 @@ def test_design_reaches_the_bound_and_writes_the_plan(folder: Folder) -> None:
     done = folder.armcal("design", "arm.toml", "--runs", "8", "--json", "--out", "plan8.csv")
     assert done.code == 0, done.err
     assert set(done.data) >= DESIGN_KEYS
-    # THEORY.md section 4: 4 sum_(j>=2) log sin(min(Delta_j / 2, 90 deg)), Delta = 240, 160, 180 deg
+    # doe/README.md, "Planar theorem": 4 sum_(j>=2) log sin(min(Delta_j / 2, 90 deg)), Delta = 240, 160, 180 deg
     assert done.data["bound"]["value"] == pytest.approx(4 * np.log(np.sin(np.radians(80.0))), abs=1e-12)
     assert done.data["certified_optimal"] is True
     postures = np.array(done.data["postures_deg"])

@@ -32,7 +32,7 @@ def designed(lower: list[float], upper: list[float], runs: int, **options: Any) 
 
 
 def log_det(postures: np.ndarray) -> float:
-    """2 log det H, H = mean z z^*, z_j = exp(i theta_j) (THEORY.md section 3)."""
+    """2 log det H, H = mean z z^*, z_j = exp(i theta_j) (doe/README.md, "Information matrix")."""
     z = np.exp(1j * np.cumsum(postures, axis=1))
     return 2.0 * np.log(np.linalg.det(z.T @ z.conj() / len(z)).real)
 
@@ -58,7 +58,7 @@ def visible_share(postures: np.ndarray, joint: int, order: int) -> float:
 def test_without_limits_everything_is_seen_and_nothing_looks_like_another() -> None:
     for seed in range(3):
         found = designed([-180] * 4, [180] * 4, 24, seed=seed)
-        assert 0.0 >= log_det(found.design.plan.postures) >= 8.0 * np.log(0.95)  # 0 is the bound, THEORY.md section 3
+        assert 0.0 >= log_det(found.design.plan.postures) >= 8.0 * np.log(0.95)  # 0 is the bound
         for joint in range(4):
             for order in (1, 2):
                 assert visible_share(found.design.plan.postures, joint, order) > 0.3
@@ -69,7 +69,7 @@ def test_without_limits_everything_is_seen_and_nothing_looks_like_another() -> N
 def test_joint_limits_cost_at_most_the_loss_and_effects_become_visible() -> None:
     lower, upper = [-180, -120, -100, -90], [180, 120, 60, 90]
     found = designed(lower, upper, 30, loss=0.05)
-    bound = 4 * np.log(np.sin(np.radians(80.0)))  # closed form, THEORY.md section 4
+    bound = 4 * np.log(np.sin(np.radians(80.0)))  # closed form, doe/README.md, "Planar theorem"
     postures, best = found.design.plan.postures, log_det(found.best.plan.postures)
     assert np.all(postures >= np.radians(lower))
     assert np.all(postures <= np.radians(upper))

@@ -25,7 +25,8 @@ def test_optimal_plan(runs: int) -> None:
     lengths = arm.lengths
     np.testing.assert_allclose(found.length, sigma / np.sqrt(runs))  # eq. 24, corrected
     np.testing.assert_allclose(found.orientation, sigma / np.sqrt(runs) / lengths)
-    offsets = np.r_[1 / lengths[0], np.hypot(1 / lengths[1:], 1 / lengths[:-1])]  # THEORY.md section 2
+    # identification/README.md, "Covariance and intervals"
+    offsets = np.r_[1 / lengths[0], np.hypot(1 / lengths[1:], 1 / lengths[:-1])]
     np.testing.assert_allclose(found.joint_offset, sigma / np.sqrt(runs) * offsets)
 
 

@@ -27,7 +27,7 @@ def test_four_links_where_the_bound_is_attained(runs: int) -> None:
     ],
 )  # fmt: skip
 def test_best_known_values(arm: Arm, runs: int, value: float, starts: int | None) -> None:
-    """At least the best value known, to the digits it is printed with (THEORY.md section 4, PEERS.md, issue 3).
+    """At least the best value known, to the digits it is printed with (doe/README.md, "Exact plans").
 
     `starts` smaller than the default keep this quick where the default spends seconds to make sure.
     """

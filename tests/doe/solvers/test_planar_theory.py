@@ -59,7 +59,7 @@ def check(arm: Arm, runs: int, *effects: EffectSpec) -> None:
 
 @pytest.mark.parametrize("runs", [4, 20, 28, 100, 360, 364, 500, 3000])
 def test_multiples_of_four_with_the_limits_of_the_issue(runs: int) -> None:
-    """THEORY.md section 4: m = 4 attains the bound, and so do blocks of four, however many."""
+    """doe/README.md, "Planar theorem": m = 4 attains the bound, and so do blocks of four, however many."""
     check(FOUR, runs)
 
 
@@ -77,7 +77,7 @@ def test_with_a_base_offset_no_joint_is_free_to_tell_postures_apart(arm: Arm, ru
 @settings(max_examples=40, deadline=None)
 @given(st.integers(2, 6), st.integers(0, 2**32 - 1))
 def test_whole_factorials_in_random_limits(links: int, seed: int) -> None:
-    """The two-level factorial of joints 2..n attains the bound (THEORY.md section 4): so do multiples of its size."""
+    """The two-level factorial of joints 2..n, and its multiples, attain the bound (doe/README.md, "Planar theorem")."""
     generator = np.random.default_rng(seed)
     size, box = 2 ** (links - 1), random_box(generator, links)
     arm = Arm(box.lengths, np.r_[-np.pi, box.lower[1:]], np.r_[np.pi, box.upper[1:]])  # joint 1 is free to tell apart

@@ -87,7 +87,7 @@ def test_judged_by_the_problem() -> None:
     honest = judged(PROBLEM, 5, score(PROBLEM, Plan(postures)))
     theta = np.exp(1j * np.cumsum(postures, axis=1))
     hermitian = theta.conj().T @ theta / 5
-    assert honest["value"] == pytest.approx(2.0 * np.linalg.slogdet(hermitian)[1], abs=1e-10)  # THEORY.md section 3
+    assert honest["value"] == pytest.approx(2.0 * np.linalg.slogdet(hermitian)[1], abs=1e-10)  # 2 log det H
     assert honest["correct"]
     assert honest["violation"] == 0.0
     assert not judged(PROBLEM, 6, score(PROBLEM, Plan(postures)))["correct"]  # a run is missing

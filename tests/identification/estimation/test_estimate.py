@@ -26,14 +26,14 @@ CONTRACT_KEYS |= {"rms_before_mm", "rms_after_mm", "max_before_mm", "max_after_m
 
 
 def dft_plan(m: int) -> np.ndarray:
-    """Orientations 2 pi i f_j / m with different f_j: the columns of Table I are orthogonal (THEORY.md, section 3)."""
+    """Orientations 2 pi i f_j / m, different f_j: orthogonal columns (doe/README.md, "Information matrix")."""
     orientations = 2.0 * np.pi * np.outer(np.arange(m), [1, 2, 3, 5]) / m
     return np.diff(orientations, axis=1, prepend=0.0)
 
 
 # -- sigma, weights, covariance --------------------------------------------------------------------------------------
 def test_optimal_plan_has_the_deviations_of_the_paper() -> None:
-    """eq. 25 for orientations; THEORY.md, section 2, for joint offsets. At the nominal arm, so exact."""
+    """eq. 25, and joint offsets by identification/README.md, "Covariance and intervals". At the nominal arm: exact."""
     m, lengths = 20, np.array(LENGTHS)
     model = Model(arm())
     found = estimate(model, Measurements(dft_plan(m), model.position(dft_plan(m))), sigma=SIGMA)
@@ -295,7 +295,7 @@ def test_bad_arguments() -> None:
 # -- real data -------------------------------------------------------------------------------------------------------
 @pytest.mark.skipif(not UR10.exists(), reason="the UR10 data are not here")
 def test_ur10() -> None:
-    """Figures of an independent fit (GAP.md, "Real data")."""
+    """Figures of an independent fit (identification/README.md, "Real data")."""
     model = Model(Arm([612.0, 572.3, 115.7], effects=(EffectSpec("base_offset"),)))
     found = estimate(model, load_measurements(UR10, 3))
     assert found.rms_before == pytest.approx(0.569, abs=5e-4)

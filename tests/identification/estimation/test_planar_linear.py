@@ -25,7 +25,7 @@ def test_equals_converged_paper_steps(effects: tuple[EffectSpec, ...], m: int) -
     closed, steps = (estimate(model, measurements, method) for method in ("linear", "paper_steps"))
     np.testing.assert_allclose(
         closed.parameters * model.scales, steps.parameters * model.scales, rtol=0, atol=1e-9
-    )  # mm: the claim of THEORY.md is 3e-13
+    )  # mm: identification/README.md, "Closed form" claims 3e-13
     assert steps.iterations < 12
 
 

@@ -1,4 +1,4 @@
-"""Arm files: what CONTRACT.md promises, exact round trips, comments kept, and one line for every kind of bad input."""
+"""Arm files (identification/files/README.md, "Arm file"): exact round trips, comments kept, bad input in one line."""
 
 from __future__ import annotations
 

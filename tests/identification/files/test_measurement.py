@@ -1,4 +1,4 @@
-"""Measurement files: what CONTRACT.md promises, exact round trips, units that the numbers contradict."""
+"""Measurement files (identification/files/README.md, "Measurement file"): exact round trips, contradicted units."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def test_every_fifth_row_is_explained_better_and_it_replicates_on_the_others() -
     assert any(abs(k - 20.5) <= 2 for k in joint_1)
     assert any(abs(k - 28.5) <= 2 for k in joint_1)
     assert any(joint == 2 and abs(k - 18) <= 1 for joint, k in waves(found))
-    # independent fit of GAP.md: 0.413 mm with lengths, offsets and base offset
+    # independent fit (identification/README.md, "Real data"): 0.413 mm with lengths, offsets and base offset
     assert found.gap.held_out_before == pytest.approx(0.413, abs=0.02)
     before, after = three_waves(others)
     assert before == pytest.approx(0.413, abs=0.005)

@@ -97,7 +97,7 @@ def test_optimal_plan_has_the_deviations_of_equation_25() -> None:
     found = run_study(study).cells
     lengths = LENGTHS + PAPER.length_errors
     orientation = np.degrees(0.1 / np.sqrt(m) / lengths)
-    joint = np.sqrt(orientation**2 + np.r_[0.0, orientation[:-1] ** 2])  # THEORY.md section 2
+    joint = np.sqrt(orientation**2 + np.r_[0.0, orientation[:-1] ** 2])  # dq_j = dtheta_j - dtheta_(j-1)
     expected = np.r_[np.full(4, 0.1 / np.sqrt(m)), joint, orientation]
     np.testing.assert_allclose(found["expected_std"].to_numpy(), expected, rtol=1e-9)
     # 12 deviations, 12 means and 12 coverages from one fixed seed: 4.5 standard errors fail by chance in 1 of 4,000
@@ -126,7 +126,7 @@ def test_random_plans_are_new_for_each_replication() -> None:
         columns = np.exp(1j * np.cumsum(q, axis=1))
         u = np.linalg.lstsq(columns, p[:, 0] + 1j * p[:, 1], rcond=None)[0]
         errors.append(np.abs(u) - LENGTHS - PAPER.length_errors)
-        variances.append(0.04 * np.diag(np.linalg.inv(columns.conj().T @ columns)).real)  # THEORY.md section 3
+        variances.append(0.04 * np.diag(np.linalg.inv(columns.conj().T @ columns)).real)  # H, doe/README.md
     found = result.cells.filter(pl.col("parameter").str.starts_with("length"))
     np.testing.assert_allclose(found["mean_error"].to_numpy(), np.mean(errors, axis=0), atol=1e-10)
     np.testing.assert_allclose(found["std"].to_numpy(), np.std(errors, axis=0, ddof=1), rtol=1e-8)

@@ -112,7 +112,7 @@ def test_text() -> None:
 def test_every_erratum_is_confirmed() -> None:
     found = errata(replications=3_000, seed=1)
     assert found.filter(~pl.col("confirmed"))["place"].to_list() == []
-    assert len(found) == 15  # THEORY.md section 7, and D*
+    assert len(found) == 15  # doe/README.md, "Errata", and D*
 
 
 def test_a_correct_statement_is_no_erratum() -> None:
