@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from doe.cli.common import Answer, Session, force_option, verb
 from doe.cli.tables import cluster_option, interruptible, one_thread_each, resume_option, workers_option
+
+if TYPE_CHECKING:
+    from doe.jobs.workers import Workers
+    from doe.studies.blind.score import BlindStudy
+    from doe.studies.paper.study import PaperStudy
+
+Options = dict[str, Any]  # seed, resume, force, progress
 
 EXAMPLE = """armcal study study.toml --workers 4
 
@@ -51,29 +59,28 @@ def command(
     """Simulate, identify and count: what plans, models and noise do to the accuracy.
 
     STUDY is a file, or the name of a study that comes with armcal: paper (every table, figure and number of the paper,
-    with errata), blind (diagnoses of data with hidden effects, compared with the truth afterwards; in a source
-    checkout). The folder gets cells.parquet (one row per cell and parameter: errors, deviations, coverage),
-    blocks.parquet and plans.parquet; notebooks read them with polars.
+    with errata), blind (diagnoses of data with hidden effects, compared with the truth afterwards). The folder gets
+    cells.parquet (one row per cell and parameter: errors, deviations, coverage), blocks.parquet and plans.parquet;
+    notebooks read them with polars.
     """
     one_thread_each()
     from doe.jobs.workers import choose
-    from doe.studies.registry import STUDIES
     from identification.errors import InputError, nearest
 
-    if study not in STUDIES and not study.endswith(".toml"):
-        raise InputError(f"study: unknown name {study!r}, {nearest(study, STUDIES)}, or a file NAME.toml")
+    if study not in BUILT_IN and not study.endswith(".toml"):
+        raise InputError(f"study: unknown name {study!r}, {nearest(study, BUILT_IN)}, or a file NAME.toml")
     folder = out or Path(study).with_suffix(".results")
     where = choose(workers, cluster)
     with interruptible(folder), session.progress("study") as progress:
         options = {"seed": session.seed, "resume": resume, "force": force, "progress": progress}
-        if study in STUDIES:
-            return _named(study, folder, {**options, "workers": where, "replications": replications})
-        return _from_file(Path(study), folder, replications, {**options, "workers": where})
+        if study in BUILT_IN:
+            return BUILT_IN[study](replications, folder, where, options)
+        return _from_file(Path(study), replications, folder, where, options)
 
 
-def _from_file(path: Path, folder: Path, replications: int | None, options: dict[str, object]) -> Answer:
+def _from_file(path: Path, replications: int | None, folder: Path, workers: Workers, options: Options) -> Answer:
+    """A Monte Carlo study that a file describes."""
     from dataclasses import replace
-    from typing import Any, cast
 
     from doe.report.study import study_tables
     from doe.studies.monte_carlo import load_study, run_study
@@ -82,18 +89,37 @@ def _from_file(path: Path, folder: Path, replications: int | None, options: dict
     study = load_study(path)
     if replications is not None:
         study = replace(study, replications=replications)
-    result = run_study(study, folder, **cast(Any, options))
+    result = run_study(study, folder, workers, **options)
     require_some(result)
     failed = result.cells.filter(result.cells["status"] != "done")
     data = {"out": folder, "cells": result.cells.to_dicts(), "failed": len(failed)}
     return Answer(data, [*study_tables(result), f"{len(result.cells)} rows written to {folder / CELLS}"])
 
 
-def _named(name: str, folder: Path, options: dict[str, object]) -> Answer:
-    from typing import Any, cast
+def _paper(replications: int | None, folder: Path, workers: Workers, options: Options) -> Answer:
+    """The paper reproduced."""
+    from doe.report.paper import paper_tables, write_pictures
+    from doe.studies.paper.study import paper_study
 
-    from doe.studies.registry import named
+    found = paper_study(replications, folder, workers, **options)
+    write_pictures(folder, found)
+    return _tables_answer(found, folder, paper_tables(found))
 
-    result = named(name)(folder=folder, **cast(Any, options))
-    data = {"out": folder, "passed": result.passed, **{key: frame.to_dicts() for key, frame in result.frames.items()}}
-    return Answer(data, list(result.shown), exit_code=0 if result.passed else 1)
+
+def _blind(replications: int | None, folder: Path, workers: Workers, options: Options) -> Answer:
+    """Diagnoses of data with hidden effects."""
+    from doe.report.blind import blind_tables, write_pictures
+    from doe.studies.blind.study import blind_study
+
+    found = blind_study(None, replications, folder, workers, **options)
+    write_pictures(folder, found)
+    return _tables_answer(found, folder, blind_tables(found))
+
+
+def _tables_answer(found: BlindStudy | PaperStudy, folder: Path, shown: list[Any]) -> Answer:
+    """The tables as JSON; exit code 1 if the study did not come out as it must."""
+    rows = {name: frame.to_dicts() for name, frame in found.tables.items()}
+    return Answer({"out": folder, "passed": found.passed, **rows}, shown, exit_code=0 if found.passed else 1)
+
+
+BUILT_IN = {"blind": _blind, "paper": _paper}

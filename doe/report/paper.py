@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,13 +15,17 @@ if TYPE_CHECKING:
     import polars
     from matplotlib.figure import Figure
 
+    from doe.studies.paper.study import PaperStudy
 
-def paper_tables(tables: Mapping[str, polars.DataFrame], passed: bool) -> list[Any]:
+
+def paper_tables(found: PaperStudy) -> list[Any]:
     """Verdict, what agrees and what does not, and the errata with their evidence."""
+    tables = found.tables
     every = [*tables["table_1"]["verdict"], *tables["table_2"]["verdict"], *tables["table_3"]["verdict"]]
     every += [*tables["text"]["verdict"]]
     counts = ", ".join(f"{every.count(word)} {text}" for word, text in WORDS.items())
-    sentence = "theory and simulation agree everywhere" if passed else "theory and simulation DISAGREE somewhere"
+    agree = "theory and simulation agree everywhere"
+    sentence = agree if found.passed else "theory and simulation DISAGREE somewhere"
     return [
         f"The paper reproduced: {sentence}. Printed statements: {counts}.",
         _figures_table("Table III and joint limits", tables["table_3"]),
@@ -120,10 +123,10 @@ def figure_2_picture(data: polars.DataFrame) -> Figure:
     return figure
 
 
-def write_pictures(folder: Path, first: polars.DataFrame, second: polars.DataFrame) -> None:
+def write_pictures(folder: Path, found: PaperStudy) -> None:
     """figure_1.svg and figure_2.svg in the folder."""
     from doe.report.page import svg
     from identification.files.io import write_whole
 
-    write_whole(folder / "figure_1.svg", svg(figure_1_picture(first)), force=True)
-    write_whole(folder / "figure_2.svg", svg(figure_2_picture(second)), force=True)
+    write_whole(folder / "figure_1.svg", svg(figure_1_picture(found.tables["figure_1"])), force=True)
+    write_whole(folder / "figure_2.svg", svg(figure_2_picture(found.tables["figure_2"])), force=True)

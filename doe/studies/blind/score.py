@@ -36,6 +36,16 @@ class BlindStudy:
     sets: polars.DataFrame
     failures: int
 
+    @property
+    def tables(self) -> dict[str, polars.DataFrame]:
+        """What is written as NAME.parquet."""
+        return {"cells": self.cells, "bars": self.bars, "confusion": self.confusion}
+
+    @property
+    def passed(self) -> bool:
+        """Whether every set could be diagnosed."""
+        return self.failures == 0
+
     def value(self, cell: str, measure: str) -> float:
         """One figure. Raises `KeyError` if the cell has no such measure."""
         for row in self.cells.iter_rows(named=True):

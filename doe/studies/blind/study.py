@@ -10,8 +10,9 @@ Blocks of sets are the tasks: keyed, resumable and on any workers as every study
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,14 +21,10 @@ from doe.jobs.workers import Workers, run
 from doe.studies.blind import simulator
 from doe.studies.blind.case import Case
 from doe.studies.blind.score import BARS, BlindStudy, score
-from doe.studies.registry import NamedResult
 from identification.errors import InputError, nearest
 from identification.gap.diagnose import diagnose
 from identification.gap.result import Diagnosis
 from identification.progress import Progress, silent
-
-if TYPE_CHECKING:
-    import polars
 
 BLOCK = 10  # sets per task
 DRAWS = 499  # of the bootstrap
@@ -55,56 +52,43 @@ def blind_study(
 
     cells : names of the simulator's cells, default those of the full study
     count : data sets per cell; left out: 1000 without a hidden effect where there is a bar, else 400 or 1200
-    folder : where plans.parquet, truth.parquet and diagnoses.parquet go;  draws : of the bootstrap
+    folder : where plans.parquet, truth.parquet, diagnoses.parquet and the tables of the result go
+    draws : of the bootstrap
 
     Raises `InputError` for an unknown cell.
     """
-    known = list(simulator.CELLS)
-    for cell in cells or ():
-        if cell not in known:
-            raise InputError(f"cell: unknown name {cell!r}, {nearest(cell, known)}")
-    reported = [cell for cell, spec in simulator.CELLS.items() if spec.reported]
-    keys = [dict(key) for cell in cells or reported for key in _keys(cell, count, seed)]
-    to_plan = [key for key in keys if simulator.to_be_planned(key["cell"], _number(key)) is not None]
-    with RowTable.within(folder, PLANS, resume=resume, force=force) as table:
-        run(plan, to_plan, table, workers, progress=progress)
-        plans = {text: rows[0].get("postures_deg") for text, rows in table.rows.items()}
+    keys = [dict(key) for cell in _checked(cells) for key in _keys(cell, count, seed)]
+    plans: dict[str, Any] = {}
 
     def planned(key: Key) -> list[list[float]] | None:
         return plans.get(canonical({name: value for name, value in key.items() if name != "draws"}))
 
-    with RowTable.within(folder, TRUTH, resume=resume, force=force) as table:
-        truth = run(hide, keys, table, workers, payload=planned, progress=progress)
-    keys = [{**key, "draws": draws} for key in keys]
-    with RowTable.within(folder, DIAGNOSES, resume=resume, force=force) as table:
-        found = run(examine, keys, table, workers, payload=planned, progress=progress)
-    return score(truth, found)
+    def table(name: str) -> AbstractContextManager[RowTable]:
+        return RowTable.within(folder, name, resume=resume, force=force)
 
-
-def study(
-    *,
-    folder: Path | None,
-    workers: Workers,
-    seed: int,
-    replications: int | None,
-    resume: bool,
-    force: bool,
-    progress: Progress,
-) -> NamedResult:
-    """`armcal study blind`: every cell; passes if every set could be diagnosed."""
-    from doe.report.blind import blind_tables, write_pictures
-
-    found = blind_study(None, replications, folder, workers, seed=seed, resume=resume, force=force, progress=progress)
-    frames: dict[str, polars.DataFrame] = {
-        "cells": found.cells,
-        "bars": found.bars,
-        "confusion": found.confusion,
-    }
+    with table(PLANS) as rows:
+        to_plan = [key for key in keys if simulator.to_be_planned(key["cell"], _number(key)) is not None]
+        run(plan, to_plan, rows, workers, progress=progress)
+        plans |= {text: made[0].get("postures_deg") for text, made in rows.rows.items()}
+    with table(TRUTH) as rows:
+        truth = run(hide, keys, rows, workers, payload=planned, progress=progress)
+    with table(DIAGNOSES) as rows:
+        tasks = [{**key, "draws": draws} for key in keys]
+        diagnoses = run(examine, tasks, rows, workers, payload=planned, progress=progress)
+    found = score(truth, diagnoses)
     if folder is not None:
-        for name, frame in frames.items():
+        for name, frame in found.tables.items():
             frame.write_parquet(folder / f"{name}.parquet")
-        write_pictures(folder, found)
-    return NamedResult(frames, tuple(blind_tables(found)), found.failures == 0)
+    return found
+
+
+def _checked(cells: Sequence[str] | None) -> list[str]:
+    """Names of the simulator's cells, default those of the full study."""
+    known = list(simulator.CELLS)
+    for cell in cells or ():
+        if cell not in known:
+            raise InputError(f"cell: unknown name {cell!r}, {nearest(cell, known)}")
+    return list(cells or (cell for cell, spec in simulator.CELLS.items() if spec.reported))
 
 
 def _keys(cell: str, count: int | None, seed: int) -> Iterator[Key]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,10 +16,9 @@ from doe.jobs.workers import Workers, run
 from doe.studies.paper.errata import CHECKS, errata
 from doe.studies.paper.figures import RUNS, figure_1, figure_2
 from doe.studies.paper.tables import CASES, REPLICATIONS, consistent, table_1, table_2, table_3, text_figures
-from doe.studies.registry import NamedResult
 from identification.errors import InputError, JobError
 from identification.files.io import check_writable, write_together
-from identification.progress import Progress
+from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
     import polars
@@ -28,37 +28,48 @@ PARTS = "parts.parquet"
 ALLOWED = 100, 100_000  # replications
 
 
-def study(
-    *,
-    folder: Path | None,
-    workers: Workers,
-    seed: int,
-    replications: int | None,
-    resume: bool,
-    force: bool,
-    progress: Progress,
-) -> NamedResult:
-    """Everything of the paper; passes if theory and simulation agree everywhere and every erratum is confirmed.
+@dataclass(frozen=True)
+class PaperStudy:
+    """Everything of the paper, computed again.
 
+    tables : by the names in `NAMES`
+    """
+
+    tables: dict[str, polars.DataFrame]
+
+    @property
+    def passed(self) -> bool:
+        """Whether theory and simulation agree everywhere and every erratum is confirmed."""
+        return consistent(self.tables["table_3"]) and bool(self.tables["errata"]["confirmed"].all())
+
+
+def paper_study(
+    replications: int | None = None,
+    folder: Path | None = None,
+    workers: Workers | None = None,
+    *,
+    seed: int = 0,
+    resume: bool = False,
+    force: bool = False,
+    progress: Progress = silent,
+) -> PaperStudy:
+    """Everything of the paper.
+
+    replications : simulated calibrations of each case;  folder : where a Parquet file of each table goes
     Raises `InputError` for so few replications that a deviation means nothing, or so many that memory ends.
     """
     least, most = ALLOWED
     if replications is not None and not least <= replications <= most:
         raise InputError(f"--replications: found {replications}, allowed for the paper: {least} to {most:,}")
-    from doe.report.paper import paper_tables, write_pictures
-
     targets = {} if folder is None else {name: folder / f"{name}.parquet" for name in NAMES}
     keys = list(parts(replications or REPLICATIONS, seed))
     with RowTable.within(folder, PARTS, resume=resume, force=force) as table:
         for target in targets.values():
             check_writable(target, resume or force)
         table.forget([key for key, rows in table.rows.items() if rows[0]["status"] != "done"])
-        tables = assemble(run(part, keys, table, workers, seed=seed, progress=progress))
-    passed = consistent(tables["table_3"]) and bool(tables["errata"]["confirmed"].all())
-    if folder is not None:
-        write_together({target: _bytes(tables[name]) for name, target in targets.items()}, force=True)
-        write_pictures(folder, tables["figure_1"], tables["figure_2"])
-    return NamedResult(tables, tuple(paper_tables(tables, passed)), passed)
+        found = PaperStudy(assemble(run(part, keys, table, workers, seed=seed, progress=progress)))
+    write_together({target: _bytes(found.tables[name]) for name, target in targets.items()}, force=True)
+    return found
 
 
 def parts(replications: int, seed: int) -> Iterator[Key]:

@@ -189,7 +189,7 @@ ARGUMENTS: dict[str, Any] = {"seed": 3, "replications": 100, "force": False, "pr
 
 
 def test_parts_make_the_same_tables_on_any_workers() -> None:
-    found = paper_run.study(folder=None, workers=processes(2), resume=False, **ARGUMENTS).frames
+    found = paper_run.paper_study(folder=None, workers=processes(2), resume=False, **ARGUMENTS).tables
     whole = (table_1(), table_2(), table_3(100, 3), text_figures(), errata(100, 3), figure_1(100, 3), figure_2(100, 3))
     assert tuple(found) == paper_run.NAMES
     for frame, other in zip(found.values(), whole, strict=True):
@@ -210,12 +210,12 @@ def test_resume_keeps_finished_parts(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(paper_run, "errata", stopped)
     options: dict[str, Any] = {**ARGUMENTS, "folder": tmp_path / "out", "workers": serial()}
     with pytest.raises(KeyboardInterrupt):
-        paper_run.study(resume=False, **options)
+        paper_run.paper_study(resume=False, **options)
     with pytest.raises(JobError, match=r"errata: ValueError: out of luck; go on with --resume"):
-        paper_run.study(resume=True, **options)
-    resumed = paper_run.study(resume=True, **options).frames
+        paper_run.paper_study(resume=True, **options)
+    resumed = paper_run.paper_study(resume=True, **options).tables
     assert sorted(asked) == sorted([*range(15), 5, 7])  # nothing else twice
     monkeypatch.undo()
-    for name, frame in paper_run.study(folder=None, workers=serial(), resume=False, **ARGUMENTS).frames.items():
+    for name, frame in paper_run.paper_study(folder=None, workers=serial(), resume=False, **ARGUMENTS).tables.items():
         assert frame.equals(resumed[name])
         assert frame.equals(pl.read_parquet(tmp_path / "out" / f"{name}.parquet"))
