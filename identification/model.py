@@ -21,12 +21,20 @@ from numpy.typing import ArrayLike
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.effects import Chain, Effect, build_all, known_values
-from identification.errors import InputError, nearest
-from identification.kinematics.parameters import Parameter
+from identification.errors import InputError
+from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, ParameterSet
+from identification.kinematics.planar import (
+    DIMENSION,
+    chain_parameters,
+    joint_points,
+    rotate,
+    symbolic_chain,
+    symbolic_points,
+)
 from identification.measurements import Conditions
 from identification.vectorize import vectorize
 
-DIMENSION = 2  # measured coordinates per posture
+__all__ = ["DIMENSION", "Model"]
 
 
 @dataclass(frozen=True)
@@ -41,10 +49,8 @@ class Model:
     known: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
-        names = [p.name for p in self.all_parameters]
         for name in self.known or {}:
-            if name not in names:
-                raise InputError(f"parameter: unknown name {name!r}, {nearest(name, names)}")
+            self.all_parameters.index(name)  # raises for an unknown one
 
     def __getstate__(self) -> dict[str, Any]:
         """What pickles: the CasADi functions do not, and are built anew where they are needed."""
@@ -58,21 +64,21 @@ class Model:
 
     @cached_property
     def _built(self) -> tuple[tuple[Effect, EffectSpec], ...]:
-        effects = build_all(self.arm.effects, self.arm.links, self.arm.lengths)
+        effects = build_all(self.arm.effects, self.joints, self.arm.lengths)
         return tuple(zip(effects, self.arm.effects, strict=True))
 
     @cached_property
-    def all_parameters(self) -> tuple[Parameter, ...]:
+    def all_parameters(self) -> ParameterSet:
         """Every parameter, estimated or known: length errors, joint offsets, then those of the effects."""
-        lengths = [Parameter(f"length_error:{j + 1}", "mm") for j in range(self.arm.links)]
-        offsets = [Parameter(f"joint_offset:{j + 1}", "rad", scale=s) for j, s in enumerate(self._best_lengths())]
-        return (*lengths, *offsets, *(p for effect in self.effects for p in effect.parameters))
+        chain = chain_parameters(self._best_lengths())
+        return ParameterSet.of((*chain, *(p for effect in self.effects for p in effect.parameters)))
 
-    def _best_lengths(self) -> list[float]:
-        """(n) best known link lengths [mm]: nominal plus calibrated or known errors, as far as anything is left."""
+    def _best_lengths(self) -> Array:
+        """(n,) best known link lengths [mm]: nominal plus calibrated or known errors, as far as anything is left."""
+        names = [p.name for p in chain_parameters(self.arm.lengths) if p.kind == LENGTH_ERROR]
         errors = self._calibrated() | dict(self.known or {})
-        best = self.arm.lengths + [errors.get(f"length_error:{j + 1}", 0.0) for j in range(self.arm.links)]
-        return [float(b) for b in np.where(best == 0.0, self.arm.lengths, np.abs(best))]
+        best = self.arm.lengths + np.array([errors.get(name, 0.0) for name in names])
+        return np.where(best == 0.0, self.arm.lengths, np.abs(best))
 
     @cached_property
     def fixed(self) -> Mapping[str, float]:
@@ -84,38 +90,41 @@ class Model:
         return values
 
     @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
+    def parameters(self) -> ParameterSet:
         """(p) the parameters that are estimated, in the order of every parameter vector."""
-        return tuple(p for p in self.all_parameters if p.name not in self.fixed)
+        return ParameterSet.of(p for p in self.all_parameters if p.name not in self.fixed)
 
     @property
     def names(self) -> tuple[str, ...]:
         """(p) names of the estimated parameters."""
-        return tuple(p.name for p in self.parameters)
+        return self.parameters.names
 
     @property
     def dimension(self) -> int:
         """d, measured coordinates per posture."""
         return DIMENSION
 
-    @cached_property
+    @property
+    def joints(self) -> int:
+        """n, joints of a posture."""
+        return self.arm.links
+
+    @property
     def scales(self) -> Array:
         """(p,) length per unit of each parameter [mm/unit]; column k of the Jacobian divided by it is about one."""
-        return np.array([p.scale for p in self.parameters])
+        return self.parameters.scales
 
     @cached_property
     def values(self) -> Array:
         """(p,) best known values: the calibration's where the arm has one, else zero."""
-        calibrated = self._calibrated()
-        return np.array([calibrated.get(p.name, 0.0) for p in self.parameters])
+        return self.parameters.vector(self._calibrated())
 
     def _calibrated(self) -> dict[str, float]:
         calibration = self.arm.calibration
         if calibration is None:
             return {}
-        lengths = {f"length_error:{j + 1}": float(v) for j, v in enumerate(calibration.length_errors)}
-        offsets = {f"joint_offset:{j + 1}": float(v) for j, v in enumerate(calibration.joint_offsets)}
-        return lengths | offsets | dict(calibration.effects)
+        chain = chain_parameters(self.arm.lengths)
+        return chain.mapping(np.r_[calibration.length_errors, calibration.joint_offsets]) | dict(calibration.effects)
 
     @property
     def needs(self) -> frozenset[str]:
@@ -130,18 +139,19 @@ class Model:
     # -- symbols ---------------------------------------------------------------------------------------------------
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """SX of postures q (n), conditions c (3+n, see `Conditions.table`), parameters (p) and position (2)."""
-        n = self.arm.links
-        q, c, p = ca.SX.sym("q", n), ca.SX.sym("c", 3 + n), ca.SX.sym("p", len(self.parameters))
-        chain = Chain(self.arm.lengths, self.arm.gravity, q, c[0], c[1], c[2], c[3:])
-        slot = {parameter.name: p[k] for k, parameter in enumerate(self.parameters)}
-        everything = ca.vertcat(*(slot.get(a.name, self.fixed.get(a.name, 0.0)) for a in self.all_parameters))
-        return q, c, p, self._tip(chain, everything)
+        """SX of postures q (n), conditions c (3+n, see `Conditions.table`), parameters (p) and position (d)."""
+        q, c, p = ca.SX.sym("q", self.joints), ca.SX.sym("c", 3 + self.joints), ca.SX.sym("p", len(self.parameters))
+        return q, c, p, self._measured(q, c, self._everything(p))
 
-    def _tip(self, chain: Chain, values: ca.SX) -> ca.SX:
+    def _everything(self, p: ca.SX) -> ca.SX:
+        """Values of `all_parameters`, where p has those of `parameters`."""
+        slot = {name: p[k] for k, name in enumerate(self.names)}
+        return ca.vertcat(*(slot.get(name, self.fixed.get(name, 0.0)) for name in self.all_parameters.names))
+
+    def _measured(self, q: ca.SX, c: ca.SX, values: ca.SX) -> ca.SX:
         """Joint -> link -> mounting -> instrument, each with its effects (identification/README.md, "Effects")."""
-        n = chain.links
-        parts, start = [], 2 * n
+        chain = Chain(self.arm.lengths, self.arm.gravity, q, c[0], c[1], c[2], c[3:])
+        n, parts, start = chain.links, [], 2 * chain.links
         for effect in self.effects:
             parts.append((effect, values[start : start + len(effect.parameters)]))
             start += len(effect.parameters)
@@ -149,17 +159,23 @@ class Model:
         lengths: ca.SX = ca.SX(ca.DM(chain.lengths)) + values[:n]
         lengths += sum((e.extensions(chain, v, lengths) for e, v in parts), ca.SX.zeros(n))
         bent = [e.bending(chain, v) for e, v in parts]
-        deflections = ca.SX.zeros(n) + sum(b[0] for b in bent)
-        slopes = ca.SX.zeros(n) + sum(b[1] for b in bent)
-        theta, tip = ca.SX(0), ca.SX.zeros(2)
-        for j in range(n):
-            theta += angles[j]
-            tip += rotate(theta, ca.vertcat(lengths[j], deflections[j]))
-            theta += slopes[j]
-        tip += rotate(theta, ca.SX.zeros(2) + sum(e.tool(chain, v) for e, v in parts))
+        deflections, slopes = (ca.SX.zeros(n) + sum(b[k] for b in bent) for k in range(2))
+        points, theta = symbolic_chain(lengths, angles, deflections, slopes)
+        tip = points[-1] + rotate(theta, ca.SX.zeros(DIMENSION) + sum(e.tool(chain, v) for e, v in parts))
         turn = sum(e.base_rotation(chain, v) for e, v in parts)
         tip = rotate(turn, tip) + sum(e.base_translation(chain, v) for e, v in parts)
         return tip + sum(e.instrument(tip, v) for e, v in parts)
+
+    def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
+        """n + 1 points (d,) of base, joints and tip [mm] at a posture (n,) [rad], as `points` gives them."""
+        return symbolic_points(self._chain_values[0], q + ca.DM(self._chain_values[1]))
+
+    @cached_property
+    def _chain_values(self) -> tuple[Array, Array]:
+        """(n,) best known lengths [mm] and (n,) joint offsets [rad]."""
+        best = self.all_parameters.vector(self._calibrated() | dict(self.fixed))
+        errors, offsets = (best[self.all_parameters.indices(kind)] for kind in (LENGTH_ERROR, JOINT_OFFSET))
+        return self.arm.lengths + errors, offsets
 
     @cached_property
     def position_function(self) -> ca.Function:
@@ -173,6 +189,16 @@ class Model:
         q, c, p, position = self.symbols
         outputs = ca.cse([position, ca.jacobian(position, p)])
         return ca.Function("jacobian", [q, c, p], outputs, ["q", "c", "p"], ["position", "jacobian"])
+
+    @cached_property
+    def _levers(self) -> Callable[..., tuple[np.ndarray, ...]]:
+        """Of (q, c, p): the derivative by an angle added at each joint, (d, n)."""
+        q, c, p, _ = self.symbols
+        turns = ca.SX.sym("turns", self.joints)
+        values = self._everything(p)
+        values[self.all_parameters.indices(JOINT_OFFSET).tolist()] += turns
+        levers = ca.substitute(ca.jacobian(self._measured(q, c, values), turns), turns, ca.SX.zeros(self.joints))
+        return vectorize(ca.Function("levers", [q, c, p], [ca.cse(levers)]))
 
     @cached_property
     def _position(self) -> Callable[..., tuple[np.ndarray, ...]]:
@@ -205,26 +231,39 @@ class Model:
         position, jacobian = self._jacobian(*self._arguments(postures, parameters, conditions))
         return position[..., 0], jacobian
 
+    def joint_levers(
+        self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
+    ) -> Array:
+        """(m, d, n) derivative of the positions by each joint's own offset [mm/rad], be that offset estimated or not;
+        (K, m, d, n) for (K, p) parameter sets."""
+        return self._levers(*self._arguments(postures, parameters, conditions))[0]
+
+    def points(self, postures: ArrayLike) -> Array:
+        """(m, n + 1, d) base, joints and tip [mm] at (m, n) postures [rad], at the best known lengths and offsets.
+
+        In the frame of the base, without effects: for constraints and pictures; `position` is what is measured.
+        """
+        q = self._postures(postures)
+        return joint_points(self._chain_values[0], q + self._chain_values[1])
+
     @property
     def neutral_conditions(self) -> Array:
         """(3+n,) conditions where nothing is said: the arm's payload, mean temperature, mid-session, approach +1."""
         payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
-        return Conditions().table(1, self.arm.links, payload)[0]
+        return Conditions().table(1, self.joints, payload)[0]
+
+    def _postures(self, postures: ArrayLike) -> Array:
+        q = np.atleast_2d(np.asarray(postures, dtype=float))
+        if q.ndim not in (2, 3) or q.shape[-1] != self.joints:
+            raise InputError(f"postures: shape {np.shape(postures)}, allowed: (m, {self.joints})")
+        return q
 
     def _arguments(
         self, postures: ArrayLike, parameters: ArrayLike | None, conditions: Conditions | None
     ) -> tuple[Array, Array, Array]:
-        q = np.atleast_2d(np.asarray(postures, dtype=float))
-        if q.ndim not in (2, 3) or q.shape[-1] != self.arm.links:
-            raise InputError(f"postures: shape {np.shape(postures)}, allowed: (m, {self.arm.links})")
+        q = self._postures(postures)
         p = self.values if parameters is None else np.asarray(parameters, dtype=float)
         if p.shape[-1:] != (len(self.parameters),):
             raise InputError(f"parameters: shape {p.shape}, allowed: (..., {len(self.parameters)})")
-        table = (conditions or Conditions()).table(q.shape[:-1], self.arm.links, float(self.neutral_conditions[0]))
+        table = (conditions or Conditions()).table(q.shape[:-1], self.joints, float(self.neutral_conditions[0]))
         return q, table, p[..., None, :]
-
-
-def rotate(angle: ca.SX | float, vector: ca.SX) -> ca.SX:
-    """(2,) vector turned by an angle [rad]."""
-    cosine, sine = ca.cos(angle), ca.sin(angle)
-    return ca.vertcat(cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1])

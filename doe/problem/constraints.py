@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from identification.arm import Arm, KeepOutCircle, LineOfSight, WorkspaceBox
 from identification.arrays import Array, readonly
 from identification.errors import InputError
+from identification.kinematics.planar import joint_points, symbolic_points
 
 Points = NDArray[np.complex128]
 
@@ -59,19 +60,10 @@ def constraints_of(arm: Arm) -> tuple[Constraint, ...]:
     return tuple(made)
 
 
-def joint_points(lengths: Array, postures: Array) -> Points:
+def complex_points(lengths: Array, postures: Array) -> Points:
     """(m, n + 1) base, joints and tip as complex numbers [mm]."""
-    steps = lengths * np.exp(1j * np.cumsum(postures, axis=1))
-    return np.concatenate([np.zeros((len(postures), 1)), np.cumsum(steps, axis=1)], axis=1)
-
-
-def symbolic_points(lengths: Array, q: ca.SX) -> list[ca.SX]:
-    """n + 1 points (2,): base, joints and tip [mm]."""
-    points, theta = [ca.SX.zeros(2)], ca.SX(0)
-    for j, length in enumerate(lengths):
-        theta += q[j]
-        points.append(points[-1] + float(length) * ca.vertcat(ca.cos(theta), ca.sin(theta)))
-    return points
+    points = joint_points(lengths, postures)
+    return np.asarray(points[..., 0] + 1j * points[..., 1])
 
 
 @dataclass(frozen=True)
@@ -85,7 +77,7 @@ class InsideBox:
 
     def margin(self, postures: Array) -> Array:
         """(m, 4) distances to the four sides [mm]."""
-        tip = joint_points(self.lengths, postures)[:, -1]
+        tip = complex_points(self.lengths, postures)[:, -1]
         return np.stack([tip.real - self.x[0], self.x[1] - tip.real, tip.imag - self.y[0], self.y[1] - tip.imag], 1)
 
     def symbolic(self, q: ca.SX) -> ca.SX:
@@ -105,7 +97,7 @@ class OutsideCircle:
 
     def margin(self, postures: Array) -> Array:
         """(m, n) distance of every link from the circle [mm]."""
-        points = joint_points(self.lengths, postures)
+        points = complex_points(self.lengths, postures)
         return distance_to_segment(complex(*self.center), points[:, :-1], points[:, 1:]) - self.radius
 
     def symbolic(self, q: ca.SX) -> ca.SX:
@@ -125,7 +117,7 @@ class InSight:
 
     def margin(self, postures: Array) -> Array:
         """(m, n) arc to the edge of the cone, and signed distances of links 1..n-1 from the line of sight [mm]."""
-        points, tracker = joint_points(self.lengths, postures), complex(*self.sight.tracker)
+        points, tracker = complex_points(self.lengths, postures), complex(*self.sight.tracker)
         tip = points[:, -1]
         turn = np.angle((tip - tracker) * np.conj(complex(*self.sight.toward) - tracker))
         cone = (self.sight.half_angle - np.abs(turn)) * np.abs(tip - tracker)

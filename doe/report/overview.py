@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from doe.demo import Demo
 from doe.report.pictures import AFTER, BEFORE, LIMIT, draw_arm
+from identification.model import Model
 
 
 def overview_figure(demo: Demo) -> Figure:
@@ -51,8 +52,7 @@ def draw_cause(axes: Axes, demo: Demo) -> None:
 def angle_errors(demo: Demo, joint: int, predicted: np.ndarray) -> np.ndarray:
     """(m,) angle [rad] of `joint` that explains most of each residual: least squares along d tip / d q_joint."""
     residuals = demo.fresh.positions - predicted
-    theta = np.cumsum(demo.fresh.postures, axis=1)[:, joint - 1 :]
-    lengths = demo.arm.lengths[joint - 1 :]
-    lever = np.stack([-(lengths * np.sin(theta)).sum(axis=1), (lengths * np.cos(theta)).sum(axis=1)], axis=1)
-    clear = np.maximum(np.sum(lever**2, axis=1), (0.3 * lengths.sum()) ** 2)  # a folded arm says little
+    lever = Model(demo.arm).joint_levers(demo.fresh.postures)[:, :, joint - 1]
+    longest = float(demo.arm.lengths[joint - 1 :].sum())
+    clear = np.maximum(np.sum(lever**2, axis=1), (0.3 * longest) ** 2)  # a folded arm says little
     return np.sum(residuals * lever, axis=1) / clear

@@ -16,6 +16,7 @@ from identification.arm import Arm, KeepOutCircle, LineOfSight, WorkspaceBox
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.io import write_whole
+from identification.kinematics.planar import joint_points
 
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 
@@ -56,10 +57,7 @@ def run_colors(m: int) -> Array:
 
 def draw_arm(axes: Axes, arm: Arm, postures: Array) -> None:
     """Stick figures of the nominal arm."""
-    theta = np.cumsum(postures, axis=1)
-    steps = arm.lengths[None, :, None] * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
-    points = np.concatenate([np.zeros((len(postures), 1, 2)), np.cumsum(steps, axis=1)], axis=1)
-    for line, color in zip(points, run_colors(len(postures)), strict=True):
+    for line, color in zip(joint_points(arm.lengths, postures), run_colors(len(postures)), strict=True):
         axes.plot(line[:, 0], line[:, 1], color=color, lw=1.2, alpha=0.75)
         axes.plot(*line[-1], "o", color=color, ms=4)
     axes.plot(0, 0, "ks", ms=6)

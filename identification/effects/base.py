@@ -22,6 +22,7 @@ from identification.arm import EffectSpec, Gravity
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.parameters import Parameter
+from identification.kinematics.planar import symbolic_points
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,11 @@ class Chain:
     def orientations(self) -> ca.SX:
         """(n,) nominal absolute link orientations theta_j = q_1 + ... + q_j [rad]."""
         return ca.cumsum(self.q)
+
+    @cached_property
+    def _points(self) -> list[ca.SX]:
+        """n + 1 points (2,) of base, joints and tip [m], nominal pose."""
+        return symbolic_points(self.lengths / 1000.0, self.q)
 
     @cached_property
     def loads(self) -> list[tuple[ca.SX, int, float | None]]:
@@ -81,11 +87,8 @@ class Chain:
 
     def _point(self, link: int, fraction: float) -> ca.SX:
         """(2,) point at `fraction` of a link [m], nominal pose."""
-        point = ca.SX.zeros(2)
-        for k in range(link + 1):
-            length = self.lengths[k] * (fraction if k == link else 1.0) / 1000.0
-            point += length * ca.vertcat(ca.cos(self.orientations[k]), ca.sin(self.orientations[k]))
-        return point
+        start, end = self._points[link : link + 2]
+        return start + fraction * (end - start)
 
 
 class Effect:
@@ -135,7 +138,7 @@ class Effect:
 
     def parameter(self, short: str, unit: str, *, scale: float, lower: float = -inf, upper: float = inf) -> Parameter:
         """A parameter of this effect, with its full name."""
-        return Parameter(f"{self.key}.{short}", unit, lower, upper, scale)
+        return Parameter(f"{self.key}.{short}", unit, lower, upper, scale, joint=self.joint)
 
     @property
     def link_length(self) -> float:

@@ -237,8 +237,9 @@ def unit_warnings(measurements: Measurements, arm: Arm) -> list[str]:
 
 def _misfit(measurements: Measurements, arm: Arm, radians: bool, metres: bool) -> float:
     """Median distance [mm] from the nominal arm's tip, with the numbers of the file read in the other unit."""
+    from identification.kinematics.planar import joint_points  # imports CasADi, which reading alone does not need
+
     postures = np.degrees(measurements.postures) if radians else measurements.postures
     positions = measurements.positions * (1000.0 if metres else 1.0)
-    theta = np.cumsum(postures, axis=1)
-    tip = np.column_stack([np.cos(theta) @ arm.lengths, np.sin(theta) @ arm.lengths])
+    tip = joint_points(arm.lengths, postures)[:, -1]
     return float(np.median(np.linalg.norm(positions - tip, axis=1)))

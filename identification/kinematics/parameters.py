@@ -1,13 +1,18 @@
-"""Parameters of a model: names, units, bounds and scales."""
+"""Parameters of a model: names, units, bounds, scales and kinds, and vectors of their values."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from math import inf
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from identification.arrays import Array, readonly
+from identification.errors import InputError, nearest
 
 # unit in the API -> (unit in files and tables, factor to it, suffix of the key in an arm file)
 FILE_UNITS: Mapping[str, tuple[str, float, str]] = MappingProxyType(
@@ -22,6 +27,8 @@ FILE_UNITS: Mapping[str, tuple[str, float, str]] = MappingProxyType(
         "rad/session": ("deg/session", 180.0 / np.pi, "_deg"),
     }
 )
+# kinds of parameters; those of the chain belong to a joint, those of the effects may
+LENGTH_ERROR, JOINT_OFFSET, EFFECT = "length_error", "joint_offset", "effect"
 
 
 @dataclass(frozen=True)
@@ -33,6 +40,7 @@ class Parameter:
     lower, upper : physical bounds, API unit
     scale : length [mm] that one unit moves the tip by, in order of magnitude; criteria that are not invariant to units
         divide by it (lengths 1, angles of joint j the best known length of link j)
+    kind : `length_error`, `joint_offset` or `effect`;  joint : from 1, None: of the whole arm
     """
 
     name: str
@@ -40,6 +48,8 @@ class Parameter:
     lower: float = -inf
     upper: float = inf
     scale: float = 1.0
+    kind: str = EFFECT
+    joint: int | None = None
 
     @property
     def short(self) -> str:
@@ -60,3 +70,86 @@ class Parameter:
     def toml_key(self) -> str:
         """Key in an arm file: `a_deg`."""
         return self.short + FILE_UNITS[self.unit][2]
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """An immutable sequence of p parameters, in the order of every vector and matrix of them."""
+
+    items: tuple[Parameter, ...]
+
+    @classmethod
+    def of(cls, parameters: Iterable[Parameter]) -> ParameterSet:
+        """The set of these parameters in this order."""
+        return cls(tuple(parameters))
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self.items)
+
+    def __getitem__(self, k: int) -> Parameter:
+        return self.items[k]
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """(p) names."""
+        return tuple(p.name for p in self.items)
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """(p) units of the API."""
+        return tuple(p.unit for p in self.items)
+
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """(p) kinds."""
+        return tuple(p.kind for p in self.items)
+
+    @cached_property
+    def scales(self) -> Array:
+        """(p,) length per unit [mm/unit]."""
+        return readonly([p.scale for p in self.items])
+
+    @cached_property
+    def lower(self) -> Array:
+        """(p,) lower physical bounds."""
+        return readonly([p.lower for p in self.items])
+
+    @cached_property
+    def upper(self) -> Array:
+        """(p,) upper physical bounds."""
+        return readonly([p.upper for p in self.items])
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {p.name: k for k, p in enumerate(self.items)}
+
+    def index(self, name: str) -> int:
+        """Place of a parameter; raises `InputError` for a name that is not among these."""
+        if name not in self._places:
+            raise InputError(f"parameter: unknown name {name!r}, {nearest(name, self.names)}")
+        return self._places[name]
+
+    def indices(self, kind: str) -> NDArray[np.int64]:
+        """Places of all parameters of a kind, in order."""
+        return np.array([k for k, p in enumerate(self.items) if p.kind == kind], dtype=np.int64)
+
+    def vector(self, values: Mapping[str, float], default: float = 0.0) -> Array:
+        """(p,) the values in order, `default` where the mapping has none; names of other parameters do not matter."""
+        return np.array([values.get(name, default) for name in self.names], dtype=float)
+
+    def mapping(self, vector: ArrayLike) -> dict[str, float]:
+        """Name -> value of a (p,) vector; raises `ValueError` for another length."""
+        return dict(zip(self.names, np.asarray(vector, dtype=float).tolist(), strict=True))
+
+
+def length_error(joint: int) -> Parameter:
+    """dl_j [mm] of the link behind a joint (from 1)."""
+    return Parameter(f"{LENGTH_ERROR}:{joint}", "mm", kind=LENGTH_ERROR, joint=joint)
+
+
+def joint_offset(joint: int, scale: float = 1.0) -> Parameter:
+    """dq_j [rad] of a joint (from 1);  scale : length of the link behind it [mm]."""
+    return Parameter(f"{JOINT_OFFSET}:{joint}", "rad", scale=scale, kind=JOINT_OFFSET, joint=joint)

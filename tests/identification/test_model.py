@@ -294,3 +294,50 @@ def test_wrong_shapes_and_names_are_input_errors() -> None:
         model.position(np.zeros((3, 2)), np.zeros(5))
     with pytest.raises(InputError, match="did you mean 'length_error:1'"):
         Model(Arm([200.0, 100.0]), known={"length_eror:1": 0.0})
+
+
+LEVER_ARM = Arm(
+    [300.0, 200.0, 150.0],
+    gravity=Gravity(GRAVITY_ACCELERATION, [4.0, 3.0, 1.0], [0.5, 0.4, 0.6], 2.0),
+    effects=(EffectSpec("joint_compliance"), EffectSpec("axes_skew"), EffectSpec("base_rotation_drift")),
+    calibration=Calibration(np.array([1.0, -2.0, 0.5]), np.array([0.01, -0.02, 0.03])),
+)
+
+
+def test_joint_levers_are_the_derivative_by_each_offset_known_or_not() -> None:
+    """Against central differences in the value of a known offset: error h^2 / 6 of some 660 mm, and rounding / h."""
+    generator = np.random.default_rng(5)
+    q, h = generator.uniform(-np.pi, np.pi, (6, 3)), 1e-5
+    conditions = Conditions(time=np.linspace(-0.5, 0.5, 6))
+    offsets = {"joint_offset:1": 0.02, "joint_offset:2": -0.01, "joint_offset:3": 0.03}
+    model = Model(LEVER_ARM, known=offsets)
+    values = model.parameters.vector({"axes_skew.a": 0.02, "joint_compliance.c1": 1e-4, "base_rotation_drift.w": 0.1})
+    levers = model.joint_levers(q, values, conditions)
+    assert levers.shape == (6, 2, 3)
+    for j, name in enumerate(offsets):
+        ends = [
+            Model(LEVER_ARM, known=offsets | {name: offsets[name] + step}).position(q, values, conditions)
+            for step in (-h, h)
+        ]
+        np.testing.assert_allclose(levers[:, :, j], (ends[1] - ends[0]) / (2 * h), rtol=0, atol=1e-5)
+
+
+def test_joint_levers_are_the_jacobian_columns_of_estimated_offsets() -> None:
+    model, generator = Model(LEVER_ARM), np.random.default_rng(6)
+    q, sets = generator.uniform(-np.pi, np.pi, (5, 3)), 1e-3 * generator.standard_normal((2, len(model.names)))
+    columns = model.jacobian(q, sets)[..., model.parameters.indices("joint_offset")]
+    np.testing.assert_allclose(model.joint_levers(q, sets), columns, rtol=1e-12, atol=1e-9)
+
+
+def test_points_are_the_best_known_chain_in_the_frame_of_the_base() -> None:
+    model, q = Model(LEVER_ARM), np.random.default_rng(7).uniform(-np.pi, np.pi, (4, 3))
+    lengths, offsets = LEVER_ARM.lengths + np.array([1.0, -2.0, 0.5]), np.array([0.01, -0.02, 0.03])
+    links = lengths * np.exp(1j * np.cumsum(q + offsets, axis=1))
+    points = model.points(q)
+    assert points.shape == (4, 4, 2)
+    np.testing.assert_array_equal(points[:, 0], 0.0)
+    np.testing.assert_allclose(points[:, 1:] @ [1.0, 1.0j], np.cumsum(links, axis=1), rtol=1e-13)
+    posture = ca.SX.sym("q", 3)
+    symbolic = ca.Function("points", [posture], [ca.horzcat(*model.symbolic_points(posture))])
+    np.testing.assert_allclose(np.array(symbolic(q[0])).T, points[0], rtol=1e-13, atol=1e-12)
+    assert (model.joints, model.dimension) == (3, 2)
