@@ -48,7 +48,7 @@ def smooth(criterion: Criterion) -> Criterion:
 
 def surrogate(criterion: Criterion) -> Criterion:
     """What many postures are compared by instead of a criterion that is slow to compute; itself if it is not."""
-    return getattr(criterion, "quick", criterion)
+    return getattr(criterion, "surrogate", criterion)
 
 
 def values_after_adding(criterion: Criterion, information: Array, blocks: Array) -> Array:

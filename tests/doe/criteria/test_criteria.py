@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from doe.criteria import NAMES, A, Criterion, D, Ds, DStar, E, I, PowerMean, criterion
-from doe.criteria.criterion import values_after_adding
+from doe.criteria.criterion import smooth, surrogate, values_after_adding
 from identification.errors import InputError
 
 P = 6
@@ -171,6 +171,13 @@ def test_power_means_lie_between_a_and_e() -> None:
     assert float(PowerMean(1.0).value(information)) == pytest.approx(-P / float(A().value(information)))
     smallest = float(E().value(information))
     assert smallest <= float(PowerMean(32.0).value(information)) <= smallest * P ** (1 / 32)
+
+
+def test_stand_ins_of_criteria_without_derivatives() -> None:
+    """Gradient methods climb Phi_32 instead of E, exchange compares by Phi_8; a smooth criterion stands for itself."""
+    assert smooth(E()) == PowerMean(32.0)
+    assert surrogate(E()) == PowerMean(8.0)
+    assert smooth(D()) == surrogate(D()) == D()
 
 
 def test_names() -> None:
