@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import FILE, Answer, Seconds, Session, force_option, verb
+from doe.cli.common import Answer, Session, verb
+from doe.cli.options import FILE, Output, Seconds, output_options
 
 
 @verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")
@@ -14,34 +15,22 @@ from doe.cli.common import FILE, Answer, Seconds, Session, force_option, verb
 @click.option("--runs", default="4:40", show_default=True, metavar="A:B", help="Numbers of runs, A to B.")
 @click.option("--target-mm", type=float, help="Wanted largest standard deviation of a link length [mm].")
 @click.option("--seconds", type=Seconds(), default=2.0, show_default=True, help="For each.")
-@click.option("--picture", type=FILE, metavar="FILE", help="Write the curve as .png, .svg or .pdf.")
-@force_option
-def command(
-    session: Session,
-    arm: Path,
-    runs: str,
-    target_mm: float | None,
-    seconds: float,
-    picture: Path | None,
-    force: bool,
-) -> Answer:
+@output_options(picture="Write the curve as .png, .svg or .pdf.", out=False)
+def command(session: Session, arm: Path, runs: str, target_mm: float | None, seconds: float, output: Output) -> Answer:
     """Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy."""
     from doe.advise import advise
     from doe.problem.problem import DesignProblem
     from doe.report.advice import advice_figure, advice_tables
-    from doe.report.pictures import save
     from identification.files.arm import load_arm
-    from identification.files.io import check_writable
     from identification.model import Model
 
     loaded = load_arm(arm)
-    check_writable(picture, force)
+    output.check()
     problem = DesignProblem.of(Model(loaded))
     with session.progress("advise") as progress:
         numbers = run_range(runs, problem.fewest_runs)
         advice = advise(problem, numbers, target=target_mm, seed=session.seed, seconds_each=seconds, progress=progress)
-    if picture is not None:
-        save(advice_figure(advice), picture, force)
+    output.draw(lambda: advice_figure(advice))
     return Answer(advice.to_json(), advice_tables(advice))
 
 

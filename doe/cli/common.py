@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+from doe.cli.options import OUTPUTS
 from identification.errors import ArmcalError, InputError, JobError
 from identification.progress import Progress, silent
 
@@ -24,28 +25,8 @@ if TYPE_CHECKING:
     from identification.arm import Arm
     from identification.measurements import Measurements
 
-FILE = click.Path(path_type=Path)
-OUTPUTS = frozenset({"out", "picture", "aliases", "report"})  # options that write a file; every other one is read
 # the arm file with something added to it; --force may put it in the place of the old one
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))
-
-
-class Seconds(click.FloatRange):
-    """A time budget [s] above zero; `nan` would be one that never ends."""
-
-    def __init__(self) -> None:
-        super().__init__(min=0, min_open=True)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """As in click, without `nan`."""
-        number = float(super().convert(value, param, ctx))
-        if math.isnan(number):
-            self.fail("nan is not in the range x>0.", param, ctx)
-        return number
-
-
-out_option = click.option("--out", type=FILE, metavar="FILE", help="Write the result to this file.")
-force_option = click.option("--force", is_flag=True, help="Overwrite an existing file.")
 
 
 @dataclass

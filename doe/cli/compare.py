@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.common import FILE, Answer, Session, force_option, verb
-from doe.cli.tables import cluster_option, interruptible, one_thread_each, resume_option, workers_option
+from doe.cli.common import Answer, Session, verb
+from doe.cli.jobs import JobOptions, interruptible, job_options, one_thread_each
+from doe.cli.options import FILE, Seconds, grouped
+
+if TYPE_CHECKING:
+    import polars
+
+    from doe.studies.comparison import Comparison
+    from identification.arm import Arm
 
 
 def whole_numbers(context: click.Context, parameter: click.Parameter, value: str | None) -> list[int] | None:
@@ -24,42 +33,54 @@ def whole_numbers(context: click.Context, parameter: click.Parameter, value: str
     return numbers
 
 
+@dataclass(frozen=True)
+class ComparisonOptions:
+    """What is compared, as on the command line."""
+
+    runs: list[int]
+    solvers: str | None
+    criteria: str
+    starts: list[int] | None
+    repeats: int
+    seconds: float
+
+    def of(self, arms: list[Arm]) -> Comparison:
+        """The comparison. Raises `InputError` for unknown names and for too few runs."""
+        from doe.solvers import library
+        from doe.solvers.driver import check_runs
+        from doe.studies.comparison import Comparison, problem_of
+
+        solvers = list(library()) if self.solvers is None else _words(self.solvers)
+        criteria = _words(self.criteria)
+        found = Comparison(arms, self.runs, solvers, self.starts or [None], self.repeats, self.seconds, criteria)
+        for arm, number in product(arms, self.runs):
+            check_runs(problem_of(arm, criteria[0]), number)
+        return found
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",")]
+
+
+comparison_options = grouped(
+    ComparisonOptions,
+    "compared",
+    click.option("--runs", callback=whole_numbers, required=True, help="Numbers of measurements m, as in 10,20."),
+    click.option("--solvers", help="Names, as in a,b; left out: all."),
+    click.option("--criterion", "criteria", default="D", show_default=True, help="D, A, E or Dstar; more as in D,A."),
+    click.option("--starts", callback=whole_numbers, help="Starts of one run, as in 1,10; left out: the solver's own."),
+    click.option(
+        "--repeats", type=click.IntRange(min=1), default=5, show_default=True, help="Runs of each, other seeds."
+    ),
+    click.option("--seconds", type=Seconds(), default=60.0, show_default=True, help="Limit of one run [s]."),
+)
+
+
 @verb("armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --repeats 10 --out comparison")
 @click.argument("arms", type=FILE, nargs=-1, required=True, metavar="ARM...")
-@click.option("--runs", callback=whole_numbers, required=True, help="Numbers of measurements m, as in 10,20.")
-@click.option("--solvers", help="Names, as in a,b; left out: all.")
-@click.option("--criterion", "criteria", default="D", show_default=True, help="D, A, E or Dstar; more as in D,A.")
-@click.option("--starts", callback=whole_numbers, help="Starts of one run, as in 1,10; left out: each solver's own.")
-@click.option("--repeats", type=click.IntRange(min=1), default=5, show_default=True, help="Runs of each, other seeds.")
-@click.option(
-    "--seconds",
-    type=click.FloatRange(min=0, min_open=True),
-    default=60.0,
-    show_default=True,
-    help="Limit of one run [s].",
-)
-@workers_option(default=1)
-@cluster_option
-@click.option(
-    "--out", type=FILE, metavar="DIR", help="Rows, summary and pictures go here; NAME.parquet: the rows only."
-)
-@resume_option
-@force_option
-def command(
-    session: Session,
-    arms: tuple[Path, ...],
-    runs: list[int],
-    solvers: str | None,
-    criteria: str,
-    starts: list[int] | None,
-    repeats: int,
-    seconds: float,
-    workers: int,
-    cluster: str | None,
-    out: Path | None,
-    resume: bool,
-    force: bool,
-) -> Answer:
+@comparison_options
+@job_options(workers=1, out="Rows, summary and pictures go here; NAME.parquet: the rows only.")
+def command(session: Session, arms: tuple[Path, ...], compared: ComparisonOptions, job: JobOptions) -> Answer:
     """Run design solvers side by side on the problems ARM x RUNS, each run in a process of its own.
 
     Every plan is judged on the stored problem, whatever its solver says. Hit rate: share of the runs that found the
@@ -67,36 +88,27 @@ def command(
     """
     one_thread_each()
     from doe.jobs.row_table import RowTable
-    from doe.jobs.workers import choose
     from doe.report.comparison import comparison_tables
-    from doe.solvers import library
-    from doe.solvers.driver import check_runs
-    from doe.studies.comparison import Comparison, compare, problem_of, summary
+    from doe.studies.comparison import compare, summary
     from identification.errors import InputError
     from identification.files.arm import load_arm
 
-    if resume and out is None:
+    if job.resume and job.out is None:
         raise InputError("--resume: needs --out, allowed: the folder of an earlier comparison")
-    names = list(library()) if solvers is None else [name.strip() for name in solvers.split(",")]
-    kinds = [name.strip() for name in criteria.split(",")]
-    loaded = [load_arm(arm) for arm in arms]
-    comparison = Comparison(loaded, runs, names, starts or [None], repeats, seconds, kinds)
-    for arm, number in product(loaded, runs):
-        check_runs(problem_of(arm, kinds[0]), number)
-    where = choose(workers, cluster)  # before the folder is made
-    table_file = rows_file(out)
+    comparison = compared.of([load_arm(arm) for arm in arms])
+    where = job.where()  # before the folder is made
+    table_file = rows_file(job.out)
     with (
         interruptible(table_file),
         session.progress("compare") as progress,
-        RowTable.open(table_file, resume=resume, force=force) as table,
+        RowTable.open(table_file, resume=job.resume, force=job.force) as table,
     ):
         rows = compare(comparison, table, where, seed=session.seed, progress=progress)
-    found = summary(rows)
     shown = comparison_tables(rows)
-    if out is not None and table_file != out:
-        write_results(out, rows)
-        shown.append(f"rows, summary and pictures written to {out}")
-    return Answer({"rows": rows.drop("key").to_dicts(), "summary": found.to_dicts()}, shown)
+    if job.out is not None and table_file != job.out:
+        write_results(job.out, rows)
+        shown.append(f"rows, summary and pictures written to {job.out}")
+    return Answer({"rows": rows.drop("key").to_dicts(), "summary": summary(rows).to_dicts()}, shown)
 
 
 def rows_file(out: Path | None) -> Path | None:
@@ -112,7 +124,7 @@ def rows_file(out: Path | None) -> Path | None:
     return out / "rows.parquet"
 
 
-def write_results(out: Path, rows) -> None:  # type: ignore[no-untyped-def]  # polars is imported by those who have it
+def write_results(out: Path, rows: polars.DataFrame) -> None:
     """Summary and pictures beside the rows."""
     import io
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import FILE, Answer, Session, force_option, verb
+from doe.cli.common import Answer, Session, verb
+from doe.cli.options import FILE, force_option
 
 
 @verb("armcal demo --out my-demo")

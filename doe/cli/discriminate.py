@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import FILE, Answer, Session, force_option, out_option, read_measurements, verb
+from doe.cli.common import Answer, Session, read_measurements, verb
+from doe.cli.options import FILE, Output, output_options
 
 
 @verb("armcal discriminate arm.toml data.csv --runs 4 --payloads 0,5,10 --out next.csv")
@@ -14,21 +15,17 @@ from doe.cli.common import FILE, Answer, Session, force_option, out_option, read
 @click.argument("data", type=FILE)
 @click.option("--runs", type=click.IntRange(min=1), required=True, help="Number of further measurements K.")
 @click.option("--payloads", help="Payloads to choose from [kg], as 0,5,10; left out: the arm's own.")
-@out_option
-@force_option
-def command(
-    session: Session, arm: Path, data: Path, runs: int, payloads: str | None, out: Path | None, force: bool
-) -> Answer:
+@output_options()
+def command(session: Session, arm: Path, data: Path, runs: int, payloads: str | None, output: Output) -> Answer:
     """The next RUNS postures that tell the candidates of an ambiguous diagnosis apart, with their chance of success."""
     from doe.discrimination.t_optimal import discriminate
     from doe.report.next_postures import missing_payload, next_data, next_tables, next_text
     from identification.errors import InputError
     from identification.files.arm import load_arm
-    from identification.files.io import check_writable, write_whole
     from identification.gap.diagnose import diagnose
 
     loaded = load_arm(arm)
-    check_writable(out, force)
+    output.check()
     masses = None if payloads is None else payload_list(payloads)
     if masses is not None and loaded.gravity is None:
         raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
@@ -39,11 +36,11 @@ def command(
         sentence = f"nothing to tell apart: {diagnosis.sentence}"
         return Answer({"verdict": diagnosis.verdict, "postures_deg": [], "chance": None}, [sentence])
     found = discriminate(loaded, diagnosis, measurements, runs, session.seed, masses)
-    shown = next_tables(diagnosis, found)
-    if out is not None:
-        write_whole(out, next_text(found), force=force)
-        shown.append(f"next postures written to {out}; measure them and append the rows to {data}")
-    shown += missing_payload(loaded, measurements, found)
+    written = [
+        f"{line}; measure them and append the rows to {data}"
+        for line in output.write(next_text(found), "next postures")
+    ]
+    shown = [*next_tables(diagnosis, found), *written, *missing_payload(loaded, measurements, found)]
     return Answer(next_data(diagnosis, found), shown)
 
 

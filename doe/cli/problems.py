@@ -2,71 +2,129 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import click
+
+from doe.cli.options import FILE, Decorator, grouped
+
 if TYPE_CHECKING:
+    from doe.criteria import Criterion
     from doe.problem.problem import DesignProblem
     from identification.arm import Arm
+    from identification.model import Model
 
 
-def problem_of(
-    arm: Arm,
-    criterion_name: str = "D",
-    *,
-    test_poses: Path | None = None,
-    subset: str | None = None,
-    keep: Path | None = None,
-    candidates: Path | None = None,
-    repeats: bool = False,
-    minimum_distance_deg: float | None = None,
-    uncertain: str | None = None,
-    draws: int = 5,
-    seed: int = 0,
+@dataclass(frozen=True)
+class CriterionOptions:
+    """What is to be estimated well."""
+
+    criterion: str = "D"
+    test_poses: Path | None = None
+    subset: str | None = None
+
+
+@dataclass(frozen=True)
+class PostureOptions:
+    """Which postures there are to choose from, and for which arms."""
+
+    keep: Path | None = None
+    candidates: Path | None = None
+    repeats: bool = False
+    minimum_distance_deg: float | None = None
+    uncertain: str | None = None
+    draws: int = 5
+
+
+def criterion_options(names: str) -> Decorator:
+    """--criterion (one of `names`), --test-poses and --subset, as the argument `criterion`."""
+    return grouped(
+        CriterionOptions,
+        "criterion",
+        click.option("--criterion", default="D", show_default=True, help=names),
+        click.option("--test-poses", type=FILE, metavar="FILE", help="CSV of postures that matter, for criterion I."),
+        click.option("--subset", help="Parameters that matter, for Ds: length_error:1,joint_offset:2"),
+    )
+
+
+posture_options = grouped(
+    PostureOptions,
+    "postures",
+    click.option("--keep", type=FILE, metavar="FILE", help="Postures measured already; the new ones go around them."),
+    click.option("--candidates", type=FILE, metavar="FILE", help="CSV of allowed postures to choose from."),
+    click.option("--repeats", is_flag=True, help="A posture may be measured more than once."),
+    click.option("--minimum-distance-deg", type=float, help="Postures differ by this in some joint (1 deg)."),
+    click.option(
+        "--uncertain", help="average or worst: a plan for an arm known only up to a prior (or its covariance)."
+    ),
+    click.option(
+        "--draws", type=click.IntRange(1, 50), default=5, show_default=True, help="Arms drawn for --uncertain."
+    ),
+)
+
+
+def design_problem(
+    arm: Arm, wanted: CriterionOptions, postures: PostureOptions | None = None, seed: int = 0
 ) -> DesignProblem:
     """The problem that the options describe. Raises `InputError` for files and names that do not fit."""
     import numpy as np
 
-    from doe.criteria import criterion
-    from doe.plan.file import load_plan
+    from doe.problem.bayesian import ensemble_problem, prior_draws
     from doe.problem.problem import DesignProblem
     from identification.model import Model
 
-    check_needed(criterion_name, test_poses=test_poses, subset=subset)
+    check_needed(wanted)
+    postures = postures or PostureOptions()
     model = Model(arm)
-    options: dict[str, Any] = {}
-    if keep is not None:
-        options["kept"] = measured_postures(keep, arm)
-    if candidates is not None:
-        options["choices"] = allowed_postures(candidates, arm)
-    if repeats or minimum_distance_deg is not None:
-        options["minimum_distance"] = 0.0 if repeats else float(np.radians(minimum_distance_deg or 0.0))
-    plain = DesignProblem.of(model, **options)
-    chosen = criterion(
-        criterion_name,
-        units=[parameter.unit for parameter in model.parameters],
-        subset=None if subset is None else indices(subset, model.names),
-        test_blocks=None if test_poses is None else plain.blocks(load_plan(test_poses, arm.links).postures),
-    )
-    problem = DesignProblem.of(model, criterion=chosen, **options)
-    if uncertain is None:
+    restricted = DesignProblem.of(model, **_restrictions(arm, postures))
+    problem = replace(restricted, criterion=_criterion(wanted, model, restricted))
+    if postures.uncertain is None:
         return problem
-    from doe.problem.bayesian import ensemble_problem as over_prior
-    from doe.problem.bayesian import prior_draws
+    return ensemble_problem(
+        problem, prior_draws(model, postures.draws, np.random.default_rng(seed)), postures.uncertain
+    )
 
-    return over_prior(problem, prior_draws(model, draws, np.random.default_rng(seed)), uncertain)
+
+def _restrictions(arm: Arm, postures: PostureOptions) -> dict[str, Any]:
+    """Arguments of `DesignProblem.of`, those left out not among them."""
+    import numpy as np
+
+    options: dict[str, Any] = {}
+    if postures.keep is not None:
+        options["kept"] = measured_postures(postures.keep, arm)
+    if postures.candidates is not None:
+        options["choices"] = allowed_postures(postures.candidates, arm)
+    if postures.repeats or postures.minimum_distance_deg is not None:
+        options["minimum_distance"] = (
+            0.0 if postures.repeats else float(np.radians(postures.minimum_distance_deg or 0.0))
+        )
+    return options
 
 
-def check_needed(criterion_name: str, *, test_poses: Path | None, subset: str | None) -> None:
+def _criterion(wanted: CriterionOptions, model: Model, problem: DesignProblem) -> Criterion:
+    from doe.criteria import criterion
+    from doe.plan.file import load_plan
+
+    poses = None if wanted.test_poses is None else load_plan(wanted.test_poses, problem.joints).postures
+    return criterion(
+        wanted.criterion,
+        units=[parameter.unit for parameter in model.parameters],
+        subset=None if wanted.subset is None else indices(wanted.subset, model.names),
+        test_blocks=None if poses is None else problem.blocks(poses),
+    )
+
+
+def check_needed(wanted: CriterionOptions) -> None:
     """Raises `InputError` for an option that the criterion would ignore."""
     from doe.criteria import NAMES
     from identification.errors import InputError
 
-    for option, given, needed in (("--test-poses", test_poses, "I"), ("--subset", subset, "Ds")):
-        if given is not None and criterion_name in NAMES and criterion_name != needed:
-            raise InputError(
-                f"{option}: criterion {criterion_name} has no use for it, allowed: with criterion {needed}"
-            )
+    name = wanted.criterion
+    for option, given, needed in (("--test-poses", wanted.test_poses, "I"), ("--subset", wanted.subset, "Ds")):
+        if given is not None and name in NAMES and name != needed:
+            raise InputError(f"{option}: criterion {name} has no use for it, allowed: with criterion {needed}")
 
 
 def allowed_postures(path: Path, arm: Arm) -> Any:

@@ -4,61 +4,76 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from doe.cli.common import FILE, Answer, Session, force_option, verb
+from doe.cli.common import Answer, Session, verb
+from doe.cli.options import FILE, Output, output_options
+
+if TYPE_CHECKING:
+    from doe.design import Design
+    from doe.plan.plan import Plan
+    from identification.arm import Arm
 
 
 @verb("armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png")
 @click.argument("arm", type=FILE)
 @click.argument("plan", type=FILE)
-@click.option("--picture", type=FILE, metavar="FILE", help="Draw the postures (.png, .svg, .pdf).")
 @click.option("--aliases", type=FILE, metavar="FILE", help="Draw which effects look alike on this plan.")
-@force_option
-def command(session: Session, arm: Path, plan: Path, picture: Path | None, aliases: Path | None, force: bool) -> Answer:
+@output_options(picture="Draw the postures (.png, .svg, .pdf).", out=False)
+def command(session: Session, arm: Path, plan: Path, aliases: Path | None, output: Output) -> Answer:
     """Score a PLAN of your own: efficiency against the bound, expected deviations, and which effects it could show."""
     from doe.plan.file import load_plan
-    from doe.problem.problem import DesignProblem
-    from doe.report.detectability_tables import preflight_tables
     from doe.report.tables import design_tables
-    from doe.solvers import score_plan
-    from identification.errors import InputError
     from identification.files.arm import load_arm
     from identification.files.io import check_writable
-    from identification.gap.detectability import detectability
-    from identification.model import Model
 
     loaded = load_arm(arm)
-    check_writable(picture, force)
-    check_writable(aliases, force)
+    output.check()
+    check_writable(aliases, output.force)
     given = load_plan(plan, loaded.links)
-    problem = DesignProblem.of(Model(loaded))
+    design = _scored(loaded, given, plan)
+    preflight, tables = _preflight(loaded, given, plan, aliases, output.force)
+    output.draw_plan(loaded, given.postures)
+    return Answer(design.to_json() | {"preflight": preflight}, [*design_tables(loaded, design), *tables])
+
+
+def _scored(arm: Arm, given: Plan, path: Path) -> Design:
+    """The plan judged. Raises `InputError` if it has too few runs; warns of runs that the arm cannot do."""
+    from doe.problem.problem import DesignProblem
+    from doe.solvers import score_plan
+    from identification.errors import InputError
+    from identification.model import Model
+
+    problem = DesignProblem.of(Model(arm))
     if len(given) < problem.fewest_runs:
         need = f"allowed: at least {problem.fewest_runs} for {problem.parameters} parameters"
-        raise InputError(f"{plan}: {len(given)} runs, {need}")
+        raise InputError(f"{path}: {len(given)} runs, {need}")
     design = score_plan(problem, given)
-    data, shown = design.to_json(), design_tables(loaded, design)
     if design.outside:
         found = f"{len(design.outside)} of {len(given)} runs are outside joint limits or constraints, the first is run"
-        warnings.warn(f"{plan}: {found} {design.outside[0]}: no bound holds for this plan", UserWarning, stacklevel=2)
+        warnings.warn(f"{path}: {found} {design.outside[0]}: no bound holds for this plan", UserWarning, stacklevel=2)
+    return design
+
+
+def _preflight(
+    arm: Arm, given: Plan, path: Path, aliases: Path | None, force: bool
+) -> tuple[dict[str, Any] | None, list[Any]]:
+    """Which effects the plan could show, as JSON and as tables; the picture of those that look alike is written."""
+    from doe.report.detectability_tables import preflight_tables
+    from identification.errors import InputError
+    from identification.gap.detectability import detectability
+
     try:
-        sees = detectability(loaded, given.postures)
+        sees = detectability(arm, given.postures)
     except InputError as error:  # too few runs to test for effects is a fact about the plan, not bad input
         if aliases is not None:
-            raise InputError(f"--aliases: {plan}: {error}") from error
-        data["preflight"] = None
-        shown.append(f"missing effects: {error}")
-    else:
-        data["preflight"] = sees.to_json()
-        shown += preflight_tables(sees)
-        if aliases is not None:
-            from doe.report.gap_figures import alias_figure
-            from doe.report.pictures import save
+            raise InputError(f"--aliases: {path}: {error}") from error
+        return None, [f"missing effects: {error}"]
+    if aliases is not None:
+        from doe.report.gap_figures import alias_figure
+        from doe.report.pictures import save
 
-            save(alias_figure(sees), aliases, force)
-    if picture is not None:
-        from doe.report.pictures import plan_figure, save
-
-        save(plan_figure(loaded, given.postures), picture, force)
-    return Answer(data, shown)
+        save(alias_figure(sees), aliases, force)
+    return sees.to_json(), preflight_tables(sees)

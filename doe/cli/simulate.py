@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.common import FILE, Answer, Session, force_option, verb
+from doe.cli.common import Answer, Session, verb
+from doe.cli.options import FILE, force_option
 
 if TYPE_CHECKING:
     from identification.arm import Arm

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from doe.cli.common import Answer, Session, force_option, verb
-from doe.cli.tables import cluster_option, interruptible, one_thread_each, resume_option, workers_option
+from doe.cli.common import Answer, Session, verb
+from doe.cli.jobs import JobOptions, interruptible, job_options, one_thread_each
 
 if TYPE_CHECKING:
     from doe.jobs.workers import Workers
@@ -40,22 +40,9 @@ where study.toml has, for instance (names of files are beside it):
 
 @verb(EXAMPLE)
 @click.argument("study", metavar="STUDY.toml|NAME")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder; left out: STUDY.results")
 @click.option("--replications", type=click.IntRange(min=1), help="Simulated data sets per cell, instead of the file's.")
-@workers_option(default=None)
-@cluster_option
-@resume_option
-@force_option
-def command(
-    session: Session,
-    study: str,
-    out: Path | None,
-    replications: int | None,
-    workers: int | None,
-    cluster: str | None,
-    resume: bool,
-    force: bool,
-) -> Answer:
+@job_options(workers=None, out="Folder; left out: STUDY.results")
+def command(session: Session, study: str, replications: int | None, job: JobOptions) -> Answer:
     """Simulate, identify and count: what plans, models and noise do to the accuracy.
 
     STUDY is a file, or the name of a study that comes with armcal: paper (every table, figure and number of the paper,
@@ -64,15 +51,14 @@ def command(
     notebooks read them with polars.
     """
     one_thread_each()
-    from doe.jobs.workers import choose
     from identification.errors import InputError, nearest
 
     if study not in BUILT_IN and not study.endswith(".toml"):
         raise InputError(f"study: unknown name {study!r}, {nearest(study, BUILT_IN)}, or a file NAME.toml")
-    folder = out or Path(study).with_suffix(".results")
-    where = choose(workers, cluster)
+    folder = job.out or Path(study).with_suffix(".results")
+    where = job.where()
     with interruptible(folder), session.progress("study") as progress:
-        options = {"seed": session.seed, "resume": resume, "force": force, "progress": progress}
+        options = {"seed": session.seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
             return BUILT_IN[study](replications, folder, where, options)
         return _from_file(Path(study), replications, folder, where, options)

@@ -6,7 +6,7 @@ import click
 import pytest
 
 from doe.cli import main
-from doe.cli.common import OUTPUTS
+from doe.cli.options import OUTPUTS
 from identification.errors import InputError
 from tests.doe.cli.conftest import ARM, Folder
 

@@ -1,0 +1,72 @@
+"""What the verbs with long, resumable work share: where they run, where rows go, and what Ctrl-C says."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from doe.cli.options import FILE, Decorator, force_option, grouped
+
+if TYPE_CHECKING:
+    from doe.jobs.workers import Workers
+
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class JobOptions:
+    """Where tasks run, where their rows go, and whether earlier rows are kept or replaced."""
+
+    workers: int | None
+    cluster: str | None
+    out: Path | None
+    resume: bool
+    force: bool
+
+    def where(self) -> Workers:
+        """The workers asked for. Raises `InputError` if the cluster does not answer."""
+        from doe.jobs.workers import choose
+
+        return choose(self.workers, self.cluster)
+
+
+def job_options(*, workers: int | None, out: str) -> Decorator:
+    """--workers (all cores if `workers` is None), --cluster, --out (its help), --resume and --force, as `job`."""
+    shown = "all cores" if workers is None else True
+    kind = click.IntRange(min=1)
+    return grouped(
+        JobOptions,
+        "job",
+        click.option("--workers", type=kind, default=workers, show_default=shown, help="Tasks at the same time."),
+        click.option("--cluster", metavar="ADDRESS", help="Scheduler of a dask cluster, tcp://host:port."),
+        click.option("--out", type=FILE, metavar="DIR", help=out),
+        click.option("--resume", is_flag=True, help="Go on with an interrupted or extended run."),
+        force_option,
+    )
+
+
+def one_thread_each() -> None:
+    """One thread of linear algebra per process, unless the user says otherwise: before numpy is imported.
+
+    Matrices here are small: more threads cost time (five times, measured), and the tasks use the cores already.
+    """
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
+
+
+@contextmanager
+def interruptible(out: Path | None) -> Iterator[None]:
+    """Ctrl-C as a sentence that says what is kept, and how to go on."""
+    from identification.errors import JobError
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        kept = f"finished rows are kept in {out}, go on with --resume" if out else "without --out nothing is kept"
+        raise JobError(f"stopped by Ctrl-C; {kept}") from None

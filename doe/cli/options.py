@@ -1,0 +1,108 @@
+"""Options that several verbs share, and groups of options that a verb gets as one object."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from identification.arm import Arm
+    from identification.arrays import Array
+
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+FILE = click.Path(path_type=Path)
+OUTPUTS = frozenset({"out", "picture", "aliases", "report"})  # options that write a file; every other one is read
+
+
+class Seconds(click.FloatRange):
+    """A time budget [s] above zero; `nan` would be one that never ends."""
+
+    def __init__(self) -> None:
+        super().__init__(min=0, min_open=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """As in click, without `nan`."""
+        number = float(super().convert(value, param, ctx))
+        if math.isnan(number):
+            self.fail("nan is not in the range x>0.", param, ctx)
+        return number
+
+
+def grouped(kind: type, name: str, *options: Decorator) -> Decorator:
+    """A decorator that adds click options and hands their values on as one object, the argument `name`.
+
+    kind : a dataclass with a field for each option; fields of options that are not there keep their defaults
+    """
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def run(*arguments: Any, **values: Any) -> Any:
+            group = {field.name: values.pop(field.name) for field in fields(kind) if field.name in values}
+            return function(*arguments, **values, **{name: kind(**group)})
+
+        decorated: Callable[..., Any] = run
+        for option in reversed(options):
+            decorated = option(decorated)
+        return decorated
+
+    return decorate
+
+
+@dataclass(frozen=True)
+class Output:
+    """The files that a verb writes. An existing file is replaced with `force` only."""
+
+    out: Path | None = None
+    picture: Path | None = None
+    force: bool = False
+
+    def check(self) -> None:
+        """Raises `InputError`, before the work is done, if a file could not be written."""
+        from identification.files.io import check_writable
+
+        check_writable(self.out, self.force)
+        check_writable(self.picture, self.force)
+
+    def write(self, text: str, what: str) -> list[str]:
+        """Writes `out` if it is asked for; the lines that say so."""
+        from identification.files.io import write_whole
+
+        if self.out is None:
+            return []
+        write_whole(self.out, text, force=self.force)
+        return [f"{what} written to {self.out}"]
+
+    def draw(self, figure: Callable[[], Figure]) -> None:
+        """Saves the figure if a picture is asked for."""
+        if self.picture is not None:
+            from doe.report.pictures import save
+
+            save(figure(), self.picture, self.force)
+
+    def draw_plan(self, arm: Arm, postures: Array) -> None:
+        """Saves the arm at the postures (m, n) [rad] if a picture is asked for."""
+
+        def figure() -> Figure:
+            from doe.report.pictures import plan_figure
+
+            return plan_figure(arm, postures)
+
+        self.draw(figure)
+
+
+force_option = click.option("--force", is_flag=True, help="Overwrite an existing file.")
+
+
+def output_options(*, picture: str | None = None, out: bool = True) -> Decorator:
+    """--picture (its help), --out and --force, as the argument `output`."""
+    options = [click.option("--picture", type=FILE, metavar="FILE", help=picture)] if picture else []
+    options += [click.option("--out", type=FILE, metavar="FILE", help="Write the result to this file.")] if out else []
+    return grouped(Output, "output", *options, force_option)
