@@ -15,51 +15,13 @@ from doe.bounds.bound import Bound
 from doe.criteria import D
 from doe.plan.plan import Plan
 from doe.problem.candidates import Candidates, chunks
+from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.information import information_matrix
 from identification.status import Status
 
 KEPT_ENTRIES = 4_000_000  # of candidates' blocks that are kept between passes: 32 MB
-
-
-@dataclass(frozen=True)
-class Mixture:
-    """How new postures enter the information per run: M = share * sum_i w_i B_i^T B_i + offset.
-
-    Without kept postures share = 1 and offset = None. With k of them and m new runs, share = m / (m + k) and
-    offset = (sum over the kept of B^T B) / (m + k). M stays a convex mixture of atoms F_i = share B_i^T B_i + offset,
-    so the equivalence theorem holds as it stands.
-    """
-
-    share: float = 1.0
-    offset: Array | None = None
-
-    @classmethod
-    def of(cls, problem: DesignProblem, runs: int | None = None) -> Mixture:
-        """The mixture of a problem; `runs`, the number of new runs, is needed where postures are kept."""
-        if problem.kept is None or not len(problem.kept):
-            return cls()
-        if runs is None or runs < 1:
-            raise InputError(f"runs: {runs}, allowed: >= 1, the number of new runs beside the measured ones")
-        total = runs + len(problem.kept)
-        return cls(runs / total, information_matrix(problem.blocks(problem.kept)) / total)
-
-    def information(self, blocks: Array, weights: Array) -> Array:
-        """(p, p) M of (k, d, p) blocks with weights (k,)."""
-        matrix = self.share * information_matrix(blocks, weights)
-        return matrix if self.offset is None else matrix + self.offset
-
-    def posture_information(self, blocks: Array) -> Array:
-        """(k, p, p) F_i, what a design with all its weight on one posture would have."""
-        each = self.share * (np.swapaxes(blocks, 1, 2) @ blocks)
-        return each if self.offset is None else each + self.offset
-
-    def sensitivities(self, blocks: Array, gradient: Array) -> Array:
-        """(k,) g_i = tr(G F_i); the paper's literature calls it d for G = M^-1."""
-        values = self.share * np.einsum("kda,kda->k", blocks @ gradient, blocks)
-        return values if self.offset is None else values + float(np.sum(gradient * self.offset))
 
 
 @dataclass(frozen=True)
@@ -162,32 +124,33 @@ class CandidateBlocks:
         yield from self._kept
 
 
-def sensitivities(blocks: CandidateBlocks, gradient: Array, mixture: Mixture) -> Iterator[tuple[Array, Array]]:
+def sensitivities(blocks: CandidateBlocks, gradient: Array, prior: PriorInformation) -> Iterator[tuple[Array, Array]]:
     """Per chunk of candidates: postures (k, n) and g (k,) = tr(G F). Never more than one chunk of values in memory."""
     root = np.linalg.cholesky(gradient) if _positive(gradient) else None
-    constant = 0.0 if mixture.offset is None else float(np.sum(gradient * mixture.offset))
     for postures, some in blocks:
         if root is None:
-            yield postures, mixture.sensitivities(some, gradient)
+            yield postures, prior.sensitivities(some, gradient)
             continue
         k, d, p = some.shape
         half = (some.reshape(k * d, p) @ root).reshape(k, -1)  # tr(L L^T B^T B) = |B L|^2
-        yield postures, mixture.share * np.einsum("ij,ij->i", half, half) + constant
+        yield postures, prior.mixed(np.einsum("ij,ij->i", half, half), gradient)
 
 
 def _positive(gradient: Array) -> bool:
     return bool(np.linalg.eigvalsh(gradient)[0] > 1e-14 * np.trace(gradient))
 
 
-def largest_sensitivity(problem: DesignProblem, candidates: Candidates, gradient: Array, mixture: Mixture) -> float:
+def largest_sensitivity(
+    problem: DesignProblem, candidates: Candidates, gradient: Array, prior: PriorInformation
+) -> float:
     """max over the candidates of g = tr(G F), all of them visited, their blocks computed afresh."""
     fresh = CandidateBlocks(problem, candidates)
-    return max(float(g.max()) for _, g in sensitivities(fresh, gradient, mixture))
+    return max(float(g.max()) for _, g in sensitivities(fresh, gradient, prior))
 
 
 def assess(
     problem: DesignProblem,
-    mixture: Mixture,
+    prior: PriorInformation,
     plan: Plan,
     largest: float,
     *,
@@ -205,7 +168,7 @@ def assess(
     A status other than `converged` gives no bound: the optimum was not reached, and the gap says by how much. The gap
     and the efficiency hold for any weights, whoever made them.
     """
-    information = mixture.information(problem.blocks(plan.postures), plan.shares)
+    information = prior.mixture(problem.blocks(plan.postures), plan.shares)
     criterion = problem.criterion
     slope = criterion.gradient(information) if gradient is None else gradient
     value = float(criterion.value(information))

@@ -15,7 +15,6 @@ import numpy as np
 from doe.bounds.approximate_design import (
     ApproximateDesign,
     CandidateBlocks,
-    Mixture,
     assess,
     largest_sensitivity,
     sensitivities,
@@ -26,6 +25,7 @@ from doe.bounds.continuous import ContinuousSet, distinct
 from doe.bounds.restricted_master import Price, Settled, Stage, generate, settle
 from doe.bounds.trigonometric import TrigonometricBlocks, trigonometric_blocks
 from doe.problem.candidates import Candidates, PostureList, spread
+from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import JobError
@@ -51,17 +51,17 @@ def column_generation(
     Raises JobError where the candidates do not identify all parameters.
     """
     began = perf_counter()
-    mixture = Mixture.of(problem, runs)
+    prior = problem.prior.per_new_run(runs)
     tolerance = _attainable(problem, tolerance)
-    stages = [Stage(candidate_price(problem, candidates, mixture), tolerance)]
+    stages = [Stage(candidate_price(problem, candidates, prior), tolerance)]
     if len(candidates) > 4 * SAMPLE:
         sample = PostureList(spread(candidates, SAMPLE))
-        stages.insert(0, Stage(candidate_price(problem, sample, mixture), max(COARSE, tolerance)))
+        stages.insert(0, Stage(candidate_price(problem, sample, prior), max(COARSE, tolerance)))
     start = spread(candidates, 6 * problem.parameters)
-    working, _ = generate(problem, mixture, start, stages)
-    ended = settle(problem, mixture, working)
-    largest = largest_sensitivity(problem, candidates, ended.gradient, mixture)
-    return finish(problem, mixture, ended, largest, len(candidates), tolerance, began, rigorous=True)
+    working, _ = generate(problem, prior, start, stages)
+    ended = settle(problem, prior, working)
+    largest = largest_sensitivity(problem, candidates, ended.gradient, prior)
+    return finish(problem, prior, ended, largest, len(candidates), tolerance, began, rigorous=True)
 
 
 def continuous_design(
@@ -81,29 +81,29 @@ def continuous_design(
     also : (k, n) postures from which the multistart starts as well
     """
     began = perf_counter()
-    mixture = Mixture.of(problem, runs)
+    prior = problem.prior.per_new_run(runs)
     tolerance = _attainable(problem, tolerance)
-    everything = ContinuousSet(problem, mixture, also)
+    everything = ContinuousSet(problem, prior, also)
     starts = PostureList(everything.starts)
     climb = continuous_price(everything)
     thorough = continuous_price(everything, np.random.default_rng(0))
     stages = [
-        Stage(candidate_price(problem, starts, mixture), COARSE),
+        Stage(candidate_price(problem, starts, prior), COARSE),
         Stage(climb, max(FINE, tolerance)),
         Stage(thorough, max(COARSE, tolerance), back=1),
         Stage(climb, tolerance),
         Stage(thorough, tolerance, back=1),
     ]
     start = spread(starts, 6 * problem.parameters)
-    working, gap = generate(problem, mixture, start, stages)
-    ended = settle(problem, mixture, working)
+    working, gap = generate(problem, prior, start, stages)
+    ended = settle(problem, prior, working)
     largest = max(ended.level + gap, float(everything.best(ended.gradient, ended.plan.postures)[1][0]))
     blocks = trigonometric_blocks(problem) if proof > 0.0 and not problem.constraints else None
     rigorous = False
     if blocks is not None:
         proof = max(tolerance, proof)
         ended, largest, rigorous = prove(everything, blocks, ended, largest, stages, proof, most_boxes)
-    return finish(problem, mixture, ended, largest, None, max(tolerance, proof), began, rigorous=rigorous)
+    return finish(problem, prior, ended, largest, None, max(tolerance, proof), began, rigorous=rigorous)
 
 
 def continuous_bound(
@@ -126,14 +126,14 @@ def _attainable(problem: DesignProblem, tolerance: float) -> float:
 
 
 # -- pricing -----------------------------------------------------------------------------------------------------------
-def candidate_price(problem: DesignProblem, candidates: Candidates, mixture: Mixture) -> Price:
+def candidate_price(problem: DesignProblem, candidates: Candidates, prior: PriorInformation) -> Price:
     """Every candidate is looked at; each part of them offers its best."""
     part = max(16, -(-len(candidates) // PARTS))
     blocks = CandidateBlocks(problem, candidates)
 
     def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
         offers, values = [near[:0]], [np.empty(0)]
-        for postures, g in sensitivities(blocks, gradient, mixture):
+        for postures, g in sensitivities(blocks, gradient, prior):
             edges = np.arange(0, len(g), part)
             top = np.array([edge + int(np.argmax(g[edge : edge + part])) for edge in edges])
             offers.append(postures[top])
@@ -177,10 +177,10 @@ def prove(
 
     Returns the design, its largest sensitivity, and whether that is proven.
     """
-    problem, mixture = everything.problem, everything.mixture
+    problem, prior = everything.problem, everything.prior
     for _ in range(PROOFS):
-        constant = 0.0 if mixture.offset is None else float(np.sum(ended.gradient * mixture.offset))
-        polynomial = blocks.sensitivity(ended.gradient, mixture.share, constant)
+        constant = float(prior.mixed(np.zeros(()), ended.gradient))
+        polynomial = blocks.sensitivity(ended.gradient, prior.share, constant)
         close, known = tolerance * abs(ended.level), ended.plan.postures
         found = maximum(polynomial, problem.lower, problem.upper, known=known, tolerance=close, most_boxes=most_boxes)
         largest = max(largest, found.value)
@@ -189,15 +189,15 @@ def prove(
         if found.value <= ended.level + close:
             return ended, found.upper, True
         start = np.concatenate([known, found.posture[None]])
-        working, gap = generate(problem, mixture, start, stages[1:])
-        ended = settle(problem, mixture, working)
+        working, gap = generate(problem, prior, start, stages[1:])
+        ended = settle(problem, prior, working)
         largest = ended.level + gap
     return ended, found.upper, True
 
 
 def finish(
     problem: DesignProblem,
-    mixture: Mixture,
+    prior: PriorInformation,
     ended: Settled,
     largest: float,
     candidates: int | None,
@@ -210,7 +210,7 @@ def finish(
     solved = largest - ended.level <= 10.0 * tolerance * abs(ended.level)
     return assess(
         problem,
-        mixture,
+        prior,
         ended.plan,
         largest,
         gradient=ended.gradient,

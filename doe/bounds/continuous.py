@@ -16,8 +16,8 @@ from itertools import product
 import casadi as ca
 import numpy as np
 
-from doe.bounds.approximate_design import Mixture
 from doe.problem.feasible import random_postures
+from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.vectorize import vectorize
@@ -43,7 +43,7 @@ class ContinuousSet:
     """
 
     problem: DesignProblem
-    mixture: Mixture
+    prior: PriorInformation
     also: Array | None = None
 
     @cached_property
@@ -68,7 +68,7 @@ class ContinuousSet:
 
     def sensitivities(self, postures: Array, gradient: Array) -> Array:
         """(m,) tr(G F(q))."""
-        return self.mixture.sensitivities(self.problem.blocks(postures), gradient)
+        return self.prior.sensitivities(self.problem.blocks(postures), gradient)
 
     def slopes(self, postures: Array, gradient: Array) -> tuple[Array, Array]:
         """(m, n) gradient and (m, n, n) Hessian of tr(G F(q)) by the joint angles."""
@@ -82,7 +82,7 @@ class ContinuousSet:
         turned = np.einsum("ab,mdbi->mdai", gradient, first, optimize=True).reshape(m, d * p, n)
         hessian = np.swapaxes(first.reshape(m, d * p, n), 1, 2) @ turned
         hessian += np.einsum("ma,maij->mij", weighted.reshape(m, -1), second.reshape(m, d * p, n, n), optimize=True)
-        return self.mixture.share * slope, 2.0 * self.mixture.share * hessian
+        return self.prior.share * slope, 2.0 * self.prior.share * hessian
 
     # -- where to start ----------------------------------------------------------------------------------------------
     @cached_property

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from doe.bounds.bound import Bound
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
-from identification.information import information_matrix
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal (identification/files/README.md, "JSON keys")
 REACHED = 1.0 - 1e-9  # efficiency from which searching on cannot matter
@@ -36,13 +35,10 @@ def sensitivity(problem: DesignProblem, information: Array, postures: ArrayLike)
 def mixture_sensitivity(problem: DesignProblem, information: Array, largest: float, runs: int) -> float:
     """The largest tr(G N) of any design N of `runs` new runs, given `largest` >= max_q tr(G B^T B).
 
-    Postures already measured have a fixed share: with k of them it is (m largest + tr(G K)) / (m + k), K their sum.
+    What is known before them has a fixed share: with K from k runs it is (m largest + tr(G K)) / (m + k).
     """
-    if problem.kept is None or not len(problem.kept):
-        return largest
-    kept = information_matrix(problem.blocks(problem.kept))
-    fixed = float(np.sum(problem.criterion.gradient(information) * kept))
-    return (runs * largest + fixed) / (runs + len(problem.kept))
+    prior = problem.prior.per_new_run(runs)
+    return float(prior.mixed(np.asarray(largest), problem.criterion.gradient(information)))
 
 
 def gap_and_bound(

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, null_space
 
-from doe.bounds.approximate_design import Mixture
 from doe.criteria import Criterion
+from doe.problem.prior import PriorInformation
 from identification.arrays import Array
 
 ITERATIONS = 100
@@ -35,16 +35,16 @@ class Weights:
     iterations: int
 
 
-def solve_weights(blocks: Array, criterion: Criterion, mixture: Mixture, *, tolerance: float = 1e-14) -> Weights:
+def solve_weights(blocks: Array, criterion: Criterion, prior: PriorInformation, *, tolerance: float = 1e-14) -> Weights:
     """Optimal weights of (k, d, p) blocks, to a gap of `tolerance` times tr(G M) where rounding allows."""
     if criterion.name == "E":
         from doe.bounds.relaxation import smallest_eigenvalue_weights
 
-        return smallest_eigenvalue_weights(blocks, mixture)
+        return smallest_eigenvalue_weights(blocks, prior)
     k = len(blocks)
     w = np.full(k, 1.0 / k)
-    gradient = criterion.gradient(mixture.information(blocks, w))
-    g = mixture.sensitivities(blocks, gradient)
+    gradient = criterion.gradient(prior.mixture(blocks, w))
+    g = prior.sensitivities(blocks, gradient)
     level = float(w @ g)
     nu = float(g.max()) + 0.1 * abs(level)
     s = nu - g
@@ -54,15 +54,15 @@ def solve_weights(blocks: Array, criterion: Criterion, mixture: Mixture, *, tole
         best, stalled = (Weights(w, gradient, gap, iteration), 0) if gap < 0.9 * best.gap else (best, stalled + 1)
         if gap <= tolerance * abs(level) or stalled > STALLS:
             break
-        change = _newton(_curvature(blocks, w, gradient, criterion, mixture), w, s, g + s - nu)
+        change = _newton(_curvature(blocks, w, gradient, criterion, prior), w, s, g + s - nu)
         if change is None:
             break
         dw, ds, dnu = change
         step = min(1.0, FRACTION * _to_boundary(w, dw), FRACTION * _to_boundary(s, ds))
         w, s, nu = w + step * dw, s + step * ds, nu + step * dnu
         w = w / w.sum()
-        gradient = criterion.gradient(mixture.information(blocks, w))
-        g = mixture.sensitivities(blocks, gradient)
+        gradient = criterion.gradient(prior.mixture(blocks, w))
+        g = prior.sensitivities(blocks, gradient)
         level = float(w @ g)
     return best
 
@@ -88,11 +88,11 @@ def _to_boundary(values: Array, change: Array) -> float:
     return float(np.min(-values[falling] / change[falling], initial=np.inf))
 
 
-def _curvature(blocks: Array, weights: Array, gradient: Array, criterion: Criterion, mixture: Mixture) -> Array:
+def _curvature(blocks: Array, weights: Array, gradient: Array, criterion: Criterion, prior: PriorInformation) -> Array:
     """(k, k) minus the Hessian of Phi by the weights."""
-    if criterion.name == "D" and mixture.offset is None:
+    if criterion.name == "D" and prior.empty:
         return _curvature_d(blocks, gradient)
-    return -criterion.curvature(mixture.information(blocks, weights), mixture.posture_information(blocks))
+    return -criterion.curvature(prior.mixture(blocks, weights), prior.posture_information(blocks))
 
 
 def _curvature_d(blocks: Array, gradient: Array) -> Array:

@@ -46,7 +46,7 @@ def applies(problem: DesignProblem) -> bool:
         isinstance(model, Model)
         and model.linear_in_links
         and isinstance(problem.criterion, D)
-        and (problem.kept is None or not len(problem.kept))
+        and not len(problem.kept)
     )
 
 

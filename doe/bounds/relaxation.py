@@ -20,13 +20,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.bounds.approximate_design import ApproximateDesign, Mixture, assess, largest_sensitivity, proper_weights
+from doe.bounds.approximate_design import ApproximateDesign, assess, largest_sensitivity, proper_weights
 from doe.bounds.column_generation import column_generation
 from doe.bounds.interior_point import Weights
 from doe.criteria import Criterion
 from doe.plan.plan import Plan
 from doe.problem.candidates import Candidates, PostureList, chunks, grid, listed
 from doe.problem.candidates import Grid as CandidateGrid
+from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
@@ -70,7 +71,7 @@ def relax(
             f"candidates: {len(chosen)} for solver {solver}, allowed: up to {LARGEST[solver]}, where one big program "
             "still works; solver column_generation works at this size"
         )
-    return _relax(problem, chosen, solver, Mixture.of(problem, runs))
+    return _relax(problem, chosen, solver, problem.prior.per_new_run(runs))
 
 
 def candidate_set(problem: DesignProblem, candidates: int | ArrayLike | Candidates) -> Candidates:
@@ -82,9 +83,9 @@ def candidate_set(problem: DesignProblem, candidates: int | ArrayLike | Candidat
     return listed(problem, np.asarray(candidates, dtype=float))
 
 
-def _relax(problem: DesignProblem, candidates: Candidates, solver: str, mixture: Mixture) -> ApproximateDesign:
+def _relax(problem: DesignProblem, candidates: Candidates, solver: str, prior: PriorInformation) -> ApproximateDesign:
     began = perf_counter()
-    answer = solve_program(_rows(problem, candidates, mixture), problem.criterion, solver)
+    answer = solve_program(_rows(problem, candidates, prior), problem.criterion, solver)
     if answer.weights is None:
         raise JobError(
             f"{solver}: status {answer.status} on {len(candidates)} candidates, no weights; solver column_generation "
@@ -96,12 +97,12 @@ def _relax(problem: DesignProblem, candidates: Candidates, solver: str, mixture:
     plan = Plan(candidates.take(support), proper_weights(weights[support]))
     gradient = answer.gradient
     if gradient is None:
-        gradient = problem.criterion.gradient(mixture.information(problem.blocks(plan.postures), plan.shares))
+        gradient = problem.criterion.gradient(prior.mixture(problem.blocks(plan.postures), plan.shares))
     return assess(
         problem,
-        mixture,
+        prior,
         plan,
-        largest_sensitivity(problem, candidates, gradient, mixture),
+        largest_sensitivity(problem, candidates, gradient, prior),
         gradient=gradient,
         candidates=len(candidates),
         rigorous=True,
@@ -112,12 +113,12 @@ def _relax(problem: DesignProblem, candidates: Candidates, solver: str, mixture:
     )
 
 
-def _rows(problem: DesignProblem, candidates: Candidates, mixture: Mixture) -> Array:
+def _rows(problem: DesignProblem, candidates: Candidates, prior: PriorInformation) -> Array:
     """(N, p (p + 1) / 2) upper triangles of every F_i."""
     upper = np.triu_indices(problem.parameters)
     rows = np.empty((len(candidates), len(upper[0])))
     for index, postures in chunks(candidates, 1024):
-        rows[index] = mixture.posture_information(problem.blocks(postures))[:, upper[0], upper[1]]
+        rows[index] = prior.posture_information(problem.blocks(postures))[:, upper[0], upper[1]]
     return rows
 
 
@@ -228,16 +229,16 @@ def _coordinates(rows: Array) -> tuple[Array, Array]:
     return basis, rows @ basis
 
 
-def smallest_eigenvalue_weights(blocks: Array, mixture: Mixture) -> Weights:
+def smallest_eigenvalue_weights(blocks: Array, prior: PriorInformation) -> Weights:
     """E-optimal weights on few postures: the master problem of column generation for a criterion without a gradient."""
     from doe.criteria.e import E
 
     p = blocks.shape[2]
     upper = np.triu_indices(p)
-    posture_information = mixture.posture_information(blocks)
+    posture_information = prior.posture_information(blocks)
     answer = solve_program(posture_information[:, upper[0], upper[1]], E(), "clarabel")
     if answer.weights is None or answer.gradient is None:
         raise JobError(f"clarabel: status {answer.status} on the master problem of {len(blocks)} postures")
     weights = proper_weights(answer.weights)
-    g = mixture.sensitivities(blocks, answer.gradient)
+    g = prior.sensitivities(blocks, answer.gradient)
     return Weights(weights, answer.gradient, float(g.max() - weights @ g), 0)

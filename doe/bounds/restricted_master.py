@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doe.bounds.approximate_design import Mixture
 from doe.bounds.continuous import distinct
 from doe.bounds.interior_point import Weights, solve_weights, sparsest
 from doe.criteria import Criterion
 from doe.plan.plan import Plan
+from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import JobError
@@ -54,9 +54,9 @@ class WorkingSet:
     blocks: Array
     solution: Weights
 
-    def level(self, mixture: Mixture) -> float:
+    def level(self, prior: PriorInformation) -> float:
         """tr(G M)."""
-        information = mixture.information(self.blocks, self.solution.weights)
+        information = prior.mixture(self.blocks, self.solution.weights)
         return float(np.sum(self.solution.gradient * information))
 
     @property
@@ -66,26 +66,26 @@ class WorkingSet:
 
 
 def generate(
-    problem: DesignProblem, mixture: Mixture, start: Array, stages: Sequence[Stage]
+    problem: DesignProblem, prior: PriorInformation, start: Array, stages: Sequence[Stage]
 ) -> tuple[WorkingSet, float]:
     """The working set with its solution, and the gap (absolute) that the last pricing of the last stage found."""
     accuracy = EXACT  # of the weights; later, far from the end, exact ones would be wasted
-    working = _solve(problem, mixture, start, problem.blocks(start), accuracy)
+    working = _solve(problem, prior, start, problem.blocks(start), accuracy)
     current, gap, smallest = 0, np.inf, np.inf
     for _ in range(ROUNDS):
-        stage, level = stages[current], working.level(mixture)
+        stage, level = stages[current], working.level(prior)
         offers, largest = stage.price(working.solution.gradient, level, working.postures)
         gap = largest - level
         if len(offers) and gap > stage.goal * abs(level):
             accuracy = max(ROUGH * gap / abs(level), EXACT)
             # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
             crowded = len(working.postures) > CROWD * problem.parameters
-            working = _extend(problem, mixture, working, offers, accuracy, purge=crowded or gap < 0.9 * smallest)
+            working = _extend(problem, prior, working, offers, accuracy, purge=crowded or gap < 0.9 * smallest)
             smallest = min(smallest, gap)
             current -= stage.back
         elif accuracy > EXACT:
             accuracy = EXACT
-            working = _solve(problem, mixture, working.postures, working.blocks, accuracy)
+            working = _solve(problem, prior, working.postures, working.blocks, accuracy)
         elif current == len(stages) - 1:
             break
         else:
@@ -93,14 +93,16 @@ def generate(
     return working, gap
 
 
-def _solve(problem: DesignProblem, mixture: Mixture, postures: Array, blocks: Array, accuracy: float) -> WorkingSet:
-    information = mixture.information(blocks, np.full(len(blocks), 1.0 / len(blocks)))
+def _solve(
+    problem: DesignProblem, prior: PriorInformation, postures: Array, blocks: Array, accuracy: float
+) -> WorkingSet:
+    information = prior.mixture(blocks, np.full(len(blocks), 1.0 / len(blocks)))
     if _diverges(problem.criterion, information):
         raise JobError(
             "approximate design: the information matrix is singular on these postures, the parameters cannot all be "
             "identified; drop an effect or allow more postures"
         )
-    return WorkingSet(postures, blocks, solve_weights(blocks, problem.criterion, mixture, tolerance=accuracy))
+    return WorkingSet(postures, blocks, solve_weights(blocks, problem.criterion, prior, tolerance=accuracy))
 
 
 def _diverges(criterion: Criterion, information: Array) -> bool:
@@ -119,14 +121,14 @@ def _diverges(criterion: Criterion, information: Array) -> bool:
 
 
 def _extend(
-    problem: DesignProblem, mixture: Mixture, working: WorkingSet, offers: Array, accuracy: float, *, purge: bool
+    problem: DesignProblem, prior: PriorInformation, working: WorkingSet, offers: Array, accuracy: float, *, purge: bool
 ) -> WorkingSet:
     """Postures that need not carry weight out, new ones in, solved again."""
     alive = np.flatnonzero(working.sparse > 0.0) if purge else np.arange(len(working.postures))
     postures = np.concatenate([working.postures[alive], offers])
     blocks = np.concatenate([working.blocks[alive], problem.blocks(offers)])
     once = np.sort(distinct(postures))
-    return _solve(problem, mixture, postures[once], blocks[once], accuracy)
+    return _solve(problem, prior, postures[once], blocks[once], accuracy)
 
 
 @dataclass(frozen=True)
@@ -138,12 +140,12 @@ class Settled:
     level: float
 
 
-def settle(problem: DesignProblem, mixture: Mixture, working: WorkingSet) -> Settled:
+def settle(problem: DesignProblem, prior: PriorInformation, working: WorkingSet) -> Settled:
     """The plan that is reported; what is proven is proven of it, not of the weights that the loop ended with."""
     weights = working.sparse
     order = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
     plan = Plan(working.postures[order], weights[order])
-    information = mixture.information(problem.blocks(plan.postures), plan.shares)
+    information = prior.mixture(problem.blocks(plan.postures), plan.shares)
     dual = problem.criterion.name == "E"  # any gradient of unit trace bounds it; that of the dual program is the best
     gradient = working.solution.gradient if dual else problem.criterion.gradient(information)
     return Settled(plan, gradient, float(np.sum(gradient * information)))

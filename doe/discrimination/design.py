@@ -173,7 +173,7 @@ def mixed(problem: DesignProblem, postures: Array, least: float, generator: np.r
 
 def with_kept(problem: DesignProblem, postures: Array) -> Array:
     """(k + m, n) all postures whose measurements will be judged together."""
-    return postures if problem.kept is None else np.vstack([problem.kept, postures])
+    return np.vstack([problem.kept, postures])
 
 
 def start(

@@ -100,7 +100,7 @@ def repeats(problem: DesignProblem, posture: Array, others: Array) -> bool:
         return False
     if problem.choices is not None:
         return bool(np.any(np.all(others == posture, axis=1)))
-    near = gaps(posture[None], others if problem.kept is None else np.vstack([others, problem.kept]))
+    near = gaps(posture[None], np.vstack([others, problem.kept]))
     return bool(np.any(near < problem.minimum_distance / ROUNDING))
 
 
@@ -143,8 +143,7 @@ class Swaps:
     def __post_init__(self) -> None:
         self.misidentification = self.wide.misidentification
         self.blocks = self.wide.problem.blocks(self.postures)
-        kept = self.problem.kept
-        self.total = len(self.postures) + (0 if kept is None else len(kept))
+        self.total = len(self.postures) + self.problem.prior.runs
         self.information = self.wide.problem.information(self.postures)
         self.value = float(self.misidentification.value(self.information))
         self.slack = feasible_value(self.problem, self.postures) - self.least

@@ -46,9 +46,7 @@ def plan_blocks(problem: DesignProblem, postures: Array, weights: Array | None =
     blocks = problem.blocks(postures)
     if weights is not None:
         blocks = blocks * np.sqrt(len(blocks) * weights)[:, None, None]
-    if problem.kept is not None and len(problem.kept):
-        blocks = np.concatenate([blocks, problem.blocks(problem.kept)])
-    return blocks
+    return np.concatenate([blocks, problem.blocks(problem.kept)])
 
 
 def expected_deviations(

@@ -33,7 +33,7 @@ class Observability:
 
 def observability(problem: DesignProblem, postures: Array) -> Observability:
     """The five indices of a plan (m, n), measured postures (`kept`) included."""
-    everything = postures if problem.kept is None else np.vstack([postures, problem.kept])
+    everything = np.vstack([postures, problem.kept])
     blocks = problem.blocks(everything)
     values = np.linalg.svd(blocks.reshape(-1, problem.parameters), compute_uv=False)
     if len(values) < problem.parameters or values[-1] <= 1e-12 * values[0]:

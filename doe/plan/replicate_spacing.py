@@ -61,9 +61,8 @@ def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
         return np.empty(0, dtype=np.intp)
     searched, distance = postures[:, list(problem.searched_joints)], problem.minimum_distance / ROUNDING
     near = np.zeros(len(postures))
-    if problem.kept is not None and len(problem.kept):
-        blocked = 1 if room == 1.0 else 2  # places on a free joint within the distance of a measured posture
-        near += blocked * (gaps(searched, problem.kept[:, list(problem.searched_joints)]) < distance).sum(axis=1)
+    blocked = 1 if room == 1.0 else 2  # places on a free joint within the distance of a measured posture
+    near += blocked * (gaps(searched, problem.kept[:, list(problem.searched_joints)]) < distance).sum(axis=1)
     if room > 1.0:
         most = near + neighbours(searched, distance)
         if most.max() < room or len(postures) > MANY:
@@ -94,9 +93,7 @@ def separated(problem: DesignProblem, postures: Array) -> Array:
     plan, searched = np.array(postures), list(problem.searched_joints)
     crowded = too_near(problem, plan)
     for row in crowded if len(crowded) * len(plan) <= CHUNK else ():
-        others = np.delete(plan, row, axis=0)
-        if problem.kept is not None:
-            others = np.vstack([others, problem.kept])
+        others = np.vstack([np.delete(plan, row, axis=0), problem.kept])
         places = around(problem, plan[row])
         near = gaps(places[:, searched], others[:, searched]) < problem.minimum_distance / ROUNDING
         places = places[near.sum(axis=1) < replicates_allowed(problem)]
@@ -149,7 +146,7 @@ def set_apart(problem: DesignProblem, postures: Array, generator: np.random.Gene
     places = problem.lower[joint] + (np.arange(count) + 0.5) / count * width
     used, chosen = np.zeros(count), np.full(len(postures), -1)
     tree = _tree(postures[:, searched])
-    kept = np.empty((0, problem.joints)) if problem.kept is None else problem.kept
+    kept = problem.kept
     for row, posture in enumerate(postures):
         alike = slice(0, row) if tree is None else tree.query_ball_point(posture[searched], distance, p=np.inf)
         taken = chosen[alike]

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from doe.criteria import Criterion, D
 from doe.problem.constraints import Constraint, constraints_of
+from doe.problem.prior import PriorInformation
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.information import information_matrix
@@ -49,7 +50,7 @@ class DesignProblem:
 
     model : gives Jacobians;  lower, upper : (n,) joint limits [rad]
     constraints : what a posture must satisfy besides the limits, see `doe.problem.constraints`
-    kept : (k, n) postures already measured, which count in the information, or None
+    kept : (k, n) postures already measured, which count in the information (`prior`); None: none
     choices : (N, n) postures to choose from, None: anything within limits and constraints
     minimum_distance : [rad] two postures of a plan differ by this in some joint at least; 0: repeats are allowed
     """
@@ -59,7 +60,7 @@ class DesignProblem:
     upper: Array
     criterion: Criterion = field(default_factory=D)
     constraints: Sequence[Constraint] = ()
-    kept: Array | None = None
+    kept: Array = None  # type: ignore[assignment]  # an array from construction on
     choices: Array | None = None
     minimum_distance: float = ONE_DEGREE
 
@@ -67,6 +68,7 @@ class DesignProblem:
         check_parts(self)
         for name in ("lower", "upper"):
             object.__setattr__(self, name, readonly(getattr(self, name), -1))
+        object.__setattr__(self, "kept", measured_already(self.kept, self.joints))
         if not (np.isfinite(self.minimum_distance) and self.minimum_distance >= 0.0):
             raise InputError(f"minimum distance: {np.degrees(self.minimum_distance):g} deg, allowed: a number >= 0")
         if not np.all(self.lower < self.upper):
@@ -96,7 +98,7 @@ class DesignProblem:
     @property
     def fewest_runs(self) -> int:
         """The smallest number of runs with as many equations as unknowns: m d >= p."""
-        missing = self.parameters - (0 if self.kept is None else self.model.dimension * len(self.kept))
+        missing = self.parameters - self.model.dimension * len(self.kept)
         return max(1, -(-missing // self.model.dimension))
 
     def blocks(self, postures: ArrayLike) -> Array:
@@ -113,11 +115,7 @@ class DesignProblem:
         """
         m = len(np.atleast_2d(postures))
         shares = np.full(m, 1.0 / m) if weights is None else weights
-        new = information_matrix(self.blocks(postures), shares)
-        if self.kept is None:
-            return new
-        k = len(self.kept)
-        return (m * new + information_matrix(self.blocks(self.kept))) / (m + k)
+        return self.prior.per_new_run(m).mixture(self.blocks(postures), shares)
 
     def objective(self, postures: ArrayLike, weights: Array | None = None) -> float:
         """Criterion value of a plan (to maximise); -inf if its information matrix is singular."""
@@ -134,6 +132,13 @@ class DesignProblem:
         for constraint in self.constraints:
             fits &= np.all(constraint.margin(flat) >= 0.0, axis=1)
         return fits.reshape(np.shape(postures)[:-1])
+
+    @cached_property
+    def prior(self) -> PriorInformation:
+        """What the postures measured already tell."""
+        if not len(self.kept):
+            return PriorInformation()
+        return PriorInformation(information_matrix(self.blocks(self.kept)), len(self.kept))
 
     @cached_property
     def block_function(self) -> ca.Function:
@@ -183,6 +188,14 @@ def check_parts(problem: DesignProblem) -> None:
         if not callable(getattr(part, needed, None)):
             made = "Model(arm)" if name == "model" else "doe.criteria.criterion('A', ...)"
             raise InputError(f"{name}: {part!r:.40}, allowed: an object with {needed}(), such as {made}")
+
+
+def measured_already(kept: ArrayLike | None, joints: int) -> Array:
+    """(k, n) postures measured already. Raises `InputError` for another number of joints."""
+    postures = np.empty((0, joints)) if kept is None else readonly(np.atleast_2d(np.asarray(kept, dtype=float)))
+    if postures.size and postures.shape[1:] != (joints,):
+        raise InputError(f"kept: shape {postures.shape}, allowed: (k, {joints})")
+    return readonly(postures.reshape(-1, joints))
 
 
 def information_of_each(blocks: Array) -> Array:

@@ -2,7 +2,8 @@
 
     f(q_1, ..., q_m) = Phi(M),   M = (sum_i B_i^T B_i + K) / N
 
-with B_i = B(q_i), K the measured postures' part, N = m + k. By the chain rule, with G = dPhi/dM and X_ia = dM/dq_ia,
+with B_i = B(q_i), K what is known from k runs already (`PriorInformation`), N = m + k. By the chain rule, with
+G = dPhi/dM and X_ia = dM/dq_ia,
 
     df/dq_ia            = (2/N) tr(G B_i^T dB_i/dq_a)
     d2f/dq_ia dq_kb     = D^2 Phi[X_ia, X_kb] + (2/N) [i = k] ( tr(G dB_a^T dB_b) + tr(G B^T d2B_ab) )
@@ -52,21 +53,13 @@ class PlanFunction:
         """f; -inf where the information matrix is singular."""
         return float(self.criterion.value(self.problem.information(postures)))
 
-    @cached_property
-    def measured(self) -> tuple[float, Array | float]:
-        """Number of runs N that the information is shared by, and the sum K of those already measured."""
-        kept = self.problem.kept
-        if kept is None or not len(kept):
-            return float(self.runs), 0.0
-        return float(self.runs + len(kept)), information_matrix(self.problem.blocks(kept))
-
     def expand(self, postures: Array) -> tuple[float, Array, Array]:
         """f, its gradient (m a,) and its Hessian (m a, m a), in one pass.
 
         Raises numpy's `LinAlgError` where the information matrix is singular.
         """
         block, first, second = self._blocks(postures)
-        total, information = self._information(block)
+        total, information = self.runs + self.problem.prior.runs, self._information(block)
         gradient = self.criterion.gradient(information)
         slope = (2.0 / total) * np.einsum("mdp,madp->ma", block @ gradient, first)
         value = float(self.criterion.value(information))
@@ -86,9 +79,8 @@ class PlanFunction:
         hessian[runs, :, runs, :] += (2.0 / total) * own
         return hessian.reshape(m * a, m * a)
 
-    def _information(self, block: Array) -> tuple[float, Array]:
-        total, kept = self.measured
-        return total, (information_matrix(block) + kept) / total
+    def _information(self, block: Array) -> Array:
+        return self.problem.prior.information(information_matrix(block), self.runs)
 
     def _blocks(self, postures: Array) -> tuple[Array, Array, Array]:
         """B (m, d, p), dB (m, a, d, p), d2B (m, a, a, d p) at every posture."""

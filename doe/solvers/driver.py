@@ -91,7 +91,7 @@ def check_runs(problem: DesignProblem, runs: int) -> None:
         raise InputError(
             f"runs: {runs} with {problem.parameters} parameters to identify, allowed: at least {problem.fewest_runs}"
         )
-    kept = 0 if problem.kept is None else len(problem.kept)
+    kept = len(problem.kept)
     if runs + kept > (room := most_postures(problem, runs)):
         apart = np.degrees(problem.minimum_distance)
         raise InputError(f"runs: {runs + kept} postures {apart:g} deg apart, allowed: at most {room:.0f} in the limits")

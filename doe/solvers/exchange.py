@@ -88,9 +88,7 @@ class Search:
         self.distance = distance_to_keep(problem, plans.shape[1])
         self.criterion = surrogate(problem.criterion)
         self.blocks = problem.blocks(plans)
-        kept = problem.kept
-        self.measured = 0.0 if kept is None or not len(kept) else information_matrix(problem.blocks(kept))
-        self.total = plans.shape[1] + (0 if kept is None else len(kept))
+        self.total = plans.shape[1] + problem.prior.runs
         self.information = self._sum(np.arange(len(plans)))
         self.values = self._value(np.arange(len(plans)))
         self.running = np.arange(len(plans) if problem.searched_joints else 0)
@@ -131,10 +129,8 @@ class Search:
         allowed = self.problem.feasible(postures)
         if self.distance > 0.0:
             others = np.delete(self.plans[self.running], run, axis=1)
-            if self.problem.kept is not None:
-                kept = np.broadcast_to(self.problem.kept, (len(others), *self.problem.kept.shape))
-                others = np.concatenate([others, kept], axis=1)
-            for other in np.moveaxis(others, 1, 0):
+            kept = np.broadcast_to(self.problem.kept, (len(others), *self.problem.kept.shape))
+            for other in np.moveaxis(np.concatenate([others, kept], axis=1), 1, 0):
                 allowed &= np.abs(postures - other[:, None]).max(axis=-1) >= self.distance
         return allowed
 
@@ -148,7 +144,7 @@ class Search:
         return moved
 
     def _sum(self, starts: NDArray[np.intp]) -> Array:
-        return (information_matrix(self.blocks[starts]) + self.measured) / self.total
+        return self.problem.prior.information(information_matrix(self.blocks[starts]), self.plans.shape[1])
 
     def _value(self, starts: NDArray[np.intp]) -> Array:
         return np.asarray(self.criterion.value(self.information[starts]))

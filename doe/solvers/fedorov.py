@@ -82,9 +82,7 @@ class State:
 
     def __init__(self, problem: DesignProblem, blocks: Array, chosen: NDArray[np.intp]) -> None:
         self.problem, self.blocks, self.chosen = problem, blocks, chosen
-        kept = problem.kept
-        self.measured = 0.0 if kept is None or not len(kept) else information_matrix(problem.blocks(kept))
-        self.total = chosen.shape[1] + (0 if kept is None else len(kept))
+        self.total = chosen.shape[1] + problem.prior.runs
         self.criterion = surrogate(problem.criterion)
         self.running = np.arange(len(chosen))
         self.information = self._sum()
@@ -119,4 +117,4 @@ class State:
             self.information[start] = without + products(self.blocks[best]) / self.total
 
     def _sum(self) -> Array:
-        return (information_matrix(self.blocks[self.chosen]) + self.measured) / self.total
+        return self.problem.prior.information(information_matrix(self.blocks[self.chosen]), self.chosen.shape[1])

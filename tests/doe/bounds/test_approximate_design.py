@@ -7,12 +7,13 @@ import json
 import numpy as np
 import pytest
 
-from doe.bounds.approximate_design import Mixture, assess, largest_sensitivity, proper_weights
+from doe.bounds.approximate_design import assess, largest_sensitivity, proper_weights
 from doe.plan.plan import Plan
 from doe.problem.candidates import grid
+from doe.problem.prior import PriorInformation
 from identification.errors import InputError
 from identification.status import Status
-from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
+from tests.doe.arms import FOUR, problem
 
 FACTORIAL = Plan(np.radians([[0, a, b, c] for a in (-90, 90) for b in (-90, 60) for c in (-90, 90)]), np.full(8, 0.125))
 
@@ -21,9 +22,9 @@ def judged(plan: Plan, status: Status = Status.converged):  # type: ignore[no-un
     case = problem(FOUR)
     candidates = grid(case, 5)
     gradient = np.linalg.inv(case.information(plan.postures, plan.shares))
-    largest = largest_sensitivity(case, candidates, gradient, Mixture())
+    largest = largest_sensitivity(case, candidates, gradient, PriorInformation())
     return assess(
-        case, Mixture(), plan, largest, candidates=len(candidates), rigorous=True,
+        case, PriorInformation(), plan, largest, candidates=len(candidates), rigorous=True,
         status=status, solver="by hand", solver_status="done", seconds=0.5,
     )  # fmt: skip
 
@@ -80,27 +81,3 @@ def test_proper_weights() -> None:
     for bad in ([0.0, 0.0], [-1.0, -2.0], [np.nan, 1.0]):
         with pytest.raises(InputError, match="weights"):
             proper_weights(np.array(bad))
-
-
-def test_mixture_with_measured_postures_is_the_information_of_all_runs() -> None:
-    """k kept and m new runs: M of the weighted plan equals the mean over all k + m rows."""
-    generator = np.random.default_rng(0)
-    kept, new = generator.uniform(FOUR.lower, FOUR.upper, (2, 5, 4))
-    case = problem(FOUR, OFFSET, ECCENTRICITY, kept=kept)
-    mixture = Mixture.of(case, 10)
-    weights = np.array([0.1, 0.2, 0.3, 0.3, 0.1])  # ten runs: 1, 2, 3, 3, 1
-    rows = np.concatenate([kept, np.repeat(new, [1, 2, 3, 3, 1], axis=0)])
-    expected = problem(FOUR, OFFSET, ECCENTRICITY).information(rows)
-    information = mixture.information(case.blocks(new), weights)
-    assert information == pytest.approx(expected, rel=1e-12, abs=1e-12)
-    gradient = np.linalg.inv(information)
-    g = mixture.sensitivities(case.blocks(new), gradient)
-    assert weights @ g == pytest.approx(case.parameters, abs=1e-9)  # tr(G M) = p
-    assert g == pytest.approx([np.sum(gradient * f) for f in mixture.posture_information(case.blocks(new))], rel=1e-12)
-
-
-def test_measured_postures_need_the_number_of_runs() -> None:
-    case = problem(FOUR, kept=np.zeros((2, 4)))
-    for runs in (None, 0):
-        with pytest.raises(InputError, match="runs"):
-            Mixture.of(case, runs)

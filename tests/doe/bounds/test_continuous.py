@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from doe.bounds.approximate_design import Mixture
 from doe.bounds.continuous import ContinuousSet, distinct
+from doe.problem.prior import PriorInformation
 from identification.arm import Arm, EffectSpec, KeepOutCircle, LineOfSight, WorkspaceBox
 from identification.arrays import Array
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
@@ -37,7 +37,7 @@ def some_gradient(case, generator: np.random.Generator) -> Array:  # type: ignor
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_slopes_by_finite_differences(case) -> None:  # type: ignore[no-untyped-def]
     generator = np.random.default_rng(0)
-    everything = ContinuousSet(case, Mixture(0.7, np.eye(case.parameters)))
+    everything = ContinuousSet(case, PriorInformation(np.eye(case.parameters), 0.4))
     gradient = some_gradient(case, generator)
     q = generator.uniform(case.lower, case.upper, (5, case.joints))
     slope, hessian = everything.slopes(q, gradient)
@@ -52,7 +52,7 @@ def test_slopes_by_finite_differences(case) -> None:  # type: ignore[no-untyped-
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_climbs_within_the_set(case) -> None:  # type: ignore[no-untyped-def]
     generator = np.random.default_rng(1)
-    everything = ContinuousSet(case, Mixture())
+    everything = ContinuousSet(case, PriorInformation())
     gradient = some_gradient(case, generator)
     starts = everything.random(generator, 50)
     ends = everything.climb(starts, gradient)
@@ -68,7 +68,7 @@ def test_nothing_higher_within_limits_by_scipy() -> None:
     """L-BFGS-B from 300 random starts does not find a higher sensitivity."""
     case = problem(FOUR, OFFSET, ECCENTRICITY)
     generator = np.random.default_rng(2)
-    everything, gradient = ContinuousSet(case, Mixture()), some_gradient(case, generator)
+    everything, gradient = ContinuousSet(case, PriorInformation()), some_gradient(case, generator)
     best = everything.best(gradient, np.empty((0, 4)))[1][0]
     limits = list(zip(case.lower, case.upper, strict=True))
     for start in generator.uniform(case.lower, case.upper, (300, 4)):
@@ -83,7 +83,7 @@ def test_nothing_higher_within_walls_by_scipy() -> None:
     """Nor does SLSQP under the constraints."""
     case = problem(BOXED, OFFSET, ECCENTRICITY)
     generator = np.random.default_rng(3)
-    everything, gradient = ContinuousSet(case, Mixture()), some_gradient(case, generator)
+    everything, gradient = ContinuousSet(case, PriorInformation()), some_gradient(case, generator)
     best = everything.best(gradient, np.empty((0, 4)), generator)[1][0]
     walls = {"type": "ineq", "fun": lambda q: case.constraints[0].margin(q[None])[0] / 100.0}
     for start in everything.random(generator, 40):

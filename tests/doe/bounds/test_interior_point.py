@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from doe.bounds.approximate_design import Mixture
 from doe.bounds.interior_point import solve_weights, sparsest
 from doe.criteria import A, Criterion, D, Ds, E
+from doe.problem.prior import PriorInformation
 from identification.arrays import Array
 
 POINTS = np.linspace(-1.0, 1.0, 21)
@@ -29,7 +29,7 @@ QUADRATIC = np.power.outer(POINTS, np.arange(3))[:, None, :]  # (21, 1, 3)
     ids=["D", "A", "E", "Ds"],
 )
 def test_quadratic_regression(criterion: Criterion, ends: float, middle: float, tolerance: float) -> None:
-    weights = solve_weights(QUADRATIC, criterion, Mixture()).weights
+    weights = solve_weights(QUADRATIC, criterion, PriorInformation()).weights
     expected = np.zeros(21)
     expected[[0, 10, 20]] = ends, middle, ends
     assert weights == pytest.approx(expected, abs=tolerance)
@@ -44,7 +44,7 @@ def random_blocks(generator: np.random.Generator, k: int, d: int, p: int) -> Arr
 def test_equivalence_theorem(seed: int, p: int, d: int) -> None:
     """max d = p over the postures, and d = p wherever there is weight (Kiefer and Wolfowitz, several coordinates)."""
     blocks = random_blocks(np.random.default_rng(seed), 4 * p, d, p)
-    weights = solve_weights(blocks, D(), Mixture()).weights
+    weights = solve_weights(blocks, D(), PriorInformation()).weights
     information = np.einsum("k,kda,kdb->ab", weights, blocks, blocks)
     d_values = np.einsum("kda,ab,kdb->k", blocks, np.linalg.inv(information), blocks)
     assert weights.sum() == pytest.approx(1.0, abs=1e-14)
@@ -63,7 +63,7 @@ def test_no_better_weights_by_scipy(criterion: Criterion) -> None:
         w = np.exp(x - x.max())
         return -float(criterion.value(np.einsum("k,kda,kdb->ab", w / w.sum(), blocks, blocks)))
 
-    mine = solve_weights(blocks, criterion, Mixture()).weights
+    mine = solve_weights(blocks, criterion, PriorInformation()).weights
     reached = minus_value(np.log(np.maximum(mine, 1e-12)))
     for start in (np.log(np.maximum(mine, 1e-6)), np.zeros(12), generator.standard_normal(12)):
         assert minimize(minus_value, start, method="SLSQP").fun >= reached - 1e-9
@@ -73,14 +73,15 @@ def test_a_part_of_the_runs_is_fixed() -> None:
     """With a fixed offset the multiplicative algorithm (Silvey, Titterington, Torsney) is the oracle."""
     generator = np.random.default_rng(4)
     blocks, kept = random_blocks(generator, 15, 2, 4), random_blocks(generator, 3, 2, 4)
-    mixture = Mixture(0.6, 0.4 * np.einsum("kda,kdb->ab", kept, kept) / 3)
-    atoms = 0.6 * np.einsum("kda,kdb->kab", blocks, blocks) + mixture.offset
+    known = np.einsum("kda,kdb->ab", kept, kept)
+    prior = PriorInformation(known, 2.0).per_new_run(3)  # two of five runs are known
+    atoms = 0.6 * np.einsum("kda,kdb->kab", blocks, blocks) + 0.2 * known
     w = np.full(15, 1 / 15)
     for _ in range(20_000):
         w *= np.einsum("ab,kab->k", np.linalg.inv(np.einsum("k,kab->ab", w, atoms)), atoms) / 4
-    mine = solve_weights(blocks, D(), mixture)
+    mine = solve_weights(blocks, D(), prior)
     best = np.linalg.slogdet(np.einsum("k,kab->ab", w, atoms))[1]
-    assert np.linalg.slogdet(mixture.information(blocks, mine.weights))[1] >= best - 1e-12
+    assert np.linalg.slogdet(prior.mixture(blocks, mine.weights))[1] >= best - 1e-12
     assert mine.weights == pytest.approx(w, abs=1e-3)  # the multiplicative algorithm is slow near zero weights
     assert mine.gap <= 1e-10
 
@@ -103,6 +104,6 @@ def test_sparsest_keeps_the_information(seed: int, p: int) -> None:
 
 def test_a_posture_measured_twice_changes_nothing() -> None:
     """Equal blocks make the weights ambiguous, not the information."""
-    once = solve_weights(QUADRATIC, D(), Mixture()).weights
-    twice = solve_weights(np.concatenate([QUADRATIC, QUADRATIC]), D(), Mixture()).weights
+    once = solve_weights(QUADRATIC, D(), PriorInformation()).weights
+    twice = solve_weights(np.concatenate([QUADRATIC, QUADRATIC]), D(), PriorInformation()).weights
     assert twice[:21] + twice[21:] == pytest.approx(once, abs=1e-9)

@@ -1,0 +1,71 @@
+"""What is known before the new runs: postures measured already; the covariance of a calibration would enter here too.
+
+Let K be the sum of B^T B that is known, from k runs. Then m new runs have the information per run
+
+    M = (sum_i B_i^T B_i + K) / (m + k)
+
+and per new run, with K / m and k / m in place of K and k, weights that sum to one give the same M. It stays a convex
+mixture of the matrices F_i = (B_i^T B_i + K) / (1 + k), so that the equivalence theorem holds as it stands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identification.arrays import Array, readonly
+from identification.errors import InputError
+from identification.information import information_matrix
+
+
+@dataclass(frozen=True, eq=False)
+class PriorInformation:
+    """K and k.
+
+    total : (p, p) sum of B^T B, positive semidefinite, or 0;  runs : how many runs it counts as, >= 0
+    """
+
+    total: Array = field(default_factory=lambda: np.zeros(()))
+    runs: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "total", readonly(self.total))
+
+    @property
+    def empty(self) -> bool:
+        """True if nothing is known."""
+        return self.runs == 0.0 and not self.total.any()
+
+    @property
+    def share(self) -> float:
+        """1 / (1 + k), of a mean over new runs, with the prior per new run."""
+        return 1.0 / (1.0 + self.runs)
+
+    def per_new_run(self, new_runs: int | None = None) -> PriorInformation:
+        """K / m and k / m. Raises `InputError` where something is known and `new_runs`, m, is no number >= 1."""
+        if self.empty:
+            return self
+        if new_runs is None or new_runs < 1:
+            raise InputError(f"runs: {new_runs}, allowed: >= 1, the number of new runs beside the measured ones")
+        return PriorInformation(self.total / new_runs, self.runs / new_runs)
+
+    def information(self, new: Array, new_runs: float = 1.0) -> Array:
+        """(..., p, p) M of new runs whose B^T B sum to `new`; or of a weighted mean, with the prior per new run."""
+        return np.asarray((new + self.total) / (new_runs + self.runs))
+
+    def mixture(self, blocks: Array, weights: Array) -> Array:
+        """(p, p) M of (j, d, p) blocks with weights (j,) that sum to one, with the prior per new run."""
+        return self.information(information_matrix(blocks, weights))
+
+    def posture_information(self, blocks: Array) -> Array:
+        """(j, p, p) F_i, what a design with all its weight on one posture would have."""
+        return self.information(np.swapaxes(blocks, 1, 2) @ blocks)
+
+    def sensitivities(self, blocks: Array, gradient: Array) -> Array:
+        """(j,) tr(G F_i) of (j, d, p) blocks; the literature calls it d for G = M^-1."""
+        return self.mixed(np.einsum("kda,kda->k", blocks @ gradient, blocks), gradient)
+
+    def mixed(self, values: Array, gradient: Array) -> Array:
+        """tr(G F) of values tr(G B^T B)."""
+        return np.asarray((values + float(np.sum(gradient * self.total))) / (1.0 + self.runs))
