@@ -43,9 +43,7 @@ search_options = grouped(
     click.option("--solver", help="Method; left out: the best for the problem."),
     click.option("--starts", type=click.IntRange(min=1), help="Number of starts."),
     click.option("--seconds", type=Seconds(), help="Time budget [s]; left out: none up to 100 runs, 30 for more."),
-    click.option(
-        "--discriminating", is_flag=True, help="A plan that shows missing effects, too, and tells them apart."
-    ),
+    click.option("--discriminating", is_flag=True, help="A plan that also reveals which effect is missing."),
     click.option("--loss", default=0.05, show_default=True, help="D-efficiency that --discriminating may give up."),
     click.option("--order", help="given, travel (least joint travel) or random."),
 )

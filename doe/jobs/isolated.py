@@ -1,14 +1,16 @@
 """One call in a process of its own, with a time limit: a call that hangs or crashes stops nothing else.
 
-The process is an ordinary Python started for this call, so it works from anywhere (a notebook, a pool, a dask worker),
-inherits no locks or threads, and builds its own CasADi functions.
+The process is an ordinary Python started for this call, so it works from anywhere (a notebook, a pool, a dask worker:
+pools of `multiprocessing`, pebble's too, are refused in the last, which is a daemon), inherits no locks or threads,
+and builds its own CasADi functions. The limit is kept by the watchdog of `faulthandler`: a thread in C, which ends the
+process even while compiled code holds the interpreter.
 """
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import pickle
-import signal
 import subprocess
 import sys
 import tempfile
@@ -70,7 +72,7 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> Outco
 def _outcome(code: int, result: Path, errors: bytes, limit: float, wall: float) -> Outcome:
     if code == 0 and result.exists():
         return Outcome(*pickle.loads(result.read_bytes()))
-    if code == -signal.SIGALRM:
+    if b"Timeout (" in errors:  # the watchdog's first word
         return Outcome(None, "timeout", f"killed after {limit:g} s", limit, None)
     lines = errors.decode(errors="replace").strip().splitlines()
     reason = f"signal {-code}" if code < 0 else f"exit code {code}"
@@ -83,14 +85,14 @@ def answer() -> None:
     sys.path[:] = search
     try:
         function, arguments = pickle.loads(task)
-        signal.setitimer(signal.ITIMER_REAL, limit)  # its default action ends the process even inside compiled code
+        faulthandler.dump_traceback_later(limit, exit=True)
         started = time.perf_counter()
         value, status, error = function(*arguments), "done", None
         seconds = time.perf_counter() - started
     except Exception as raised:  # noqa: BLE001 - whatever it was, it becomes the outcome
         value, status, error = None, "failed", one_line(raised)
         seconds = time.perf_counter() - started if "started" in locals() else 0.0
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    faulthandler.cancel_dump_traceback_later()
     Path(path).write_bytes(pickle.dumps((value, status, error, seconds, peak_memory_mb())))
 
 
@@ -108,7 +110,14 @@ def peak_memory_mb() -> float | None:
         status = Path("/proc/self/status").read_text()
         return int(status.split("VmHWM:")[1].split()[0]) / 1024.0
     except (OSError, IndexError):
-        import resource
+        return _peak_of_usage()
 
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)
+
+def _peak_of_usage() -> float | None:
+    """As `peak_memory_mb` where there is no /proc; None where there is no `getrusage` either."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)

@@ -7,10 +7,8 @@ key, floats to the last bit); `finish` turns both into the Parquet file. After a
 
 from __future__ import annotations
 
-import fcntl
 import io
 import json
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -168,10 +166,12 @@ def _target(path: PathLike, resume: bool, force: bool) -> Path:
 
 def _locked(journal: Path) -> IO[bytes]:
     """The journal, open for this process only."""
+    import portalocker
+
     try:
         stream = open(journal, "a+b")  # noqa: SIM115 - closed by the caller
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+        portalocker.lock(stream, portalocker.LockFlags.EXCLUSIVE | portalocker.LockFlags.NON_BLOCKING)
+    except portalocker.AlreadyLocked:
         stream.close()
         raise InputError(f"{journal}: another run is writing this table, allowed: one at a time") from None
     except OSError as error:
@@ -200,7 +200,7 @@ def _from_journal(stream: IO[bytes]) -> dict[str, list[Row]]:
     """The journal's rows; the torn end of a crashed run is cut off."""
     stream.seek(0)
     rows, size = _parse(stream.read())
-    os.ftruncate(stream.fileno(), size)
+    stream.truncate(size)
     return rows
 
 

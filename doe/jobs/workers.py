@@ -27,7 +27,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from itertools import count
 from typing import TYPE_CHECKING, Any
@@ -57,7 +57,8 @@ def seed_of(key: Key, seed: int = 0) -> np.random.SeedSequence:
 class Workers:
     """Where tasks run.
 
-    open : gives an executor with `submit` and futures like those of `concurrent.futures`; called again if it broke
+    open : gives an executor with `submit` and futures like those of `concurrent.futures`; called again if it broke.
+        For an executor of your own, which stays open: `Workers(lambda: nullcontext(executor), 8)`
     count : number of tasks that run at once;  reopens : whether a broken executor can be opened anew
     """
 
@@ -87,11 +88,6 @@ def processes(number: int | None = None) -> Workers:
     """`number` processes of this machine (default: its cores), each with one thread of linear algebra."""
     number = number or os.cpu_count() or 1
     return Workers(lambda: _process_pool(number), number, reopens=True)
-
-
-def using(executor: Executor, at_once: int = 8) -> Workers:
-    """An executor of the caller's own, which stays open."""
-    return Workers(lambda: nullcontext(executor), at_once)
 
 
 def cluster(address: str, patience: float = 10.0) -> Workers:

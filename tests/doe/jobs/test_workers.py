@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from doe.jobs.isolated import call
 from doe.jobs.row_table import RowTable, read_rows
-from doe.jobs.workers import Function, Workers, choose, cluster, processes, run, seed_of, serial, using
+from doe.jobs.workers import Function, Workers, choose, cluster, processes, run, seed_of, serial
 from identification.errors import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
@@ -49,7 +48,7 @@ def test_rows_come_in_the_order_of_the_keys_and_from_their_own_seeds() -> None:
 
 def test_own_executor_gives_the_same_rows() -> None:
     with ThreadPoolExecutor(3) as executor:
-        assert rows(work.draw, using(executor)).equals(rows(work.draw, serial()))
+        assert rows(work.draw, Workers(lambda: nullcontext(executor), 8)).equals(rows(work.draw, serial()))
         executor.submit(int)  # still open
 
 
@@ -215,25 +214,3 @@ def test_choice_of_workers() -> None:
     assert choose(1).count == 1
     assert choose(3).count == 3
     assert choose(3).reopens
-
-
-# -- one call in its own process --------------------------------------------------------------------------------------
-def test_call_returns_value_seconds_and_memory() -> None:
-    small, large = call(work.fill_memory, 1, seconds=60.0), call(work.fill_memory, 300, seconds=60.0)
-    assert (small.status, small.value, small.error) == ("done", 2**17, None)
-    assert large.peak_memory_mb is not None
-    assert small.peak_memory_mb is not None
-    assert 290.0 < large.peak_memory_mb - small.peak_memory_mb < 330.0  # the array, 300 MB, and nothing of ours
-
-
-def test_hanging_call_is_killed() -> None:
-    outcome = call(work.hang, 300.0, seconds=0.5)
-    assert (outcome.status, outcome.value) == ("timeout", None)
-
-
-def test_raising_and_crashing_calls_are_told_apart() -> None:
-    assert call(work.fail, seconds=10.0).error == "ArithmeticError: no answer"
-    crashed = call(work.crash, seconds=10.0)
-    assert crashed.status == "crashed"
-    assert crashed.error is not None
-    assert "signal 11" in crashed.error

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from doe.jobs.isolated import call
 
 
 def draw(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
@@ -55,6 +58,16 @@ def hang(seconds: float) -> str:
     """Sleeps."""
     time.sleep(seconds)
     return "awake"
+
+
+def hang_in_compiled_code() -> None:
+    """Takes longer than anybody waits, without giving the interpreter back."""
+    re.match(r"(a+)+$", "a" * 60 + "b")
+
+
+def call_from_here(queue: Any) -> None:
+    """Puts the status of a call that is made in this process."""
+    queue.put(call(hang, 0.0, seconds=60.0).status)
 
 
 def fill_memory(megabytes: int) -> int:

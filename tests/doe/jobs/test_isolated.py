@@ -1,0 +1,55 @@
+"""One call in a process of its own: value, time and memory, and every way in which it can end badly."""
+
+from __future__ import annotations
+
+import multiprocessing
+import sys
+from pathlib import Path
+
+from doe.jobs.isolated import _peak_of_usage, call, peak_memory_mb
+
+sys.path.insert(0, str(Path(__file__).parent))  # the new process finds the tasks by name
+import work
+
+
+def test_call_returns_value_seconds_and_memory() -> None:
+    small, large = call(work.fill_memory, 1, seconds=60.0), call(work.fill_memory, 300, seconds=60.0)
+    assert (small.status, small.value, small.error) == ("done", 2**17, None)
+    assert large.peak_memory_mb is not None
+    assert small.peak_memory_mb is not None
+    assert 290.0 < large.peak_memory_mb - small.peak_memory_mb < 330.0  # the array, 300 MB, and nothing of ours
+
+
+def test_hanging_call_is_killed() -> None:
+    outcome = call(work.hang, 300.0, seconds=0.5)
+    assert (outcome.status, outcome.value) == ("timeout", None)
+
+
+def test_call_hanging_in_compiled_code_is_killed() -> None:
+    """Python's own signals and timers would wait for the interpreter, which that code does not give back."""
+    assert call(work.hang_in_compiled_code, seconds=0.5).status == "timeout"
+
+
+def test_call_from_a_daemon() -> None:
+    """As from a dask worker, which may not have children by `multiprocessing`."""
+    queue = multiprocessing.get_context("spawn").Queue()
+    process = multiprocessing.get_context("spawn").Process(target=work.call_from_here, args=(queue,), daemon=True)
+    process.start()
+    assert queue.get(timeout=60.0) == "done"
+    process.join()
+
+
+def test_memory_by_usage_is_at_least_that_of_the_address_space() -> None:
+    """`getrusage` counts what the parent had, too."""
+    usage, own = _peak_of_usage(), peak_memory_mb()
+    assert usage is not None
+    assert own is not None
+    assert own <= usage * 1.01  # both in whole kB, read one after the other
+
+
+def test_raising_and_crashing_calls_are_told_apart() -> None:
+    assert call(work.fail, seconds=10.0).error == "ArithmeticError: no answer"
+    crashed = call(work.crash, seconds=10.0)
+    assert crashed.status == "crashed"
+    assert crashed.error is not None
+    assert "signal 11" in crashed.error
