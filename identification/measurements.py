@@ -70,11 +70,12 @@ def directions_from_order(postures: Array, order: Array | None = None) -> Array:
 
 
 _Test = Callable[[Array], NDArray[np.bool_]]
+DIMENSIONS = (2, 3)  # coordinates that an instrument may measure
 _OPTIONAL = ("order", "payload", "temperature", "directions", "sigma", "repeats")
 # columns, sentence and test of what is allowed, for every field of `Measurements`; all of them finite
 _VALUES: dict[str, tuple[str, str, _Test]] = {
     "postures": ("joints", "finite angles [rad]", np.isfinite),
-    "positions": ("two", "finite coordinates [mm]", np.isfinite),
+    "positions": ("coordinates", "finite coordinates [mm]", np.isfinite),
     "order": ("one", "finite numbers", np.isfinite),
     "payload": ("one", "numbers >= 0 [kg]", lambda v: v >= 0.0),
     "temperature": ("one", "numbers >= -273.15 [deg C]", lambda v: v >= -273.15),
@@ -97,7 +98,7 @@ class Measurements(ByValue):
     """m measured postures of an n-link arm, in the order of the file.
 
     postures : (m, n) commanded joint angles [rad]
-    positions : (m, 2) measured tip positions [mm]
+    positions : (m, d) measured tip positions [mm], in a plane or in space
     order : (m,) order or time stamps; rows in order if the file has none
     sigma : (m,) standard deviation per row and axis [mm], None: not given per row
     repeats : (m,) equal numbers mark repeats of one posture, None: not given
@@ -126,11 +127,11 @@ class Measurements(ByValue):
             value = getattr(self, name)
             if value is None and name in _OPTIONAL:
                 continue
-            shape = {"one": (m,), "two": (m, 2), "joints": (m, n)}[columns]
+            shapes = {"one": [(m,)], "coordinates": [(m, d) for d in DIMENSIONS], "joints": [(m, n)]}[columns]
             array = _numbers(name, value)
-            if array.shape != shape:
+            if array.shape not in shapes:
                 found = f"shape {array.shape} for {m} postures of {n} joints"
-                raise InputError(f"measurements.{name}: {found}, allowed: {shape}")
+                raise InputError(f"measurements.{name}: {found}, allowed: {' or '.join(map(str, shapes))}")
             if not bool(np.all(good := np.isfinite(array) & test(array))):
                 row = int(np.argmin(np.all(good.reshape(m, -1), axis=1)))
                 raise InputError(f"measurements.{name}: row {row + 1} has {array[row].tolist()}, allowed: {allowed}")
@@ -146,6 +147,11 @@ class Measurements(ByValue):
     def links(self) -> int:
         """n, the number of joints measured."""
         return int(self.postures.shape[1])
+
+    @property
+    def dimension(self) -> int:
+        """d, the number of coordinates measured of each position."""
+        return int(self.positions.shape[1])
 
     @property
     def given(self) -> frozenset[str]:

@@ -75,6 +75,9 @@ def check(model: Model, measurements: Measurements) -> None:
     n, m, p = model.arm.links, len(measurements), len(model.parameters)
     if measurements.links != n:
         raise InputError(f"measurements: {measurements.links} joints for an arm of {n} links, allowed: {n}")
+    if measurements.dimension != model.dimension:
+        found, needed = measurements.dimension, model.dimension
+        raise InputError(f"measurements: positions of {found} coordinates, allowed: {needed} as the model has")
     if p == 0:
         raise InputError("model: every parameter is known, allowed: at least one to estimate")
     for effect in model.effects:

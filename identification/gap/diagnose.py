@@ -96,13 +96,16 @@ def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | No
     """Raise `InputError` for data that do not belong to the arm or lack what its effects need."""
     if measurements.links != arm.links:
         raise InputError(f"measurements: {measurements.links} joints, allowed: {arm.links} as in the arm file")
+    model = Model(arm)
+    if measurements.dimension != model.dimension:
+        found = f"positions of {measurements.dimension} coordinates"
+        raise InputError(f"measurements: {found}, allowed: {model.dimension} as the model has")
     for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
         if np.all(np.ptp(table, axis=0) == 0.0):
             raise InputError(f"measurements: the same {name} in all {len(table)} rows, allowed: several {name}s")
-    needs = Model(arm).needs
-    if "temperature" in needs and measurements.temperature is None:
+    if "temperature" in model.needs and measurements.temperature is None:
         raise InputError("temperature_C: an effect in the arm file needs it, the measurements have no such column")
-    if "gravity" in needs and arm.gravity is None:
+    if "gravity" in model.needs and arm.gravity is None:
         raise InputError(
             "gravity: an effect in the arm file needs gravity torques, the arm file has no [gravity] table"
         )

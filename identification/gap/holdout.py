@@ -111,6 +111,9 @@ def check_holdout(measurements: Measurements, holdout: Measurements) -> None:
     """Refuse a hold-out of another arm, or one that is (in part) the data itself."""
     if holdout.links != measurements.links:
         raise InputError(f"holdout: {holdout.links} joints, allowed: {measurements.links} as in the data")
+    if holdout.dimension != measurements.dimension:
+        found, needed = holdout.dimension, measurements.dimension
+        raise InputError(f"holdout: positions of {found} coordinates, allowed: {needed} as in the data")
     distance = _distance_to_data(measurements, holdout)
     shared, near = int(np.sum(distance == 0.0)), int(np.sum(distance <= 1.0))
     if shared or 2 * near > len(holdout):  # a few repeats may agree by chance, most rows only in a rounded copy

@@ -51,6 +51,10 @@ def changed(values: np.ndarray, row: int, value: float) -> np.ndarray:
         ({"positions": X[:1]}, "measurements.positions: shape (1, 2) for 20 postures of 4 joints, allowed: (20, 2)"),
         ({"positions": X[:19]}, "measurements.positions: shape (19, 2) for 20 postures of 4 joints, allowed: (20, 2)"),
         ({"positions": X[:, :1]}, "measurements.positions: shape (20, 1) for 20 postures"),
+        (
+            {"positions": np.ones((20, 4))},
+            "positions: shape (20, 4) for 20 postures of 4 joints, allowed: (20, 2) or (20,",
+        ),
         ({"positions": None}, "measurements.positions: shape () for"),
         ({"positions": "data.csv"}, "measurements.positions: not an array of numbers, allowed: real numbers"),
         ({"positions": changed(X, 6, np.nan)}, "measurements.positions: row 7 has [nan, nan], allowed: finite"),
@@ -74,6 +78,11 @@ def test_what_no_session_can_be_is_one_line(given: dict, sentence: str) -> None:
         Measurements(**{"postures": Q, "positions": X, **given})
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_positions_in_a_plane_or_in_space() -> None:
+    assert Measurements(Q, X).dimension == 2
+    assert Measurements(Q, np.ones((20, 3))).dimension == 3
 
 
 def test_lists_are_measurements_too_and_nothing_can_be_written_to() -> None:

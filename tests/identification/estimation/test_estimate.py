@@ -260,6 +260,11 @@ def test_wrong_number_of_joints() -> None:
         estimate(Model(Arm([100.0, 100.0])), data(Model(arm()), plan(10)))
 
 
+def test_positions_of_another_dimension() -> None:
+    with pytest.raises(InputError, match="positions of 3 coordinates, allowed: 2 as the model has"):
+        estimate(Model(arm()), Measurements(plan(10), np.zeros((10, 3))))
+
+
 def test_data_that_effects_need() -> None:
     measurements = Measurements(plan(10), np.zeros((10, 2)))
     with pytest.raises(InputError, match="thermal_growth needs the column temperature_C"):

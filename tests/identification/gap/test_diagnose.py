@@ -203,6 +203,11 @@ def test_bad_input() -> None:
         diagnose(ARM, data, data.rows(slice(0, 3)))
     with pytest.raises(InputError, match="holdout: 2 joints"):
         diagnose(ARM, data, Measurements(data.postures[:, :2], data.positions))
+    in_space = replace(data, positions=np.zeros((len(data), 3)))
+    with pytest.raises(InputError, match="measurements: positions of 3 coordinates, allowed: 2"):
+        diagnose(ARM, replace(in_space, positions=np.arange(3.0 * len(data)).reshape(-1, 3)))
+    with pytest.raises(InputError, match="holdout: positions of 3 coordinates, allowed: 2"):
+        diagnose(ARM, data, in_space)
     no_temperature = replace(data, temperature=None)
     with pytest.raises(InputError, match="temperature_C"):
         diagnose(ARM.with_effects(EffectSpec("thermal_growth")), no_temperature)
