@@ -123,12 +123,16 @@ class Measurements(ByValue):
             allowed = f"(m, n) with m >= 1 rows and n = 1 to {MAX_LINKS} joints"
             raise InputError(f"measurements.postures: shape {postures.shape}, allowed: {allowed}")
         m, n = postures.shape
+        by_columns: dict[str, list[tuple[int, ...]]] = {
+            "one": [(m,)],
+            "coordinates": [(m, d) for d in DIMENSIONS],
+            "joints": [(m, n)],
+        }
         for name, (columns, allowed, test) in _VALUES.items():
             value = getattr(self, name)
             if value is None and name in _OPTIONAL:
                 continue
-            shapes = {"one": [(m,)], "coordinates": [(m, d) for d in DIMENSIONS], "joints": [(m, n)]}[columns]
-            array = _numbers(name, value)
+            array, shapes = _numbers(name, value), by_columns[columns]
             if array.shape not in shapes:
                 found = f"shape {array.shape} for {m} postures of {n} joints"
                 raise InputError(f"measurements.{name}: {found}, allowed: {' or '.join(map(str, shapes))}")

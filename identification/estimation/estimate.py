@@ -76,8 +76,8 @@ def check(model: Model, measurements: Measurements) -> None:
     if measurements.links != n:
         raise InputError(f"measurements: {measurements.links} joints for an arm of {n} links, allowed: {n}")
     if measurements.dimension != model.dimension:
-        found, needed = measurements.dimension, model.dimension
-        raise InputError(f"measurements: positions of {found} coordinates, allowed: {needed} as the model has")
+        allowed = f"allowed: {model.dimension} as the model has"
+        raise InputError(f"measurements: positions of {measurements.dimension} coordinates, {allowed}")
     if p == 0:
         raise InputError("model: every parameter is known, allowed: at least one to estimate")
     for effect in model.effects:
