@@ -1,0 +1,67 @@
+"""The examples of identification/files/README.md are files that load."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doe.plan.file import load_plan
+from doe.studies.monte_carlo.schema import check as check_study
+from identification.files.arm import load_arm
+from identification.files.measurement import load_measurements
+from identification.files.target import load_targets
+
+PAGE = Path(__file__).parents[3] / "identification/files/README.md"
+EXAMPLES = dict(
+    re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?^```\w+\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE)
+)
+
+
+@pytest.fixture
+def example(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """The example below a heading, as a file."""
+    path = tmp_path / "example"
+    path.write_text(EXAMPLES[request.param])
+    return path
+
+
+@pytest.mark.parametrize("example", ["Arm file"], indirect=True)
+def test_arm(example: Path) -> None:
+    arm = load_arm(example)
+    assert arm.links == 4
+    assert len(arm.constraints) == 3
+    assert [spec.key for spec in arm.effects] == ["base_offset", "encoder_eccentricity:2"]
+    assert arm.calibration is not None
+
+
+@pytest.mark.parametrize("example", ["Truth file"], indirect=True)
+def test_truth(example: Path) -> None:
+    assert [spec.name for spec in load_arm(example).effects] == ["gear_ratio", "serial_correlation"]
+
+
+@pytest.mark.parametrize("example", ["Plan file"], indirect=True)
+def test_plan(example: Path) -> None:
+    np.testing.assert_allclose(load_plan(example).postures[0], np.radians([-90.0, -120.0]))
+
+
+@pytest.mark.parametrize("example", ["Measurement file"], indirect=True)
+def test_measurements(example: Path) -> None:
+    data = load_measurements(example)
+    assert data.positions.shape == (3, 2)
+    assert data.temperature is not None
+    assert data.directions is not None
+
+
+@pytest.mark.parametrize("example", ["Target file"], indirect=True)
+def test_targets(example: Path) -> None:
+    positions = load_targets(example, 4).positions
+    assert positions is not None
+    assert positions.shape == (2, 2)
+
+
+def test_study() -> None:
+    assert check_study(tomllib.loads(EXAMPLES["Study file"])).replications == 10_000
