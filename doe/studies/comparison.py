@@ -19,7 +19,8 @@ import numpy as np
 from doe.criteria import criterion
 from doe.jobs.isolated import call
 from doe.jobs.row_table import Key, Row, RowTable
-from doe.jobs.workers import Workers, run
+from doe.jobs.tasks import run
+from doe.jobs.workers import Workers
 from doe.problem.problem import DesignProblem
 from identification.arm import Arm
 from identification.errors import InputError, nearest

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from doe.jobs.row_table import Key, Row, RowTable, canonical
-from doe.jobs.workers import Workers, run
+from doe.jobs.tasks import run
+from doe.jobs.workers import Workers
 from doe.studies.blind import simulator
 from doe.studies.blind.case import Case
 from doe.studies.blind.score import BARS, BlindStudy, score

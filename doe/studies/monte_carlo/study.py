@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from doe.jobs.row_table import Key, Row, RowTable, canonical
-from doe.jobs.workers import Workers, run
+from doe.jobs.tasks import run
+from doe.jobs.workers import Workers
 from doe.problem.problem import DesignProblem
 from doe.studies.monte_carlo.cells import DFT, RANDOM, Study
 from doe.studies.monte_carlo.fits import Cell, block

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from doe.jobs.row_table import Key, Row, RowTable, frame_of
-from doe.jobs.workers import Workers, run
+from doe.jobs.tasks import run
+from doe.jobs.workers import Workers
 from doe.studies.paper.errata import CHECKS, errata
 from doe.studies.paper.figures import RUNS, figure_1, figure_2
 from doe.studies.paper.tables import CASES, REPLICATIONS, consistent, table_1, table_2, table_3, text_figures

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from doe.jobs.isolated import call
+from doe.jobs.tasks import seed_of
 
 
 def draw(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
@@ -83,3 +84,9 @@ def crash() -> None:
 def fail() -> None:
     """Raises."""
     raise ArithmeticError("no\nanswer")
+
+
+def drawn(keys: list[dict[str, Any]], seed: int = 0) -> list[float]:
+    """The values that `draw` gives for the keys."""
+    draws = [float(np.random.default_rng(seed_of(key, seed)).standard_normal()) for key in keys]
+    return [value + part for value in draws for part in range(2)]

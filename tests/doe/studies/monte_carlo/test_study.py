@@ -114,7 +114,7 @@ def test_optimal_plan_has_the_deviations_of_equation_25() -> None:
 def test_random_plans_are_new_for_each_replication() -> None:
     study = Study([ARM], ["random"], [6], sigma=[0.2], truths=[PAPER], replications=30, block=30)
     result = run_study(study, seed=3)
-    from doe.jobs.workers import seed_of
+    from doe.jobs.tasks import seed_of
 
     key = json.loads(result.blocks["key"][0])
     generator = np.random.default_rng(seed_of(key, 3))

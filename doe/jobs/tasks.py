@@ -1,0 +1,167 @@
+"""Tasks: a function and keys, done on any workers, give the same rows to the last bit.
+
+A task is a key (what to do, in JSON types); its rows depend on the key and the seed only, never on the number of
+workers or the order. Functions go to workers by name and are given keys: what cannot travel (CasADi, IPOPT) is built
+there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from dataclasses import dataclass, field
+from itertools import count
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from doe.jobs.isolated import one_line
+from doe.jobs.row_table import Key, Row, RowTable, canonical
+from doe.jobs.workers import Workers, serial
+from identification.errors import JobError
+from identification.progress import Progress, silent
+
+if TYPE_CHECKING:
+    import polars
+
+Function = Callable[..., list[Row]]  # (key, seed sequence), and the key's payload where there is one
+AHEAD = 3  # tasks handed out per worker, so that none waits; a million tasks are never in flight at once
+TRIES = 2  # a task whose worker died this often is tried once more alone: if that worker dies too, the task is to blame
+
+
+def seed_of(key: Key, seed: int = 0) -> np.random.SeedSequence:
+    """The seed of a key's own stream of random numbers: from the key's text and the user's seed, nothing else."""
+    digest = hashlib.sha256(canonical(key).encode()).digest()
+    return np.random.SeedSequence([seed, *np.frombuffer(digest, dtype="<u4").tolist()])
+
+
+def run(
+    function: Function,
+    keys: Sequence[Key],
+    table: RowTable,
+    workers: Workers | None = None,
+    *,
+    seed: int = 0,
+    payload: Callable[[Key], Any] | None = None,
+    progress: Progress = silent,
+) -> polars.DataFrame:
+    """The rows of all keys, in the order of the keys; those that the table has already are not done again.
+
+    function : importable by name where the workers are; `function(key, seed_sequence)` gives the rows of one key
+    payload : what a task needs besides its key, sent along as a third argument; it must follow from the key
+    A task that raises becomes a row with `status` "failed" and `error`; every row has its key's entries, `status` and
+    `seconds`. Rows are in the table as soon as they are finished: Ctrl-C or a crash loses only what was being computed.
+    Raises `JobError` if all workers are lost and cannot be opened again.
+    """
+    todo = {canonical(key): key for key in keys if key not in table}
+    state = _Drive(function, payload, table, seed, deque(todo.values()), progress, len(keys) - len(todo), len(keys))
+    workers = workers or serial()
+    ahead = workers.count * AHEAD if workers.count > 1 or workers.reopens else 1
+    try:
+        _work(state, workers, ahead)
+    finally:
+        table.arrange(keys)
+    return table.frame(keys)
+
+
+def _work(state: _Drive, workers: Workers, ahead: int) -> None:
+    """Opens executors until the queue is empty."""
+    before = state.done
+    for opened in count(1):
+        if not state.queue:
+            return
+        with workers.open() as executor:
+            state.drain(executor, ahead)
+        if state.queue and not workers.reopens:
+            raise JobError("the workers were lost; finished rows are kept, go on with --resume")
+        if opened > TRIES and state.done == before:
+            raise JobError("no worker process survives its start; a script needs `if __name__ == '__main__':`")
+
+
+@dataclass
+class _Drive:
+    """The loop over one executor: hands out, collects, and notes what a broken one left undone."""
+
+    function: Function
+    payload: Callable[[Key], Any] | None
+    table: RowTable
+    seed: int
+    queue: deque[Key]
+    progress: Progress
+    done: int
+    total: int
+    failed: int = 0
+    deaths: dict[str, int] = field(default_factory=dict)
+
+    def drain(self, executor: Executor, ahead: int) -> None:
+        """Works until the queue is empty or the executor broke; what it was doing then is back in the queue."""
+        self._report()
+        running: dict[Future[Any], Key] = {}
+        lost: list[Key] = []
+        try:
+            while (self.queue and not lost) or running:
+                if not lost:
+                    lost += self._hand_out(executor, running, ahead)
+                finished = wait(running, return_when=FIRST_COMPLETED).done
+                lost += [key for future in finished if (key := self._collect(future, running.pop(future))) is not None]
+        finally:  # after Ctrl-C: keep what is finished, stop what is not
+            for future, key in running.items():
+                if not future.cancel() and future.done():
+                    self._collect(future, key)
+        self.queue.extendleft(reversed(lost))
+
+    def _hand_out(self, executor: Executor, running: dict[Future[Any], Key], ahead: int) -> list[Key]:
+        """Submits until `ahead` tasks are out; suspects go one at a time. Returns what could not be handed out."""
+        while self.queue and len(running) < (1 if self._suspect(self.queue[0]) else ahead):
+            if any(self._suspect(key) for key in running.values()):
+                break
+            key = self.queue.popleft()
+            try:
+                more = () if self.payload is None else (self.payload(key),)
+                running[executor.submit(perform, self.function, dict(key), self.seed, *more)] = key
+            except (BrokenExecutor, RuntimeError):
+                return [key]
+        return []
+
+    def _suspect(self, key: Key) -> bool:
+        return self.deaths.get(canonical(key), 0) >= TRIES
+
+    def _collect(self, future: Future[Any], key: Key) -> Key | None:
+        """Stores a finished task; returns its key if its worker died and it is to be tried again."""
+        text = canonical(key)
+        if future.cancelled():
+            return key
+        error = future.exception()
+        if isinstance(error, BrokenExecutor):
+            self.deaths[text] = self.deaths.get(text, 0) + 1
+            if self.deaths[text] <= TRIES:
+                return key
+            error = RuntimeError("the worker process died each time it ran this task")
+        # an error here is the executor's own: a dask worker killed several times over, rows that cannot travel
+        rows = future.result() if error is None else [_failure(key, error, 0.0)]
+        self.table.add(key, rows)
+        self.done += 1
+        self.failed += rows[0]["status"] != "done"
+        self._report()
+        return None
+
+    def _report(self) -> None:
+        self.progress(self.done, self.total, f"{self.failed} failed" if self.failed else "")
+
+
+def perform(function: Function, key: dict[str, Any], seed: int, *payload: Any) -> list[Row]:
+    """What a worker does with a task: the rows of its key, or one row that says how it failed."""
+    started = time.perf_counter()
+    try:
+        rows = function(key, seed_of(key, seed), *payload)
+    except Exception as error:  # noqa: BLE001 - failures are rows; the study goes on
+        return [_failure(key, error, time.perf_counter() - started)]
+    seconds = time.perf_counter() - started
+    return [{**key, "status": "done", "error": None, "seconds": seconds, **row} for row in rows or [{}]]
+
+
+def _failure(key: Key, error: BaseException, seconds: float) -> Row:
+    return {**key, "status": "failed", "error": one_line(error), "seconds": seconds}
