@@ -140,7 +140,7 @@ def test_orientation_transform_sums_offsets() -> None:
 
 
 @given(st.integers(0, 2**32), st.integers(2, 4), st.integers(1, 3))
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20)
 def test_sparse_basis_finds_disjoint_blocks(seed: int, size: int, blocks: int) -> None:
     """Directions of disjoint support, mixed by a random rotation, come back one by one."""
     generator = np.random.default_rng(seed)

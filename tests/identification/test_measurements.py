@@ -12,7 +12,7 @@ from identification.measurements import Measurements, directions_from_order, ses
 
 
 @given(st.integers(0, 2**32), st.integers(1, 15), st.booleans())
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 def test_directions_are_the_last_motion(seed: int, m: int, shuffled: bool) -> None:
     """First row +1, then the sign of the change, no change: as before (identification/README.md, "Effects")."""
     generator = np.random.default_rng(seed)

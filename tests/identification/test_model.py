@@ -168,7 +168,7 @@ def table(model: Model, conditions: Conditions, m: int) -> np.ndarray:
 
 
 @given(cases())
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25)
 def test_position_is_the_plain_formula_of_every_effect(case: tuple[Arm, np.random.Generator]) -> None:
     model, postures, conditions, values = random_case(case[1], case[0], 4)
     named = dict(zip(model.names, values, strict=True))
@@ -193,7 +193,7 @@ def test_each_effect_alone_is_its_plain_formula(name: str) -> None:
 
 
 @given(cases())
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25)
 def test_jacobian_is_the_central_difference(case: tuple[Arm, np.random.Generator]) -> None:
     model, postures, conditions, values = random_case(case[1], case[0], 3)
     jacobian = model.jacobian(postures, values, conditions)
@@ -237,7 +237,7 @@ def test_second_derivatives_by_the_posture_are_exact(n: int) -> None:
 
 
 @given(cases())
-@settings(max_examples=10, deadline=None, derandomize=True)
+@settings(max_examples=10)
 def test_second_derivatives_by_the_parameters_are_differences_of_the_jacobian(
     case: tuple[Arm, np.random.Generator],
 ) -> None:

@@ -33,7 +33,7 @@ def dense(lower: Array, upper: Array, levels: int) -> Array:
     return np.array(list(product(*axes)))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 3), terms=st.integers(1, 8))
 def test_upper_bound_holds_and_is_tight(seed: int, n: int, terms: int) -> None:
     generator = np.random.default_rng(seed)
@@ -86,7 +86,7 @@ def test_out_of_boxes_is_not_a_proof_but_still_a_bound() -> None:
     assert found.upper >= plainly(polynomial, generator.uniform(-np.pi, np.pi, (200_000, 4))).max()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 3))
 def test_bounds_over_boxes(seed: int, n: int) -> None:
     """Termwise bound, slopes and curvature enclose what samples in the box show."""

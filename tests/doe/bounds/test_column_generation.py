@@ -48,7 +48,7 @@ def test_continuous_box_equals_the_closed_form(links: int) -> None:
         assert design.plan.shares.sum() == pytest.approx(1.0, abs=1e-12)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 10_000), links=st.integers(1, 4))
 def test_with_a_base_offset_too(seed: int, links: int) -> None:
     """The base is a link 0 with orientation 0: joint 1 counts as the others do."""
@@ -141,7 +141,7 @@ def test_walls() -> None:
 
 
 # -- finite sets -------------------------------------------------------------------------------------------------------
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10_000), links=st.integers(2, 4))
 def test_equivalence_theorem_on_every_candidate(seed: int, links: int) -> None:
     generator = np.random.default_rng(seed)

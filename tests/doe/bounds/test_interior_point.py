@@ -39,7 +39,7 @@ def random_blocks(generator: np.random.Generator, k: int, d: int, p: int) -> Arr
     return generator.standard_normal((k, d, p))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), p=st.integers(2, 6), d=st.integers(1, 3))
 def test_equivalence_theorem(seed: int, p: int, d: int) -> None:
     """max d = p over the postures, and d = p wherever there is weight (Kiefer and Wolfowitz, several coordinates)."""
@@ -86,7 +86,7 @@ def test_a_part_of_the_runs_is_fixed() -> None:
     assert mine.gap <= 1e-10
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), p=st.integers(1, 5))
 def test_sparsest_keeps_the_information(seed: int, p: int) -> None:
     generator = np.random.default_rng(seed)

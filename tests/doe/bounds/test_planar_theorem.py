@@ -53,7 +53,7 @@ def test_factorial_at_the_limits_attains_it(links: int, offset: bool) -> None:
         assert closed_form_log_det(case) == pytest.approx(complex_log_det(plan, offset=offset), abs=ROUNDING)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(2, 6), st.booleans(), st.integers(0, 2**32 - 1))
 def test_no_design_is_better(links: int, offset: bool, seed: int) -> None:
     generator = np.random.default_rng(seed)

@@ -100,7 +100,7 @@ def test_curvature_of_a_power_mean_where_eigenvalues_meet() -> None:
     np.testing.assert_allclose(phi.curvature(np.eye(P), directions), expected, rtol=1e-4)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.sampled_from(sorted(ALL)), st.integers(0, 2**32 - 1), st.floats(0.05, 0.95))
 def test_concave_and_below_its_bound(name: str, seed: int, share: float) -> None:
     phi, generator = ALL[name], np.random.default_rng(seed)

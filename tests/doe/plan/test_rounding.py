@@ -12,7 +12,7 @@ from doe.plan.rounding import apportion, rounded
 from identification.errors import InputError
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.integers(1, 12), st.integers(0, 60), st.integers(0, 2**32 - 1))
 def test_sums_and_guaranteed_efficiency(k: int, more: int, seed: int) -> None:
     weights = np.random.default_rng(seed).dirichlet(np.ones(k)) * 0.98 + 0.02 / k

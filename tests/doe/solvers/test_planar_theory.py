@@ -74,7 +74,7 @@ def test_with_a_base_offset_no_joint_is_free_to_tell_postures_apart(arm: Arm, ru
     check(arm, runs, OFFSET)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(2, 6), st.integers(0, 2**32 - 1))
 def test_whole_factorials_in_random_limits(links: int, seed: int) -> None:
     """The two-level factorial of joints 2..n, and its multiples, attain the bound (doe/README.md, "Planar theorem")."""

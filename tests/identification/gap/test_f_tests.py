@@ -19,7 +19,7 @@ def _problem(seed: int, sizes: list[int]) -> tuple[np.ndarray, list[np.ndarray],
 
 
 @given(seed=st.integers(0, 10_000), sizes=st.lists(st.integers(1, 4), min_size=1, max_size=6))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_f_and_p_are_those_of_two_nested_fits(seed: int, sizes: list[int]) -> None:
     jacobian, columns, y = _problem(seed, sizes)
     tested = dictionary(jacobian, columns, np.zeros(len(sizes), dtype=bool), np.ones(len(sizes)))

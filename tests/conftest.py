@@ -1,0 +1,61 @@
+"""What every test runs under: one BLAS thread, examples that repeat, and, if asked for, disturbed last digits."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):  # before numpy: xdist fills the cores
+    os.environ.setdefault(_name, "1")
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.register_profile("explore", deadline=None, print_blob=True)  # new examples every time, failures are stored
+settings.load_profile("repeatable")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--disturb",
+        type=float,
+        default=0.0,
+        metavar="SIZE",
+        help="relative change of every random number, 1e-12 say, and of design Jacobians by a hundredth of it: "
+        "other last digits, as another processor has them",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if size := config.getoption("--disturb"):
+        disturb(size)
+
+
+def disturb(size: float) -> None:
+    """Random numbers nearer to their low end by a factor 1 - size; Jacobians with a ripple of size / 100, at least the
+    rounding of a number: some tests compare what follows from them to 1e-12.
+
+    A function of the number alone, so that what repeats still repeats, in this process.
+    """
+    from doe.problem.problem import DesignProblem
+
+    class Disturbed(np.random.Generator):
+        def uniform(self, low: Any = 0.0, high: Any = 1.0, size: Any = None) -> Any:
+            return low + (super().uniform(low, high, size) - low) * below_one
+
+        def standard_normal(self, *arguments: Any, **named: Any) -> Any:
+            return super().standard_normal(*arguments, **named) * below_one
+
+    below_one, usual, blocks = 1.0 - size, np.random.default_rng, DesignProblem.blocks
+
+    def default_rng(seed: Any = None) -> np.random.Generator:
+        return seed if isinstance(seed, np.random.Generator) else Disturbed(usual(seed).bit_generator)
+
+    def rippled(problem: DesignProblem, postures: Any) -> np.ndarray:
+        found = blocks(problem, postures)
+        return found * (1.0 + max(0.01 * size, 2.2e-16) * np.sin(1e9 * found))
+
+    np.random.default_rng = default_rng
+    DesignProblem.blocks = rippled  # type: ignore[method-assign, assignment]
