@@ -30,7 +30,7 @@ WITHIN_A_SECOND = {
     (4, 14),
     (5, 16),
     (6, 32),
-}  # links and runs of those that need no more; the others are slow
+}  # links, runs
 
 
 @pytest.mark.parametrize(
@@ -38,9 +38,9 @@ WITHIN_A_SECOND = {
     [pytest.param(*row, marks=() if (row[0].links, row[1]) in WITHIN_A_SECOND else pytest.mark.slow) for row in KNOWN],
 )
 def test_best_known_values(arm: Arm, runs: int, value: float) -> None:
-    """At least the best value known, to the digits it is printed with (doe/README.md, "Exact plans"), by default starts.
+    """At least the best value known, to the digits it is printed with (doe/README.md, "Exact plans").
 
-    Fewer starts find it or not by the last digit of a processor: no test asks for it.
+    Fewer starts than the default find it or not by the last digit of a processor: no test asks for it.
     """
     digits = 1e-5 if arm is FOUR else 1e-6
     assert complex_log_det(solve(problem(arm), runs).plan.postures) >= value - digits
