@@ -69,7 +69,9 @@ class Design:
     def not_identifiable(self) -> tuple[str, ...]:
         """Combinations of parameters that the plan does not tell; effects at neutral conditions tell nothing."""
         blocks = plan_blocks(self.problem, self.plan.postures, self.plan.weights)
-        return identifiability(blocks, self.problem.model.names, np.ones(self.problem.parameters)).combinations
+        return identifiability(
+            blocks, self.problem.model.parameters.names, np.ones(self.problem.parameters)
+        ).combinations
 
     @cached_property
     def outside(self) -> tuple[int, ...]:

@@ -110,6 +110,16 @@ class Model:
         return self.arm.links
 
     @property
+    def joint_types(self) -> tuple[str, ...]:
+        """(n) `revolute`, every one."""
+        return ("revolute",) * self.joints
+
+    @property
+    def sigma(self) -> float | None:
+        """Standard deviation of a measured coordinate [mm], None: the arm does not say."""
+        return self.arm.sigma
+
+    @property
     def scales(self) -> Array:
         """(p,) length per unit of each parameter [mm/unit]; column k of the Jacobian divided by it is about one."""
         return self.parameters.scales

@@ -111,7 +111,7 @@ def _pool(
 ) -> _Options:
     """Random allowed postures, each with a payload and directions of approach."""
     postures = generator.uniform(arm.lower, arm.upper, (4 * POOL, arm.links))
-    for constraint in constraints_of(arm):
+    for constraint in constraints_of(Model(arm)):
         margin = np.asarray(constraint.margin(postures)).reshape(len(postures), -1)
         postures = postures[margin.min(axis=1) >= 0.0]
     postures = postures[:POOL]

@@ -20,9 +20,10 @@ from numpy.typing import ArrayLike
 
 from doe.criteria import Criterion, D
 from doe.criteria.bayesian import Average, Worst
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, InformationModel
 from identification.arrays import Array, readonly
 from identification.errors import InputError, nearest
+from identification.kinematics.parameters import ParameterSet
 from identification.model import Model
 from identification.vectorize import vectorize
 
@@ -33,29 +34,36 @@ KINDS = ("average", "worst")
 class EnsembleModel:
     """K arms measured at the same postures. draws : (K, p) parameter vectors [mm, rad]."""
 
-    model: Model
+    model: InformationModel
     draws: Array
 
     def __post_init__(self) -> None:
         draws = readonly(np.atleast_2d(self.draws))
-        if draws.shape[1] != len(self.model.names) or not np.all(np.isfinite(draws)):
-            raise InputError(f"draws: shape {draws.shape}, allowed: (K, {len(self.model.names)}) finite numbers")
+        p = len(self.model.parameters)
+        if draws.shape[1] != p or not np.all(np.isfinite(draws)):
+            raise InputError(f"draws: shape {draws.shape}, allowed: (K, {p}) finite numbers")
         object.__setattr__(self, "draws", draws)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """(K p) names, with the number of the draw."""
-        return tuple(f"{name} [draw {k + 1}]" for k in range(len(self.draws)) for name in self.model.names)
-
-    @property
-    def scales(self) -> Array:
-        """(K p) as of the model."""
-        return np.tile(self.model.scales, len(self.draws))
+    @cached_property
+    def parameters(self) -> ParameterSet:
+        """(K p) as of the model, with the number of the draw in their names."""
+        draws = range(1, len(self.draws) + 1)
+        return ParameterSet.of(replace(p, name=f"{p.name} [draw {k}]") for k in draws for p in self.model.parameters)
 
     @property
     def dimension(self) -> int:
         """K d coordinates per posture."""
         return self.model.dimension * len(self.draws)
+
+    @property
+    def joint_types(self) -> tuple[str, ...]:
+        """As of the model."""
+        return self.model.joint_types
+
+    @property
+    def sigma(self) -> float | None:
+        """As of the model."""
+        return self.model.sigma
 
     @property
     def values(self) -> Array:
@@ -75,7 +83,7 @@ class EnsembleModel:
         p = ca.SX.sym("p", self.draws.size)
         each = [inner(q, c, part) for part in ca.vertsplit(p, self.draws.shape[1])]
         outputs = [ca.vertcat(*(position for position, _ in each)), ca.diagcat(*(jacobian for _, jacobian in each))]
-        return ca.Function("uncertain", [q, c, p], ca.cse(outputs))
+        return ca.Function("ensemble", [q, c, p], ca.cse(outputs))
 
     @cached_property
     def _jacobian(self) -> Callable[..., tuple[np.ndarray, ...]]:
@@ -91,20 +99,29 @@ class EnsembleModel:
 def prior_draws(
     model: Model, count: int, generator: np.random.Generator, *, length: float = 1.0, angle: float = np.radians(0.5)
 ) -> Array:
-    """(count, p) parameter vectors around the best known values.
+    """(count, p) parameter vectors around the best known values of an arm.
 
-    With a calibration that has a covariance of the same parameters, from it; else independent normal deviations:
-    lengths of `length` [mm], everything else such that it moves the tip as `angle` [rad] does at its joint.
+    With a calibration that has a covariance of the same parameters, from it; else independent normal deviations, see
+    `deviated_draws`, where an angle of unknown place turns a link of mean length.
     """
     calibration = model.arm.calibration
     if calibration is not None and calibration.covariance is not None and calibration.parameter_names == model.names:
         return generator.multivariate_normal(model.values, calibration.covariance, count, method="eigh")
-    reach = float(np.mean(model.arm.lengths))
-    moved = np.array(
-        [length if p.unit == "mm" else angle * (1.0 if p.unit == "rad" else reach / p.scale) for p in model.parameters]
-    )
-    drawn = model.values + moved * generator.standard_normal((count, len(moved)))
-    return np.clip(drawn, [p.lower for p in model.parameters], [p.upper for p in model.parameters])
+    return deviated_draws(model, count, generator, length, angle, float(np.mean(model.arm.lengths)))
+
+
+def deviated_draws(
+    model: InformationModel, count: int, generator: np.random.Generator, length: float, angle: float, arm: float
+) -> Array:
+    """(count, p) parameter vectors: independent normal deviations from the best known values, within physical bounds.
+
+    Lengths deviate by `length` [mm], angles by `angle` [rad], everything else such that it moves the tip as an angle
+    does at the end of a lever `arm` [mm].
+    """
+    own = {"mm": length, "rad": angle}
+    deviations = np.array([own.get(p.unit, angle * arm / p.scale) for p in model.parameters])
+    drawn = model.values + deviations * generator.standard_normal((count, len(deviations)))
+    return np.clip(drawn, model.parameters.lower, model.parameters.upper)
 
 
 def ensemble_problem(problem: DesignProblem, draws: Array, kind: str = "average") -> DesignProblem:
@@ -116,7 +133,7 @@ def ensemble_problem(problem: DesignProblem, draws: Array, kind: str = "average"
         raise InputError(f"uncertain: unknown kind {kind!r}, {nearest(kind, KINDS)}")
     if not isinstance(problem.criterion, D):
         raise InputError(f"criterion: {problem.criterion.name} for an uncertain arm, allowed: D")
-    if not isinstance(problem.model, Model):
+    if isinstance(problem.model, EnsembleModel):
         raise InputError("uncertain: the model is one of several arms already, allowed: the model of one arm")
     model = EnsembleModel(problem.model, draws)
     criterion: Criterion = (Average if kind == "average" else Worst)(len(model.draws))

@@ -2,7 +2,7 @@
 
 `margin(postures)` is plain geometry in numpy, a signed distance [mm], satisfied where >= 0: plans are judged by it.
 `symbolic(q)` is a CasADi expression of the same sign, smooth where it can be: solvers climb along it.
-Links are thin, at their nominal lengths (calibrated, where the arm is). The base stands at the origin.
+Links are thin and run from joint to joint, at the best known values of the model's parameters.
 """
 
 from __future__ import annotations
@@ -14,14 +14,12 @@ from typing import Protocol
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from identification.arm import Arm, KeepOutCircle, LineOfSight, WorkspaceBox
-from identification.arrays import Array, readonly
+from identification.arm import KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.arrays import Array
 from identification.errors import InputError
-from identification.kinematics.planar import joint_points, symbolic_points
-
-Points = NDArray[np.complex128]
+from identification.model import Model
 
 
 class Constraint(Protocol):
@@ -41,92 +39,104 @@ class Constraint(Protocol):
         ...
 
 
-def lengths_of(arm: Arm) -> Array:
-    """(n,) best known link lengths [mm]."""
-    return readonly(arm.lengths if arm.calibration is None else arm.lengths + arm.calibration.length_errors)
+class Chain(Protocol):
+    """Where the arm is: what geometric constraints need of a model."""
+
+    @property
+    def dimension(self) -> int:
+        """d, coordinates of a point."""
+        ...
+
+    def points(self, postures: ArrayLike) -> Array:
+        """(m, k, d) base, joints and tip [mm] at postures (m, n)."""
+        ...
+
+    def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
+        """k points (d,), the same at one posture (n,)."""
+        ...
 
 
-def constraints_of(arm: Arm) -> tuple[Constraint, ...]:
-    """The constraints of an arm file, ready to be evaluated."""
-    lengths = lengths_of(arm)
+def constraints_of(model: Model) -> tuple[Constraint, ...]:
+    """The constraints of the model's arm file, ready to be evaluated."""
     made: list[Constraint] = []
-    for spec in arm.constraints:
-        if isinstance(spec, WorkspaceBox):
-            made.append(InsideBox(lengths, spec.x, spec.y))
-        elif isinstance(spec, KeepOutCircle):
-            made.append(OutsideCircle(lengths, spec.center, spec.radius))
+    for given in model.arm.constraints:
+        if isinstance(given, WorkspaceBox):
+            made.append(InsideBox(model, (given.x[0], given.y[0]), (given.x[1], given.y[1])))
+        elif isinstance(given, KeepOutCircle):
+            made.append(OutsideSphere(model, given.center, given.radius))
         else:
-            made.append(InSight(lengths, spec))
+            made.append(InSight(model, given))
     return tuple(made)
-
-
-def complex_points(lengths: Array, postures: Array) -> Points:
-    """(m, n + 1) base, joints and tip as complex numbers [mm]."""
-    points = joint_points(lengths, postures)
-    return np.asarray(points[..., 0] + 1j * points[..., 1])
 
 
 @dataclass(frozen=True)
 class InsideBox:
-    """The tip stays inside x and y [mm]."""
+    """The tip stays between two corners (d,) [mm]."""
 
-    lengths: Array
-    x: tuple[float, float]
-    y: tuple[float, float]
+    chain: Chain
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
     kind: str = "workspace_box"
 
     def margin(self, postures: Array) -> Array:
-        """(m, 4) distances to the four sides [mm]."""
-        tip = complex_points(self.lengths, postures)[:, -1]
-        return np.stack([tip.real - self.x[0], self.x[1] - tip.real, tip.imag - self.y[0], self.y[1] - tip.imag], 1)
+        """(m, 2 d) distances to the sides [mm]."""
+        tip = self.chain.points(postures)[:, -1]
+        return np.concatenate([tip - self.lower, self.upper - tip], axis=1)
 
     def symbolic(self, q: ca.SX) -> ca.SX:
-        """(4,) the same."""
-        x, y = ca.vertsplit(symbolic_points(self.lengths, q)[-1])
-        return ca.vertcat(x - self.x[0], self.x[1] - x, y - self.y[0], self.y[1] - y)
+        """(2 d,) the same."""
+        tip = self.chain.symbolic_points(q)[-1]
+        return ca.vertcat(tip - ca.DM(self.lower), ca.DM(self.upper) - tip)
 
 
 @dataclass(frozen=True)
-class OutsideCircle:
-    """Every link stays outside the circle [mm]."""
+class OutsideSphere:
+    """Every link stays outside the circle of the plane, or the sphere of space [mm]."""
 
-    lengths: Array
-    center: tuple[float, float]
+    chain: Chain
+    center: tuple[float, ...]
     radius: float
     kind: str = "keep_out_circle"
 
     def margin(self, postures: Array) -> Array:
-        """(m, n) distance of every link from the circle [mm]."""
-        points = complex_points(self.lengths, postures)
-        return distance_to_segment(complex(*self.center), points[:, :-1], points[:, 1:]) - self.radius
+        """(m, k - 1) distance of every link from the sphere [mm]."""
+        points = self.chain.points(postures)
+        return distance_to_segment(np.array(self.center), points[:, :-1], points[:, 1:]) - self.radius
 
     def symbolic(self, q: ca.SX) -> ca.SX:
-        """(n,) (distance^2 - radius^2) / (2 radius): smooth, and nearly the distance near the circle."""
-        points, center = symbolic_points(self.lengths, q), ca.DM(self.center)
-        squares = [symbolic_square_distance(center, a, b) for a, b in pairwise(points)]
+        """(k - 1,) (distance^2 - radius^2) / (2 radius): smooth, and nearly the distance near the sphere."""
+        center = ca.DM(self.center)
+        squares = [symbolic_square_distance(center, a, b) for a, b in pairwise(self.chain.symbolic_points(q))]
         return (ca.vertcat(*squares) - self.radius**2) / (2.0 * self.radius)
 
 
 @dataclass(frozen=True)
 class InSight:
-    """The tracker sees the tip: inside its cone, no link across the line of sight (but the last, which ends there)."""
+    """The tracker sees the tip: inside its cone, no link across the line of sight (but the last, which ends there).
 
-    lengths: Array
+    For a plane: in space a thin link never crosses a line. Raises `InputError` for a chain of another dimension.
+    """
+
+    chain: Chain
     sight: LineOfSight
     kind: str = "line_of_sight"
 
+    def __post_init__(self) -> None:
+        if self.chain.dimension != 2:
+            raise InputError(f"line_of_sight: an arm in {self.chain.dimension} dimensions, allowed: a planar arm")
+
     def margin(self, postures: Array) -> Array:
         """(m, n) arc to the edge of the cone, and signed distances of links 1..n-1 from the line of sight [mm]."""
-        points, tracker = complex_points(self.lengths, postures), complex(*self.sight.tracker)
-        tip = points[:, -1]
-        turn = np.angle((tip - tracker) * np.conj(complex(*self.sight.toward) - tracker))
-        cone = (self.sight.half_angle - np.abs(turn)) * np.abs(tip - tracker)
-        links = signed_gap(np.full((len(tip), 1), tracker), tip[:, None], points[:, :-2], points[:, 1:-1])
+        points, tracker = self.chain.points(postures), np.array(self.sight.tracker)
+        view, axis = points[:, -1] - tracker, np.array(self.sight.toward) - tracker
+        turn = np.arctan2(cross(axis, view), view @ axis)
+        cone = (self.sight.half_angle - np.abs(turn)) * np.linalg.norm(view, axis=1)
+        links = signed_gap(tracker, points[:, None, -1], points[:, :-2], points[:, 1:-1])
         return np.concatenate([cone[:, None], links], axis=1)
 
     def symbolic(self, q: ca.SX) -> ca.SX:
         """(n,) v . axis - |v| cos(half angle); the larger of two products of areas that are < 0 when segments cross."""
-        points, tracker = symbolic_points(self.lengths, q), ca.DM(self.sight.tracker)
+        points, tracker = self.chain.symbolic_points(q), ca.DM(self.sight.tracker)
         axis = np.subtract(self.sight.toward, self.sight.tracker)
         view = points[-1] - tracker
         cone = ca.dot(view, ca.DM(axis / np.linalg.norm(axis))) - np.cos(self.sight.half_angle) * ca.norm_2(view)
@@ -156,30 +166,32 @@ class Expression:
         return ca.vec(self.function(q))
 
 
-def distance_to_segment(point: complex | Points, start: Points, end: Points) -> Array:
-    """(...) distance of points from segments."""
+def distance_to_segment(point: Array, start: Array, end: Array) -> Array:
+    """(...) distance of points (..., d) from segments."""
     along = end - start
-    share = np.clip(((point - start) * along.conj()).real / np.maximum(np.abs(along) ** 2, 1e-300), 0.0, 1.0)
-    return np.abs(start + share * along - point)
+    square = np.maximum(np.sum(along**2, axis=-1), 1e-300)
+    fraction = np.clip(np.sum((point - start) * along, axis=-1) / square, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(start + fraction[..., None] * along - point, axis=-1))
 
 
-def signed_gap(a: Points, b: Points, c: Points, d: Points) -> Array:
-    """(...) distance between segments a-b and c-d; negative by how deep they cross, so that it is continuous."""
-    ends = [distance_to_segment(*args) for args in ((a, c, d), (b, c, d), (c, a, b), (d, a, b))]
-    crossing = (area(a, b, c) * area(a, b, d) < 0.0) & (area(c, d, a) * area(c, d, b) < 0.0)
-    return np.where(crossing, -1.0, 1.0) * np.minimum.reduce(ends)
+def signed_gap(a: Array, b: Array, c: Array, d: Array) -> Array:
+    """(...) distance between segments a-b and c-d of a plane; negative by how deep they cross: it is continuous."""
+    ends = [distance_to_segment(*points) for points in ((a, c, d), (b, c, d), (c, a, b), (d, a, b))]
+    one_across = cross(b - a, c - a) * cross(b - a, d - a) < 0.0
+    other_across = cross(d - c, a - c) * cross(d - c, b - c) < 0.0
+    return np.where(one_across & other_across, -1.0, 1.0) * np.minimum.reduce(ends)
 
 
-def area(a: Points, b: Points, c: Points) -> Array:
-    """(...) twice the signed area of a triangle."""
-    return ((b - a).conj() * (c - a)).imag
+def cross(a: Array, b: Array) -> Array:
+    """(...) twice the signed area that two vectors (..., 2) of a plane span."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def symbolic_square_distance(point: ca.DM, start: ca.SX, end: ca.SX) -> ca.SX:
     """Squared distance of a point from a segment."""
     along = end - start
-    share = ca.fmax(0.0, ca.fmin(1.0, ca.dot(point - start, along) / ca.sumsqr(along)))
-    return ca.sumsqr(start + share * along - point)
+    fraction = ca.fmax(0.0, ca.fmin(1.0, ca.dot(point - start, along) / ca.sumsqr(along)))
+    return ca.sumsqr(start + fraction * along - point)
 
 
 def symbolic_gap(a: ca.DM, b: ca.SX, c: ca.SX, d: ca.SX) -> ca.SX:

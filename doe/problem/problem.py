@@ -1,6 +1,6 @@
-"""The design problem: exactly the mathematical ingredients, frozen. Solving it is somebody else's job (`doe.solvers`).
+"""The design problem: exactly the mathematical ingredients, frozen. `doe.solvers` solves it.
 
-`doe` knows a model only as names, scales, a dimension d, and Jacobians (m, d, p): nothing here assumes a plane.
+`doe` knows a model only as an `InformationModel`: parameters, a dimension d, types of joints, Jacobians (m, d, p).
 """
 
 from __future__ import annotations
@@ -20,39 +20,67 @@ from doe.problem.prior import PriorInformation
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.information import information_matrix
+from identification.kinematics.parameters import ParameterSet
 from identification.model import Model
 from identification.vectorize import vectorize
 
 ONE_DEGREE = float(np.radians(1.0))
+PRISMATIC = "prismatic"
 
 
 class InformationModel(Protocol):
-    """All that design needs of a model: `identification.model.Model` has it, a spatial arm would too."""
+    """All that design needs of a model, of any dimension: `identification.model.Model` has it."""
 
     @property
-    def names(self) -> tuple[str, ...]: ...
+    def parameters(self) -> ParameterSet:
+        """The p parameters to identify."""
+        ...
+
     @property
-    def scales(self) -> Array: ...
+    def values(self) -> Array:
+        """(p,) their best known values."""
+        ...
+
     @property
-    def dimension(self) -> int: ...
+    def dimension(self) -> int:
+        """d, measured coordinates per posture."""
+        ...
+
     @property
-    def values(self) -> Array: ...
+    def joint_types(self) -> tuple[str, ...]:
+        """(n) `revolute`, posture in rad, or `prismatic`, in mm."""
+        ...
+
     @property
-    def neutral_conditions(self) -> Array: ...
+    def sigma(self) -> float | None:
+        """Standard deviation of a measured coordinate [mm], None: not known."""
+        ...
+
     @property
-    def jacobian_function(self) -> ca.Function: ...
-    def jacobian(self, postures: ArrayLike, parameters: Any = None, conditions: Any = None) -> Array: ...
+    def neutral_conditions(self) -> Array:
+        """(c,) conditions of measurement where nothing is said."""
+        ...
+
+    @property
+    def jacobian_function(self) -> ca.Function:
+        """CasADi (q, conditions, parameters) -> position (d,) and its derivative by the parameters (d, p)."""
+        ...
+
+    def jacobian(self, postures: ArrayLike, parameters: Any = None, conditions: Any = None) -> Array:
+        """(m, d, p) of postures (m, n)."""
+        ...
 
 
 @dataclass(frozen=True)
 class DesignProblem:
     """Choose postures within the limits and constraints that maximise the criterion of the information per run.
 
-    model : gives Jacobians;  lower, upper : (n,) joint limits [rad]
+    model : gives Jacobians;  lower, upper : (n,) joint limits [rad], of prismatic joints [mm]
     constraints : what a posture must satisfy besides the limits, see `doe.problem.constraints`
     kept : (k, n) postures already measured, which count in the information (`prior`); None: none
     choices : (N, n) postures to choose from, None: anything within limits and constraints
-    minimum_distance : [rad] two postures of a plan differ by this in some joint at least; 0: repeats are allowed
+    minimum_distance : [rad] two postures of a plan differ by this in some joint at least (see `joint_units`); 0: repeats
+        are allowed
     """
 
     model: InformationModel
@@ -71,6 +99,8 @@ class DesignProblem:
         object.__setattr__(self, "kept", measured_already(self.kept, self.joints))
         if not (np.isfinite(self.minimum_distance) and self.minimum_distance >= 0.0):
             raise InputError(f"minimum distance: {np.degrees(self.minimum_distance):g} deg, allowed: a number >= 0")
+        if len(self.model.joint_types) != self.joints:
+            raise InputError(f"joint limits: {self.joints} of {len(self.model.joint_types)} joints, allowed: one each")
         if not np.all(self.lower < self.upper):
             raise InputError("joint limits: lower >= upper, allowed: lower < upper for every joint")
 
@@ -81,19 +111,28 @@ class DesignProblem:
     @classmethod
     def of(cls, model: Model, **changes: Any) -> DesignProblem:
         """The problem of an arm's model within the arm's own joint limits and constraints."""
-        if not isinstance(model, Model):
+        if not hasattr(model, "arm"):
             raise InputError(f"model: {type(model).__name__}, allowed: a Model, such as Model(arm)")
-        return cls(model, model.arm.lower, model.arm.upper, **{"constraints": constraints_of(model.arm)} | changes)
+        return cls(model, model.arm.lower, model.arm.upper, **{"constraints": constraints_of(model)} | changes)
 
     @property
     def joints(self) -> int:
         """n, joints of a posture."""
         return int(self.lower.size)
 
+    @cached_property
+    def joint_units(self) -> Array:
+        """(n,) what counts as one radian of each joint, where joints are compared: distances, steps, tolerances.
+
+        1 rad of a revolute joint; of a prismatic one [mm] such that its range counts as one turn.
+        """
+        prismatic = [joint_type == PRISMATIC for joint_type in self.model.joint_types]
+        return np.where(prismatic, (self.upper - self.lower) / (2.0 * np.pi), 1.0)
+
     @property
     def parameters(self) -> int:
         """p, parameters to identify."""
-        return len(self.model.names)
+        return len(self.model.parameters)
 
     @property
     def fewest_runs(self) -> int:
@@ -102,7 +141,7 @@ class DesignProblem:
         return max(1, -(-missing // self.model.dimension))
 
     def blocks(self, postures: ArrayLike) -> Array:
-        """(..., d, p) dimensionless sensitivities B of (..., n) postures: Jacobian columns over `model.scales`."""
+        """(..., d, p) dimensionless sensitivities B of (..., n) postures: Jacobian columns over their scales."""
         angles = np.atleast_2d(np.asarray(postures, dtype=float))
         if angles.shape[-1] != self.joints:
             raise InputError(f"postures: shape {angles.shape}, allowed: (..., {self.joints})")
@@ -146,7 +185,7 @@ class DesignProblem:
         q = ca.SX.sym("q", self.joints)
         arguments = (ca.DM(self.model.neutral_conditions), ca.DM(self.model.values))
         jacobian = self.model.jacobian_function(q, *arguments)[1]
-        scaled = ca.cse(jacobian @ ca.diag(ca.DM(1.0 / self.model.scales)))
+        scaled = ca.cse(jacobian @ ca.diag(ca.DM(1.0 / self.model.parameters.scales)))
         return ca.Function("block", [q], [scaled], ["q"], ["block"])
 
     @cached_property
@@ -158,7 +197,7 @@ class DesignProblem:
         """Names of parameters that move the tip at no posture, as thermal growth does at the mean temperature."""
         cloud = np.random.default_rng(0).uniform(self.lower, self.upper, (16, self.joints))
         still = ~np.any(self.blocks(cloud), axis=(0, 1))
-        return tuple(name for name, zero in zip(self.model.names, still, strict=True) if zero)
+        return tuple(name for name, zero in zip(self.model.parameters.names, still, strict=True) if zero)
 
     @cached_property
     def active_joints(self) -> tuple[int, ...]:

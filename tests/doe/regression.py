@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
+from identification.kinematics.parameters import Parameter, ParameterSet
 
 
 @dataclass(frozen=True)
@@ -21,13 +22,12 @@ class Regression:
     degree: int
     dimension: int = 1
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(f"b{k}" for k in range(self.degree + 1))
+    joint_types: tuple[str, ...] = ("revolute",)
+    sigma: None = None
 
     @property
-    def scales(self) -> Array:
-        return np.ones(self.degree + 1)
+    def parameters(self) -> ParameterSet:
+        return ParameterSet.of(Parameter(f"b{k}", "1") for k in range(self.degree + 1))
 
     @property
     def values(self) -> Array:

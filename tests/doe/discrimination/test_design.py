@@ -118,7 +118,8 @@ def test_a_wrong_name_becomes_less_probable_with_every_swap(seed: int) -> None:
 
 def test_constraints_hold_after_the_swaps() -> None:
     arm = Arm(LENGTHS, np.radians([-180, -120, -100, -90]), np.radians([180, 120, 100, 90]), sigma=0.1)
-    problem = DesignProblem.of(Model(arm), constraints=(InsideBox(LENGTHS, (-700.0, 700.0), (-150.0, 700.0)),))
+    box = InsideBox(Model(arm), (-700.0, -150.0), (700.0, 700.0))
+    problem = DesignProblem.of(Model(arm), constraints=(box,))
     found = discrimination_design(problem, arm, 20)
     heights = np.sin(np.cumsum(found.design.plan.postures, axis=1)) @ LENGTHS
     assert heights.min() >= -150.0 - 1e-9

@@ -91,7 +91,7 @@ def test_respects_limits_and_constraints() -> None:
     )
     proposed = discriminate(narrow, found, data, 5, seed=1).plan.postures
     assert np.all(np.abs(proposed) <= 1.5)
-    assert all(np.all(c.margin(proposed) >= 0.0) for c in constraints_of(narrow))
+    assert all(np.all(c.margin(proposed) >= 0.0) for c in constraints_of(Model(narrow)))
 
 
 def test_same_seed_same_postures_and_payload_is_a_choice() -> None:

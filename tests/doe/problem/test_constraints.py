@@ -22,7 +22,7 @@ BOX = WorkspaceBox((-400.0, 600.0), (0.0, 650.0))
 CIRCLE = KeepOutCircle((350.0, 200.0), 60.0)
 SIGHT = LineOfSight((900.0, 300.0), np.radians(25.0), (0.0, 200.0))
 ARM = replace(FOUR, constraints=(BOX, CIRCLE, SIGHT))
-MADE = constraints_of(ARM)
+MADE = constraints_of(Model(ARM))
 POSTURES = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (3000, 4))
 
 
@@ -131,7 +131,7 @@ def test_users_own_expression() -> None:
 
 def test_calibrated_lengths_count() -> None:
     longer = replace(ARM, calibration=Calibration(np.array([10.0, 0, 0, 0]), np.zeros(4)))
-    stretched = constraints_of(longer)[0].margin(np.zeros((1, 4)))
+    stretched = constraints_of(Model(longer))[0].margin(np.zeros((1, 4)))
     assert stretched[0, 0] == pytest.approx(660 + 10 + 400)
 
 

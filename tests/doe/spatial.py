@@ -1,0 +1,277 @@
+"""A small spatial arm as an information model: d = 3, revolute and prismatic joints, errors of every joint's placement.
+
+Independent of the planar model: frames are composed here, in CasADi for the program and in numpy for the oracle, which
+takes its derivatives by finite differences.
+
+    frame_j = frame_(j-1) * translation(offset_j) * error_j * motion_j(q_j),   tip = frame_n * (tip + its error)
+
+The error of a revolute joint's axis is a translation and a rotation along the two directions across it, that of a
+prismatic joint's a rotation across it, that of the tip a translation. Four, two and three parameters are all that
+positions of the tip can tell: the others only move a frame along, or turn it about, its own axis (Everett, Driels and
+Mooring 1987: 4 R + 2 P + 3 for positions). A scale error of the prismatic joint comes beside them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
+from identification.kinematics.parameters import Parameter, ParameterSet
+from identification.measurements import Measurements
+from identification.vectorize import vectorize
+
+AXES = "xyz"
+STEP = 1e-5  # [mm, rad] of central differences: error of order STEP^2 = 1e-10 relative, rounding 1e-16 / STEP
+
+
+@dataclass(frozen=True)
+class Joint:
+    """axis : x, y or z;  offset : [mm] from the joint before;  type : revolute or prismatic."""
+
+    axis: str
+    offset: tuple[float, float, float]
+    lower: float
+    upper: float
+    type: str = "revolute"
+
+
+def degrees(axis: str, offset: tuple[float, float, float], low: float, high: float) -> Joint:
+    """A revolute joint with limits in degrees."""
+    return Joint(axis, offset, float(np.radians(low)), float(np.radians(high)))
+
+
+SMALL_CHAIN = (
+    degrees("z", (0.0, 0.0, 300.0), -150.0, 150.0),
+    degrees("y", (0.0, 40.0, 0.0), -70.0, 80.0),
+    Joint("x", (200.0, 0.0, 0.0), 0.0, 400.0, "prismatic"),
+    degrees("z", (150.0, 0.0, 30.0), -120.0, 110.0),
+)
+SMALL = (
+    *("translation_x:2", "translation_z:2", "rotation_x:2", "rotation_z:2", "rotation_y:3", "rotation_z:3"),
+    *("translation_x:4", "translation_y:4", "rotation_x:4", "rotation_y:4", "tool.x", "tool.z"),
+)
+LARGE_CHAIN = (
+    degrees("z", (0.0, 0.0, 300.0), -170.0, 170.0),
+    degrees("y", (60.0, 0.0, 0.0), -100.0, 100.0),
+    degrees("y", (0.0, 0.0, 350.0), -140.0, 60.0),
+    Joint("x", (120.0, 0.0, 0.0), 0.0, 250.0, "prismatic"),
+    degrees("x", (180.0, 0.0, 20.0), -180.0, 180.0),
+    degrees("y", (90.0, 0.0, 0.0), -110.0, 110.0),
+    degrees("z", (70.0, 0.0, 0.0), -150.0, 150.0),
+)
+
+
+@dataclass(frozen=True)
+class SpatialModel:
+    """Errors `names` of a chain of joints are estimated; the other errors are zero.
+
+    known : (p,) best known values of them, empty: zero
+    """
+
+    chain: tuple[Joint, ...] = SMALL_CHAIN
+    names: tuple[str, ...] = SMALL
+    tip: tuple[float, float, float] = (120.0, 35.0, 50.0)
+    sigma: float | None = 0.1
+    known: tuple[float, ...] = ()
+    dimension: int = 3
+    closed_form: None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+    # -- what the interfaces ask for ---------------------------------------------------------------------------------
+    @cached_property
+    def parameters(self) -> ParameterSet:
+        return ParameterSet.of(self._parameter(name) for name in self.names)
+
+    @staticmethod
+    def _parameter(name: str) -> Parameter:
+        word, _, place = name.partition(":")
+        joint = int(place) if place else None
+        if word.startswith("rotation"):
+            return Parameter(name, "rad", scale=300.0, kind="rotation_error", joint=joint)
+        if word == "scale":
+            return Parameter(name, "1", scale=200.0, kind="effect", joint=joint)
+        return Parameter(name, "mm", kind="translation_error", joint=joint)
+
+    @property
+    def joints(self) -> int:
+        return len(self.chain)
+
+    @property
+    def joint_types(self) -> tuple[str, ...]:
+        return tuple(joint.type for joint in self.chain)
+
+    @property
+    def lower(self) -> Array:
+        return np.array([joint.lower for joint in self.chain])
+
+    @property
+    def upper(self) -> Array:
+        return np.array([joint.upper for joint in self.chain])
+
+    @property
+    def reach(self) -> float:
+        return float(sum(np.linalg.norm(j.offset) for j in self.chain) + np.linalg.norm(self.tip))
+
+    @property
+    def scales(self) -> Array:
+        return self.parameters.scales
+
+    @property
+    def values(self) -> Array:
+        return np.array(self.known) if self.known else np.zeros(len(self.names))
+
+    @property
+    def neutral_conditions(self) -> Array:
+        return np.zeros(3 + self.joints)
+
+    @cached_property
+    def jacobian_function(self) -> ca.Function:
+        q, c, p = (ca.SX.sym(name, k) for name, k in (("q", self.joints), ("c", 3 + self.joints), ("p", self._size)))
+        position = self._symbolic(q, p)[-1]
+        return ca.Function("spatial", [q, c, p], ca.cse([position, ca.jacobian(position, p)]))
+
+    @property
+    def _size(self) -> int:
+        return len(self.names)
+
+    def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
+        return self._symbolic(q, ca.SX(ca.DM(self.values)))
+
+    @cached_property
+    def _compiled(self) -> Any:
+        return vectorize(self.jacobian_function)
+
+    def linearize(
+        self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Any = None
+    ) -> tuple[Array, Array]:
+        values = self.values if parameters is None else np.asarray(parameters, dtype=float)
+        position, jacobian = self._compiled(postures, self.neutral_conditions, values[..., None, :])
+        return position[..., 0], jacobian
+
+    def position(self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Any = None) -> Array:
+        return self.linearize(postures, parameters)[0]
+
+    def jacobian(self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Any = None) -> Array:
+        return self.linearize(postures, parameters)[1]
+
+    def points(self, postures: Array) -> Array:
+        return np.array([chain_points(self, posture, self.values) for posture in postures])
+
+    # -- the chain in CasADi -----------------------------------------------------------------------------------------
+    def _symbolic(self, q: ca.SX, p: ca.SX) -> list[ca.SX]:
+        error = {name: p[k] for k, name in enumerate(self.names)}
+        place, frame = ca.SX.zeros(3), ca.SX.eye(3)
+        points = [place]
+        for j, joint in enumerate(self.chain):
+            shift = [offset + error.get(f"translation_{axis}:{j + 1}", 0.0) for axis, offset in zip(AXES, joint.offset)]
+            place = place + frame @ ca.vertcat(*shift)
+            for axis in AXES:
+                frame = frame @ symbolic_turn(axis, error.get(f"rotation_{axis}:{j + 1}", 0.0))
+            if joint.type == "revolute":
+                frame = frame @ symbolic_turn(joint.axis, q[j])
+            else:
+                stroke = q[j] * (1.0 + error.get(f"scale:{j + 1}", 0.0))
+                place = place + stroke * frame[:, AXES.index(joint.axis)]
+            points.append(place)
+        tip = [at + error.get(f"tool.{axis}", 0.0) for axis, at in zip(AXES, self.tip)]
+        return [*points, place + frame @ ca.vertcat(*tip)]
+
+
+def symbolic_turn(axis: str, angle: Any) -> ca.SX:
+    """(3, 3) rotation about an axis."""
+    if isinstance(angle, float):
+        return ca.SX.eye(3)
+    cosine, sine, one = ca.cos(angle), ca.sin(angle), AXES.index(axis)
+    two, three = (one + 1) % 3, (one + 2) % 3
+    matrix = ca.SX.eye(3)
+    matrix[two, two], matrix[two, three] = cosine, -sine
+    matrix[three, two], matrix[three, three] = sine, cosine
+    return matrix
+
+
+# -- the oracle: the same chain in numpy, derivatives by finite differences ----------------------------------------------
+def chain_points(model: SpatialModel, posture: Array, values: Array) -> Array:
+    """(n + 2, 3) base, places of the joints, tip [mm] of one posture."""
+    error = dict(zip(model.names, np.asarray(values).tolist(), strict=True))
+    place, frame, points = np.zeros(3), Rotation.identity(), [np.zeros(3)]
+    for j, (joint, q) in enumerate(zip(model.chain, posture, strict=True)):
+        place = place + frame.apply(np.array(joint.offset) + [error.get(f"translation_{a}:{j + 1}", 0.0) for a in AXES])
+        for axis in AXES:
+            frame = frame * Rotation.from_euler(axis, error.get(f"rotation_{axis}:{j + 1}", 0.0))
+        if joint.type == "revolute":
+            frame = frame * Rotation.from_euler(joint.axis, q)
+        else:
+            direction = np.eye(3)[AXES.index(joint.axis)]
+            place = place + frame.apply(direction) * q * (1.0 + error.get(f"scale:{j + 1}", 0.0))
+        points.append(place)
+    tip = np.array(model.tip) + [error.get(f"tool.{a}", 0.0) for a in AXES]
+    return np.array([*points, place + frame.apply(tip)])
+
+
+def tip_positions(model: SpatialModel, postures: Array, values: Array | None = None) -> Array:
+    """(m, 3) positions of the tip [mm]."""
+    chosen = model.values if values is None else values
+    return np.array([chain_points(model, posture, chosen)[-1] for posture in postures])
+
+
+def difference_jacobian(model: SpatialModel, postures: Array, values: Array | None = None) -> Array:
+    """(m, 3, p) central differences of the positions by the parameters."""
+    centre = np.array(model.values if values is None else values, dtype=float)
+    columns = []
+    for k in range(len(model.names)):
+        ends = [tip_positions(model, postures, centre + sign * STEP * np.eye(len(centre))[k]) for sign in (1.0, -1.0)]
+        columns.append((ends[0] - ends[1]) / (2.0 * STEP))
+    return np.stack(columns, axis=-1)
+
+
+def difference_information(model: SpatialModel, postures: Array, weights: Array | None = None) -> Array:
+    """(p, p) scaled information per run of (m, n) postures, by finite differences."""
+    blocks = difference_jacobian(model, postures) / model.scales
+    shares = np.full(len(postures), 1.0 / len(postures)) if weights is None else weights
+    return np.asarray(np.einsum("m,mdp,mdq->pq", shares, blocks, blocks))
+
+
+# -- problems ------------------------------------------------------------------------------------------------------------
+def all_errors(chain: tuple[Joint, ...]) -> tuple[str, ...]:
+    """Every error of a chain that positions of the tip can tell."""
+    names: list[str] = []
+    for j, joint in enumerate(chain, start=1):
+        across = [axis for axis in AXES if axis != joint.axis]
+        names += [f"translation_{axis}:{j}" for axis in across] if joint.type == "revolute" else [f"scale:{j}"]
+        names += [f"rotation_{axis}:{j}" for axis in across]
+    return (*names, *(f"tool.{axis}" for axis in AXES))
+
+
+LARGE_MODEL = SpatialModel(LARGE_CHAIN, all_errors(LARGE_CHAIN), (95.0, 20.0, 60.0))  # 6 R + 1 P: 24 + 2 + 1 + 3 = 30
+
+
+def spatial(model: SpatialModel | None = None, **changes: Any) -> DesignProblem:
+    """The design problem of the small arm (p = 12, four joints), or of another model."""
+    chosen = model or SpatialModel()
+    return DesignProblem(chosen, chosen.lower, chosen.upper, **changes)
+
+
+def random_postures(model: SpatialModel, count: int, seed: int) -> Array:
+    """(count, n) uniform within the limits."""
+    return np.random.default_rng(seed).uniform(model.lower, model.upper, (count, model.joints))
+
+
+def measured(model: SpatialModel, true: Array, postures: Array, sigma: float, seed: int) -> Measurements:
+    """Positions of the oracle's chain at true parameter values, with noise."""
+    exact = tip_positions(model, postures, true)
+    return Measurements(postures, exact + sigma * np.random.default_rng(seed).standard_normal(exact.shape))
+
+
+def with_values(model: SpatialModel, values: Array) -> SpatialModel:
+    """The model with other best known values."""
+    return replace(model, known=tuple(values.tolist()))
