@@ -35,8 +35,8 @@ class Advice:
         return tuple(len(design.plan) for design in self.designs)
 
     def accuracy(self, design: Design) -> float | None:
-        """Largest expected standard deviation of a link length [mm]; None without sigma."""
-        return None if design.deviations is None else float(design.deviations.length.max())
+        """Largest expected standard deviation of a length of the arm's geometry [mm]; None without sigma."""
+        return None if design.deviations is None else design.deviations.largest_length
 
     @property
     def smallest(self) -> Design | None:
@@ -82,7 +82,7 @@ def advise(
     fewest = problem.fewest_runs
     if not runs or min(runs) < fewest:
         raise InputError(f"runs: {min(runs, default=None)}, allowed: >= {fewest} ({problem.parameters} unknowns)")
-    if target is not None and getattr(getattr(problem.model, "arm", None), "sigma", None) is None:
+    if target is not None and problem.model.sigma is None:
         raise InputError("target_mm: the arm file has no sigma_mm, allowed: a [measurement] table with sigma_mm")
     if target is not None and not (np.isfinite(target) and target > 0.0):
         raise InputError(f"target_mm: {target}, allowed: > 0")

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from doe.bounds.bound import Bound
 from doe.bounds.equivalence import CERTIFIED, without_rounding
-from doe.bounds.planar_theorem import table_1_max_residual
+from doe.bounds.planar_theorem import is_planar, table_1_max_residual
 from doe.criteria import D
 from doe.plan.expected_accuracy import (
     ExpectedDeviations,
@@ -105,17 +105,14 @@ class Design:
     @cached_property
     def table_1_max_residual(self) -> float | None:
         """Largest |mean exp(i (q_(j+1) + ... + q_k))|, 0 at an unconstrained optimum; None unless the arm is planar."""
-        if self.problem.model.dimension != 2:
-            return None
-        return table_1_max_residual(self.plan.postures, self.plan.weights)
+        return table_1_max_residual(self.plan.postures, self.plan.weights) if is_planar(self.problem.model) else None
 
     @cached_property
     def deviations(self) -> ExpectedDeviations | None:
         """Expected standard deviations with the arm's sigma, the mean over the draws of an uncertain arm."""
         if self.deviations_per_draw is not None:
             return over_draws(self.deviations_per_draw, np.mean)
-        sigma = getattr(getattr(self.problem.model, "arm", None), "sigma", None)
-        return expected_deviations(self.problem, self.plan.postures, sigma, self.plan.weights)
+        return expected_deviations(self.problem, self.plan.postures, self.problem.model.sigma, self.plan.weights)
 
     @cached_property
     def deviations_per_draw(self) -> tuple[ExpectedDeviations, ...] | None:
@@ -123,7 +120,7 @@ class Design:
         model = self.problem.model
         if not isinstance(model, EnsembleModel):
             return None
-        return deviations_per_draw(self.problem, model, self.plan.postures, model.model.arm.sigma, self.plan.weights)
+        return deviations_per_draw(self.problem, model, self.plan.postures, model.sigma, self.plan.weights)
 
     def to_json(self) -> dict[str, Any]:
         """The contract's keys of `design` and `score`: millimetres and degrees; None for what cannot be given."""
@@ -190,9 +187,13 @@ def _number(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)
 
 
-def _deviations_json(deviations: ExpectedDeviations | None) -> dict[str, list[float] | None]:
+def _deviations_json(deviations: ExpectedDeviations | None) -> dict[str, Any]:
+    """Per link of a planar arm, else per parameter: `{"parameters": {name: [deviation, unit]}}`."""
     if deviations is None:
         return {"length_mm": None, "orientation_deg": None, "joint_offset_deg": None}
+    if not deviations.planar:
+        pairs = zip(deviations.parameters, deviations.values.tolist(), strict=True)
+        return {"parameters": {p.name: [value * p.to_file, p.file_unit] for p, value in pairs}}
     return {
         "length_mm": deviations.length.tolist(),
         "orientation_deg": np.degrees(deviations.orientation).tolist(),

@@ -26,14 +26,21 @@ Proof.
 
 from __future__ import annotations
 
+from typing import TypeGuard
+
 import numpy as np
 
 from doe.bounds.bound import Bound
 from doe.criteria import D
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, InformationModel
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.model import Model
+
+
+def is_planar(model: InformationModel) -> TypeGuard[Model]:
+    """True for the model of a planar arm, the only one of which this module knows anything."""
+    return isinstance(model, Model)
 
 
 def applies(problem: DesignProblem) -> bool:
@@ -42,25 +49,19 @@ def applies(problem: DesignProblem) -> bool:
     Constraints and a list of allowed postures only shrink the design space: the bound stays valid, not always tight.
     """
     model = problem.model
-    return (
-        isinstance(model, Model)
-        and model.linear_in_links
-        and isinstance(problem.criterion, D)
-        and not len(problem.kept)
-    )
+    return is_planar(model) and model.linear_in_links and isinstance(problem.criterion, D) and not len(problem.kept)
 
 
 def chain_joints(problem: DesignProblem) -> tuple[int, ...]:
     """Joints (from 0) that play a part: 2..n for people, and joint 1 as well with a base offset."""
     model = problem.model
-    offset = isinstance(model, Model) and any(effect.name == "base_offset" for effect in model.effects)
+    offset = is_planar(model) and any(effect.name == "base_offset" for effect in model.effects)
     return tuple(range(0 if offset else 1, problem.joints))
 
 
 def closed_form_log_det(problem: DesignProblem) -> float:
     """Largest log det M' of any design within the joint limits. Raises `InputError` where `applies` is False."""
-    model = problem.model
-    if not isinstance(model, Model) or not applies(problem):
+    if not applies(problem):
         raise InputError(
             "closed form: this model or criterion has none, allowed: D with lengths, offsets and base_offset"
         )

@@ -100,7 +100,7 @@ def repeats(problem: DesignProblem, posture: Array, others: Array) -> bool:
         return False
     if problem.choices is not None:
         return bool(np.any(np.all(others == posture, axis=1)))
-    near = gaps(posture[None], np.vstack([others, problem.kept]))
+    near = gaps(problem.comparable(posture[None]), problem.comparable(np.vstack([others, problem.kept])))
     return bool(np.any(near < problem.minimum_distance / ROUNDING))
 
 

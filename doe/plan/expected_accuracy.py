@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,25 +11,53 @@ from doe.problem.bayesian import EnsembleModel
 from doe.problem.problem import DesignProblem, InformationModel
 from identification.arrays import Array, readonly
 from identification.information import Spectrum, orientation_transform, spectrum
+from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, ParameterSet
 
 
 @dataclass(frozen=True)
 class ExpectedDeviations:
-    """Standard deviations that a plan will give, per link or joint; zero where a value is known and not estimated.
+    """Standard deviations that a plan will give.
 
-    length : (n,) of the length errors [mm]
-    orientation : (n,) of the orientation offsets dtheta_j = dq_1 + ... + dq_j [rad]: the paper's sigma_q (eq. 25)
-    joint_offset : (n,) of the joint offsets dq_j themselves [rad], larger for j >= 2
-        (identification/README.md, "Covariance and intervals")
+    parameters : what they belong to;  values : (p,) of every parameter [mm, rad, or its own unit]
+    orientation : (n,) of the orientation offsets dtheta_j = dq_1 + ... + dq_j of a planar chain [rad]: the paper's
+        sigma_q (eq. 25); zero where a joint offset is known, and for other chains
     """
 
-    length: Array
+    parameters: ParameterSet
+    values: Array
     orientation: Array
-    joint_offset: Array
 
     def __post_init__(self) -> None:
-        for name in ("length", "orientation", "joint_offset"):
+        for name in ("values", "orientation"):
             object.__setattr__(self, name, readonly(getattr(self, name), -1))
+
+    @property
+    def planar(self) -> bool:
+        """True if length errors, joint offsets and effects are all there is: the parameters of a planar chain."""
+        return {LENGTH_ERROR, JOINT_OFFSET, EFFECT}.issuperset(self.parameters.kinds)
+
+    @property
+    def length(self) -> Array:
+        """(n,) of the length errors [mm], zero where one is known and not estimated."""
+        return self._by_joint(LENGTH_ERROR)
+
+    @property
+    def joint_offset(self) -> Array:
+        """(n,) of the joint offsets dq_j [rad], larger than those of the orientations for j >= 2
+        (identification/README.md, "Covariance and intervals")."""
+        return self._by_joint(JOINT_OFFSET)
+
+    @property
+    def largest_length(self) -> float:
+        """Largest of a length of the arm's geometry [mm]; zero where none is estimated."""
+        chosen = [p.unit == "mm" and p.kind != EFFECT for p in self.parameters]
+        return float(np.max(self.values[chosen], initial=0.0))
+
+    def _by_joint(self, kind: str) -> Array:
+        found = np.zeros(self.orientation.size)
+        for k in self.parameters.indices(kind).tolist():
+            found[(self.parameters[k].joint or 0) - 1] = self.values[k]
+        return readonly(found)
 
 
 def plan_spectrum(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Spectrum:
@@ -74,7 +101,7 @@ def deviations_per_draw(
     if sigma is None:
         return None
     stacked = plan_blocks(problem, postures, weights)
-    d, p = model.model.dimension, len(model.model.names)
+    d, p = model.model.dimension, len(model.model.parameters)
     each = range(len(model.draws))
     told = [spectrum(stacked[:, k * d : (k + 1) * d, k * p : (k + 1) * p], np.ones(p)) for k in each]
     if any(one.rank < p for one in told):
@@ -84,24 +111,16 @@ def deviations_per_draw(
 
 def over_draws(found: Sequence[ExpectedDeviations], judge: Callable[..., Array]) -> ExpectedDeviations:
     """Mean (`np.mean`) or worst (`np.max`) of each deviation over the draws."""
-    names = ("length", "orientation", "joint_offset")
-    return ExpectedDeviations(*(judge([getattr(one, name) for one in found], axis=0) for name in names))
+    values, orientation = (judge([getattr(one, name) for one in found], axis=0) for name in ("values", "orientation"))
+    return replace(found[0], values=values, orientation=orientation)
 
 
 def _deviations(told: Spectrum, model: InformationModel, joints: int, sigma: float) -> ExpectedDeviations:
-    names, scales = model.names, model.scales
-    matrix = (sigma / scales)[:, None] * told.covariance * (sigma / scales)  # sigma^2 (sum J^T J)^-1, own units
-    deviations = np.sqrt(np.diag(matrix))
-    transform = orientation_transform(names)
-    orientations = np.sqrt(np.einsum("jp,pq,jq->j", transform, matrix, transform))
-    length, joint_offset, orientation = (np.zeros(joints) for _ in range(3))
-    row = 0
-    for name, deviation in zip(names, deviations, strict=True):
-        found = re.fullmatch(r"(length_error|joint_offset):(\d+)", name)
-        if found and found[1] == "length_error":
-            length[int(found[2]) - 1] = deviation
-        elif found:
-            joint_offset[int(found[2]) - 1] = deviation
-            orientation[int(found[2]) - 1] = orientations[row]
-            row += 1
-    return ExpectedDeviations(length, orientation, joint_offset)
+    parameters = model.parameters
+    per_scale = sigma / parameters.scales
+    matrix = per_scale[:, None] * told.covariance * per_scale  # sigma^2 (sum J^T J)^-1, own units
+    orientation = np.zeros(joints)
+    offsets = [(parameters[k].joint or 0) - 1 for k in parameters.indices(JOINT_OFFSET).tolist()]
+    transform = orientation_transform(parameters.names)
+    orientation[offsets] = np.sqrt(np.einsum("jp,pq,jq->j", transform, matrix, transform))
+    return ExpectedDeviations(parameters, np.sqrt(np.diag(matrix)), orientation)

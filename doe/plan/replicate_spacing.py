@@ -25,14 +25,16 @@ def free_values(problem: DesignProblem) -> Array:
 
 
 def distance_to_keep(problem: DesignProblem, runs: int) -> float:
-    """[rad] by which a search keeps postures apart in its joints; 0 where spreading a free joint sets them apart."""
+    """[rad] by which a search keeps postures apart in its joints, in the problem's `joint_units`; 0 where spreading a
+    free joint sets them apart."""
     return problem.minimum_distance if 1.0 == replicates_allowed(problem) < runs else 0.0
 
 
 def free_joints(problem: DesignProblem) -> list[int]:
     """Joints (from 0) that play no part, the one with the widest range first."""
     free = [joint for joint in range(problem.joints) if joint not in problem.searched_joints]
-    return sorted(free, key=lambda joint: problem.lower[joint] - problem.upper[joint])
+    ranges = problem.comparable(problem.upper - problem.lower)
+    return sorted(free, key=lambda joint: -ranges[joint])
 
 
 def replicates_allowed(problem: DesignProblem) -> float:
@@ -42,13 +44,18 @@ def replicates_allowed(problem: DesignProblem) -> float:
     """
     if problem.choices is not None or problem.minimum_distance == 0.0:
         return float("inf")
-    width = max((problem.upper[j] - problem.lower[j] for j in free_joints(problem)), default=0.0)
+    width = problem.comparable(problem.upper - problem.lower)[free_joints(problem)].max(initial=0.0)
     return float(max(1.0, np.floor(width / problem.minimum_distance * (1.0 + 1e-9))))
 
 
 def gaps(postures: Array, others: Array) -> Array:
-    """(m, k) largest joint difference [rad] between postures (m, n) and others (k, n)."""
+    """(m, k) largest joint difference between postures (m, n) and others (k, n), in their unit."""
     return np.abs(postures[:, None] - others).max(axis=-1, initial=0.0)
+
+
+def searched_part(problem: DesignProblem, postures: Array) -> Array:
+    """(m, j) the joints that a solver chooses, in the problem's `joint_units`."""
+    return problem.comparable(postures)[:, list(problem.searched_joints)]
 
 
 def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
@@ -59,10 +66,10 @@ def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
     room = replicates_allowed(problem)
     if room >= len(postures):
         return np.empty(0, dtype=np.intp)
-    searched, distance = postures[:, list(problem.searched_joints)], problem.minimum_distance / ROUNDING
+    searched, distance = searched_part(problem, postures), problem.minimum_distance / ROUNDING
     near = np.zeros(len(postures))
     blocked = 1 if room == 1.0 else 2  # places on a free joint within the distance of a measured posture
-    near += blocked * (gaps(searched, problem.kept[:, list(problem.searched_joints)]) < distance).sum(axis=1)
+    near += blocked * (gaps(searched, searched_part(problem, problem.kept)) < distance).sum(axis=1)
     if room > 1.0:
         most = near + neighbours(searched, distance)
         if most.max() < room or len(postures) > MANY:
@@ -90,12 +97,13 @@ def _tree(points: Array) -> Any:
 
 def separated(problem: DesignProblem, postures: Array) -> Array:
     """The same plan with every repeat moved to the best free place around it; unchanged where there is none."""
-    plan, searched = np.array(postures), list(problem.searched_joints)
+    plan = np.array(postures)
     crowded = too_near(problem, plan)
     for row in crowded if len(crowded) * len(plan) <= CHUNK else ():
         others = np.vstack([np.delete(plan, row, axis=0), problem.kept])
         places = around(problem, plan[row])
-        near = gaps(places[:, searched], others[:, searched]) < problem.minimum_distance / ROUNDING
+        distances = gaps(searched_part(problem, places), searched_part(problem, others))
+        near = distances < problem.minimum_distance / ROUNDING
         places = places[near.sum(axis=1) < replicates_allowed(problem)]
         places = places[problem.feasible(places)] if len(places) else places
         if len(places):
@@ -108,13 +116,12 @@ def separated(problem: DesignProblem, postures: Array) -> Array:
 
 def around(problem: DesignProblem, posture: Array) -> Array:
     """(k, n) postures within the limits that differ by multiples of the minimum distance in up to two joints."""
-    step = problem.minimum_distance * ROUNDING
-    sizes = step * np.array([s for s in range(-REACH, REACH + 1) if s])
+    sizes = problem.minimum_distance * ROUNDING * np.array([s for s in range(-REACH, REACH + 1) if s])
     moves = []
     for joint in problem.searched_joints:
         for size in sizes:
             move = np.zeros(problem.joints)
-            move[joint] = size
+            move[joint] = size * problem.joint_units[joint]
             moves.append(move)
     pairs = [a + b for a, b in product(moves, moves) if np.count_nonzero(a + b) == 2]
     places = posture + np.array(moves + pairs)
@@ -139,21 +146,20 @@ def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.ra
 
 
 def set_apart(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
-    """(m,) angles of the widest free joint: of evenly spaced places the least used that no alike posture has yet."""
-    joint, searched = free_joints(problem)[0], list(problem.searched_joints)
-    count = int(replicates_allowed(problem))
+    """(m,) places of the widest free joint: of evenly spaced places the least used that no alike posture has yet."""
+    joint, count = free_joints(problem)[0], int(replicates_allowed(problem))
+    searched, kept = searched_part(problem, postures), searched_part(problem, problem.kept)
     width, distance = problem.upper[joint] - problem.lower[joint], problem.minimum_distance / ROUNDING
     places = problem.lower[joint] + (np.arange(count) + 0.5) / count * width
-    used, chosen = np.zeros(count), np.full(len(postures), -1)
-    tree = _tree(postures[:, searched])
-    kept = problem.kept
-    for row, posture in enumerate(postures):
-        alike = slice(0, row) if tree is None else tree.query_ball_point(posture[searched], distance, p=np.inf)
+    unit, used, chosen = problem.joint_units[joint], np.zeros(count), np.full(len(postures), -1)
+    tree = _tree(searched)
+    for row, posture in enumerate(searched):
+        alike = slice(0, row) if tree is None else tree.query_ball_point(posture, distance, p=np.inf)
         taken = chosen[alike]
         cost = used + generator.uniform(0.0, 0.5, count)
         cost[taken[taken >= 0]] = np.inf
-        measured = kept[gaps(posture[None, searched], kept[:, searched])[0] < distance]
-        cost[(gaps(places[:, None], measured[:, joint, None]) < distance).any(axis=1)] = np.inf
+        measured = problem.kept[gaps(posture[None], kept)[0] < distance, joint]
+        cost[(gaps(places[:, None], measured[:, None]) < distance * unit).any(axis=1)] = np.inf
         chosen[row] = np.argmin(cost)
         used[chosen[row]] += 1.0
     return np.asarray(places[chosen])

@@ -81,12 +81,12 @@ class InsideBox:
     def margin(self, postures: Array) -> Array:
         """(m, 2 d) distances to the sides [mm]."""
         tip = self.chain.points(postures)[:, -1]
-        return np.concatenate([tip - self.lower, self.upper - tip], axis=1)
+        return np.stack([tip - self.lower, self.upper - tip], axis=2).reshape(len(tip), -1)
 
     def symbolic(self, q: ca.SX) -> ca.SX:
         """(2 d,) the same."""
         tip = self.chain.symbolic_points(q)[-1]
-        return ca.vertcat(tip - ca.DM(self.lower), ca.DM(self.upper) - tip)
+        return ca.vec(ca.horzcat(tip - ca.DM(self.lower), ca.DM(self.upper) - tip).T)
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ class DesignProblem:
     constraints : what a posture must satisfy besides the limits, see `doe.problem.constraints`
     kept : (k, n) postures already measured, which count in the information (`prior`); None: none
     choices : (N, n) postures to choose from, None: anything within limits and constraints
-    minimum_distance : [rad] two postures of a plan differ by this in some joint at least (see `joint_units`); 0: repeats
+    minimum_distance : [rad] two postures of a plan differ by this in some joint at least, in `joint_units`; 0: repeats
         are allowed
     """
 
@@ -128,6 +128,16 @@ class DesignProblem:
         """
         prismatic = [joint_type == PRISMATIC for joint_type in self.model.joint_types]
         return np.where(prismatic, (self.upper - self.lower) / (2.0 * np.pi), 1.0)
+
+    def comparable(self, postures: Array) -> Array:
+        """(..., n) postures in `joint_units`, in which one tolerance [rad] holds for every joint."""
+        return np.asarray(postures / self.joint_units)
+
+    @property
+    def spacing(self) -> str:
+        """The minimum distance in words."""
+        stroke = " (360 deg: the range of a prismatic joint)" if PRISMATIC in self.model.joint_types else ""
+        return f"{np.degrees(self.minimum_distance):g} deg{stroke}"
 
     @property
     def parameters(self) -> int:

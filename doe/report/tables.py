@@ -76,8 +76,8 @@ def repeats_line(design: Design) -> list[Text]:
     """What the rule against repeats may cost, where it binds and the bound is not reached."""
     if design.certified_optimal or distance_to_keep(design.problem, len(design.plan)) == 0.0:
         return []
-    apart = np.degrees(design.problem.minimum_distance)
-    return [Text(f"postures are kept {apart:g} deg apart; with --repeats they may be equal, which can be better")]
+    apart = design.problem.spacing
+    return [Text(f"postures are kept {apart} apart; with --repeats they may be equal, which can be better")]
 
 
 def untold_line(design: Design, most: int = 4) -> list[Text]:

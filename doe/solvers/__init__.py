@@ -190,7 +190,7 @@ def _told(design: Design, throw: bool) -> Design:
     if not throw:
         return design if tells_all else replace(design, status=Status.not_identifiable)
     if tells_all:
-        apart = f"postures {np.degrees(problem.minimum_distance):g} deg apart"
+        apart = f"postures {problem.spacing} apart"
         raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")
     p = problem.parameters
     message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"

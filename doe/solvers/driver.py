@@ -93,8 +93,8 @@ def check_runs(problem: DesignProblem, runs: int) -> None:
         )
     kept = len(problem.kept)
     if runs + kept > (room := most_postures(problem, runs)):
-        apart = np.degrees(problem.minimum_distance)
-        raise InputError(f"runs: {runs + kept} postures {apart:g} deg apart, allowed: at most {room:.0f} in the limits")
+        found = f"{runs + kept} postures {problem.spacing} apart"
+        raise InputError(f"runs: {found}, allowed: at most {room:.0f} in the limits")
 
 
 def most_postures(problem: DesignProblem, runs: int) -> float:
@@ -106,7 +106,7 @@ def most_postures(problem: DesignProblem, runs: int) -> float:
     if alike >= runs:
         return np.inf
     joints = list(problem.searched_joints)
-    width = (problem.upper - problem.lower)[joints]
+    width = problem.comparable(problem.upper - problem.lower)[joints]
     return alike * float(np.prod(np.floor(width / problem.minimum_distance * (1.0 + 1e-9)) + 1.0))
 
 

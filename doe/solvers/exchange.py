@@ -130,8 +130,10 @@ class Search:
         if self.distance > 0.0:
             others = np.delete(self.plans[self.running], run, axis=1)
             kept = np.broadcast_to(self.problem.kept, (len(others), *self.problem.kept.shape))
-            for other in np.moveaxis(np.concatenate([others, kept], axis=1), 1, 0):
-                allowed &= np.abs(postures - other[:, None]).max(axis=-1) >= self.distance
+            others = self.problem.comparable(np.concatenate([others, kept], axis=1))
+            offered = self.problem.comparable(postures)
+            for other in np.moveaxis(others, 1, 0):
+                allowed &= np.abs(offered - other[:, None]).max(axis=-1) >= self.distance
         return allowed
 
     def neighbours(self, postures: Array) -> Array:

@@ -17,7 +17,7 @@ from doe.solvers.ipopt_callbacks import Guarded, Stop, interrupts_noted
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
 
-NEAR_LIMIT = 1e-5  # [rad] an interior point method ends this near to a limit that is active; it is put on it
+NEAR_LIMIT = 1e-5  # joint unit: an interior point method ends this near to a limit that is active; it is put on it
 
 MARGIN = 1e-4  # [mm] constraints are kept by this much, since IPOPT keeps them to about 1e-8 only
 
@@ -77,6 +77,7 @@ class Climber:
         self.base = np.tile(free_values(problem), (runs, 1))
         self.joints = list(self.function.joints)
         self.lower, self.upper = (np.tile(limit[self.joints], runs) for limit in (problem.lower, problem.upper))
+        self.near_limit = np.tile(NEAR_LIMIT * problem.joint_units[self.joints], runs)
         self.interrupted = False
         self._expansion: tuple[bytes, tuple[float, Array, Array]] | None = None
         self._latest: tuple[bytes, list[Array]] | None = None
@@ -94,8 +95,8 @@ class Climber:
             ended = self.ipopt(x0=start, lbx=self.lower, ubx=self.upper, lbg=MARGIN, ubg=np.inf)
         found = np.asarray(ended["x"]).ravel()
         inside = np.clip(found, self.lower, self.upper)
-        snapped = np.where(inside - self.lower < NEAR_LIMIT, self.lower, inside)
-        snapped = np.where(self.upper - inside < NEAR_LIMIT, self.upper, snapped)
+        snapped = np.where(inside - self.lower < self.near_limit, self.lower, inside)
+        snapped = np.where(self.upper - inside < self.near_limit, self.upper, snapped)
         plans = [self.postures(x) for x in (snapped, inside, start)]
         allowed = [plan for plan in plans if self.problem.feasible(plan).all()] or plans[-1:]
         return max(allowed, key=self.problem.objective)

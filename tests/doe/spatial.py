@@ -123,10 +123,6 @@ class SpatialModel:
         return float(sum(np.linalg.norm(j.offset) for j in self.chain) + np.linalg.norm(self.tip))
 
     @property
-    def scales(self) -> Array:
-        return self.parameters.scales
-
-    @property
     def values(self) -> Array:
         return np.array(self.known) if self.known else np.zeros(len(self.names))
 
@@ -173,8 +169,8 @@ class SpatialModel:
         place, frame = ca.SX.zeros(3), ca.SX.eye(3)
         points = [place]
         for j, joint in enumerate(self.chain):
-            shift = [offset + error.get(f"translation_{axis}:{j + 1}", 0.0) for axis, offset in zip(AXES, joint.offset)]
-            place = place + frame @ ca.vertcat(*shift)
+            shift = [error.get(f"translation_{axis}:{j + 1}", 0.0) for axis in AXES]
+            place = place + frame @ (ca.DM(joint.offset) + ca.vertcat(*shift))
             for axis in AXES:
                 frame = frame @ symbolic_turn(axis, error.get(f"rotation_{axis}:{j + 1}", 0.0))
             if joint.type == "revolute":
@@ -183,8 +179,8 @@ class SpatialModel:
                 stroke = q[j] * (1.0 + error.get(f"scale:{j + 1}", 0.0))
                 place = place + stroke * frame[:, AXES.index(joint.axis)]
             points.append(place)
-        tip = [at + error.get(f"tool.{axis}", 0.0) for axis, at in zip(AXES, self.tip)]
-        return [*points, place + frame @ ca.vertcat(*tip)]
+        shift = [error.get(f"tool.{axis}", 0.0) for axis in AXES]
+        return [*points, place + frame @ (ca.DM(self.tip) + ca.vertcat(*shift))]
 
 
 def symbolic_turn(axis: str, angle: Any) -> ca.SX:
@@ -199,7 +195,7 @@ def symbolic_turn(axis: str, angle: Any) -> ca.SX:
     return matrix
 
 
-# -- the oracle: the same chain in numpy, derivatives by finite differences ----------------------------------------------
+# -- the oracle: the same chain in numpy, derivatives by finite differences ------------------------------------------
 def chain_points(model: SpatialModel, posture: Array, values: Array) -> Array:
     """(n + 2, 3) base, places of the joints, tip [mm] of one posture."""
     error = dict(zip(model.names, np.asarray(values).tolist(), strict=True))
@@ -236,12 +232,12 @@ def difference_jacobian(model: SpatialModel, postures: Array, values: Array | No
 
 def difference_information(model: SpatialModel, postures: Array, weights: Array | None = None) -> Array:
     """(p, p) scaled information per run of (m, n) postures, by finite differences."""
-    blocks = difference_jacobian(model, postures) / model.scales
+    blocks = difference_jacobian(model, postures) / model.parameters.scales
     shares = np.full(len(postures), 1.0 / len(postures)) if weights is None else weights
     return np.asarray(np.einsum("m,mdp,mdq->pq", shares, blocks, blocks))
 
 
-# -- problems ------------------------------------------------------------------------------------------------------------
+# -- problems --------------------------------------------------------------------------------------------------------
 def all_errors(chain: tuple[Joint, ...]) -> tuple[str, ...]:
     """Every error of a chain that positions of the tip can tell."""
     names: list[str] = []
