@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 def command(session: Session, arm: Path, plan: Path, aliases: Path | None, output: Output) -> Answer:
     """Score a PLAN of your own: efficiency against the bound, expected deviations, and which effects it could show."""
     from doe.plan.file import load_plan
-    from doe.report.tables import design_tables
+    from doe.plan.observability import observability
+    from doe.report.tables import design_tables, observability_line
     from identification.files.arm import load_arm
     from identification.files.io import check_writable
 
@@ -36,7 +37,9 @@ def command(session: Session, arm: Path, plan: Path, aliases: Path | None, outpu
     design = _scored(loaded, given, plan)
     preflight, tables = _preflight(loaded, given, plan, aliases, output.force)
     output.draw_plan(loaded, given.postures)
-    return Answer(design.to_json() | {"preflight": preflight}, [*design_tables(loaded, design), *tables])
+    indices = observability(design.problem, given.postures)
+    data = design.to_json() | {"observability": indices.to_json(), "preflight": preflight}
+    return Answer(data, [*design_tables(loaded, design), observability_line(indices), *tables])
 
 
 def _scored(arm: Arm, given: Plan, path: Path) -> Design:

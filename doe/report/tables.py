@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from doe.design import Design
+from doe.plan.observability import Observability
 from doe.plan.order import Ordered
 from doe.plan.replicate_spacing import distance_to_keep
 from identification.arm import Arm
@@ -90,6 +91,12 @@ def untold_line(design: Design, most: int = 4) -> list[Text]:
         return [Text(f"no log det: {why} {', '.join(still)}")]
     more = ", ..." if len(combinations) > most else ""
     return [Text(f"no log det: the plan does not tell {', '.join(combinations[:most])}{more}")]
+
+
+def observability_line(indices: Observability) -> Text:
+    """The indices O1 to O5, to compare with published plans."""
+    figures = ", ".join(f"{name.upper()} {value:.4g}" for name, value in indices.to_json().items())
+    return Text(f"observability indices: {figures}")
 
 
 def certified(data: dict[str, Any], most: int = 10) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
 import secrets
 import tomllib
@@ -56,11 +55,6 @@ def read_toml(path: PathLike) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: {reason}, allowed: TOML 1.0") from None
     except RecursionError:
         raise InputError(f"{path}: not valid TOML: nested too deeply") from None
-
-
-def file_hash(path: PathLike) -> str:
-    """SHA-256 of the file, in hexadecimal digits."""
-    return hashlib.sha256(read_bytes(path)).hexdigest()
 
 
 def write_whole(path: PathLike, content: str | bytes, force: bool = False) -> None:

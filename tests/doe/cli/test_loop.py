@@ -81,6 +81,20 @@ def test_tables_for_people(folder: Folder) -> None:
     assert "efficiency" in shown.out
 
 
+def test_score_gives_the_observability_indices(folder: Folder) -> None:
+    """Singular values of the chain's Jacobian, lengths in mm and joint offsets times their link's length."""
+    scored = folder.armcal("score", "arm.toml", "plan.csv", "--json").data
+    lengths = np.array([260.0, 180.0, 120.0, 100.0])
+    links = np.exp(1j * np.cumsum(np.radians(scored["postures_deg"]), axis=1))
+    levers = 1j * np.cumsum((links * lengths)[:, ::-1], axis=1)[:, ::-1]
+    columns = np.hstack([links, levers / lengths])
+    s = np.linalg.svd(np.vstack([columns.real, columns.imag]), compute_uv=False)
+    expected = [np.prod(s) ** (1 / 8) / np.sqrt(len(links)), s[-1] / s[0], s[-1], s[-1] ** 2 / s[0], 1 / np.sum(1 / s)]
+    assert list(scored["observability"]) == ["o1", "o2", "o3", "o4", "o5"]
+    assert list(scored["observability"].values()) == pytest.approx(expected)
+    assert f"O2 {s[-1] / s[0]:.4g}" in folder.armcal("score", "arm.toml", "plan.csv").out
+
+
 def test_conditions_in_the_plan_reach_the_measurements(folder: Folder) -> None:
     header, *rows = folder.read("plan.csv").splitlines()
     warm = [f"{row},{20.0 + 0.5 * k}" for k, row in enumerate(rows)]

@@ -88,11 +88,6 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
 
 
-def test_file_hash(tmp_path: Path) -> None:
-    (tmp_path / "a").write_bytes(b"abc")
-    assert files.file_hash(tmp_path / "a") == hashlib.sha256(b"abc").hexdigest()
-
-
 # -- TOML --------------------------------------------------------------------------------------------------------------
 def test_read_toml_drops_a_byte_order_mark(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbfa = 1\r\n")
