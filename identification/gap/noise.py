@@ -97,15 +97,17 @@ def scatter_tests(
     position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
     residual, columns = rows.whiten(rows.positions - position), rows.whiten(jacobian)
     q = basis(columns)
-    drawn = generator.standard_normal((len(residual), DRAWS))
+    forms = variance_forms(rows, position, jacobian)
+    # Holm multiplies the smallest p-value, 1 / (draws + 1), by the number of tests: the level must be within reach
+    draws = max(DRAWS, int(np.ceil((len(forms) + 1) / LEVEL - 1e-9)) - 1)
+    drawn = generator.standard_normal((len(residual), draws))
     sample = np.column_stack([residual, drawn])
     sample -= q @ (q.T @ sample)
     sample /= np.sqrt(np.square(sample).mean(axis=0))
-    forms = variance_forms(rows, position, jacobian)
     values = {name: _quadratic(form, sample) for name, form in forms.items()}
     values["time_noise"] = np.abs(values["time_noise"])
     values["serial_correlation"] = lag_one(sample, rows)
-    p = {name: (1.0 + np.sum(v[1:] >= v[0])) / (DRAWS + 1.0) for name, v in values.items()}
+    p = {name: (1.0 + np.sum(v[1:] >= v[0])) / (draws + 1.0) for name, v in values.items()}
     return p, values, forms, sample
 
 

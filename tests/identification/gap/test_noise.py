@@ -46,6 +46,17 @@ def test_finds_what_the_scatter_does(kind: str, name: str) -> None:
     assert sum(names == [name] for names in found) >= 7
 
 
+def test_finds_noise_of_an_arm_with_many_joints() -> None:
+    """12 joints make 15 tests: after Holm's correction 999 draws could never reach the level 0.01 (15 / 1000)."""
+    rng = np.random.default_rng(3)
+    model = Model(Arm(np.linspace(300.0, 80.0, 12)))
+    q = rng.uniform(-np.pi, np.pi, (200, 12))
+    position, jacobian = model.linearize(q)
+    shaking = jacobian[:, :, 12] * (0.002 * rng.normal(size=200))[:, None]  # joint 1, some 10 times the common noise
+    rows = Rows.of(Measurements(q, position + 0.1 * rng.normal(size=(200, 2)) + shaking))
+    assert [f.name for f in screen(fit(model, rows, links_start(model, rows)), rows, rng)] == ["joint_noise:1"]
+
+
 def test_white_noise_is_left_alone() -> None:
     found = [_screened(_measured(seed), seed) for seed in range(60)]
     # level 0.01 for all findings together: 5 or more of 60 have probability 0.0004
