@@ -23,7 +23,7 @@ import pytest
 
 from doe.discrimination.design import discrimination_design
 from doe.problem.problem import DesignProblem
-from doe.studies.blind import simulator as blind
+from doe.studies.blind import cells, hidden_effects, simulator
 from identification.model import Model
 
 COUNT = 400
@@ -33,7 +33,7 @@ STIFFNESSES = 200
 PAIRS = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_skew": "ab", "transmission_ripple": "ab"}
 PAIRS |= {"base_offset": "xy", "base_drift": "xy"}
 SAGGING = ("joint_compliance", "gravity_backlash", "link_bending")  # of one sign only
-NAMES = blind.LIBRARY_JOINT + blind.LIBRARY_WHOLE
+NAMES = hidden_effects.LIBRARY_JOINT + hidden_effects.LIBRARY_WHOLE
 CELLS = [
     "one, lambda 6, m=50",
     "one, lambda 6, m=200",
@@ -59,11 +59,11 @@ def log_mean(x: np.ndarray) -> float:
     return float(x.max() + np.log(np.mean(np.exp(x - x.max()))))
 
 
-def directions(bare: blind.Truth, run: blind.Session, name: str, j: int | None) -> Iterator[np.ndarray]:
+def directions(bare: simulator.Truth, run: simulator.Session, name: str, j: int | None) -> Iterator[np.ndarray]:
     """(2m, S) sampled columns of an effect, one array per order of a ripple."""
 
     def probe(values: dict) -> np.ndarray:
-        return blind.column(bare, run, (name.rstrip("*"), j, values))
+        return hidden_effects.column(bare, run, (name.rstrip("*"), j, values))
 
     if name in PAIRS:
         for k in range(3, 65) if name == "transmission_ripple" else [None]:
@@ -71,52 +71,52 @@ def directions(bare: blind.Truth, run: blind.Session, name: str, j: int | None) 
             both = [probe({c: float(c == one) for c in PAIRS[name]} | order) for one in PAIRS[name]]
             yield np.column_stack(both) @ CIRCLE
     elif name == "joint_compliance*":
-        each = [blind.column(bare, run, ("joint_compliance", i + 1, {"c": 1.0})) for i in range(bare.n)]
+        each = [hidden_effects.column(bare, run, ("joint_compliance", i + 1, {"c": 1.0})) for i in range(bare.n)]
         yield np.column_stack(each) @ np.random.default_rng(1).uniform(0.5, 1.5, (bare.n, STIFFNESSES))
     else:
-        one = probe(blind.directions_of(name, bare.n, np.random.default_rng(0)))[:, None]
+        one = probe(hidden_effects.directions_of(name, bare.n, np.random.default_rng(0)))[:, None]
         yield one if name in SAGGING else np.hstack([one, -one])
 
 
 @cache
 def planned(cell: str, seed: int) -> np.ndarray | None:
     """The plan that the sets of a block share; None where postures are random."""
-    asked = blind.to_be_planned(cell, seed)
+    asked = cells.to_be_planned(cell, seed)
     if asked is None:
         return None
     arm, runs = asked
     return discrimination_design(DesignProblem.of(Model(arm)), arm, runs).design.plan.postures
 
 
-def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, blind.Truth]:
+def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, simulator.Truth]:
     """Whitened residual off the base model (2m,), what might be hidden, lambda and the truth of one data set."""
-    spec = blind.CELLS[cell]
+    spec = cells.CELLS[cell]
     assert spec.lam is not None
-    rng = np.random.default_rng([20261121, list(blind.CELLS).index(cell), seed])
-    postures = planned(cell, seed // blind.SAME_ARM * blind.SAME_ARM)
-    truth = blind.truth_of(spec, rng) if postures is None else blind.shared_truth(cell, seed)
+    rng = np.random.default_rng([20261121, list(cells.CELLS).index(cell), seed])
+    postures = planned(cell, seed // cells.SAME_ARM * cells.SAME_ARM)
+    truth = cells.truth_of(spec, rng) if postures is None else cells.shared_truth(cell, seed)
     if postures is None:
         postures = rng.uniform(truth.lower, truth.upper, (max(spec.m, truth.n + 4), truth.n))
-    run = blind.session(truth, postures, rng)
-    truth = replace(truth, effects=blind.hidden(spec, truth, run, rng))
+    run = simulator.session(truth, postures, rng)
+    truth = replace(truth, effects=cells.hidden(spec, truth, run, rng))
     bare = replace(truth, effects=[])
-    measured = blind.position(truth, run) + blind.noise(truth, run, rng, spec.noise)
-    miss = (measured - blind.position(bare, run)) / truth.sigma
-    basis = np.linalg.qr(blind.base_jacobian(truth, run))[0]
+    measured = simulator.position(truth, run) + simulator.noise(truth, run, rng, spec.noise)
+    miss = (measured - simulator.position(bare, run)) / truth.sigma
+    basis = np.linalg.qr(hidden_effects.base_jacobian(truth, run))[0]
 
     def off(columns: np.ndarray) -> np.ndarray:
         return columns - basis @ (basis.T @ columns)
 
     found = []
     for name in NAMES:
-        whole = name in blind.LIBRARY_WHOLE
+        whole = name in hidden_effects.LIBRARY_WHOLE
         joints = [None] if whole else list(range(2 if name == "joint_coupling" else 1, truth.n + 1))
         for j in joints:
             columns = np.hstack([_unit(part, off) for part in directions(bare, run, name, j)])
             effect = (name.rstrip("*"), j, {})
             prior = -np.log(len(NAMES)) - np.log(len(joints))
             if columns.shape[1]:
-                found.append(Possible(blind.key(effect), blind.family(effect), float(prior), columns))
+                found.append(Possible(hidden_effects.key(effect), hidden_effects.family(effect), float(prior), columns))
     return off(np.column_stack([miss.real, miss.imag]).ravel()), found, spec.lam, truth
 
 
@@ -127,7 +127,7 @@ def _unit(columns: np.ndarray, off: Callable[[np.ndarray], np.ndarray]) -> np.nd
     return seen[:, keep] / norms[keep]
 
 
-def posterior(cell: str, seed: int) -> tuple[dict[tuple[Possible, ...], float], blind.Truth]:
+def posterior(cell: str, seed: int) -> tuple[dict[tuple[Possible, ...], float], simulator.Truth]:
     """Set of effects -> log posterior (up to a constant) for one data set, and the truth."""
     residual, possible, lam, truth = drawn(cell, seed)
     scores = [lam * (residual @ one.columns) - lam**2 / 2.0 for one in possible]
@@ -153,7 +153,7 @@ def test_ceiling(cell: str) -> None:
     for seed in range(COUNT):
         found, truth = posterior(cell, seed)
         names = {tuple(sorted(one.key for one in effects)): value for effects, value in found.items()}
-        hidden = tuple(sorted(map(blind.key, truth.effects)))
+        hidden = tuple(sorted(map(hidden_effects.key, truth.effects)))
         best = max(names, key=lambda name: names[name])
         families: dict[tuple[str, ...], float] = {}
         for effects, value in found.items():
@@ -162,7 +162,8 @@ def test_ceiling(cell: str) -> None:
         near = [name for name, value in names.items() if value > names[best] - 3.0]  # as Delta BIC <= 6
         exact.append(best == hidden)
         classes.append(
-            max(families, key=lambda family: families[family]) == tuple(sorted(map(blind.family, truth.effects)))
+            max(families, key=lambda family: families[family])
+            == tuple(sorted(map(hidden_effects.family, truth.effects)))
         )
         inside.append(hidden in near)
         sizes.append(len(near))

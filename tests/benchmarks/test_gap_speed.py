@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from doe.studies.blind.simulator import CELLS, CellSpec, case
+from doe.studies.blind.cells import CELLS, CellSpec, data_set
 from identification.gap.diagnose import diagnose
 from tests.identification.gap.test_ur10 import ARM, FILE, load
 
@@ -37,7 +37,7 @@ def scale() -> float:
 
 def test_two_hundred_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(CELLS, "speed", CellSpec(200, 8.0, effects=2, limits="paper"))
-    data = case("speed", 1)
+    data = data_set("speed", 1)
     seconds = best_of(lambda: diagnose(data.arm, data.measurements, draws=999), 3)
     print(f"\nm = 200, 4 links, 999 draws: {seconds:.2f} s, bar {3.0 * max(1.0, scale()):.2f} s")
     assert seconds <= 3.0 * max(1.0, scale())

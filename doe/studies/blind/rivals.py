@@ -1,10 +1,10 @@
-"""What else one could do about a gap: everything in the library at once, or a Gaussian process on the residuals."""
+"""Gaps to compare with: of the true model, of the whole library at once, of a Gaussian process on the residuals."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from doe.studies.blind.case import Case
+from doe.studies.blind.data_set import DataSet
 from identification.arrays import Array
 from identification.gap.fit import fit, links_start
 from identification.gap.holdout import rms_distance
@@ -13,26 +13,37 @@ from identification.gap.whitening import Rows
 from identification.model import Model
 
 
-def library_gap(case: Case) -> float:
+def true_gap(data: DataSet) -> float:
+    """Held-out gap [mm] of the true model, fitted to the rows that are not outliers."""
+    assert data.holdout is not None
+    model = Model(data.arm.with_effects(*data.arm.effects, *data.specs))
+    kept = np.ones(len(data.measurements), dtype=bool)
+    kept[[row - 1 for row in data.wrong_rows]] = False
+    rows, fresh = Rows.of(data.measurements).pick(kept), Rows.of(data.holdout)
+    values = fit(model, rows, links_start(model, rows)).values
+    return rms_distance(fresh.positions - model.position(fresh.postures, values, fresh.conditions))
+
+
+def library_gap(data: DataSet) -> float:
     """Held-out gap [mm] of the model with every effect of the library; orders of ripple and single joints left out."""
-    assert case.holdout is not None
-    library = hypotheses(case.arm, case.measurements.given)
+    assert data.holdout is not None
+    library = hypotheses(data.arm, data.measurements.given)
     specs = (h.spec for h in library.unscanned if not h.key.startswith("joint_compliance:"))
-    return rms_distance(_missed(case, Model(case.arm.with_effects(*specs)))[1])
+    return rms_distance(_missed(data, Model(data.arm.with_effects(*specs)))[1])
 
 
-def process_gap(case: Case) -> float:
+def process_gap(data: DataSet) -> float:
     """Held-out gap [mm] of the base model corrected by a Gaussian process of its residuals."""
-    assert case.holdout is not None
-    residual, fresh = _missed(case, Model(case.arm))
-    guess = gaussian_process(case.measurements.postures, residual, case.holdout.postures)
+    assert data.holdout is not None
+    residual, fresh = _missed(data, Model(data.arm))
+    guess = gaussian_process(data.measurements.postures, residual, data.holdout.postures)
     return rms_distance(fresh - guess)
 
 
-def _missed(case: Case, model: Model) -> tuple[Array, Array]:
+def _missed(data: DataSet, model: Model) -> tuple[Array, Array]:
     """Residuals of a fitted model on the data and on the hold-out."""
-    assert case.holdout is not None
-    rows, fresh = Rows.of(case.measurements), Rows.of(case.holdout)
+    assert data.holdout is not None
+    rows, fresh = Rows.of(data.measurements), Rows.of(data.holdout)
     values = fit(model, rows, links_start(model, rows)).values
     here = rows.positions - model.position(rows.postures, values, rows.conditions)
     return np.asarray(here), np.asarray(fresh.positions - model.position(fresh.postures, values, fresh.conditions))

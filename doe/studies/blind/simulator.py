@@ -1,19 +1,15 @@
-"""A second implementation of the arm and its effects, from identification/README.md, "Effects", in plain numpy.
+"""A second implementation of the arm and its effects in plain numpy, written from the formulas of the effect library.
 
-The blind study simulates the truth with this file; diagnosis fits with `identification.model`. Nothing here calls the
-model or its effects. Positions are complex numbers x + iy in millimetres.
-
-The study that uses it: armcal study blind.
+The blind study simulates the truth with this file; the diagnosis fits with `identification.model`. Nothing here calls
+the model or its effects, and a test checks that. Positions are complex numbers x + iy in millimetres.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from doe.studies.blind.case import Case
-from identification.arm import Arm, EffectSpec, Gravity
 from identification.measurements import Measurements
 
 G = 9.81
@@ -188,120 +184,6 @@ def position(truth: Truth, run: Session) -> np.ndarray:
     return p
 
 
-def directions_of(name: str, n: int, rng: np.random.Generator) -> dict:
-    """A random direction in an effect's parameter space; scaled afterwards."""
-    phase = rng.uniform(0, 2 * np.pi)
-    pair = (np.cos(phase), np.sin(phase))
-    if name in ("encoder_eccentricity", "encoder_second_harmonic", "axes_skew"):
-        return dict(zip("ab", pair, strict=True))
-    if name == "transmission_ripple":
-        return dict(zip("ab", pair, strict=True)) | {"k": int(rng.integers(3, 65))}
-    if name == "free_ripple":
-        k = rng.uniform(65, 120) if rng.random() < 0.5 else int(rng.integers(3, 60)) + 0.5
-        return dict(zip("ab", pair, strict=True)) | {"k": k}
-    if name in ("base_offset", "base_drift", "barrel"):
-        return dict(zip("xy", pair, strict=True))
-    if name == "step_drift":
-        return dict(zip("xy", pair, strict=True)) | {"at": rng.uniform(-0.3, 0.3)}
-    sign = rng.choice([-1.0, 1.0])
-    one_sign: dict[str, dict] = {
-        "joint_compliance": {"c": 1.0},
-        "joint_compliance*": {"c": rng.uniform(0.5, 1.5, n)},
-        "gear_ratio": {"e": sign},
-        "joint_coupling": {"c": sign},
-        "backlash": {"b": sign},
-        "gravity_backlash": {"b": 1.0},
-        "link_bending": {"f": 1.0},
-        "thermal_growth": {"a": sign},
-        "base_rotation_drift": {"w": sign},
-        "bump": {"h": sign, "at": rng.uniform(-2.0, 2.0), "width": rng.uniform(0.3, 0.6)},
-        "cubic": {"c": sign},
-        "cable_pull": {"c": sign},
-    }
-    return one_sign[name]
-
-
-def scaled(values: dict, factor: float) -> dict:
-    """The amplitudes times a factor; k, at and width are shapes and stay."""
-    return {name: (v if name in ("k", "at", "width") else v * factor) for name, v in values.items()}
-
-
-LIBRARY_JOINT = (
-    "joint_compliance",
-    "encoder_eccentricity",
-    "encoder_second_harmonic",
-    "transmission_ripple",
-    "gear_ratio",
-    "joint_coupling",
-    "backlash",
-    "gravity_backlash",
-)
-LIBRARY_WHOLE = (
-    "joint_compliance*",
-    "link_bending",
-    "thermal_growth",
-    "base_offset",
-    "base_drift",
-    "base_rotation_drift",
-    "axes_skew",
-)
-OUTSIDE = ("free_ripple", "bump", "cubic", "cable_pull", "step_drift")
-
-
-def column(truth: Truth, run: Session, effect: tuple[str, int | None, dict]) -> np.ndarray:
-    """(2m,) derivative of the position by the amplitude of an effect."""
-    name, j, v = effect
-    h = 1e-6
-    up = position(replace(truth, effects=[(name, j, scaled(v, h))]), run)
-    down = position(replace(truth, effects=[(name, j, scaled(v, -h))]), run)
-    d = (up - down) / (2 * h)
-    return np.column_stack([d.real, d.imag]).ravel()
-
-
-def base_jacobian(truth: Truth, run: Session) -> np.ndarray:
-    """(2m, 2n) derivative by u_j = l_j exp(i dtheta_j), real and imaginary parts: the base model is linear in them."""
-    z = np.exp(1j * np.cumsum(run.q, axis=1))
-    both = np.hstack([z, 1j * z])
-    return np.stack([both.real, both.imag], axis=1).reshape(2 * len(z), -1)
-
-
-def off(columns: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    return vector - columns @ np.linalg.lstsq(columns, vector, rcond=1e-10)[0]
-
-
-def sized(
-    truth: Truth,
-    run: Session,
-    name: str,
-    j: int | None,
-    lam: float,
-    rng: np.random.Generator,
-    others: np.ndarray | None = None,
-) -> Drawn | None:
-    """The effect with amplitude such that |column off the base Jacobian (and `others`)| = lam sigma; None if unseen."""
-    v = directions_of(name, truth.n, rng)
-    real = "joint_compliance" if name == "joint_compliance*" else name
-    d = column(truth, run, (real, j, v))
-    seen = np.linalg.norm(off(base_jacobian(truth, run) if others is None else others, d))
-    if seen < 0.02 * np.linalg.norm(d):
-        return None
-    return real, j, scaled(v, float(lam * truth.sigma / seen))
-
-
-def random_effect(truth: Truth, run: Session, lam: float, rng: np.random.Generator, name: str | None = None) -> Drawn:
-    """One effect of the library, its type at random, then its joint."""
-    while True:
-        pick = name or str(rng.choice(LIBRARY_JOINT + LIBRARY_WHOLE))
-        j = None if pick in LIBRARY_WHOLE else int(rng.integers(2 if pick == "joint_coupling" else 1, truth.n + 1))
-        found = sized(truth, run, pick, j, lam, rng)
-        if found is not None:
-            return found
-
-
-def key(effect: tuple[str, int | None, dict]) -> str:
-    return effect[0] if effect[1] is None else f"{effect[0]}:{effect[1]}"
-
-
 def noise(truth: Truth, run: Session, rng: np.random.Generator, kind: str = "white") -> np.ndarray:
     """(m,) complex noise."""
     m = len(run.q)
@@ -321,127 +203,16 @@ def noise(truth: Truth, run: Session, rng: np.random.Generator, kind: str = "whi
     return e
 
 
-# -- cases for the study ----------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class CellSpec:
-    """What is drawn in a cell of the study."""
-
-    m: int
-    lam: float | None = None
-    effects: int = 1
-    noise: str = "white"
-    limits: str = "full"  # full, some (narrow joints), paper (the paper's 4-link arm)
-    outside: bool = False
-    wrong_masses: bool = False
-    reported: bool = True  # in the full study; the others can be asked for by name
-    families: bool = True  # compliance in all joints at once among the hidden effects
-    designed: bool = False  # postures of somebody's plan instead of random ones, the same for SAME_ARM sets
-
-
-CELLS = {
-    "none m=20": CellSpec(20),
-    "none m=50": CellSpec(50),
-    "none m=200": CellSpec(200),
-    "none, joint noise": CellSpec(50, noise="joint"),
-    "none, reach noise": CellSpec(50, noise="reach"),
-    "none, serial correlation": CellSpec(50, noise="serial"),
-    "one, lambda 6, m=50": CellSpec(50, 6.0),
-    "one, lambda 6, m=200": CellSpec(200, 6.0),
-    "one, lambda 6, 4 links": CellSpec(50, 6.0, limits="paper"),
-    "one, lambda 6, no family": CellSpec(50, 6.0, families=False, reported=False),
-    "one, lambda 8, m=50": CellSpec(50, 8.0),
-    "one, lambda 8, no family": CellSpec(50, 8.0, families=False, reported=False),
-    "one, lambda 8, m=20": CellSpec(20, 8.0),
-    "one, lambda 20, m=50": CellSpec(50, 20.0),
-    "one, lambda 400, m=50": CellSpec(50, 400.0, reported=False),
-    "one, lambda 8, narrow joints": CellSpec(50, 8.0, limits="some"),
-    "one, lambda 8, wrong masses": CellSpec(50, 8.0, wrong_masses=True),
-    "two, lambda 8": CellSpec(50, 8.0, effects=2),
-    "two, lambda 8, no family": CellSpec(50, 8.0, effects=2, families=False, reported=False),
-    "outside, lambda 7": CellSpec(50, 7.0, outside=True),
-    "outside, lambda 10": CellSpec(50, 10.0, outside=True, reported=False),
-    "three outliers, lambda 8": CellSpec(50, 8.0, noise="outliers"),
-    "one, lambda 6, discriminating plan": CellSpec(50, 6.0, designed=True),
-    "one, lambda 8, discriminating plan": CellSpec(50, 8.0, designed=True),
-}
-SAME_ARM = 10  # sets in a row that share arm and plan where plans are designed: a good one takes its time
-
-GRAVITY = ("joint_compliance", "link_bending", "gravity_backlash")
-
-
-def family(effect: tuple[str, int | None, dict]) -> str:
-    return "gravity" if effect[0] in GRAVITY else effect[0]
-
-
-def truth_of(spec: CellSpec, rng: np.random.Generator) -> Truth:
-    if spec.limits != "paper":
-        return random_truth(rng, None, spec.limits)
-    truth = random_truth(rng, 4)
-    return replace(
-        truth,
-        lengths=np.array([260.0, 180.0, 120.0, 100.0]),
-        masses=np.array([12.0, 8.0, 5.0, 3.0]),
-        payload=10.0,
-        sigma=0.1,
-    )
-
-
-def hidden(spec: CellSpec, truth: Truth, run: Session, rng: np.random.Generator) -> list[tuple[str, int | None, dict]]:
-    """The effects of a case."""
-    effects: list[tuple[str, int | None, dict]] = []
-    while spec.lam is not None and len(effects) < spec.effects:
-        if spec.outside:
-            effects.append(outside_effect(truth, run, spec.lam, rng))
-            continue
-        new = random_effect(truth, run, spec.lam, rng)
-        if (spec.families or new[0] != "joint_compliance" or new[1]) and family(new) not in map(family, effects):
-            effects.append(new)
-    return effects
-
-
-def library_columns(truth: Truth, run: Session) -> np.ndarray:
-    """(2m, C) base Jacobian and the columns of every effect of the library but the ripples."""
-    pairs = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_skew": "ab"}
-    pairs |= {"base_offset": "xy", "base_drift": "xy"}
-    columns = [base_jacobian(truth, run)]
-    for name in LIBRARY_JOINT + LIBRARY_WHOLE:
-        if name == "transmission_ripple" or name.endswith("*"):
-            continue
-        first = 2 if name == "joint_coupling" else 1
-        for j in [None] if name in LIBRARY_WHOLE else range(first, truth.n + 1):
-            if name in pairs:
-                probes = [{c: float(c == one) for c in pairs[name]} for one in pairs[name]]
-            else:
-                probes = [directions_of(name, truth.n, np.random.default_rng(0))]
-            columns += [column(truth, run, (name, j, v))[:, None] for v in probes]
-    return np.hstack(columns)
-
-
-def outside_effect(truth: Truth, run: Session, lam: float, rng: np.random.Generator) -> tuple[str, int | None, dict]:
-    """An effect the library does not have, of size lam outside the span of the library."""
-    span = library_columns(truth, run)
-    while True:
-        name = str(rng.choice(OUTSIDE))
-        j = None if name == "step_drift" else int(rng.integers(1, truth.n + 1))
-        found = sized(truth, run, name, j, lam, rng, span)
-        if found is not None:
-            return found
-
-
-def place_of(effect: tuple[str, int | None, dict]) -> str:
-    return {"step_drift": "time", "barrel": "workspace"}.get(effect[0], f"joint:{effect[1]}")
-
-
-def measure(truth: Truth, run: Session, rng: np.random.Generator, kind: str) -> Measurements:
-    return recorded(truth, run, noise(truth, run, rng, kind))
-
-
 def recorded(truth: Truth, run: Session, error: np.ndarray) -> Measurements:
     """What the instrument says."""
     p = position(truth, run) + error
     order = np.arange(len(run.q), dtype=float)
     xy = np.column_stack([p.real, p.imag])
     return Measurements(run.q, xy, order, temperature=20.0 + run.warm, directions=run.s)
+
+
+def measure(truth: Truth, run: Session, rng: np.random.Generator, kind: str) -> Measurements:
+    return recorded(truth, run, noise(truth, run, rng, kind))
 
 
 def measure_more(
@@ -472,65 +243,4 @@ def measure_more(
         temperature=20.0 + np.concatenate([run.warm, added.warm]),
         directions=np.vstack([np.asarray(data.directions), s]),
         payload=np.concatenate([run.payload, added.payload]),
-    )
-
-
-def arm_of(spec: CellSpec, truth: Truth, rng: np.random.Generator) -> Arm:
-    """The arm as its maker describes it."""
-    masses = truth.masses * rng.uniform(0.7, 1.3, truth.n) if spec.wrong_masses else truth.masses
-    gravity = Gravity(np.array([0.0, -G]), masses, truth.center, truth.payload)
-    return Arm(truth.lengths, truth.lower, truth.upper, truth.sigma, gravity=gravity)
-
-
-def to_be_planned(cell: str, seed: int) -> tuple[Arm, int] | None:
-    """Arm and number of postures of a cell whose plan is designed; None where the postures are random."""
-    spec = CELLS[cell]
-    if not spec.designed:
-        return None
-    truth = shared_truth(cell, seed)
-    return arm_of(spec, truth, np.random.default_rng(0)), max(spec.m, truth.n + 4)
-
-
-def shared_truth(cell: str, seed: int) -> Truth:
-    """The arm that SAME_ARM sets in a row share."""
-    rng = np.random.default_rng([20261122, list(CELLS).index(cell), seed // SAME_ARM])
-    return truth_of(CELLS[cell], rng)
-
-
-def case(cell: str, seed: int, planned: np.ndarray | None = None) -> Case:
-    """The case of a cell; 200 fresh postures of the same session are held out.
-
-    planned : (m, n) the postures for the arm of `to_be_planned`
-    """
-    spec = CELLS[cell]
-    rng = np.random.default_rng([20261121, list(CELLS).index(cell), seed])
-    if spec.designed:
-        assert planned is not None
-        truth, postures = shared_truth(cell, seed), planned
-    else:
-        truth = truth_of(spec, rng)
-        postures = rng.uniform(truth.lower, truth.upper, (max(spec.m, truth.n + 4), truth.n))
-    run = session(truth, postures, rng)
-    truth = replace(truth, effects=hidden(spec, truth, run, rng))
-    fresh = session(truth, rng.uniform(truth.lower, truth.upper, (200, truth.n)), rng)
-    arm = arm_of(spec, truth, rng)
-    outside = [e for e in truth.effects if e[0] in OUTSIDE]
-    inside = [e for e in truth.effects if e[0] not in OUTSIDE]
-    error = noise(truth, run, rng, spec.noise)
-    data = recorded(truth, run, error)
-    wrong = np.flatnonzero(np.abs(error) > 10.0 * truth.sigma) + 1 if spec.noise == "outliers" else ()
-
-    def more(q: np.ndarray, payload: np.ndarray | None, directions: np.ndarray | None, number: int) -> Measurements:
-        later = np.random.default_rng([20261123, list(CELLS).index(cell), seed, number])
-        return measure_more(truth, run, data, q, payload, directions, later)
-
-    return Case(
-        arm,
-        data,
-        measure(truth, fresh, rng, "white") if spec.lam is not None else None,
-        tuple(key(e) for e in inside),
-        place_of(outside[0]) if outside else None,
-        tuple(EffectSpec(e[0], e[1], {"k": float(e[2]["k"])} if "k" in e[2] else {}) for e in inside),
-        tuple(map(int, wrong)),
-        more,
     )

@@ -19,8 +19,9 @@ import numpy as np
 from doe.jobs.row_table import Key, Row, RowTable, canonical
 from doe.jobs.tasks import run
 from doe.jobs.workers import Workers
-from doe.studies.blind import simulator
-from doe.studies.blind.case import Case
+from doe.studies.blind import cells as simulated
+from doe.studies.blind.data_set import DataSet
+from doe.studies.blind.rivals import library_gap, process_gap, true_gap
 from doe.studies.blind.score import BARS, BlindStudy, score
 from identification.errors import InputError, nearest
 from identification.gap.diagnose import diagnose
@@ -68,7 +69,7 @@ def blind_study(
         return RowTable.within(folder, name, resume=resume, force=force)
 
     with table(PLANS) as rows:
-        to_plan = [key for key in keys if simulator.to_be_planned(key["cell"], _number(key)) is not None]
+        to_plan = [key for key in keys if simulated.to_be_planned(key["cell"], _number(key)) is not None]
         run(plan, to_plan, rows, workers, progress=progress)
         plans |= {text: made[0].get("postures_deg") for text, made in rows.rows.items()}
     with table(TRUTH) as rows:
@@ -85,15 +86,15 @@ def blind_study(
 
 def _checked(cells: Sequence[str] | None) -> list[str]:
     """Names of the simulator's cells, default those of the full study."""
-    known = list(simulator.CELLS)
+    known = list(simulated.CELLS)
     for cell in cells or ():
         if cell not in known:
             raise InputError(f"cell: unknown name {cell!r}, {nearest(cell, known)}")
-    return list(cells or (cell for cell, spec in simulator.CELLS.items() if spec.reported))
+    return list(cells or (cell for cell, spec in simulated.CELLS.items() if spec.reported))
 
 
 def _keys(cell: str, count: int | None, seed: int) -> Iterator[Key]:
-    many = cell == AMBIGUOUS or simulator.CELLS[cell].designed
+    many = cell == AMBIGUOUS or simulated.CELLS[cell].designed
     total = count or (MANY_SETS if many else NULL_SETS if cell in NULLS else SETS)
     for first in range(0, total, BLOCK):
         yield {"cell": cell, "first": first, "sets": min(BLOCK, total - first), "seed": seed}
@@ -106,7 +107,7 @@ def plan(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
     from doe.problem.problem import DesignProblem
     from identification.model import Model
 
-    planned = simulator.to_be_planned(key["cell"], _number(key))
+    planned = simulated.to_be_planned(key["cell"], _number(key))
     assert planned is not None  # only such cells are tasks
     arm, runs = planned
     found = discrimination_design(DesignProblem.of(Model(arm)), arm, runs)
@@ -116,27 +117,25 @@ def plan(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
 def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[float]] | None = None) -> list[Row]:
     """What is hidden in each set of a block, and the held-out gap that knowing it would leave."""
     rows = []
-    for number, case in _cases(key, planned):
-        wrong = list(case.wrong_rows)
-        gap = None if case.holdout is None or case.place is not None else case.true_gap()
-        hidden = {"hidden": sorted(case.effects), "place": case.place, "wrong_rows": wrong, "gap_true_mm": gap}
-        rows.append({"set": number, "links": case.arm.links, **hidden})
+    for number, data in _data_sets(key, planned):
+        wrong = list(data.wrong_rows)
+        gap = None if data.holdout is None or data.place is not None else true_gap(data)
+        hidden = {"hidden": sorted(data.effects), "place": data.place, "wrong_rows": wrong, "gap_true_mm": gap}
+        rows.append({"set": number, "links": data.arm.links, **hidden})
     return rows
 
 
 def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[float]] | None = None) -> list[Row]:
     """What the diagnosis says of each set of a block."""
-    from doe.studies.blind.rivals import library_gap, process_gap
-
     rows = []
-    for number, case in _cases(key, planned):
-        found = diagnose(case.arm, case.measurements, case.holdout, seed=number, draws=key["draws"])
+    for number, data in _data_sets(key, planned):
+        found = diagnose(data.arm, data.measurements, data.holdout, seed=number, draws=key["draws"])
         row = {"set": number, **_said(found), "gap_before_mm": found.gap.held_out_before}
         row["gap_named_mm"] = found.gap.held_out_after
         if key["cell"] in COMPARED:
-            row |= {"gap_library_mm": library_gap(case), "gap_process_mm": process_gap(case)}
+            row |= {"gap_library_mm": library_gap(data), "gap_process_mm": process_gap(data)}
         if key["cell"] == AMBIGUOUS and found.verdict == "ambiguous":
-            row |= _measured_further(case, found, number, key["draws"])
+            row |= _measured_further(data, found, number, key["draws"])
         rows.append(row)
     return rows
 
@@ -152,39 +151,39 @@ def _said(found: Diagnosis) -> Row:
     }
 
 
-def _measured_further(case: Case, found: Diagnosis, number: int, draws: int) -> Row:
+def _measured_further(data: DataSet, found: Diagnosis, number: int, draws: int) -> Row:
     """The ambiguous set again after 2 and 8 more postures: chosen ones, with a choice of payload, and random ones."""
     row: Row = {}
-    payload = 0.0 if case.arm.gravity is None else case.arm.gravity.payload
+    payload = 0.0 if data.arm.gravity is None else data.arm.gravity.payload
     for runs in (2, 8):
         for how, payloads in (("next", None), ("loaded", (0.0, payload)), ("random", None)):
-            data, chance = _appended(case, found, runs, how == "random", payloads, number)
-            again = diagnose(case.arm, data, seed=number, draws=draws)
+            longer, chance = _appended(data, found, runs, how == "random", payloads, number)
+            again = diagnose(data.arm, longer, seed=number, draws=draws)
             name = f"{how}_{runs}"
             row |= {f"{name}_verdict": again.verdict, f"{name}_named": sorted(again.effects), f"{name}_chance": chance}
     return row
 
 
 def _appended(
-    case: Case, found: Diagnosis, runs: int, random: bool, payloads: tuple[float, ...] | None, number: int
+    data: DataSet, found: Diagnosis, runs: int, random: bool, payloads: tuple[float, ...] | None, number: int
 ) -> tuple[Any, float | None]:
     from doe.discrimination.t_optimal import discriminate
 
-    assert case.more is not None
+    assert data.more is not None
     if random:
         generator = np.random.default_rng([20261124, number, runs])
-        postures = generator.uniform(case.arm.lower, case.arm.upper, (runs, case.arm.links))
-        return case.more(postures, None, None, runs), None
-    best = discriminate(case.arm, found, case.measurements, runs, seed=number, payloads=payloads)
-    return case.more(best.plan.postures, best.payload, best.directions, runs), best.chance
+        postures = generator.uniform(data.arm.lower, data.arm.upper, (runs, data.arm.links))
+        return data.more(postures, None, None, runs), None
+    best = discriminate(data.arm, found, data.measurements, runs, seed=number, payloads=payloads)
+    return data.more(best.plan.postures, best.payload, best.directions, runs), best.chance
 
 
-# -- cases -------------------------------------------------------------------------------------------------------------
-def _cases(key: dict[str, Any], planned: list[list[float]] | None) -> Iterator[tuple[int, Case]]:
-    """Number and case of every set of a block."""
+# -- data sets ---------------------------------------------------------------------------------------------------------
+def _data_sets(key: dict[str, Any], planned: list[list[float]] | None) -> Iterator[tuple[int, DataSet]]:
+    """Number and data of every set of a block."""
     postures = None if planned is None else np.radians(planned)
     for k in range(key["sets"]):
-        yield key["first"] + k, simulator.case(key["cell"], _number(key) + k, postures)
+        yield key["first"] + k, simulated.data_set(key["cell"], _number(key) + k, postures)
 
 
 def _number(key: Key) -> int:

@@ -17,7 +17,9 @@ from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from doe.solvers.solver import Budget
-from doe.studies.blind.simulator import CELLS, Truth, arm_of, base_jacobian, column, session, truth_of
+from doe.studies.blind.cells import CELLS, arm_of, truth_of
+from doe.studies.blind.hidden_effects import base_jacobian, column
+from doe.studies.blind.simulator import Truth, session
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.errors import InputError
 from identification.model import Model

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from doe.studies.blind import simulator as blind
+from doe.studies.blind import hidden_effects, simulator
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import library
 from identification.errors import InputError
@@ -21,11 +21,11 @@ from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 
 RNG = np.random.default_rng(11)
-TRUTH = replace(blind.random_truth(RNG, 3), sigma=0.05)
+TRUTH = replace(simulator.random_truth(RNG, 3), sigma=0.05)
 ARM = Arm(
     TRUTH.lengths,
     sigma=0.05,
-    gravity=Gravity(np.array([0.0, -blind.G]), TRUTH.masses, TRUTH.center, TRUTH.payload),
+    gravity=Gravity(np.array([0.0, -simulator.G]), TRUTH.masses, TRUTH.center, TRUTH.payload),
 )
 
 
@@ -33,13 +33,13 @@ ARM = Arm(
 def measured(name: str | None, seed: int = 1, m: int = 60, **changes: object) -> Measurements:
     """Data with one clear effect (lambda = 25) at joint 2, or none."""
     rng = np.random.default_rng(seed)
-    run = blind.session(TRUTH, rng.uniform(-np.pi, np.pi, (m, 3)), rng)
+    run = simulator.session(TRUTH, rng.uniform(-np.pi, np.pi, (m, 3)), rng)
     effects = []
     if name:
-        joint = None if name in blind.LIBRARY_WHOLE or name == "step_drift" else 2
-        others = blind.library_columns(TRUTH, run) if name in blind.OUTSIDE else None
-        effects = [blind.sized(TRUTH, run, name, joint, 25.0, np.random.default_rng(7), others)]
-    return blind.measure(replace(TRUTH, effects=effects), run, rng, "white")
+        joint = None if name in hidden_effects.LIBRARY_WHOLE or name == "step_drift" else 2
+        others = hidden_effects.library_columns(TRUTH, run) if name in hidden_effects.OUTSIDE else None
+        effects = [hidden_effects.sized(TRUTH, run, name, joint, 25.0, np.random.default_rng(7), others)]
+    return simulator.measure(replace(TRUTH, effects=effects), run, rng, "white")
 
 
 @cache
@@ -47,13 +47,17 @@ def diagnosed(name: str | None) -> Diagnosis:
     return diagnose(ARM, measured(name), draws=399)
 
 
-CLEAR = [n for n in (*blind.LIBRARY_JOINT, *blind.LIBRARY_WHOLE) if n not in ("joint_compliance*", "joint_compliance")]
+CLEAR = [
+    n
+    for n in (*hidden_effects.LIBRARY_JOINT, *hidden_effects.LIBRARY_WHOLE)
+    if n not in ("joint_compliance*", "joint_compliance")
+]
 
 
 @pytest.mark.parametrize("name", CLEAR)
 def test_names_a_clear_effect_and_the_extended_arm_has_nothing_missing(name: str) -> None:
     found = diagnosed(name)
-    joint = None if name in blind.LIBRARY_WHOLE else 2
+    joint = None if name in hidden_effects.LIBRARY_WHOLE else 2
     assert found.effects == (name if joint is None else f"{name}:2",)
     assert found.gap.rms_after < found.gap.rms_before
     again = diagnose(found.extended_arm(), measured(name), draws=399)
@@ -63,8 +67,8 @@ def test_names_a_clear_effect_and_the_extended_arm_has_nothing_missing(name: str
 def test_estimate_is_near_the_truth() -> None:
     found = diagnosed("transmission_ripple")
     rng = np.random.default_rng(1)
-    run = blind.session(TRUTH, rng.uniform(-np.pi, np.pi, (60, 3)), rng)
-    _, _, values = blind.sized(TRUTH, run, "transmission_ripple", 2, 25.0, np.random.default_rng(7))
+    run = simulator.session(TRUTH, rng.uniform(-np.pi, np.pi, (60, 3)), rng)
+    _, _, values = hidden_effects.sized(TRUTH, run, "transmission_ripple", 2, 25.0, np.random.default_rng(7))
     assert found.named.specs[0].values["k"] == values["k"]
     for estimate in found.named.parameters:
         truth = np.degrees(values[estimate.name[-1]])
@@ -75,10 +79,10 @@ def test_estimate_is_near_the_truth() -> None:
 def rippled(m: int = 120) -> Measurements:
     """Two ripples at joint 2 and one at joint 1, plain waves of some 0.05 deg in noise of 0.05 mm."""
     rng = np.random.default_rng(21)
-    run = blind.session(TRUTH, rng.uniform(-np.pi, np.pi, (m, 3)), rng)
+    run = simulator.session(TRUTH, rng.uniform(-np.pi, np.pi, (m, 3)), rng)
     waves = [(2, 20, 9e-4, 0.0), (1, 12, 4e-4, 4e-4), (2, 29, 0.0, -8e-4)]
     effects = [("transmission_ripple", j, {"k": k, "a": a, "b": b}) for j, k, a, b in waves]
-    return blind.measure(replace(TRUTH, effects=effects), run, rng, "white")
+    return simulator.measure(replace(TRUTH, effects=effects), run, rng, "white")
 
 
 def test_two_ripples_of_one_joint_are_named_beside_a_third() -> None:
@@ -102,9 +106,9 @@ def test_a_ripple_beside_one_that_is_in_the_arm() -> None:
 
 def test_a_wave_of_no_whole_order_is_not_two_ripples() -> None:
     rng = np.random.default_rng(22)
-    run = blind.session(TRUTH, rng.uniform(-np.pi, np.pi, (120, 3)), rng)
+    run = simulator.session(TRUTH, rng.uniform(-np.pi, np.pi, (120, 3)), rng)
     wave = ("free_ripple", 2, {"k": 20.5, "a": 6e-4, "b": 6e-4})
-    found = diagnose(ARM, blind.measure(replace(TRUTH, effects=[wave]), run, rng, "white"), draws=399)
+    found = diagnose(ARM, simulator.measure(replace(TRUTH, effects=[wave]), run, rng, "white"), draws=399)
     assert (found.verdict, found.where, found.effects) == ("unknown", "joint:2", ())
 
 
@@ -265,9 +269,9 @@ def test_poor_data_do_not_crash() -> None:
     data = measured(None)
     still = data.postures.copy()
     still[:, 1] = 0.3
-    run = blind.Session(still, data.order, data.temperature, data.directions, np.full(60, TRUTH.payload))
+    run = simulator.Session(still, data.order, data.temperature, data.directions, np.full(60, TRUTH.payload))
     truth = replace(TRUTH, effects=[])
-    p = blind.position(truth, run) + 0.05 * np.random.default_rng(1).normal(size=(60, 2)) @ [1.0, 1.0j]
+    p = simulator.position(truth, run) + 0.05 * np.random.default_rng(1).normal(size=(60, 2)) @ [1.0, 1.0j]
     found = diagnose(ARM, Measurements(still, np.column_stack([p.real, p.imag])), draws=399)
     assert found.verdict == "none"
     assert any("joint 2 never moves" in note for note in found.notes)
@@ -317,10 +321,10 @@ def test_a_users_own_effect_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(base._LIBRARY, "cable_square", Square)
     assert "cable_square" in library()
     data = measured(None)
-    p = blind.position(TRUTH, blind.session(TRUTH, data.postures, np.random.default_rng(0)))
+    p = simulator.position(TRUTH, simulator.session(TRUTH, data.postures, np.random.default_rng(0)))
     theta = data.postures.copy()
     theta[:, 1] += 5e-4 * theta[:, 1] ** 2
-    p = blind.position(TRUTH, blind.session(TRUTH, theta, np.random.default_rng(0)))
+    p = simulator.position(TRUTH, simulator.session(TRUTH, theta, np.random.default_rng(0)))
     positions = np.column_stack([p.real, p.imag]) + 0.05 * np.random.default_rng(2).normal(size=(60, 2))
     found = diagnose(ARM, replace(data, positions=positions), draws=399)
     assert "cable_square:2" in [c.effects[0] for c in found.candidates]
@@ -351,9 +355,9 @@ def test_on_a_grid_the_ripples_that_an_effect_imitates_are_told() -> None:
     """On steps of 10 degrees k and 36 - k periods have the same cosine and opposite sines: one column space."""
     rng = np.random.default_rng(3)
     q = np.radians(10.0) * rng.integers(-18, 18, (60, 3))
-    run = blind.session(TRUTH, q, rng)
+    run = simulator.session(TRUTH, q, rng)
     truth = replace(TRUTH, effects=[("transmission_ripple", 2, {"k": 35, "a": 8e-4, "b": 6e-4})])
-    found = diagnose(ARM, blind.measure(truth, run, rng, "white"), draws=399)
+    found = diagnose(ARM, simulator.measure(truth, run, rng, "white"), draws=399)
     assert found.effects == ("encoder_eccentricity:2",)
     like = {other: alike for own, other, alike in found.aliases if own == "encoder_eccentricity:2"}
     assert like["transmission_ripple:2 (k = 35)"] == pytest.approx(1.0)

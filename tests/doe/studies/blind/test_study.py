@@ -17,6 +17,7 @@ import pytest
 
 from doe.jobs.row_table import frame_of
 from doe.report.blind import blind_tables, matrix
+from doe.studies.blind import cells
 from doe.studies.blind import study as blind
 from doe.studies.blind.rivals import gaussian_process
 from doe.studies.blind.score import Bar, BlindStudy, score
@@ -198,11 +199,10 @@ def test_the_seed_moves_the_data_and_nothing_else_does() -> None:
 
 
 def test_designed_plans_are_shared_by_neighbouring_sets() -> None:
-    simulator = blind.simulator
     cell = "one, lambda 6, discriminating plan"
-    arm, runs = simulator.to_be_planned(cell, 0)
+    arm, runs = cells.to_be_planned(cell, 0)
     postures = np.random.default_rng(1).uniform(arm.lower, arm.upper, (runs, arm.links))
-    one, two = (simulator.case(cell, seed, postures) for seed in (0, 1))
+    one, two = (cells.data_set(cell, seed, postures) for seed in (0, 1))
     np.testing.assert_array_equal(one.arm.lengths, arm.lengths)
     np.testing.assert_array_equal(one.measurements.postures, two.measurements.postures)
     assert one.effects != two.effects or not np.allclose(one.measurements.positions, two.measurements.positions)

@@ -1,0 +1,156 @@
+"""The cells of the blind study, and how each of their data sets is drawn. Plain numpy, no model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from doe.studies.blind.data_set import DataSet
+from doe.studies.blind.hidden_effects import OUTSIDE, family, key, outside_effect, place_of, random_effect
+from doe.studies.blind.simulator import (
+    Drawn,
+    G,
+    Session,
+    Truth,
+    measure,
+    measure_more,
+    noise,
+    random_truth,
+    recorded,
+    session,
+)
+from identification.arm import Arm, EffectSpec, Gravity
+from identification.measurements import Measurements
+
+
+@dataclass(frozen=True)
+class CellSpec:
+    """What is drawn in a cell of the study."""
+
+    m: int
+    lam: float | None = None
+    effects: int = 1
+    noise: str = "white"
+    limits: str = "full"  # full, some (narrow joints), paper (the paper's 4-link arm)
+    outside: bool = False
+    wrong_masses: bool = False
+    reported: bool = True  # in the full study; the others can be asked for by name
+    families: bool = True  # compliance in all joints at once among the hidden effects
+    designed: bool = False  # postures of somebody's plan instead of random ones, the same for SAME_ARM sets
+
+
+CELLS = {
+    "none m=20": CellSpec(20),
+    "none m=50": CellSpec(50),
+    "none m=200": CellSpec(200),
+    "none, joint noise": CellSpec(50, noise="joint"),
+    "none, reach noise": CellSpec(50, noise="reach"),
+    "none, serial correlation": CellSpec(50, noise="serial"),
+    "one, lambda 6, m=50": CellSpec(50, 6.0),
+    "one, lambda 6, m=200": CellSpec(200, 6.0),
+    "one, lambda 6, 4 links": CellSpec(50, 6.0, limits="paper"),
+    "one, lambda 6, no family": CellSpec(50, 6.0, families=False, reported=False),
+    "one, lambda 8, m=50": CellSpec(50, 8.0),
+    "one, lambda 8, no family": CellSpec(50, 8.0, families=False, reported=False),
+    "one, lambda 8, m=20": CellSpec(20, 8.0),
+    "one, lambda 20, m=50": CellSpec(50, 20.0),
+    "one, lambda 400, m=50": CellSpec(50, 400.0, reported=False),
+    "one, lambda 8, narrow joints": CellSpec(50, 8.0, limits="some"),
+    "one, lambda 8, wrong masses": CellSpec(50, 8.0, wrong_masses=True),
+    "two, lambda 8": CellSpec(50, 8.0, effects=2),
+    "two, lambda 8, no family": CellSpec(50, 8.0, effects=2, families=False, reported=False),
+    "outside, lambda 7": CellSpec(50, 7.0, outside=True),
+    "outside, lambda 10": CellSpec(50, 10.0, outside=True, reported=False),
+    "three outliers, lambda 8": CellSpec(50, 8.0, noise="outliers"),
+    "one, lambda 6, discriminating plan": CellSpec(50, 6.0, designed=True),
+    "one, lambda 8, discriminating plan": CellSpec(50, 8.0, designed=True),
+}
+SAME_ARM = 10  # sets in a row that share arm and plan where plans are designed: a good one takes its time
+
+
+def truth_of(spec: CellSpec, rng: np.random.Generator) -> Truth:
+    if spec.limits != "paper":
+        return random_truth(rng, None, spec.limits)
+    truth = random_truth(rng, 4)
+    return replace(
+        truth,
+        lengths=np.array([260.0, 180.0, 120.0, 100.0]),
+        masses=np.array([12.0, 8.0, 5.0, 3.0]),
+        payload=10.0,
+        sigma=0.1,
+    )
+
+
+def hidden(spec: CellSpec, truth: Truth, run: Session, rng: np.random.Generator) -> list[Drawn]:
+    """The effects of a data set."""
+    effects: list[Drawn] = []
+    while spec.lam is not None and len(effects) < spec.effects:
+        if spec.outside:
+            effects.append(outside_effect(truth, run, spec.lam, rng))
+            continue
+        new = random_effect(truth, run, spec.lam, rng)
+        if (spec.families or new[0] != "joint_compliance" or new[1]) and family(new) not in map(family, effects):
+            effects.append(new)
+    return effects
+
+
+def arm_of(spec: CellSpec, truth: Truth, rng: np.random.Generator) -> Arm:
+    """The arm as its maker describes it."""
+    masses = truth.masses * rng.uniform(0.7, 1.3, truth.n) if spec.wrong_masses else truth.masses
+    gravity = Gravity(np.array([0.0, -G]), masses, truth.center, truth.payload)
+    return Arm(truth.lengths, truth.lower, truth.upper, truth.sigma, gravity=gravity)
+
+
+def to_be_planned(cell: str, seed: int) -> tuple[Arm, int] | None:
+    """Arm and number of postures of a cell whose plan is designed; None where the postures are random."""
+    spec = CELLS[cell]
+    if not spec.designed:
+        return None
+    truth = shared_truth(cell, seed)
+    return arm_of(spec, truth, np.random.default_rng(0)), max(spec.m, truth.n + 4)
+
+
+def shared_truth(cell: str, seed: int) -> Truth:
+    """The arm that SAME_ARM sets in a row share."""
+    rng = np.random.default_rng([20261122, list(CELLS).index(cell), seed // SAME_ARM])
+    return truth_of(CELLS[cell], rng)
+
+
+def data_set(cell: str, seed: int, planned: np.ndarray | None = None) -> DataSet:
+    """Data set number `seed` of a cell; 200 fresh postures of the same session are held out.
+
+    planned : (m, n) the postures for the arm of `to_be_planned`
+    """
+    spec = CELLS[cell]
+    rng = np.random.default_rng([20261121, list(CELLS).index(cell), seed])
+    if spec.designed:
+        assert planned is not None
+        truth, postures = shared_truth(cell, seed), planned
+    else:
+        truth = truth_of(spec, rng)
+        postures = rng.uniform(truth.lower, truth.upper, (max(spec.m, truth.n + 4), truth.n))
+    run = session(truth, postures, rng)
+    truth = replace(truth, effects=hidden(spec, truth, run, rng))
+    fresh = session(truth, rng.uniform(truth.lower, truth.upper, (200, truth.n)), rng)
+    arm = arm_of(spec, truth, rng)
+    outside = [e for e in truth.effects if e[0] in OUTSIDE]
+    inside = [e for e in truth.effects if e[0] not in OUTSIDE]
+    error = noise(truth, run, rng, spec.noise)
+    data = recorded(truth, run, error)
+    wrong = np.flatnonzero(np.abs(error) > 10.0 * truth.sigma) + 1 if spec.noise == "outliers" else ()
+
+    def more(q: np.ndarray, payload: np.ndarray | None, directions: np.ndarray | None, number: int) -> Measurements:
+        later = np.random.default_rng([20261123, list(CELLS).index(cell), seed, number])
+        return measure_more(truth, run, data, q, payload, directions, later)
+
+    return DataSet(
+        arm,
+        data,
+        measure(truth, fresh, rng, "white") if spec.lam is not None else None,
+        tuple(key(e) for e in inside),
+        place_of(outside[0]) if outside else None,
+        tuple(EffectSpec(e[0], e[1], {"k": float(e[2]["k"])} if "k" in e[2] else {}) for e in inside),
+        tuple(map(int, wrong)),
+        more,
+    )

@@ -1,0 +1,160 @@
+"""Hidden effects drawn at random with a given size lambda, those of the library and others. Plain numpy, no model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from doe.studies.blind.simulator import Drawn, Session, Truth, position
+
+LIBRARY_JOINT = (
+    "joint_compliance",
+    "encoder_eccentricity",
+    "encoder_second_harmonic",
+    "transmission_ripple",
+    "gear_ratio",
+    "joint_coupling",
+    "backlash",
+    "gravity_backlash",
+)
+LIBRARY_WHOLE = (
+    "joint_compliance*",
+    "link_bending",
+    "thermal_growth",
+    "base_offset",
+    "base_drift",
+    "base_rotation_drift",
+    "axes_skew",
+)
+OUTSIDE = ("free_ripple", "bump", "cubic", "cable_pull", "step_drift")
+GRAVITY = ("joint_compliance", "link_bending", "gravity_backlash")
+
+
+def directions_of(name: str, n: int, rng: np.random.Generator) -> dict:
+    """A random direction in an effect's parameter space; scaled afterwards."""
+    phase = rng.uniform(0, 2 * np.pi)
+    pair = (np.cos(phase), np.sin(phase))
+    if name in ("encoder_eccentricity", "encoder_second_harmonic", "axes_skew"):
+        return dict(zip("ab", pair, strict=True))
+    if name == "transmission_ripple":
+        return dict(zip("ab", pair, strict=True)) | {"k": int(rng.integers(3, 65))}
+    if name == "free_ripple":
+        k = rng.uniform(65, 120) if rng.random() < 0.5 else int(rng.integers(3, 60)) + 0.5
+        return dict(zip("ab", pair, strict=True)) | {"k": k}
+    if name in ("base_offset", "base_drift", "barrel"):
+        return dict(zip("xy", pair, strict=True))
+    if name == "step_drift":
+        return dict(zip("xy", pair, strict=True)) | {"at": rng.uniform(-0.3, 0.3)}
+    sign = rng.choice([-1.0, 1.0])
+    one_sign: dict[str, dict] = {
+        "joint_compliance": {"c": 1.0},
+        "joint_compliance*": {"c": rng.uniform(0.5, 1.5, n)},
+        "gear_ratio": {"e": sign},
+        "joint_coupling": {"c": sign},
+        "backlash": {"b": sign},
+        "gravity_backlash": {"b": 1.0},
+        "link_bending": {"f": 1.0},
+        "thermal_growth": {"a": sign},
+        "base_rotation_drift": {"w": sign},
+        "bump": {"h": sign, "at": rng.uniform(-2.0, 2.0), "width": rng.uniform(0.3, 0.6)},
+        "cubic": {"c": sign},
+        "cable_pull": {"c": sign},
+    }
+    return one_sign[name]
+
+
+def scaled(values: dict, factor: float) -> dict:
+    """The amplitudes times a factor; k, at and width are shapes and stay."""
+    return {name: (v if name in ("k", "at", "width") else v * factor) for name, v in values.items()}
+
+
+def column(truth: Truth, run: Session, effect: tuple[str, int | None, dict]) -> np.ndarray:
+    """(2m,) derivative of the position by the amplitude of an effect."""
+    name, j, v = effect
+    h = 1e-6
+    up = position(replace(truth, effects=[(name, j, scaled(v, h))]), run)
+    down = position(replace(truth, effects=[(name, j, scaled(v, -h))]), run)
+    d = (up - down) / (2 * h)
+    return np.column_stack([d.real, d.imag]).ravel()
+
+
+def base_jacobian(truth: Truth, run: Session) -> np.ndarray:
+    """(2m, 2n) derivative by u_j = l_j exp(i dtheta_j), real and imaginary parts: the base model is linear in them."""
+    z = np.exp(1j * np.cumsum(run.q, axis=1))
+    both = np.hstack([z, 1j * z])
+    return np.stack([both.real, both.imag], axis=1).reshape(2 * len(z), -1)
+
+
+def off(columns: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    return vector - columns @ np.linalg.lstsq(columns, vector, rcond=1e-10)[0]
+
+
+def sized(
+    truth: Truth,
+    run: Session,
+    name: str,
+    j: int | None,
+    lam: float,
+    rng: np.random.Generator,
+    others: np.ndarray | None = None,
+) -> Drawn | None:
+    """The effect with amplitude such that |column off the base Jacobian (and `others`)| = lam sigma; None if unseen."""
+    v = directions_of(name, truth.n, rng)
+    real = "joint_compliance" if name == "joint_compliance*" else name
+    d = column(truth, run, (real, j, v))
+    seen = np.linalg.norm(off(base_jacobian(truth, run) if others is None else others, d))
+    if seen < 0.02 * np.linalg.norm(d):
+        return None
+    return real, j, scaled(v, float(lam * truth.sigma / seen))
+
+
+def random_effect(truth: Truth, run: Session, lam: float, rng: np.random.Generator, name: str | None = None) -> Drawn:
+    """One effect of the library, its type at random, then its joint."""
+    while True:
+        pick = name or str(rng.choice(LIBRARY_JOINT + LIBRARY_WHOLE))
+        j = None if pick in LIBRARY_WHOLE else int(rng.integers(2 if pick == "joint_coupling" else 1, truth.n + 1))
+        found = sized(truth, run, pick, j, lam, rng)
+        if found is not None:
+            return found
+
+
+def library_columns(truth: Truth, run: Session) -> np.ndarray:
+    """(2m, C) base Jacobian and the columns of every effect of the library but the ripples."""
+    pairs = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_skew": "ab"}
+    pairs |= {"base_offset": "xy", "base_drift": "xy"}
+    columns = [base_jacobian(truth, run)]
+    for name in LIBRARY_JOINT + LIBRARY_WHOLE:
+        if name == "transmission_ripple" or name.endswith("*"):
+            continue
+        first = 2 if name == "joint_coupling" else 1
+        for j in [None] if name in LIBRARY_WHOLE else range(first, truth.n + 1):
+            if name in pairs:
+                probes = [{c: float(c == one) for c in pairs[name]} for one in pairs[name]]
+            else:
+                probes = [directions_of(name, truth.n, np.random.default_rng(0))]
+            columns += [column(truth, run, (name, j, v))[:, None] for v in probes]
+    return np.hstack(columns)
+
+
+def outside_effect(truth: Truth, run: Session, lam: float, rng: np.random.Generator) -> tuple[str, int | None, dict]:
+    """An effect the library does not have, of size lam outside the span of the library."""
+    span = library_columns(truth, run)
+    while True:
+        name = str(rng.choice(OUTSIDE))
+        j = None if name == "step_drift" else int(rng.integers(1, truth.n + 1))
+        found = sized(truth, run, name, j, lam, rng, span)
+        if found is not None:
+            return found
+
+
+def key(effect: tuple[str, int | None, dict]) -> str:
+    return effect[0] if effect[1] is None else f"{effect[0]}:{effect[1]}"
+
+
+def family(effect: tuple[str, int | None, dict]) -> str:
+    return "gravity" if effect[0] in GRAVITY else effect[0]
+
+
+def place_of(effect: tuple[str, int | None, dict]) -> str:
+    return {"step_drift": "time", "barrel": "workspace"}.get(effect[0], f"joint:{effect[1]}")
