@@ -12,9 +12,11 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
+from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint, chain_parameters, of_effects
 
 MAX_LINKS = 12
 # what files may say: beyond these, squares overflow and sines of angles are noise
@@ -86,19 +88,57 @@ class EffectSpec(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class Calibration(ByValue):
-    """What an identification found; written by `armcal identify --out`."""
+    """What an identification found; written by `armcal identify --out`.
 
-    length_errors: Array  # (n,) [mm]
-    joint_offsets: Array  # (n,) [rad]
-    effects: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))  # "effect:joint.parameter"
-    parameter_names: tuple[str, ...] = ()  # order of the covariance
-    covariance: Array | None = None  # (p, p), API units
+    values : parameter name -> value [API units]: `length_error:1`, `joint_offset:1`, `effect:joint.parameter`, ...
+    parameter_names : (p) order of the covariance;  covariance : (p, p) [API units]
+    """
+
+    values: Mapping[str, float]
+    parameter_names: tuple[str, ...] = ()
+    covariance: Array | None = None
     provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        for name in ("length_errors", "joint_offsets", "covariance"):
-            if (value := getattr(self, name)) is not None:
-                object.__setattr__(self, name, readonly(value))
+        object.__setattr__(self, "values", MappingProxyType({k: float(v) for k, v in self.values.items()}))
+        if self.covariance is not None:
+            object.__setattr__(self, "covariance", readonly(self.covariance))
+
+    @classmethod
+    def of(
+        cls,
+        length_errors: ArrayLike,
+        joint_offsets: ArrayLike,
+        effects: Mapping[str, float] = MappingProxyType({}),
+        parameter_names: tuple[str, ...] = (),
+        covariance: Array | None = None,
+        provenance: Mapping[str, Any] = MappingProxyType({}),
+    ) -> Calibration:
+        """From (n,) length errors [mm] and (n,) joint offsets [rad] of a planar arm, and values of its effects.
+
+        Raises `InputError` if the two differ in number.
+        """
+        errors, offsets = np.ravel(length_errors), np.ravel(joint_offsets)
+        found = f"calibration: found {len(errors)} length errors and {len(offsets)} joint offsets"
+        _require(len(errors) == len(offsets), f"{found}, allowed: one of each for every joint")
+        chain = chain_parameters(np.ones(len(errors)))
+        values = chain.mapping(np.r_[errors, offsets]) | dict(effects)
+        return cls(values, parameter_names, covariance, provenance)
+
+    @property
+    def length_errors(self) -> Array:
+        """(n,) [mm]."""
+        return by_joint(self.values, LENGTH_ERROR)
+
+    @property
+    def joint_offsets(self) -> Array:
+        """(n,) [rad]."""
+        return by_joint(self.values, JOINT_OFFSET)
+
+    @property
+    def effects(self) -> dict[str, float]:
+        """Values of the effects' parameters."""
+        return of_effects(self.values)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,10 +22,9 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.effects import Chain, Effect, build_all, known_values
 from identification.errors import InputError
-from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, ParameterSet
+from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, ParameterSet, chain_parameters
 from identification.kinematics.planar import (
     DIMENSION,
-    chain_parameters,
     joint_points,
     rotate,
     symbolic_chain,
@@ -75,9 +74,9 @@ class Model:
 
     def _best_lengths(self) -> Array:
         """(n,) best known link lengths [mm]: nominal plus calibrated or known errors, as far as anything is left."""
-        names = [p.name for p in chain_parameters(self.arm.lengths) if p.kind == LENGTH_ERROR]
-        errors = self._calibrated() | dict(self.known or {})
-        best = self.arm.lengths + np.array([errors.get(name, 0.0) for name in names])
+        chain = chain_parameters(self.arm.lengths)
+        errors = chain.vector(self._calibrated() | dict(self.known or {}))[chain.indices(LENGTH_ERROR)]
+        best = self.arm.lengths + errors
         return np.where(best == 0.0, self.arm.lengths, np.abs(best))
 
     @cached_property
@@ -130,11 +129,7 @@ class Model:
         return self.parameters.vector(self._calibrated())
 
     def _calibrated(self) -> dict[str, float]:
-        calibration = self.arm.calibration
-        if calibration is None:
-            return {}
-        chain = chain_parameters(self.arm.lengths)
-        return chain.mapping(np.r_[calibration.length_errors, calibration.joint_offsets]) | dict(calibration.effects)
+        return {} if self.arm.calibration is None else dict(self.arm.calibration.values)
 
     @property
     def needs(self) -> frozenset[str]:

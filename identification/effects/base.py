@@ -55,13 +55,13 @@ class Chain:
     @cached_property
     def loads(self) -> list[tuple[ca.SX, int, float | None]]:
         """(mass [kg], link index, fraction along that link) of every mass; the payload sits at the tip."""
-        gravity = self._gravity()
+        gravity = self.required_gravity
         masses = [(ca.SX(m), k, float(gravity.center_of_mass[k])) for k, m in enumerate(gravity.link_masses)]
         return [*masses, (self.payload, self.links - 1, 1.0)]
 
     def load_moment(self, link: int, fraction: float, beyond: int) -> ca.SX:
         """Moment [N m] of all loads on links >= `beyond` about the point at `fraction` of `link`, nominal pose."""
-        ax, ay = (float(a) for a in self._gravity().acceleration)
+        ax, ay = (float(a) for a in self.required_gravity.acceleration)
         pivot = self._point(link, fraction)
         moment = ca.SX(0)
         for mass, k, at in self.loads:
@@ -73,14 +73,16 @@ class Chain:
     def load_force(self, beyond: int) -> ca.SX:
         """(2,) force [N] of all loads on links >= `beyond`."""
         total = sum((mass for mass, k, _ in self.loads if k >= beyond), ca.SX(0))
-        return total * ca.DM(self._gravity().acceleration)
+        return total * ca.DM(self.required_gravity.acceleration)
 
     @cached_property
     def torques(self) -> ca.SX:
         """(n,) gravity torques tau_j about joints j [N m] at the posture (identification/README.md, "Effects")."""
         return ca.vertcat(*(self.load_moment(j, 0.0, beyond=j) for j in range(self.links)))
 
-    def _gravity(self) -> Gravity:
+    @property
+    def required_gravity(self) -> Gravity:
+        """The arm's gravity data; raises `InputError` where there are none."""
         if self.gravity is None:
             raise InputError("gravity: this effect needs gravity torques, add a [gravity] table to the arm file")
         return self.gravity
@@ -143,14 +145,16 @@ class Effect:
     @property
     def link_length(self) -> float:
         """Length of the link behind this effect's joint [mm]."""
-        return float(self.lengths[self._index()])
+        return float(self.lengths[self.joint_index])
 
     @property
     def reach(self) -> float:
         """Length of the stretched arm [mm]."""
         return float(np.sum(self.lengths))
 
-    def _index(self) -> int:
+    @property
+    def joint_index(self) -> int:
+        """The joint from 0, for arrays; raises `InputError` for an effect of the whole arm."""
         if self.joint is None:
             raise InputError(f"effects: {self.name} needs a joint, allowed: 1 to {len(self.lengths)}")
         return self.joint - 1
@@ -158,7 +162,7 @@ class Effect:
     def at_joint(self, angle: ca.SX, chain: Chain) -> ca.SX:
         """(n,) zeros but for `angle` at this effect's joint."""
         angles = ca.SX.zeros(chain.links)
-        angles[self._index()] = angle
+        angles[self.joint_index] = angle
         return angles
 
     # -- what a subclass defines ------------------------------------------------------------------------------------

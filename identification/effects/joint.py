@@ -49,7 +49,7 @@ class _Harmonic(Effect):
         raise NotImplementedError
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
-        angle = self.order() * chain.q[self._index()]
+        angle = self.order() * chain.q[self.joint_index]
         return self.at_joint(values[0] * ca.cos(angle) + values[1] * ca.sin(angle), chain)
 
 
@@ -103,7 +103,7 @@ class GearRatio(Effect):
         return (self.parameter("e", "1", scale=self.link_length),)
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return self.at_joint(values[0] * chain.q[self._index()], chain)
+        return self.at_joint(values[0] * chain.q[self.joint_index], chain)
 
 
 @register
@@ -120,7 +120,7 @@ class JointCoupling(Effect):
         return (self.parameter("c", "1", scale=self.link_length),)
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return self.at_joint(values[0] * chain.q[self._index() - 1], chain)
+        return self.at_joint(values[0] * chain.q[self.joint_index - 1], chain)
 
 
 @register
@@ -137,7 +137,7 @@ class Backlash(Effect):
         return (self.parameter("b", "rad", scale=self.link_length),)
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return self.at_joint(values[0] * chain.directions[self._index()], chain)
+        return self.at_joint(values[0] * chain.directions[self.joint_index], chain)
 
 
 @register
@@ -154,4 +154,4 @@ class GravityBacklash(Effect):
         return (self.parameter("b", "rad", scale=self.link_length, lower=0.0),)
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return self.at_joint(values[0] * ca.sign(chain.torques[self._index()]), chain)
+        return self.at_joint(values[0] * ca.sign(chain.torques[self.joint_index]), chain)

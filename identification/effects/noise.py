@@ -53,7 +53,7 @@ class JointNoise(NoiseEffect):
 
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
         angles = values.get("std", 0.0) * generator.standard_normal(len(errors))
-        return errors + scene.levers[:, :, self._index()] * angles[:, None]
+        return errors + scene.levers[:, :, self.joint_index] * angles[:, None]
 
 
 @register

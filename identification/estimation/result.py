@@ -14,7 +14,8 @@ from scipy.special import chdtrc, ndtri, stdtrit
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
-from identification.information import orientation_transform
+from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint
+from identification.kinematics.planar import orientation_transform
 from identification.model import Model
 from identification.status import Status
 
@@ -95,17 +96,17 @@ class Identification:
     @cached_property
     def _everything(self) -> dict[str, float]:
         """Name -> value of every parameter, the known ones included."""
-        return dict(self.model.fixed) | dict(zip(self.names, self.parameters.tolist(), strict=True))
+        return dict(self.model.fixed) | self.model.parameters.mapping(self.parameters)
 
     @cached_property
     def length_errors(self) -> Array:
         """(n,) dl_j [mm]."""
-        return readonly([self._everything[f"length_error:{j + 1}"] for j in range(self.model.arm.links)])
+        return by_joint(self._everything, LENGTH_ERROR)
 
     @cached_property
     def joint_offsets(self) -> Array:
         """(n,) dq_j [rad]."""
-        return readonly([self._everything[f"joint_offset:{j + 1}"] for j in range(self.model.arm.links)])
+        return by_joint(self._everything, JOINT_OFFSET)
 
     @cached_property
     def orientation_offsets(self) -> Array:
@@ -115,13 +116,13 @@ class Identification:
     @cached_property
     def joint_offset_std(self) -> Array:
         """(n,) standard deviations of dq_j [rad]; zero where known, NaN where not told."""
-        std = dict(zip(self.names, self.std.tolist(), strict=True))
-        return readonly([std.get(f"joint_offset:{j + 1}", 0.0) for j in range(self.model.arm.links)])
+        every = self.model.all_parameters
+        return readonly(every.vector(self.model.parameters.mapping(self.std))[every.indices(JOINT_OFFSET)])
 
     @cached_property
     def orientation_std(self) -> Array:
         """(n,) standard deviations of dtheta_j [rad], the paper's sigma_q (eq. 25); NaN where an offset is not told."""
-        every = tuple(p.name for p in self.model.all_parameters)
+        every = self.model.all_parameters
         transform = orientation_transform(every)[:, [every.index(name) for name in self.names]]
         variance = np.einsum("jk,kl,jl->j", transform, self.covariance, transform)
         told = np.all((transform == 0.0) | self.identifiable, axis=1)
@@ -151,13 +152,10 @@ class Identification:
     # -- onward ----------------------------------------------------------------------------------------------------
     def calibration(self) -> Calibration:
         """What an arm file keeps of this: all of `parameters`, and the known values."""
-        effects = {name: v for name, v in self._everything.items() if "." in name}
         cov = self.covariance if np.all(np.isfinite(self.covariance)) else None
         figures = {k: v for k, v in self.to_json().items() if v is not None and k not in ("parameters", "p_value")}
         provenance = MappingProxyType({**self.provenance, **figures})
-        return Calibration(
-            self.length_errors, self.joint_offsets, MappingProxyType(effects), self.names, cov, provenance
-        )
+        return Calibration(self._everything, self.names, cov, provenance)
 
     def calibrated_arm(self) -> Arm:
         """The arm with this calibration in it."""

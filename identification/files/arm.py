@@ -37,12 +37,10 @@ from identification.files.arm_schema import (
 )
 from identification.files.io import PathLike, read_toml
 from identification.files.toml import Plain, append_tables, replace_table
+from identification.kinematics.parameters import Parameter, chain_parameters
 
 if TYPE_CHECKING:
     from identification.effects import Effect
-    from identification.kinematics.parameters import Parameter
-
-DEGREES = 180.0 / np.pi
 
 
 def load_arm(path: PathLike) -> Arm:
@@ -220,8 +218,7 @@ def _check_gravity(file: ArmFile, effects: Iterable[tuple[EffectSpec, Effect]]) 
 
 def file_names(links: int, effects: Iterable[tuple[EffectSpec, Effect]]) -> list[FileName]:
     """All parameters an arm's calibration may have: `length_error:1` (mm), `joint_offset:1` (deg), then of effects."""
-    names = [FileName(f"length_error:{j}", f"length_error:{j}", 1.0) for j in range(1, links + 1)]
-    names += [FileName(f"joint_offset:{j}", f"joint_offset:{j}", DEGREES) for j in range(1, links + 1)]
+    names = [FileName(p.name, p.name, p.to_file) for p in chain_parameters(np.ones(links))]
     for _, effect in effects:
         names += [FileName(p.name, f"{effect.key}.{p.toml_key}", p.to_file) for p in effect.parameters]
     return names
@@ -241,10 +238,10 @@ def _calibration(table: CalibrationTable, nominal: list[float], names: list[File
         name = _known(by_file, key, "calibration.effects", among=list(by_file)[2 * links :])
         effects[name.api] = value / name.factor
     order = [_known(by_file, key, "calibration.parameters", among=list(by_file)) for key in table.parameters or ()]
-    return Calibration(
-        length_errors=readonly(table.length_errors_mm),
-        joint_offsets=readonly(np.radians(table.joint_offsets_deg)),
-        effects=MappingProxyType(effects),
+    return Calibration.of(
+        table.length_errors_mm,
+        np.radians(table.joint_offsets_deg),
+        effects,
         parameter_names=tuple(name.api for name in order),
         covariance=_covariance(table, np.array([name.factor for name in order])),
         provenance=MappingProxyType(dict(table.provenance)),

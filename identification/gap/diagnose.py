@@ -177,16 +177,7 @@ def _interval(parameter: Parameter, value: float, std: float) -> tuple[float, fl
 
 
 def _calibration(found: Fit, covariance: Array) -> Calibration:
-    values, n = found.by_name | dict(found.model.fixed), found.model.arm.links
-    effects = {name: v for name, v in found.by_name.items() if "." in name}
-    return Calibration(
-        readonly([values[f"length_error:{j + 1}"] for j in range(n)]),
-        readonly([values[f"joint_offset:{j + 1}"] for j in range(n)]),
-        MappingProxyType(effects),
-        found.model.names,
-        readonly(covariance),
-        MappingProxyType({"source": "armcal diagnose"}),
-    )
+    return Calibration(found.by_name, found.model.names, covariance, MappingProxyType({"source": "armcal diagnose"}))
 
 
 def alias_list(before: Detectability, candidates: tuple[Candidate, ...]) -> tuple[tuple[str, str, float], ...]:

@@ -138,7 +138,7 @@ class HypothesisSet:
         by_joint = jacobian[:, :, n : 2 * n]  # the joint offsets' columns: what one rad at a joint does to the tip
         start = 0
         for hypothesis in self.scanned:
-            joint = hypothesis.effect._index()
+            joint = hypothesis.effect.joint_index
             part = slopes[:, start : start + hypothesis.size]  # (m, d)
             yield by_joint[:, :, joint, None] * part[:, None, :]
             start += hypothesis.size
@@ -153,7 +153,7 @@ def _angle_function(arm: Arm, effects: tuple[Effect, ...]) -> ca.Function:
     total, start = ca.SX(0), 0
     for effect in effects:
         own = v[start : start + len(effect.parameters)]
-        total += ca.SX(effect.joint_angles(chain, own))[effect._index()]
+        total += ca.SX(effect.joint_angles(chain, own))[effect.joint_index]
         start += len(effect.parameters)
     # every parameter turns one joint only, so the gradient of the sum holds each one's own slope
     slopes = ca.substitute(ca.gradient(total, v), v, ca.SX.zeros(v.numel()))

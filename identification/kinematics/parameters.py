@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
@@ -145,11 +145,25 @@ class ParameterSet:
         return dict(zip(self.names, np.asarray(vector, dtype=float).tolist(), strict=True))
 
 
-def length_error(joint: int) -> Parameter:
-    """dl_j [mm] of the link behind a joint (from 1)."""
-    return Parameter(f"{LENGTH_ERROR}:{joint}", "mm", kind=LENGTH_ERROR, joint=joint)
+def chain_parameters(lengths: Sequence[float] | Array) -> ParameterSet:
+    """(2 n) parameters of a planar chain: length errors dl_j [mm], then joint offsets dq_j [rad].
+
+    lengths : (n,) of the links behind the joints [mm], the scales of the offsets
+    """
+    links = list(enumerate(np.asarray(lengths, dtype=float).tolist(), start=1))
+    errors = [Parameter(f"{LENGTH_ERROR}:{j}", "mm", kind=LENGTH_ERROR, joint=j) for j, _ in links]
+    offsets = [Parameter(f"{JOINT_OFFSET}:{j}", "rad", scale=s, kind=JOINT_OFFSET, joint=j) for j, s in links]
+    return ParameterSet.of((*errors, *offsets))
 
 
-def joint_offset(joint: int, scale: float = 1.0) -> Parameter:
-    """dq_j [rad] of a joint (from 1);  scale : length of the link behind it [mm]."""
-    return Parameter(f"{JOINT_OFFSET}:{joint}", "rad", scale=scale, kind=JOINT_OFFSET, joint=joint)
+def by_joint(values: Mapping[str, float], kind: str) -> Array:
+    """(n,) the values of a kind, `kind:1` to `kind:n`, of a mapping from names."""
+    found: list[float] = []
+    while (name := f"{kind}:{len(found) + 1}") in values:
+        found.append(values[name])
+    return readonly(found)
+
+
+def of_effects(values: Mapping[str, float]) -> dict[str, float]:
+    """The values whose names are those of effects."""
+    return {name: value for name, value in values.items() if name.partition(":")[0] not in (LENGTH_ERROR, JOINT_OFFSET)}

@@ -5,21 +5,24 @@ Link j points along theta_j = q_1 + ... + q_j and ends at sum_{k <= j} l_k (cos 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
 from identification.arrays import Array
-from identification.kinematics.parameters import ParameterSet, joint_offset, length_error
+from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 
 DIMENSION = 2  # coordinates of a point
 
 
-def chain_parameters(lengths: Sequence[float] | Array) -> ParameterSet:
-    """(2 n) the parameters of a chain with links of these lengths [mm]: n length errors, then n joint offsets."""
-    errors = [length_error(j) for j in range(1, len(lengths) + 1)]
-    return ParameterSet.of((*errors, *(joint_offset(j, float(length)) for j, length in enumerate(lengths, start=1))))
+def orientation_transform(parameters: ParameterSet) -> Array:
+    """(n, p) matrix T with dtheta = T parameters: dtheta_j = dq_1 + ... + dq_j of the joint offsets among them.
+
+    The paper's sigma_q (eq. 25) is the deviation of dtheta_j, not of the joint offset dq_j.
+    """
+    offsets = parameters.indices(JOINT_OFFSET)
+    transform = np.zeros((len(offsets), len(parameters)))
+    transform[:, offsets] = np.tri(len(offsets))
+    return transform
 
 
 def joint_points(lengths: Array, postures: Array) -> Array:

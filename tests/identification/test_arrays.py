@@ -27,7 +27,9 @@ def gravity(payload: float = 0.0) -> Gravity:
 
 
 def calibration(error: float = 0.3) -> Calibration:
-    return Calibration([error, 0.1], [0.01, 0.02], {"base_offset.x": 1.0}, ("length_error:1",), [[0.5]], {"by": ["me"]})
+    return Calibration.of(
+        [error, 0.1], [0.01, 0.02], {"base_offset.x": 1.0}, ("length_error:1",), [[0.5]], {"by": ["me"]}
+    )
 
 
 def arm(lower: float = -2.0) -> Arm:

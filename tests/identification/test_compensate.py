@@ -14,13 +14,13 @@ from identification.measurements import Conditions, directions_from_order
 from identification.model import Model
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
-CALIBRATION = Calibration(np.array([1.5, -0.6, -0.4, 0.7]), np.radians([0.5, -0.5, 0.7, -0.3]))
+CALIBRATION = Calibration.of(np.array([1.5, -0.6, -0.4, 0.7]), np.radians([0.5, -0.5, 0.7, -0.3]))
 GRAVITY = Gravity(np.array([0.0, -9.81]), np.array([12.0, 8.0, 5.0, 3.0]), np.full(4, 0.5), 10.0)
 LIMITS = np.radians([180.0, 120.0, 100.0, 90.0])
 
 
 def arm(*effects: EffectSpec, values: dict[str, float] | None = None) -> Arm:
-    calibration = replace(CALIBRATION, effects=values or {})
+    calibration = replace(CALIBRATION, values={**CALIBRATION.values, **(values or {})})
     return Arm(LENGTHS, -LIMITS, LIMITS, gravity=GRAVITY, effects=effects, calibration=calibration)
 
 
@@ -59,7 +59,7 @@ def test_shortest_correction_of_a_redundant_arm() -> None:
 
 
 def test_two_links_reach_positions_by_either_elbow() -> None:
-    two = Arm([300.0, 200.0], calibration=Calibration(np.array([1.0, -2.0]), np.array([0.01, -0.02])))
+    two = Arm([300.0, 200.0], calibration=Calibration.of(np.array([1.0, -2.0]), np.array([0.01, -0.02])))
     generator = np.random.default_rng(2)
     radius, angle = generator.uniform(120.0, 480.0, 50), generator.uniform(-np.pi, np.pi, 50)
     targets = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
@@ -147,7 +147,7 @@ def test_out_of_reach_the_command_is_the_nearest() -> None:
     generator = np.random.default_rng(21)  # damped least squares alone end up to 4 % off here
     upper = np.radians([180.0, 120.0, 60.0, 90.0])
     for _ in range(4):
-        calibration = Calibration(generator.normal(0.0, 1.0, 4), np.radians(generator.normal(0.0, 1.0, 4)))
+        calibration = Calibration.of(generator.normal(0.0, 1.0, 4), np.radians(generator.normal(0.0, 1.0, 4)))
         real = Arm(LENGTHS, -LIMITS, upper, calibration=calibration)
         goals = np.vstack([[0.0, 0.0], generator.uniform(-6.0, 6.0, 2), generator.normal(0.0, 2.0, 2)])
         found = compensate(real, goals)

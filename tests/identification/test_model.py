@@ -281,7 +281,7 @@ def test_known_parameters_are_left_out_and_used() -> None:
 
 
 def test_values_come_from_the_calibration() -> None:
-    calibration = Calibration(np.array([1.0, 2.0]), np.array([0.1, 0.2]), {"base_offset.x0": 3.0})
+    calibration = Calibration.of(np.array([1.0, 2.0]), np.array([0.1, 0.2]), {"base_offset.x0": 3.0})
     model = Model(Arm([200.0, 100.0], effects=(EffectSpec("base_offset"),), calibration=calibration))
     np.testing.assert_array_equal(model.values, [1.0, 2.0, 0.1, 0.2, 3.0, 0.0])
 
@@ -300,7 +300,7 @@ LEVER_ARM = Arm(
     [300.0, 200.0, 150.0],
     gravity=Gravity(GRAVITY_ACCELERATION, [4.0, 3.0, 1.0], [0.5, 0.4, 0.6], 2.0),
     effects=(EffectSpec("joint_compliance"), EffectSpec("axes_skew"), EffectSpec("base_rotation_drift")),
-    calibration=Calibration(np.array([1.0, -2.0, 0.5]), np.array([0.01, -0.02, 0.03])),
+    calibration=Calibration.of(np.array([1.0, -2.0, 0.5]), np.array([0.01, -0.02, 0.03])),
 )
 
 

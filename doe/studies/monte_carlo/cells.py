@@ -38,15 +38,15 @@ class Truth:
 
     def of(self, arm: Arm) -> Arm:
         """The true arm. Raises `InputError` if the errors are not one for each link."""
-        own = arm.calibration or Calibration(readonly(np.zeros(arm.links)), readonly(np.zeros(arm.links)))
+        own = arm.calibration or Calibration.of(np.zeros(arm.links), np.zeros(arm.links))
         lengths = own.length_errors if self.length_errors is None else readonly(self.length_errors)
         offsets = own.joint_offsets if self.joint_offsets is None else readonly(self.joint_offsets)
         for name, values in (("length_errors_mm", lengths), ("joint_offsets_deg", offsets)):
             if values.size != arm.links:
                 raise InputError(f"{name}: found {values.size} values for {arm.links} links, allowed: {arm.links}")
         if self.effects is None:
-            return replace(arm, calibration=Calibration(lengths, offsets, own.effects))
-        return replace(arm, effects=self.effects, calibration=Calibration(lengths, offsets))
+            return replace(arm, calibration=Calibration.of(lengths, offsets, own.effects))
+        return replace(arm, effects=self.effects, calibration=Calibration.of(lengths, offsets))
 
 
 @dataclass(frozen=True)

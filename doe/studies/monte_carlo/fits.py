@@ -18,7 +18,8 @@ from identification.errors import JobError
 from identification.estimation import estimate_batch, estimate_each
 from identification.estimation.own_plans import sessions
 from identification.files.arm import arm_from_tables
-from identification.information import covariance, covariances, orientation_transform
+from identification.information import covariance, covariances
+from identification.kinematics.planar import orientation_transform
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -77,7 +78,7 @@ class Cell:
     @cached_property
     def transform(self) -> Array:
         """(p + n, p) from the parameters to those that are reported: themselves, and the orientation offsets."""
-        return np.vstack([np.eye(len(self.model.names)), orientation_transform(self.model.names)])
+        return np.vstack([np.eye(len(self.model.names)), orientation_transform(self.model.parameters)])
 
     @cached_property
     def reported(self) -> list[tuple[str, str, float]]:

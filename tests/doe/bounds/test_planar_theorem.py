@@ -84,7 +84,7 @@ def test_log_det_does_not_depend_on_lengths_calibrated_or_not(errors: list[float
 
     The third case turns link 1 round: its length is -260 mm.
     """
-    calibration = Calibration(np.array(errors), np.array([0.02, -0.01, 0.03, 0.01]))
+    calibration = Calibration.of(np.array(errors), np.array([0.02, -0.01, 0.03, 0.01]))
     arm = Arm(FOUR.lengths, FOUR.lower, FOUR.upper, calibration=calibration)
     assert closed_form_log_det(problem(arm)) == pytest.approx(-0.0612353259, abs=5e-11)  # the box of doe/README.md
     anywhere = np.random.default_rng(4).uniform(FOUR.lower, FOUR.upper, (9, 4))

@@ -14,7 +14,7 @@ GRAVITY = Gravity(np.array([0.0, -9.81]), np.array([12.0, 8.0, 5.0, 3.0]), np.fu
 HEAVY = type(FOUR)(FOUR.lengths, FOUR.lower, FOUR.upper, 0.1, gravity=GRAVITY)
 CALIBRATED = type(FOUR)(
     FOUR.lengths, FOUR.lower, FOUR.upper, 0.1,
-    calibration=Calibration(np.array([1.5, -0.6, -0.4, 0.7]), np.array([0.01, -0.02, 0.03, 0.0])),
+    calibration=Calibration.of(np.array([1.5, -0.6, -0.4, 0.7]), np.array([0.01, -0.02, 0.03, 0.0])),
 )  # fmt: skip
 CASES = {
     "base": problem(FOUR),

@@ -97,7 +97,7 @@ def test_soft_worst_is_below_the_worst_by_at_most_log_k_over_t() -> None:
 
 def test_draws_follow_a_calibration() -> None:
     spread = np.diag(np.arange(1.0, len(MODEL.names) + 1.0) ** 2 * 1e-6)
-    calibration = Calibration(np.ones(3), np.zeros(3), {}, MODEL.names, spread)
+    calibration = Calibration.of(np.ones(3), np.zeros(3), {}, MODEL.names, spread)
     calibrated = Model(Arm(ARM.lengths, ARM.lower, ARM.upper, 0.1, effects=ARM.effects, calibration=calibration))
     draws = prior_draws(calibrated, 4000, np.random.default_rng(5))
     # 4,000 draws: a standard deviation is known to 1.1 %, so 5 % is a 4-sigma event

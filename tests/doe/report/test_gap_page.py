@@ -12,7 +12,7 @@ from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.gap.result import Candidate, Estimate
 from identification.measurements import Measurements
 
-NOTHING = Calibration(np.zeros(2), np.zeros(2), MappingProxyType({}), (), np.zeros((0, 0)), MappingProxyType({}))
+NOTHING = Calibration.of(np.zeros(2), np.zeros(2), MappingProxyType({}), (), np.zeros((0, 0)), MappingProxyType({}))
 
 
 def candidate(*named: tuple[str, EffectSpec]) -> Candidate:

@@ -87,7 +87,7 @@ def test_files_hold_them_all(tmp_path: Path) -> None:
     names = Model(ARM).names
     values = dict(zip(names[6:], np.linspace(0.001, 0.006, 6), strict=True))
     zeros = readonly(np.zeros(3))
-    arm = replace(ARM, calibration=Calibration(zeros, zeros, values, names, readonly(np.diag(np.arange(1.0, 13.0)))))
+    arm = replace(ARM, calibration=Calibration.of(zeros, zeros, values, names, readonly(np.diag(np.arange(1.0, 13.0)))))
     text = dump_arm(arm)
     again = load(tmp_path, text)
     assert again.effects == arm.effects
@@ -114,9 +114,9 @@ def test_only_what_is_not_there_yet_is_added(tmp_path: Path) -> None:
     assert with_effects(added, ARM.effects) == added
     values = {f"{RIPPLE}:1[k=20].a": 0.001}
     zeros = readonly(np.zeros(3))
-    assert load(tmp_path, with_calibration(added, Calibration(zeros, zeros, values))).calibration is not None
+    assert load(tmp_path, with_calibration(added, Calibration.of(zeros, zeros, values))).calibration is not None
     with pytest.raises(InputError, match=r"unknown parameter 'transmission_ripple:1\[k=20\].a'"):
-        with_calibration(text, Calibration(zeros, zeros, values))  # alone it has no need of a tag
+        with_calibration(text, Calibration.of(zeros, zeros, values))  # alone it has no need of a tag
 
 
 # -- diagnosis ---------------------------------------------------------------------------------------------------------

@@ -124,7 +124,7 @@ def test_the_contract_is_read(tmp_path: Path) -> None:
             EffectSpec("base_offset"),
             EffectSpec("encoder_eccentricity", 2, {"a": 0.03 * degree, "b": -0.01 * degree}),
         ),
-        calibration=Calibration(
+        calibration=Calibration.of(
             length_errors=readonly([1.5, -0.6, -0.4, 0.7]),
             joint_offsets=degree * np.array([0.5, -0.5, 0.7, -0.3]),
             effects={"base_offset.x0": 2.5},
@@ -300,7 +300,7 @@ def test_bad_input_gets_one_line(tmp_path: Path, text: str, parts: list[str]) ->
 
 # -- writing -----------------------------------------------------------------------------------------------------------
 def test_calibration_is_replaced_where_it_stands_and_the_rest_stays(tmp_path: Path) -> None:
-    found = Calibration(readonly([1, 2, 3, 4.5]), np.radians([30.0, 0, 0, -0.1]), provenance={"file": "new.csv"})
+    found = Calibration.of(readonly([1, 2, 3, 4.5]), np.radians([30.0, 0, 0, -0.1]), provenance={"file": "new.csv"})
     text = FULL.replace("# what was found\n", "").replace("[measurement]\n", "# tracker\n[measurement]\n")
     start, end = text.index("[calibration]"), len(text)
     moved = text[: text.index("# tracker")] + text[start:end] + "\n" + text[text.index("# tracker") : start]
@@ -315,7 +315,7 @@ def test_calibration_is_replaced_where_it_stands_and_the_rest_stays(tmp_path: Pa
 
 def test_calibration_is_added_at_the_end() -> None:
     text = PLAIN.rstrip("\n")  # the file's last line has no end
-    written = with_calibration(text, Calibration(readonly([1, 2]), readonly([0, 0])))
+    written = with_calibration(text, Calibration.of(readonly([1, 2]), readonly([0, 0])))
     added = "[calibration]\nlength_errors_mm = [1.0, 2.0]\njoint_offsets_deg = [0.0, 0.0]\n"
     assert written == f"{PLAIN}\n{added}"
 
@@ -330,7 +330,7 @@ def test_calibration_is_added_at_the_end() -> None:
     ],
 )
 def test_calibration_in_unusual_layouts(tmp_path: Path, text: str) -> None:
-    found = Calibration(readonly([1, 2]), readonly([0.1, 0.2]), provenance={"file": "b", "fit": {"rms_mm": 0.1}})
+    found = Calibration.of(readonly([1, 2]), readonly([0.1, 0.2]), provenance={"file": "b", "fit": {"rms_mm": 0.1}})
     (tmp_path / "arm.toml").write_bytes(with_calibration(text, found).encode())
     same(found, load_arm(tmp_path / "arm.toml").calibration)
 
@@ -344,15 +344,19 @@ def test_writing_a_calibration_twice_changes_nothing(tmp_path: Path) -> None:
 
 def test_provenance_leaves_out_what_toml_cannot_say() -> None:
     provenance = {"p_value": None, "rms": float("nan"), "fit": {"chi2": np.float64(2.0), "rows": (1, 2)}}
-    written = with_calibration(PLAIN, Calibration(readonly([1, 2]), readonly([0, 0]), provenance=provenance))
+    written = with_calibration(PLAIN, Calibration.of(readonly([1, 2]), readonly([0, 0]), provenance=provenance))
     assert tomllib.loads(written)["calibration"]["provenance"] == {"fit": {"chi2": 2.0, "rows": [1, 2]}}
 
 
 def test_calibrations_that_do_not_fit_are_refused() -> None:
     with pytest.raises(InputError, match=r"length_errors_mm: found 3 values for 2 links"):
-        with_calibration(PLAIN, Calibration(readonly([1, 2, 3]), readonly([0, 0])))
+        with_calibration(PLAIN, Calibration.of(readonly([1, 2, 3]), readonly([0, 0, 0])))
+    with pytest.raises(
+        InputError, match=r"calibration: found 3 length errors and 2 joint offsets, allowed: one of each"
+    ):
+        Calibration.of([1, 2, 3], [0, 0])
     with pytest.raises(InputError, match=r"unknown parameter 'base_offset.x0'"):
-        with_calibration(PLAIN, Calibration(readonly([1, 2]), readonly([0, 0]), {"base_offset.x0": 1.0}))
+        with_calibration(PLAIN, Calibration.of(readonly([1, 2]), readonly([0, 0]), {"base_offset.x0": 1.0}))
 
 
 def test_effects_are_appended_and_comments_stay(tmp_path: Path) -> None:
@@ -400,7 +404,7 @@ def arms(draw: st.DrawFn) -> Arm:
     names.append(f"encoder_eccentricity:{n}.b")
     steps = st.integers(-1000, 1000).map(lambda step: 0.01 * step)
     root = draw(arrays(float, (2 * n + 1, 2), elements=steps))  # singular: parameters may be tied
-    calibration = Calibration(
+    calibration = Calibration.of(
         length_errors=lengths * draw(arrays(float, n, elements=st.floats(-0.9, 10.0))),
         joint_offsets=draw(arrays(float, n, elements=angles)),
         effects={f"encoder_eccentricity:{n}.b": draw(angles)},

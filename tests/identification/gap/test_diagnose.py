@@ -316,7 +316,7 @@ def test_a_users_own_effect_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
         family = "cable"
 
         def joint_angles(self, chain, values):  # type: ignore[no-untyped-def]
-            return self.at_joint(values[0] * chain.q[self._index()] ** 2, chain)
+            return self.at_joint(values[0] * chain.q[self.joint_index] ** 2, chain)
 
     monkeypatch.setitem(base._LIBRARY, "cable_square", Square)
     assert "cable_square" in library()

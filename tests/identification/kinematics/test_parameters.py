@@ -12,16 +12,18 @@ from identification.kinematics.parameters import (
     LENGTH_ERROR,
     Parameter,
     ParameterSet,
-    joint_offset,
-    length_error,
+    by_joint,
+    chain_parameters,
+    of_effects,
 )
 
+ERRORS = chain_parameters([300.0, 200.0])
 SET = ParameterSet.of(
     [
-        length_error(1),
-        joint_offset(1, 300.0),
+        ERRORS[0],
+        chain_parameters([300.0])[1],
         Parameter("backlash:2.b", "rad", lower=-0.1, upper=0.2, scale=200.0, joint=2),
-        length_error(2),
+        ERRORS[1],
     ]
 )
 
@@ -76,3 +78,18 @@ def test_immutable_and_pickles() -> None:
         SET.items = ()  # type: ignore[misc]
     assert SET.names  # cached before it is pickled
     assert pickle.loads(pickle.dumps(SET)) == SET
+
+
+def test_parameters_of_a_chain() -> None:
+    parameters = chain_parameters([260.0, 180.0])
+    assert parameters.names == ("length_error:1", "length_error:2", "joint_offset:1", "joint_offset:2")
+    assert parameters.kinds == (LENGTH_ERROR, LENGTH_ERROR, JOINT_OFFSET, JOINT_OFFSET)
+    assert parameters.units == ("mm", "mm", "rad", "rad")
+    np.testing.assert_array_equal(parameters.scales, [1.0, 1.0, 260.0, 180.0])
+
+
+def test_values_by_joint_and_of_effects() -> None:
+    values = {"joint_offset:2": 0.2, "length_error:1": 1.5, "backlash:2.b": 0.01, "joint_offset:1": 0.1}
+    np.testing.assert_array_equal(by_joint(values, JOINT_OFFSET), [0.1, 0.2])
+    np.testing.assert_array_equal(by_joint(values, LENGTH_ERROR), [1.5])
+    assert of_effects(values) == {"backlash:2.b": 0.01}

@@ -5,8 +5,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR
-from identification.kinematics.planar import chain_parameters, joint_points, rotate, symbolic_chain, symbolic_points
+from identification.kinematics.parameters import ParameterSet, chain_parameters
+from identification.kinematics.planar import (
+    joint_points,
+    orientation_transform,
+    rotate,
+    symbolic_chain,
+    symbolic_points,
+)
 
 GENERATOR = np.random.default_rng(4)
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
@@ -61,9 +67,9 @@ def test_a_quarter_turn() -> None:
     np.testing.assert_allclose(turned, [-4.0, 3.0], atol=1e-15)
 
 
-def test_parameters_of_a_chain() -> None:
-    parameters = chain_parameters(LENGTHS)
-    assert parameters.names[:4] == tuple(f"length_error:{j}" for j in (1, 2, 3, 4))
-    assert parameters.names[4:] == tuple(f"joint_offset:{j}" for j in (1, 2, 3, 4))
-    assert parameters.kinds == (LENGTH_ERROR,) * 4 + (JOINT_OFFSET,) * 4
-    np.testing.assert_array_equal(parameters.scales, [1.0, 1.0, 1.0, 1.0, *LENGTHS])
+def test_orientations_sum_the_offsets() -> None:
+    """dtheta_j = dq_1 + ... + dq_j; where an offset is known, the others only."""
+    parameters = chain_parameters([300.0, 200.0])
+    np.testing.assert_array_equal(orientation_transform(parameters), [[0, 0, 1, 0], [0, 0, 1, 1]])
+    without = ParameterSet.of(p for p in parameters if p.name not in ("length_error:2", "joint_offset:1"))
+    np.testing.assert_array_equal(orientation_transform(without), [[0, 1]])

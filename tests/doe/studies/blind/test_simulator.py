@@ -45,7 +45,7 @@ def test_two_implementations_agree(name: str) -> None:
         truth.lengths,
         gravity=Gravity(np.array([0.0, -simulator.G]), truth.masses, truth.center, truth.payload),
         effects=(EffectSpec(name.rstrip("*"), joint, ours),),
-        calibration=Calibration(truth.length_errors, truth.joint_offsets),
+        calibration=Calibration.of(truth.length_errors, truth.joint_offsets),
     )
     position = Model(arm).position(run.q, None, Conditions(run.payload, run.warm, run.t, run.s))
     expected = simulator.position(truth, run)
