@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from doe.criteria import D
 from doe.design import Design
-from doe.discrimination.swaps import BY_ORDER, ExtendedProblem, extended_problem, improving_swaps, pool_of, repeats
+from doe.discrimination.effect_library import EffectLibrary, effect_library
+from doe.discrimination.swaps import ExtendedProblem, extended_problem, improving_swaps, pool_of, repeats
 from doe.plan.plan import Plan
 from doe.plan.replicate_spacing import spread_free_joints
 from doe.problem.problem import DesignProblem
@@ -30,11 +31,8 @@ from doe.solvers.solver import Budget
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.gap.detectability import Detectability, detectability
-from identification.gap.hypotheses import hypotheses
+from identification.gap.detectability import Detectability
 from identification.information import information_matrix
-from identification.measurements import Conditions, directions_from_order, session_time
-from identification.model import Model
 from identification.progress import Progress, silent
 from identification.status import Status
 
@@ -47,19 +45,17 @@ THEORY_PLANS, SHUFFLES = 64, 200
 class DiscriminationDesign:
     """A plan, what it loses against the best one, and what it can and cannot see.
 
-    arm : with its own effects
     design : judged by the criterion of the problem;  best : the best plan without regard to missing effects
-    sees, best_sees : pre-flight of both, with the postures measured already
+    sees, best_sees : pre-flight of both, with the postures measured already; None where the library has none
     wrong, best_wrong, random_wrong : the mean probability of a wrong name is at most this, with the plan, the best plan
         and as many random postures (the median of many such plans), for effects that postures show and that are
         `LAMBDA` long on random ones; see `doe.discrimination.misidentification`
     """
 
-    arm: Arm
     design: Design
     best: Design
-    sees: Detectability
-    best_sees: Detectability
+    sees: Detectability | None
+    best_sees: Detectability | None
     wrong: float
     best_wrong: float
     random_wrong: float
@@ -73,7 +69,7 @@ class DiscriminationDesign:
 
 def discrimination_design(
     problem: DesignProblem,
-    arm: Arm,
+    effects: Arm | EffectLibrary,
     runs: int,
     *,
     loss: float = 0.05,
@@ -85,6 +81,7 @@ def discrimination_design(
 ) -> DiscriminationDesign:
     """The plan of `runs` measurements that shows missing effects best, at a D-efficiency within `loss` of the best.
 
+    effects : which may be missing: those of the library that this arm can have, or others
     loss : share 0..1 of the D-efficiency that may be given up
     solver, starts : of the search for the best plan, as in `solve`
     seconds : for both searches together, half of it for the best plan; left out: none up to 100 runs, 60 s for more
@@ -96,20 +93,21 @@ def discrimination_design(
     if not isinstance(problem.criterion, D):
         raise InputError(f"criterion: {problem.criterion.name} for a discriminating plan, allowed: D")
     began = perf_counter()
+    library = effects if isinstance(effects, EffectLibrary) else effect_library(effects)
     if runs > MANY and starts is None and seconds is None:
         seconds = 2.0 * PATIENCE
     budget = Budget(1, None if seconds is None else began + seconds)
     half = None if seconds is None else seconds / 2.0
     best = solve(problem, runs, solver, seed=seed, starts=starts, seconds=half, progress=progress)
-    best_sees = detectability(arm, with_kept(problem, best.plan.postures))
+    best_sees = seen(problem, library, best.plan.postures)
     generator = np.random.default_rng(seed)
-    wide = extended_problem(problem, arm)
+    wide = extended_problem(problem, library)
     chosen, status = search(problem, wide, best, loss, generator, budget, progress)
-    plan = Plan(best_order(arm, chosen, generator))
+    plan = Plan(best_order(library, chosen, generator))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
     bounds = wide.wrong(chosen), wide.wrong(best.plan.postures), wide.at_random(runs)
-    sees = detectability(arm, with_kept(problem, plan.postures))
-    return DiscriminationDesign(arm, design, best, sees, best_sees, *(min(1.0, bound) for bound in bounds))
+    sees = seen(problem, library, plan.postures)
+    return DiscriminationDesign(design, best, sees, best_sees, *(min(1.0, bound) for bound in bounds))
 
 
 def search(
@@ -171,9 +169,9 @@ def mixed(problem: DesignProblem, postures: Array, least: float, generator: np.r
     return plan
 
 
-def with_kept(problem: DesignProblem, postures: Array) -> Array:
-    """(k + m, n) all postures whose measurements will be judged together."""
-    return np.vstack([problem.kept, postures])
+def seen(problem: DesignProblem, library: EffectLibrary, postures: Array) -> Detectability | None:
+    """What the postures and those measured already could show of missing effects."""
+    return None if library.preflight is None else library.preflight(np.vstack([problem.kept, postures]))
 
 
 def start(
@@ -250,22 +248,18 @@ def off_the_grid(problem: DesignProblem, postures: Array, step: float, generator
     return moved
 
 
-def best_order(arm: Arm, postures: Array, generator: np.random.Generator) -> Array:
-    """The postures in the order, of many shuffles, that shows backlash and drift best beside the arm's own model."""
-    found = hypotheses(arm, frozenset()).unscanned
-    specs = [h.spec for h in found if h.effect.needs & BY_ORDER]
-    model = Model(arm.with_effects(*arm.effects, *specs))
-    own = len(Model(arm).names)
+def best_order(library: EffectLibrary, postures: Array, generator: np.random.Generator) -> Array:
+    """The postures in the order, of many shuffles, that shows backlash and drift best beside the model's parameters."""
     shuffles = [generator.permutation(len(postures)) for _ in range(SHUFFLES)]
-    return np.asarray(postures[max(shuffles, key=lambda order: order_score(model, own, postures[order]))])
+    if library.jacobian_by_order is None:
+        return np.asarray(postures[shuffles[0]])
+    scores = [order_score(library.jacobian_by_order(postures[order]), library.own) for order in shuffles]
+    return np.asarray(postures[shuffles[int(np.argmax(scores))]])
 
 
-def order_score(model: Model, own: int, postures: Array) -> float:
-    """log det of what the data tell of the order's effects, beyond what the base model explains."""
-    conditions = Conditions(
-        time=session_time(np.arange(len(postures), dtype=float)), directions=directions_from_order(postures)
-    )
-    information = information_matrix(model.jacobian(postures, conditions=conditions) / model.scales)
+def order_score(jacobian: Array, own: int) -> float:
+    """log det of what the data tell of the order's effects, beyond what the first `own` parameters explain."""
+    information = information_matrix(jacobian)
     base, cross, rest = information[:own, :own], information[:own, own:], information[own:, own:]
     sign, value = np.linalg.slogdet(rest - cross.T @ np.linalg.lstsq(base, cross, rcond=None)[0])
     return float(value) if sign > 0 else -np.inf

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from doe.discrimination.effect_library import EffectLibrary
 from doe.discrimination.misidentification import MisidentificationBound
 from doe.plan.replicate_spacing import ROUNDING, gaps
 from doe.problem.candidates import listed
@@ -21,14 +22,10 @@ from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.driver import feasible_value
 from doe.solvers.solver import Budget
-from identification.arm import Arm
 from identification.arrays import Array
-from identification.gap.hypotheses import hypotheses
 from identification.information import information_matrix
-from identification.model import Model
 from identification.progress import Progress, silent
 
-BY_ORDER = frozenset({"time", "directions"})  # what the order of the postures decides, not the postures
 CLOUD, POOL, NEARBY = 512, 1500, 0.15  # postures; neighbours differ by this share of a joint's range
 OUTS, INS, MORE_OUTS = 4, 8, 50  # runs and postures that are tried per derivative; runs where those bring nothing
 MULTIPLIERS = (2.0, 10.0)  # of the derivative of log det where little of it is left to lose
@@ -59,27 +56,12 @@ class ExtendedProblem:
         return float(np.median([self.wrong(plan) for plan in plans]))
 
 
-def extended_problem(problem: DesignProblem, arm: Arm) -> ExtendedProblem:
-    """The same design space for the arm with the effects of the library that it can have."""
-    members = hypotheses(arm, frozenset()).members
-    found = [h for h in members if not h.spec.values and not h.effect.needs & BY_ORDER]
-    tied = {h.key for h in found if h.tied}
-    own = len(Model(arm).names)
-    model = Model(arm.with_effects(*arm.effects, *(h.spec for h in found if not h.tied)))
-    slots = {name: k - own for k, name in enumerate(model.names)}
-    bases, weights = [], []
-    for hypothesis in found:
-        if hypothesis.key in tied and not hypothesis.tied:
-            continue  # one size for all joints is what is seen first
-        columns = [slots[parameter.name] for parameter in hypothesis.effect.parameters]
-        basis = np.zeros((len(model.names) - own, len(columns)))
-        basis[columns, range(len(columns))] = model.scales[own:][columns]
-        bases.append(basis.sum(axis=1, keepdims=True) if hypothesis.tied else basis)
-        weights.append(hypothesis.weight)
-    wide = replace(problem, model=model)
+def extended_problem(problem: DesignProblem, library: EffectLibrary) -> ExtendedProblem:
+    """The same design space for the model with the effects that postures show."""
+    wide = replace(problem, model=library.shown_by_postures)
     cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
     reference = information_matrix(wide.blocks(cloud)) / len(cloud)
-    return ExtendedProblem(wide, MisidentificationBound(own, tuple(bases), np.array(weights), reference))
+    return ExtendedProblem(wide, MisidentificationBound(library.own, library.bases, library.weights, reference))
 
 
 def pool_of(problem: DesignProblem, count: int, generator: np.random.Generator) -> Array:

@@ -61,14 +61,19 @@ class _Options:
     conditions: Conditions
 
 
-@dataclass
-class _Rivals:
-    """What is known of the candidates: weights (K,), Delta BIC (K, K) of rival over truth so far, pool predictions."""
+@dataclass(frozen=True)
+class Rivals:
+    """What is known of K candidates, and what they predict at the N postures of the pool.
+
+    weights : (K,) probabilities;  ahead : (K, K) BIC_j - BIC_i of rival j over truth i
+    positions : (K, N, d) in units of sigma
+    jacobians : K times (N, d, p_j) in units of sigma, parameters scaled such that their covariance is the identity
+    """
 
     weights: Array
-    ahead: Array  # (K, K) BIC_j - BIC_i
-    positions: Array  # (K, N, 2) / sigma
-    jacobians: list[Array]  # (N, 2, p_j) / sigma, parameters scaled so that the covariance is the identity
+    ahead: Array
+    positions: Array
+    jacobians: list[Array]
 
 
 def discriminate(
@@ -94,6 +99,11 @@ def discriminate(
     generator = np.random.default_rng(seed)
     options = _pool(arm, diagnosis, generator, payloads)
     rivals = _rivals(diagnosis, measurements, options)
+    return _result(diagnosis, rivals, options, t_optimal(rivals, runs), payloads)
+
+
+def t_optimal(rivals: Rivals, runs: int) -> list[int]:
+    """Rows of the pool, added one at a time and then exchanged, that settle between the rivals best."""
     chosen: list[int] = []
     for _ in range(runs):
         chosen.append(_best(rivals, chosen))
@@ -103,7 +113,7 @@ def discriminate(
             chosen[k] = _best(rivals, chosen[:k] + chosen[k + 1 :])
         if chosen == before:
             break
-    return _result(diagnosis, rivals, options, chosen, payloads)
+    return chosen
 
 
 def _pool(
@@ -124,7 +134,7 @@ def _pool(
     return _Options(postures, Conditions(payload, None, np.full(count, 0.5), directions))
 
 
-def _rivals(diagnosis: Diagnosis, measurements: Measurements, options: _Options) -> _Rivals:
+def _rivals(diagnosis: Diagnosis, measurements: Measurements, options: _Options) -> Rivals:
     """Predictions of every candidate, fitted to the data at hand, over the pool."""
     sigma = diagnosis.sigma
     positions, jacobians = [], []
@@ -135,7 +145,7 @@ def _rivals(diagnosis: Diagnosis, measurements: Measurements, options: _Options)
         jacobians.append(jacobian @ _root(candidate, model) / sigma)
     delta = np.array([candidate.delta_bic for candidate in diagnosis.candidates])
     weights = np.exp(-0.5 * delta)
-    return _Rivals(weights / weights.sum(), delta[None, :] - delta[:, None], np.array(positions), jacobians)
+    return Rivals(weights / weights.sum(), delta[None, :] - delta[:, None], np.array(positions), jacobians)
 
 
 def _root(candidate: Candidate, model: Model) -> Array:
@@ -149,16 +159,16 @@ def _root(candidate: Candidate, model: Model) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) / model.scales[:, None])
 
 
-def _noncentrality(rivals: _Rivals, chosen: list[int]) -> tuple[Array, Array]:
+def _noncentrality(rivals: Rivals, chosen: list[int]) -> tuple[Array, Array]:
     """(K, K) lambda^2 of the chosen postures, and (K, K, N) what each posture of the pool would add to it."""
     count = len(rivals.weights)
-    pool = rivals.positions.shape[1]
+    _, pool, d = rivals.positions.shape
     settled, gain = np.zeros((count, count)), np.zeros((count, count, pool))
     for j, jacobian in enumerate(rivals.jacobians):
-        given = jacobian[chosen].reshape(-1, jacobian.shape[2])  # (2k, p), prior covariance of the parameters is I
+        given = jacobian[chosen].reshape(-1, jacobian.shape[2])  # (d k, p), prior covariance of the parameters is I
         inner = np.linalg.inv(np.eye(len(given)) + given @ given.T)
         posterior = np.eye(jacobian.shape[2]) - given.T @ inner @ given
-        spread = np.eye(2) + np.einsum("nap,pq,nbq->nab", jacobian, posterior, jacobian, optimize=True)
+        spread = np.eye(d) + np.einsum("nap,pq,nbq->nab", jacobian, posterior, jacobian, optimize=True)
         precision = np.linalg.inv(spread)
         for i in range(count):
             delta = rivals.positions[i] - rivals.positions[j]
@@ -169,12 +179,12 @@ def _noncentrality(rivals: _Rivals, chosen: list[int]) -> tuple[Array, Array]:
     return settled, gain
 
 
-def _best(rivals: _Rivals, chosen: list[int]) -> int:
+def _best(rivals: Rivals, chosen: list[int]) -> int:
     settled, gain = _noncentrality(rivals, chosen)
     return int(np.argmax(_merit(rivals, settled[:, :, None] + gain)))
 
 
-def _merit(rivals: _Rivals, squares: Array) -> Array:
+def _merit(rivals: Rivals, squares: Array) -> Array:
     """(N,) weighted sum over pairs of the chance to tell them apart, and a little of the logarithm of lambda^2."""
     chance = _pair_chance(rivals, squares)
     count = len(rivals.weights)
@@ -183,14 +193,14 @@ def _merit(rivals: _Rivals, squares: Array) -> Array:
     return np.asarray(np.einsum("i,ij,ijn->n", rivals.weights, off, value))
 
 
-def _pair_chance(rivals: _Rivals, squares: Array) -> Array:
+def _pair_chance(rivals: Rivals, squares: Array) -> Array:
     """(K, K, N) probability that Delta BIC of rival j over truth i exceeds the window."""
     length = np.sqrt(np.maximum(squares, 1e-12))
     return np.asarray(ndtr((squares + rivals.ahead[:, :, None] - WINDOW) / (2.0 * length)))
 
 
 def _result(
-    diagnosis: Diagnosis, rivals: _Rivals, options: _Options, chosen: list[int], payloads: tuple[float, ...] | None
+    diagnosis: Diagnosis, rivals: Rivals, options: _Options, chosen: list[int], payloads: tuple[float, ...] | None
 ) -> NextPostures:
     settled, _ = _noncentrality(rivals, chosen)
     chance = _pair_chance(rivals, settled[:, :, None])[:, :, 0]

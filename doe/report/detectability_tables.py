@@ -33,15 +33,17 @@ def preflight_tables(sees: Detectability) -> list[Any]:
 
 def discriminating_tables(found: DiscriminationDesign) -> list[Any]:
     """What the plan gives up, and what it shows for it."""
-    blind, clear = hidden(found.best_sees), hidden(found.sees)
     lines = [
         f"D-efficiency {found.relative_efficiency:.4f} of the best plan found",
         f"probability that a missing effect gets a wrong name: at most {found.wrong:.3f} "
         f"(the best plan: {found.best_wrong:.3f}, random postures: {found.random_wrong:.3f})",
         f"  for effects that shift the tip by {LAMBDA:g} sigma in all (root of the sum of squares) at as many random "
         "postures; gear ripple, backlash and drift left out",
-        f"effects it cannot see: {', '.join(clear) or 'none'} (the best plan: {', '.join(blind) or 'none'})",
     ]
+    if found.sees is None or found.best_sees is None:
+        return [Text(line) for line in lines]
+    blind, clear = hidden(found.best_sees), hidden(found.sees)
+    lines.append(f"effects it cannot see: {', '.join(clear) or 'none'} (the best plan: {', '.join(blind) or 'none'})")
     return [*(Text(line) for line in lines), *preflight_tables(found.sees)]
 
 
@@ -54,12 +56,12 @@ def discriminating_data(found: DiscriminationDesign) -> dict[str, Any]:
             "best_plan": found.best_wrong,
             "random_postures": found.random_wrong,
         },
-        "preflight": found.sees.to_json(),
+        "preflight": None if found.sees is None else found.sees.to_json(),
         "not_visible": hidden(found.sees),
         "not_visible_in_best_plan": hidden(found.best_sees),
     }
 
 
-def hidden(sees: Detectability) -> list[str]:
+def hidden(sees: Detectability | None) -> list[str]:
     """Effects of which less than a hundredth of a column's norm is left for the tests to see."""
-    return [name for name, share in zip(sees.names, sees.shares, strict=True) if share < HIDDEN]
+    return [] if sees is None else [name for name, share in zip(sees.names, sees.shares, strict=True) if share < HIDDEN]

@@ -11,6 +11,7 @@ import pytest
 
 from doe.design import Design
 from doe.discrimination.design import DiscriminationDesign, beginnings, discrimination_design
+from doe.discrimination.effect_library import effect_library
 from doe.discrimination.swaps import Swaps, extended_problem, improving_swaps
 from doe.problem.constraints import InsideBox
 from doe.problem.feasible import random_postures
@@ -107,7 +108,7 @@ def test_links_that_bend_and_joints_that_twist_are_told_apart_better_than_by_ran
 def test_a_wrong_name_becomes_less_probable_with_every_swap(seed: int) -> None:
     arm = Arm(LENGTHS[:3], np.radians([-180, -120, -100]), np.radians([180, 120, 100]), sigma=0.1)
     problem = DesignProblem.of(Model(arm), kept=np.radians([[0.0, 30.0, 40.0], [10.0, -60.0, 20.0]]))
-    wide, generator = extended_problem(problem, arm), np.random.default_rng(seed)
+    wide, generator = extended_problem(problem, effect_library(arm)), np.random.default_rng(seed)
     plan = generator.uniform(arm.lower, arm.upper, (12, 3))
     least = problem.objective(plan) - 0.05
     steps = list(improving_swaps(problem, wide, plan, least, generator, Budget(1)))
@@ -181,7 +182,7 @@ def test_random_postures_are_plans_of_as_many_runs() -> None:
     """Few of them tell effects apart worse than many, and than their mean information would."""
     arm = Arm(LENGTHS, np.radians([-180] * 4), np.radians([180] * 4), sigma=0.1)
     problem = DesignProblem.of(Model(arm))
-    wide, generator = extended_problem(problem, arm), np.random.default_rng(4)
+    wide, generator = extended_problem(problem, effect_library(arm)), np.random.default_rng(4)
     few, many = wide.at_random(12), wide.at_random(60)
     assert few > 2.0 * many > 2.0 * float(wide.misidentification.wrong(wide.misidentification.reference))
     plans = [wide.wrong(random_postures(problem, 12, generator)) for _ in range(200)]
@@ -214,7 +215,7 @@ def test_a_list_that_has_nothing_more_to_offer() -> None:
     arm = Arm(LENGTHS[:3], np.radians([-180, -120, -100]), np.radians([180, 120, 60]), sigma=0.1)
     choices = np.random.default_rng(3).uniform(arm.lower, arm.upper, (12, 3))
     problem = DesignProblem.of(Model(arm), choices=choices)
-    state = Swaps(problem, extended_problem(problem, arm), np.array(choices), least=-np.inf)
+    state = Swaps(problem, extended_problem(problem, effect_library(arm)), np.array(choices), least=-np.inf)
     state.draw(np.random.default_rng(0))
     assert not state.open.any()  # all of them are in the plan
     assert not state.swap()
@@ -277,7 +278,7 @@ def test_under_limits_a_second_beginning_away_from_the_corners() -> None:
     """Random runs, as many as the loss allows; where joints turn all the way there is one beginning only."""
     arm = Arm(LENGTHS, np.radians([-90.0] * 4), np.radians([90.0] * 4), sigma=0.1)
     problem = DesignProblem.of(Model(arm))
-    wide, best = extended_problem(problem, arm), solve(problem, 20, seconds=5.0)
+    wide, best = extended_problem(problem, effect_library(arm)), solve(problem, 20, seconds=5.0)
     allowed = -8.0 * np.log(0.9)
     starts = [plan for plan, _ in beginnings(problem, wide, best, allowed, np.random.default_rng(0), Budget(1))]
     assert len(starts) == 2
@@ -288,7 +289,7 @@ def test_under_limits_a_second_beginning_away_from_the_corners() -> None:
     plan = solve(DesignProblem.of(Model(free)), 20)
     several = beginnings(
         DesignProblem.of(Model(free)),
-        extended_problem(DesignProblem.of(Model(free)), free),
+        extended_problem(DesignProblem.of(Model(free)), effect_library(free)),
         plan,
         allowed,
         np.random.default_rng(0),

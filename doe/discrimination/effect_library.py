@@ -1,0 +1,80 @@
+"""Effects that may be missing from a model, as far as a plan decides what can be seen of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from doe.problem.problem import InformationModel
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.gap.detectability import Detectability, detectability
+from identification.gap.hypotheses import Hypothesis, hypotheses
+from identification.measurements import Conditions, directions_from_order, session_time
+from identification.model import Model
+
+BY_ORDER = frozenset({"time", "directions"})  # what the order of the postures decides, not the postures
+
+
+@dataclass(frozen=True)
+class EffectLibrary:
+    """Rival effects: what a plan is to tell apart.
+
+    own : p, parameters of the model that is to be identified; they come first in the models below
+    shown_by_postures : the model with every effect that postures alone can show, K parameters more
+    bases : per effect (K, s), the combinations of the K scaled parameters that it may take
+    weights : (H,) how likely each effect is, in any unit
+    jacobian_by_order : postures (m, n) in their order -> (m, d, p + L) scaled sensitivities with the effects that the
+        order of measurement shows, as backlash and drift; None: there are none
+    preflight : postures (m, n) -> what measuring them could show of every effect; None: nobody asks
+    """
+
+    own: int
+    shown_by_postures: InformationModel
+    bases: Sequence[Array]
+    weights: Array
+    jacobian_by_order: Callable[[Array], Array] | None = None
+    preflight: Callable[[Array], Detectability] | None = None
+
+
+def effect_library(arm: Arm) -> EffectLibrary:
+    """The effects of the library that an arm can have, besides its own.
+
+    An effect that acts at every joint alike has one size for all of them: that is what is seen first.
+    """
+    known = hypotheses(arm, frozenset())
+    shown = [h for h in known.members if not h.spec.values and not h.effect.needs & BY_ORDER]
+    alike = {h.key for h in shown if h.tied}
+    model = Model(arm.with_effects(*arm.effects, *(h.spec for h in shown if not h.tied)))
+    own = len(Model(arm).parameters)
+    rivals = [h for h in shown if h.tied or h.key not in alike]
+    ordered = [h.spec for h in known.unscanned if h.effect.needs & BY_ORDER]
+    return EffectLibrary(
+        own,
+        model,
+        tuple(basis_of(model, own, hypothesis) for hypothesis in rivals),
+        np.array([hypothesis.weight for hypothesis in rivals]),
+        by_order(Model(arm.with_effects(*arm.effects, *ordered))),
+        lambda postures: detectability(arm, postures),
+    )
+
+
+def basis_of(model: Model, own: int, hypothesis: Hypothesis) -> Array:
+    """(K, s) the scaled parameters of one effect, all in one column where it acts at every joint alike."""
+    columns = [model.parameters.index(parameter.name) - own for parameter in hypothesis.effect.parameters]
+    basis = np.zeros((len(model.parameters) - own, len(columns)))
+    basis[columns, range(len(columns))] = model.scales[own:][columns]
+    return basis.sum(axis=1, keepdims=True) if hypothesis.tied else basis
+
+
+def by_order(model: Model) -> Callable[[Array], Array]:
+    """Scaled sensitivities (m, d, p) of a model to postures (m, n) that are measured in their order."""
+
+    def jacobian(postures: Array) -> Array:
+        time = session_time(np.arange(len(postures), dtype=float))
+        conditions = Conditions(time=time, directions=directions_from_order(postures))
+        return model.jacobian(postures, conditions=conditions) / model.scales
+
+    return jacobian
