@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import subprocess
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
 KINDS = {".py", ".ipynb", ".md", ".toml", ".j2", ""}
@@ -80,3 +83,23 @@ def test_a_wrong_citation_is_found():
     """Also across a line break, as docstrings write them."""
     text = re.sub(r"\s+", " ", 'the bound (doe/README.md,\n    "No such heading"), see NOWHERE.md and doe/README.md.')
     assert wrong_citations(text, ROOT) == ['doe/README.md "No such heading"', 'NOWHERE.md ""']
+
+
+def constants(package: str) -> set[str]:
+    """Upper-case names that the modules of a package assign."""
+    trees = [ast.parse(path.read_text()) for path in (ROOT / package).glob("*.py")]
+    assigned = [node for tree in trees for node in tree.body if isinstance(node, (ast.Assign, ast.AnnAssign))]
+    return {name.id for node in assigned for name in ast.walk(node) if _is_constant(name)}
+
+
+def _is_constant(node: ast.AST) -> bool:
+    return isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and node.id.isupper()
+
+
+@pytest.mark.parametrize(
+    ("package", "page"),
+    [("identification/gap", "identification/README.md"), ("doe/discrimination", "doe/README.md")],
+)
+def test_every_constant_has_its_reason(package, page):
+    explained = set(re.findall(r"`([A-Z][A-Z_]+)`", (ROOT / page).read_text()))
+    assert constants(package) - explained == set()
