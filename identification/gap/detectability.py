@@ -200,12 +200,18 @@ def detectable_lambda(size: int, freedom: int, level: float, one_sided: bool = F
     """Length lambda (in standard deviations) of a projected effect that a test at `level` finds with 90 % power.
 
     The power of an F test is the tail of the noncentral F distribution with noncentrality lambda^2, that of a
-    one-sided t test the tail of the noncentral t with lambda; both grow with lambda, so bisection finds it.
+    one-sided t test the tail of the noncentral t with lambda; both grow with lambda, so bisection finds it. (The
+    inverses in `scipy.special` are good to 1e-5 only; to import `brentq` takes longer than all that is done here.)
     """
     limit = stdtrit(freedom, 1.0 - level) if one_sided else fdtri(size, freedom, 1.0 - level)
-    low, high = 0.0, 200.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        missed = nctdtr(freedom, middle, limit) if one_sided else ncfdtr(size, freedom, middle**2, limit)
-        low, high = (middle, high) if missed > 1.0 - POWER else (low, middle)
+
+    def missed(length: float) -> bool:
+        missing = nctdtr(freedom, length, limit) if one_sided else ncfdtr(size, freedom, length**2, limit)
+        return bool(missing > 1.0 - POWER)
+
+    low, high = 0.0, 16.0
+    while missed(high):  # one or two degrees of freedom take hundreds of standard deviations
+        low, high = high, 2.0 * high
+    while (middle := 0.5 * (low + high)) not in (low, high):
+        low, high = (middle, high) if missed(middle) else (low, middle)
     return high

@@ -101,10 +101,10 @@ def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements)
 
 def _distance_to_data(measurements: Measurements, holdout: Measurements) -> Array:
     """(m,) largest difference to the most similar row of the data, in units of 1e-5 rad and 1e-3 mm."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     data, rows = (np.column_stack([d.postures / 1e-5, d.positions / 1e-3]) for d in (measurements, holdout))
-    return np.asarray(cKDTree(data).query(rows, p=np.inf)[0])
+    return np.asarray(KDTree(data).query(rows, p=np.inf)[0])
 
 
 def check_holdout(measurements: Measurements, holdout: Measurements) -> None:
