@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
+from importlib.util import find_spec
+
 import numpy as np
 
 from doe.studies.blind.data_set import DataSet
@@ -11,6 +14,9 @@ from identification.gap.holdout import rms_distance
 from identification.gap.hypotheses import hypotheses
 from identification.gap.whitening import Rows
 from identification.model import Model
+
+LENGTHS = (0.5, 8.0)  # of the process's kernel; two postures are at most 2 sqrt(n) apart
+RATIOS = (1e-6, 1e6)  # of the kernel's parts to the mean square residual
 
 
 def true_gap(data: DataSet) -> float:
@@ -32,9 +38,16 @@ def library_gap(data: DataSet) -> float:
     return rms_distance(_missed(data, Model(data.arm.with_effects(*specs)))[1])
 
 
-def process_gap(data: DataSet) -> float:
-    """Held-out gap [mm] of the base model corrected by a Gaussian process of its residuals."""
+def has_processes() -> bool:
+    """Whether scikit-learn is installed: `pip install 'armcal[studies]'`."""
+    return find_spec("sklearn") is not None
+
+
+def process_gap(data: DataSet) -> float | None:
+    """Held-out gap [mm] of the base model corrected by a Gaussian process of its residuals; None if there is none."""
     assert data.holdout is not None
+    if not has_processes():
+        return None
     residual, fresh = _missed(data, Model(data.arm))
     guess = gaussian_process(data.measurements.postures, residual, data.holdout.postures)
     return rms_distance(fresh - guess)
@@ -52,20 +65,19 @@ def _missed(data: DataSet, model: Model) -> tuple[Array, Array]:
 def gaussian_process(postures: Array, residual: Array, fresh: Array) -> Array:
     """(k, 2) mean prediction at fresh postures (k, n) from residuals (m, 2) at postures (m, n).
 
-    Squared exponential kernel on (cos q, sin q); length and noise by the likelihood, over a grid.
+    Squared exponential kernel on (cos q, sin q) and white noise, their sizes and length by the likelihood.
     """
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-    def distance(a: Array, b: Array) -> Array:
-        return np.asarray(np.sum(2.0 - 2.0 * np.cos(a[:, None, :] - b[None, :, :]), axis=2))
+    size = float(np.std(residual))
+    kernel = ConstantKernel(1.0, RATIOS) * RBF(2.0, LENGTHS) + WhiteKernel(1.0, RATIOS)
+    process = GaussianProcessRegressor(kernel, n_restarts_optimizer=2, random_state=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a length or a ratio at its bound: noise only, or no noise at all
+        process.fit(_on_circles(postures), residual / size)
+    return np.asarray(size * process.predict(_on_circles(fresh)))
 
-    near, far = distance(postures, postures), distance(fresh, postures)
-    m, best, guess = len(postures), np.inf, np.zeros((len(fresh), 2))
-    for length in np.geomspace(0.5, 8.0, 9):
-        for noise in np.geomspace(0.02, 50.0, 12):
-            kernel = np.exp(-0.5 * near / length**2) + noise * np.eye(m)
-            solved = np.linalg.solve(kernel, residual)
-            variance = np.sum(residual * solved) / (2 * m)
-            cost = 2 * m * np.log(variance) + 2 * np.linalg.slogdet(kernel)[1]
-            if cost < best:
-                best, guess = cost, np.exp(-0.5 * far / length**2) @ solved
-    return guess
+
+def _on_circles(postures: Array) -> Array:
+    return np.hstack([np.cos(postures), np.sin(postures)])

@@ -9,6 +9,7 @@ Blocks of sets are the tasks: keyed, resumable and on any workers as every study
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -21,7 +22,7 @@ from doe.jobs.tasks import run
 from doe.jobs.workers import Workers
 from doe.studies.blind import cells as simulated
 from doe.studies.blind.data_set import DataSet
-from doe.studies.blind.rivals import library_gap, process_gap, true_gap
+from doe.studies.blind.rivals import has_processes, library_gap, process_gap, true_gap
 from doe.studies.blind.score import BARS, BlindStudy, score
 from identification.errors import InputError, nearest
 from identification.gap.diagnose import diagnose
@@ -59,7 +60,11 @@ def blind_study(
 
     Raises `InputError` for an unknown cell.
     """
-    keys = [dict(key) for cell in _checked(cells) for key in _keys(cell, count, seed)]
+    names = _checked(cells)
+    keys = [dict(key) for cell in names for key in _keys(cell, count, seed)]
+    if set(names) & set(COMPARED) and not has_processes():
+        lacking = "scikit-learn is not installed: no Gaussian process in the comparison"
+        warnings.warn(f"{lacking}, pip install 'armcal[studies]'", UserWarning, stacklevel=2)
     plans: dict[str, Any] = {}
 
     def planned(key: Key) -> list[list[float]] | None:

@@ -19,7 +19,7 @@ from doe.jobs.row_table import frame_of
 from doe.report.blind import blind_tables, matrix
 from doe.studies.blind import cells
 from doe.studies.blind import study as blind
-from doe.studies.blind.rivals import gaussian_process
+from doe.studies.blind.rivals import gaussian_process, has_processes
 from doe.studies.blind.score import Bar, BlindStudy, score
 from doe.studies.blind.study import blind_study
 from identification.errors import InputError
@@ -54,7 +54,8 @@ def test_single_effects_are_named_and_close_the_gap_better_than_the_rivals() -> 
     check("in the set", found.value(cell, "in the set"), alert=0.90, fail=0.78)
     assert found.value(cell, "gap / true") <= 1.05
     assert found.value(cell, "gap / library") < 1.0
-    assert found.value(cell, "gap / process") < 1.0
+    if has_processes():
+        assert found.value(cell, "gap / process") < 1.0
 
 
 def test_two_effects_are_named() -> None:
@@ -224,6 +225,7 @@ def test_tables_and_picture_can_be_made(tmp_path: Path) -> None:
 
 # -- rivals ------------------------------------------------------------------------------------------------------------
 def test_gaussian_process_finds_a_smooth_function_and_ignores_noise() -> None:
+    pytest.importorskip("sklearn", reason="the Gaussian process needs scikit-learn: pip install 'armcal[studies]'")
     generator = np.random.default_rng(5)
     q, fresh = generator.uniform(-np.pi, np.pi, (80, 2)), generator.uniform(-np.pi, np.pi, (200, 2))
 
