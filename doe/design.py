@@ -18,7 +18,7 @@ from doe.plan.expected_accuracy import (
     deviations_per_draw,
     expected_deviations,
     over_draws,
-    plan_blocks,
+    plan_jacobians,
     plan_spectrum,
 )
 from doe.plan.plan import Plan
@@ -68,9 +68,9 @@ class Design:
     @cached_property
     def not_identifiable(self) -> tuple[str, ...]:
         """Combinations of parameters that the plan does not tell; effects at neutral conditions tell nothing."""
-        blocks = plan_blocks(self.problem, self.plan.postures, self.plan.weights)
+        jacobians = plan_jacobians(self.problem, self.plan.postures, self.plan.weights)
         return identifiability(
-            blocks, self.problem.model.parameters.names, np.ones(self.problem.parameters)
+            jacobians, self.problem.model.parameters.names, np.ones(self.problem.parameters)
         ).combinations
 
     @cached_property

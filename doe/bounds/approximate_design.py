@@ -21,7 +21,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.status import Status
 
-KEPT_ENTRIES = 4_000_000  # of candidates' blocks that are kept between passes: 32 MB
+KEPT_ENTRIES = 4_000_000  # of candidates' Jacobians that are kept between passes: 32 MB
 
 
 @dataclass(frozen=True)
@@ -103,20 +103,20 @@ def proper_weights(weights: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class CandidateBlocks:
-    """Candidates chunk by chunk with their blocks, which are kept from one pass to the next where they are few."""
+class CandidateJacobians:
+    """Candidates chunk by chunk with their scaled Jacobians, kept from one pass to the next where they are few."""
 
     problem: DesignProblem
     candidates: Candidates
     _kept: list[tuple[Array, Array]] = field(default_factory=list, repr=False)
 
     def __iter__(self) -> Iterator[tuple[Array, Array]]:
-        """Postures (k, n) and blocks (k, d, p) of chunk after chunk."""
+        """Postures (k, n) and scaled Jacobians (k, d, p) of chunk after chunk."""
         if self._kept:
             yield from self._kept
             return
         entries = len(self.candidates) * self.problem.model.dimension * self.problem.parameters
-        made = ((postures, self.problem.blocks(postures)) for _, postures in chunks(self.candidates))
+        made = ((postures, self.problem.scaled_jacobians(postures)) for _, postures in chunks(self.candidates))
         if entries > KEPT_ENTRIES:
             yield from made
             return
@@ -124,10 +124,12 @@ class CandidateBlocks:
         yield from self._kept
 
 
-def sensitivities(blocks: CandidateBlocks, gradient: Array, prior: PriorInformation) -> Iterator[tuple[Array, Array]]:
+def sensitivities(
+    jacobians: CandidateJacobians, gradient: Array, prior: PriorInformation
+) -> Iterator[tuple[Array, Array]]:
     """Per chunk of candidates: postures (k, n) and g (k,) = tr(G F). Never more than one chunk of values in memory."""
     root = np.linalg.cholesky(gradient) if _positive(gradient) else None
-    for postures, some in blocks:
+    for postures, some in jacobians:
         if root is None:
             yield postures, prior.sensitivities(some, gradient)
             continue
@@ -143,8 +145,8 @@ def _positive(gradient: Array) -> bool:
 def largest_sensitivity(
     problem: DesignProblem, candidates: Candidates, gradient: Array, prior: PriorInformation
 ) -> float:
-    """max over the candidates of g = tr(G F), all of them visited, their blocks computed afresh."""
-    fresh = CandidateBlocks(problem, candidates)
+    """max over the candidates of g = tr(G F), all of them visited, their Jacobians computed afresh."""
+    fresh = CandidateJacobians(problem, candidates)
     return max(float(g.max()) for _, g in sensitivities(fresh, gradient, prior))
 
 
@@ -168,7 +170,7 @@ def assess(
     A status other than `converged` gives no bound: the optimum was not reached, and the gap says by how much. The gap
     and the efficiency hold for any weights, whoever made them.
     """
-    information = prior.mixture(problem.blocks(plan.postures), plan.shares)
+    information = prior.mixture(problem.scaled_jacobians(plan.postures), plan.shares)
     criterion = problem.criterion
     slope = criterion.gradient(information) if gradient is None else gradient
     value = float(criterion.value(information))

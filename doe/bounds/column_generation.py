@@ -14,7 +14,7 @@ import numpy as np
 
 from doe.bounds.approximate_design import (
     ApproximateDesign,
-    CandidateBlocks,
+    CandidateJacobians,
     assess,
     largest_sensitivity,
     sensitivities,
@@ -23,7 +23,7 @@ from doe.bounds.bound import Bound
 from doe.bounds.branch_and_bound import maximum
 from doe.bounds.continuous import ContinuousSet, distinct
 from doe.bounds.restricted_master import Price, Settled, Stage, generate, settle
-from doe.bounds.trigonometric import TrigonometricBlocks, trigonometric_blocks
+from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobian
 from doe.problem.candidates import Candidates, PostureList, spread
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
@@ -98,11 +98,11 @@ def continuous_design(
     working, gap = generate(problem, prior, start, stages)
     ended = settle(problem, prior, working)
     largest = max(ended.level + gap, float(everything.best(ended.gradient, ended.plan.postures)[1][0]))
-    blocks = trigonometric_blocks(problem) if proof > 0.0 and not problem.constraints else None
+    jacobians = trigonometric_jacobian(problem) if proof > 0.0 and not problem.constraints else None
     rigorous = False
-    if blocks is not None:
+    if jacobians is not None:
         proof = max(tolerance, proof)
-        ended, largest, rigorous = prove(everything, blocks, ended, largest, stages, proof, most_boxes)
+        ended, largest, rigorous = prove(everything, jacobians, ended, largest, stages, proof, most_boxes)
     return finish(problem, prior, ended, largest, None, max(tolerance, proof), began, rigorous=rigorous)
 
 
@@ -129,11 +129,11 @@ def _attainable(problem: DesignProblem, tolerance: float) -> float:
 def candidate_price(problem: DesignProblem, candidates: Candidates, prior: PriorInformation) -> Price:
     """Every candidate is looked at; each part of them offers its best."""
     part = max(16, -(-len(candidates) // PARTS))
-    blocks = CandidateBlocks(problem, candidates)
+    jacobians = CandidateJacobians(problem, candidates)
 
     def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
         offers, values = [near[:0]], [np.empty(0)]
-        for postures, g in sensitivities(blocks, gradient, prior):
+        for postures, g in sensitivities(jacobians, gradient, prior):
             edges = np.arange(0, len(g), part)
             top = np.array([edge + int(np.argmax(g[edge : edge + part])) for edge in edges])
             offers.append(postures[top])
@@ -166,7 +166,7 @@ def _worth_adding(postures: Array, values: Array, level: float, count: int, shar
 # -- the end -----------------------------------------------------------------------------------------------------------
 def prove(
     everything: ContinuousSet,
-    blocks: TrigonometricBlocks,
+    jacobians: TrigonometricJacobian,
     ended: Settled,
     largest: float,
     stages: Sequence[Stage],
@@ -180,7 +180,7 @@ def prove(
     problem, prior = everything.problem, everything.prior
     for _ in range(PROOFS):
         constant = float(prior.mixed(np.zeros(()), ended.gradient))
-        polynomial = blocks.sensitivity(ended.gradient, prior.share, constant)
+        polynomial = jacobians.sensitivity(ended.gradient, prior.share, constant)
         close, known = tolerance * abs(ended.level), ended.plan.postures
         found = maximum(polynomial, problem.lower, problem.upper, known=known, tolerance=close, most_boxes=most_boxes)
         largest = max(largest, found.value)

@@ -1,7 +1,7 @@
 """Postures worth adding, out of ALL within limits and constraints: multistart Newton ascent of d(q) = tr(G F(q)).
 
-Every start climbs at the same time, on exact first and second derivatives of the blocks (CasADi, vectorised). Joints at
-a limit that would leave the box stay there. Constraints are kept by a logarithmic barrier, lowered step by step, so
+Every start climbs at the same time, on exact first and second derivatives of the Jacobians (CasADi, vectorised). Joints
+at a limit that would leave the box stay there. Constraints are kept by a logarithmic barrier, lowered step by step, so
 that a climb can follow a wall. What is found is a numerical maximum; `doe.bounds.branch_and_bound` makes it a theorem
 where the model allows.
 """
@@ -48,12 +48,12 @@ class ContinuousSet:
 
     @cached_property
     def _derivatives(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        """(m, n) -> blocks as (m, dp, 1), first (m, dp, n) and second (m, dp n, n) derivatives by the joint angles."""
+        """(m, n) -> B as (m, dp, 1), its first (m, dp, n) and second (m, dp n, n) derivatives by the joint angles."""
         q = ca.SX.sym("q", self.problem.joints)
-        blocks = ca.vec(self.problem.block_function(q).T)  # row by row, as numpy has it
-        first = ca.jacobian(blocks, q)
+        jacobians = ca.vec(self.problem.scaled_jacobian_function(q).T)  # row by row, as numpy has it
+        first = ca.jacobian(jacobians, q)
         second = ca.jacobian(ca.vec(first.T), q)
-        outputs = [ca.densify(blocks), ca.densify(first), ca.densify(second)]
+        outputs = [ca.densify(jacobians), ca.densify(first), ca.densify(second)]
         return vectorize(ca.Function("derivatives", [q], ca.cse(outputs)))
 
     @cached_property
@@ -68,16 +68,16 @@ class ContinuousSet:
 
     def sensitivities(self, postures: Array, gradient: Array) -> Array:
         """(m,) tr(G F(q))."""
-        return self.prior.sensitivities(self.problem.blocks(postures), gradient)
+        return self.prior.sensitivities(self.problem.scaled_jacobians(postures), gradient)
 
     def slopes(self, postures: Array, gradient: Array) -> tuple[Array, Array]:
         """(m, n) gradient and (m, n, n) Hessian of tr(G F(q)) by the joint angles."""
         m, n = postures.shape
         d, p = self.problem.model.dimension, self.problem.parameters
         flat, first, second = self._derivatives(postures)
-        blocks = flat.reshape(m, d, p)
+        jacobians = flat.reshape(m, d, p)
         first = first.reshape(m, d, p, n)
-        weighted = blocks @ gradient
+        weighted = jacobians @ gradient
         slope = 2.0 * np.einsum("mda,mdai->mi", weighted, first, optimize=True)
         turned = np.einsum("ab,mdbi->mdai", gradient, first, optimize=True).reshape(m, d * p, n)
         hessian = np.swapaxes(first.reshape(m, d * p, n), 1, 2) @ turned

@@ -1,9 +1,9 @@
 """Is a plan optimal? The equivalence theorem and the bounds that follow from it, independent of every solver.
 
 A design w is optimal over a set Q of postures exactly when max_(q in Q) tr(G B(q)^T B(q)) = tr(G M(w)), with G the
-gradient of the criterion at M(w) and B the (d, p) block of a posture: the d coordinates measured at one posture are
-indivisible (doe/README.md, "Equivalence theorem"). For D, G = M^-1 and the right side is p. From any design, optimal or
-not, the maximum gives an upper bound for every other one, exact plans of any number of runs included.
+gradient of the criterion at M(w) and B the scaled Jacobian (d, p) of a posture, whose d coordinates are indivisible
+(doe/README.md, "Equivalence theorem"). For D, G = M^-1 and the right side is p. From any design, optimal or not, the
+maximum gives an upper bound for every other one, exact plans of any number of runs included.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def without_rounding(efficiency: float) -> float:
 def sensitivity(problem: DesignProblem, information: Array, postures: ArrayLike) -> Array:
     """(m,) tr(G B^T B) of postures (m, n), with G the criterion's gradient at the design's information matrix."""
     gradient = problem.criterion.gradient(information)
-    blocks = problem.blocks(postures)
-    return np.sum((blocks @ gradient) * blocks, axis=(-2, -1))
+    jacobians = problem.scaled_jacobians(postures)
+    return np.sum((jacobians @ gradient) * jacobians, axis=(-2, -1))
 
 
 def mixture_sensitivity(problem: DesignProblem, information: Array, largest: float, runs: int) -> float:

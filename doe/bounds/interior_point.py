@@ -35,16 +35,18 @@ class Weights:
     iterations: int
 
 
-def solve_weights(blocks: Array, criterion: Criterion, prior: PriorInformation, *, tolerance: float = 1e-14) -> Weights:
-    """Optimal weights of (k, d, p) blocks, to a gap of `tolerance` times tr(G M) where rounding allows."""
+def solve_weights(
+    jacobians: Array, criterion: Criterion, prior: PriorInformation, *, tolerance: float = 1e-14
+) -> Weights:
+    """Optimal weights for scaled Jacobians (k, d, p), to a gap of `tolerance` times tr(G M) where rounding allows."""
     if criterion.name == "E":
         from doe.bounds.relaxation import smallest_eigenvalue_weights
 
-        return smallest_eigenvalue_weights(blocks, prior)
-    k = len(blocks)
+        return smallest_eigenvalue_weights(jacobians, prior)
+    k = len(jacobians)
     w = np.full(k, 1.0 / k)
-    gradient = criterion.gradient(prior.mixture(blocks, w))
-    g = prior.sensitivities(blocks, gradient)
+    gradient = criterion.gradient(prior.mixture(jacobians, w))
+    g = prior.sensitivities(jacobians, gradient)
     level = float(w @ g)
     nu = float(g.max()) + 0.1 * abs(level)
     s = nu - g
@@ -54,15 +56,15 @@ def solve_weights(blocks: Array, criterion: Criterion, prior: PriorInformation, 
         best, stalled = (Weights(w, gradient, gap, iteration), 0) if gap < 0.9 * best.gap else (best, stalled + 1)
         if gap <= tolerance * abs(level) or stalled > STALLS:
             break
-        change = _newton(_curvature(blocks, w, gradient, criterion, prior), w, s, g + s - nu)
+        change = _newton(_curvature(jacobians, w, gradient, criterion, prior), w, s, g + s - nu)
         if change is None:
             break
         dw, ds, dnu = change
         step = min(1.0, FRACTION * _to_boundary(w, dw), FRACTION * _to_boundary(s, ds))
         w, s, nu = w + step * dw, s + step * ds, nu + step * dnu
         w = w / w.sum()
-        gradient = criterion.gradient(prior.mixture(blocks, w))
-        g = prior.sensitivities(blocks, gradient)
+        gradient = criterion.gradient(prior.mixture(jacobians, w))
+        g = prior.sensitivities(jacobians, gradient)
         level = float(w @ g)
     return best
 
@@ -88,30 +90,32 @@ def _to_boundary(values: Array, change: Array) -> float:
     return float(np.min(-values[falling] / change[falling], initial=np.inf))
 
 
-def _curvature(blocks: Array, weights: Array, gradient: Array, criterion: Criterion, prior: PriorInformation) -> Array:
+def _curvature(
+    jacobians: Array, weights: Array, gradient: Array, criterion: Criterion, prior: PriorInformation
+) -> Array:
     """(k, k) minus the Hessian of Phi by the weights."""
     if criterion.name == "D" and prior.empty:
-        return _curvature_d(blocks, gradient)
-    return -criterion.curvature(prior.mixture(blocks, weights), prior.posture_information(blocks))
+        return _curvature_d(jacobians, gradient)
+    return -criterion.curvature(prior.mixture(jacobians, weights), prior.posture_information(jacobians))
 
 
-def _curvature_d(blocks: Array, gradient: Array) -> Array:
+def _curvature_d(jacobians: Array, gradient: Array) -> Array:
     """tr(M^-1 F_i M^-1 F_j) = |B_i M^-1 B_j^T|^2 (Frobenius), without any F: one product of (k d, p) by (p, k d)."""
-    k, d, p = blocks.shape
-    rows = blocks.reshape(k * d, p)
+    k, d, p = jacobians.shape
+    rows = jacobians.reshape(k * d, p)
     return np.square(rows @ gradient @ rows.T).reshape(k, d, k, d).sum(axis=(1, 3))
 
 
-def sparsest(blocks: Array, weights: Array) -> Array:
+def sparsest(jacobians: Array, weights: Array) -> Array:
     """Weights (k,) of the same information matrix on at most p (p + 1) / 2 + 1 postures (Caratheodory).
 
     Along a combination c with sum c_i F_i = 0 and sum c_i = 0 the information does not change: follow it until a
     weight is zero, and again.
     """
-    p = blocks.shape[2]
+    p = jacobians.shape[2]
     upper = np.triu_indices(p)
     support = np.flatnonzero(weights > 0.0)
-    carried = blocks[support]
+    carried = jacobians[support]
     posture_information = (np.swapaxes(carried, 1, 2) @ carried)[:, upper[0], upper[1]]
     w, alive = weights[support].copy(), np.ones(len(support), dtype=bool)
     nothing = null_space(

@@ -97,7 +97,7 @@ def _relax(problem: DesignProblem, candidates: Candidates, solver: str, prior: P
     plan = Plan(candidates.take(support), proper_weights(weights[support]))
     gradient = answer.gradient
     if gradient is None:
-        gradient = problem.criterion.gradient(prior.mixture(problem.blocks(plan.postures), plan.shares))
+        gradient = problem.criterion.gradient(prior.mixture(problem.scaled_jacobians(plan.postures), plan.shares))
     return assess(
         problem,
         prior,
@@ -118,7 +118,7 @@ def _rows(problem: DesignProblem, candidates: Candidates, prior: PriorInformatio
     upper = np.triu_indices(problem.parameters)
     rows = np.empty((len(candidates), len(upper[0])))
     for index, postures in chunks(candidates, 1024):
-        rows[index] = prior.posture_information(problem.blocks(postures))[:, upper[0], upper[1]]
+        rows[index] = prior.posture_information(problem.scaled_jacobians(postures))[:, upper[0], upper[1]]
     return rows
 
 
@@ -229,16 +229,16 @@ def _coordinates(rows: Array) -> tuple[Array, Array]:
     return basis, rows @ basis
 
 
-def smallest_eigenvalue_weights(blocks: Array, prior: PriorInformation) -> Weights:
+def smallest_eigenvalue_weights(jacobians: Array, prior: PriorInformation) -> Weights:
     """E-optimal weights on few postures: the master problem of column generation for a criterion without a gradient."""
     from doe.criteria.e import E
 
-    p = blocks.shape[2]
+    p = jacobians.shape[2]
     upper = np.triu_indices(p)
-    posture_information = prior.posture_information(blocks)
+    posture_information = prior.posture_information(jacobians)
     answer = solve_program(posture_information[:, upper[0], upper[1]], E(), "clarabel")
     if answer.weights is None or answer.gradient is None:
-        raise JobError(f"clarabel: status {answer.status} on the master problem of {len(blocks)} postures")
+        raise JobError(f"clarabel: status {answer.status} on the master problem of {len(jacobians)} postures")
     weights = proper_weights(answer.weights)
-    g = prior.sensitivities(blocks, answer.gradient)
+    g = prior.sensitivities(jacobians, answer.gradient)
     return Weights(weights, answer.gradient, float(g.max() - weights @ g), 0)

@@ -48,21 +48,21 @@ class Stage:
 
 @dataclass(frozen=True)
 class WorkingSet:
-    """The few postures of the master problem: postures (k, n), blocks (k, d, p), and its solution."""
+    """The few postures of the master problem: postures (k, n), scaled Jacobians (k, d, p), and its solution."""
 
     postures: Array
-    blocks: Array
+    jacobians: Array
     solution: Weights
 
     def level(self, prior: PriorInformation) -> float:
         """tr(G M)."""
-        information = prior.mixture(self.blocks, self.solution.weights)
+        information = prior.mixture(self.jacobians, self.solution.weights)
         return float(np.sum(self.solution.gradient * information))
 
     @property
     def sparse(self) -> Array:
         """(k,) weights of the same information on as few postures as possible."""
-        return sparsest(self.blocks, np.where(self.solution.weights > DEAD, self.solution.weights, 0.0))
+        return sparsest(self.jacobians, np.where(self.solution.weights > DEAD, self.solution.weights, 0.0))
 
 
 def generate(
@@ -70,7 +70,7 @@ def generate(
 ) -> tuple[WorkingSet, float]:
     """The working set with its solution, and the gap (absolute) that the last pricing of the last stage found."""
     accuracy = EXACT  # of the weights; later, far from the end, exact ones would be wasted
-    working = _solve(problem, prior, start, problem.blocks(start), accuracy)
+    working = _solve(problem, prior, start, problem.scaled_jacobians(start), accuracy)
     current, gap, smallest = 0, np.inf, np.inf
     for _ in range(ROUNDS):
         stage, level = stages[current], working.level(prior)
@@ -85,7 +85,7 @@ def generate(
             current -= stage.back
         elif accuracy > EXACT:
             accuracy = EXACT
-            working = _solve(problem, prior, working.postures, working.blocks, accuracy)
+            working = _solve(problem, prior, working.postures, working.jacobians, accuracy)
         elif current == len(stages) - 1:
             break
         else:
@@ -94,15 +94,15 @@ def generate(
 
 
 def _solve(
-    problem: DesignProblem, prior: PriorInformation, postures: Array, blocks: Array, accuracy: float
+    problem: DesignProblem, prior: PriorInformation, postures: Array, jacobians: Array, accuracy: float
 ) -> WorkingSet:
-    information = prior.mixture(blocks, np.full(len(blocks), 1.0 / len(blocks)))
+    information = prior.mixture(jacobians, np.full(len(jacobians), 1.0 / len(jacobians)))
     if _diverges(problem.criterion, information):
         raise JobError(
             "approximate design: the information matrix is singular on these postures, the parameters cannot all be "
             "identified; drop an effect or allow more postures"
         )
-    return WorkingSet(postures, blocks, solve_weights(blocks, problem.criterion, prior, tolerance=accuracy))
+    return WorkingSet(postures, jacobians, solve_weights(jacobians, problem.criterion, prior, tolerance=accuracy))
 
 
 def _diverges(criterion: Criterion, information: Array) -> bool:
@@ -126,9 +126,9 @@ def _extend(
     """Postures that need not carry weight out, new ones in, solved again."""
     alive = np.flatnonzero(working.sparse > 0.0) if purge else np.arange(len(working.postures))
     postures = np.concatenate([working.postures[alive], offers])
-    blocks = np.concatenate([working.blocks[alive], problem.blocks(offers)])
+    jacobians = np.concatenate([working.jacobians[alive], problem.scaled_jacobians(offers)])
     once = np.sort(distinct(postures))
-    return _solve(problem, prior, postures[once], blocks[once], accuracy)
+    return _solve(problem, prior, postures[once], jacobians[once], accuracy)
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def settle(problem: DesignProblem, prior: PriorInformation, working: WorkingSet)
     weights = working.sparse
     order = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
     plan = Plan(working.postures[order], weights[order])
-    information = prior.mixture(problem.blocks(plan.postures), plan.shares)
+    information = prior.mixture(problem.scaled_jacobians(plan.postures), plan.shares)
     dual = problem.criterion.name == "E"  # any gradient of unit trace bounds it; that of the dual program is the best
     gradient = working.solution.gradient if dual else problem.criterion.gradient(information)
     return Settled(plan, gradient, float(np.sum(gradient * information)))

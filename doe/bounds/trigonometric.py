@@ -1,8 +1,8 @@
 """Is a model's sensitivity a trigonometric polynomial of the joint angles? Read off its CasADi instructions.
 
-The blocks B(q) of a chain of revolute joints, planar or spatial, are sums of products of sines and cosines of whole
-combinations of joint angles; most effects keep that. Then d(q) = tr(G B^T B) = c_0 + sum_t Re(c_t exp(i f_t . q)) with
-whole f_t, and its maximum over a box can be bounded by a theorem (`doe.bounds.branch_and_bound`). The walk over the
+The scaled Jacobians B(q) of a chain of revolute joints, planar or spatial, are sums of products of sines and cosines of
+whole combinations of joint angles; most effects keep that. Then d(q) = c_0 + sum_t Re(c_t exp(i f_t . q)) with whole f_t,
+and its maximum over a box can be bounded by a theorem (`doe.bounds.branch_and_bound`). The walk over the
 instructions is the proof: anything that leaves the ring of trigonometric polynomials gives None.
 """
 
@@ -50,7 +50,7 @@ class TrigonometricPolynomial:
 
 
 @dataclass(frozen=True)
-class TrigonometricBlocks:
+class TrigonometricJacobian:
     """B(q) = sum_f C_f exp(i f . q): frequencies (R, n) whole, coefficients (R, d, p) complex."""
 
     frequencies: NDArray[np.int64]
@@ -74,9 +74,9 @@ class TrigonometricBlocks:
         )
 
 
-def trigonometric_blocks(problem: DesignProblem) -> TrigonometricBlocks | None:
-    """The blocks as trigonometric polynomials, or None where they are not (a gear ratio, a sign of a torque)."""
-    entries = _entries(problem.block_function)
+def trigonometric_jacobian(problem: DesignProblem) -> TrigonometricJacobian | None:
+    """B as trigonometric polynomials, or None where they are not (a gear ratio, a sign of a torque)."""
+    entries = _entries(problem.scaled_jacobian_function)
     if entries is None:
         return None
     d, p, n = problem.model.dimension, problem.parameters, problem.joints
@@ -88,7 +88,7 @@ def trigonometric_blocks(problem: DesignProblem) -> TrigonometricBlocks | None:
     for (row, column), polynomial in entries.items():
         for frequency, value in polynomial.items():
             coefficients[slot[frequency], row, column] = value
-    return TrigonometricBlocks(np.array(frequencies).reshape(-1, n), coefficients)
+    return TrigonometricJacobian(np.array(frequencies).reshape(-1, n), coefficients)
 
 
 def _entries(function: ca.Function) -> dict[tuple[int, int], Polynomial] | None:

@@ -112,7 +112,7 @@ def _criterion(wanted: CriterionOptions, model: Model, problem: DesignProblem) -
         wanted.criterion,
         units=[parameter.unit for parameter in model.parameters],
         subset=None if wanted.subset is None else indices(wanted.subset, model.names),
-        test_blocks=None if poses is None else problem.blocks(poses),
+        test_jacobians=None if poses is None else problem.scaled_jacobians(poses),
     )
 
 

@@ -24,20 +24,20 @@ def criterion(
     *,
     units: Sequence[str] = (),
     subset: Sequence[int] | None = None,
-    test_blocks: Array | None = None,
+    test_jacobians: Array | None = None,
 ) -> Criterion:
     """The criterion of a name as in `--criterion`.
 
     units : of the p parameters, for Dstar;  subset : indices (from 0) of the parameters that matter, for Ds
-    test_blocks : (k, d, p) `DesignProblem.blocks` at the test poses, for I
+    test_jacobians : (k, d, p) `DesignProblem.scaled_jacobians` at the test poses, for I
     Raises `InputError` for an unknown name, and where what the criterion needs is missing.
     """
     if name not in NAMES:
         raise InputError(f"criterion: unknown name {name!r}, {nearest(name, NAMES)}")
     if name == "I":
-        if test_blocks is None or not len(test_blocks):
+        if test_jacobians is None or not len(test_jacobians):
             raise InputError("criterion: I needs test poses, none are given, allowed: at least one posture")
-        return I(test_blocks)
+        return I(test_jacobians)
     if name == "Ds":
         if not subset or not set(subset) <= set(range(len(units) or max(subset) + 1)):
             found = list(subset) if subset else "none"

@@ -30,16 +30,16 @@ class Average:
 
     def gradient(self, information: Array) -> Array:
         """(p, p) block diagonal of M_k^-1."""
-        return blocks_to_matrix([D().gradient(part) for part in split(information, self.count)])
+        return block_diagonal([D().gradient(part) for part in split(information, self.count)])
 
     def curvature(self, information: Array, directions: Array) -> Array:
         """Sum of the blocks' own."""
         pairs = zip(split(information, self.count), split(directions, self.count), strict=True)
         return np.sum([D().curvature(part, moves) for part, moves in pairs], axis=0)
 
-    def values_after_adding(self, information: Array, blocks: Array) -> Array:
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """(s, c) as of D, the sum over the arms."""
-        return np.sum(gains(information, blocks, self.count), axis=0)
+        return np.sum(gains(information, jacobians, self.count), axis=0)
 
     def upper_bound(self, information: Array, largest: float) -> float:
         """As of D."""
@@ -72,14 +72,14 @@ class SoftWorst:
             total = np.sum(np.exp(-self.sharpness * (each - safe[..., None])), axis=-1)
         return np.where(np.isfinite(lowest), safe - np.log(total) / self.sharpness, -np.inf)
 
-    def values_after_adding(self, information: Array, blocks: Array) -> Array:
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """(s, c) soft minimum of log det (M_k + B_k^T B_k); a singular M_k counts as nearly so."""
         parts = split(information, self.count)
         ridge = [
             m + RIDGE * (1e-3 + np.trace(m, axis1=-2, axis2=-1)[..., None, None]) * np.eye(m.shape[-1]) for m in parts
         ]
         before = np.stack([D().value(m) for m in ridge])
-        each = before[..., None] + gains(information, blocks, self.count)
+        each = before[..., None] + gains(information, jacobians, self.count)
         lowest = each.min(axis=0)
         return lowest - np.log(np.sum(np.exp(-self.sharpness * (each - lowest)), axis=0)) / self.sharpness
 
@@ -91,7 +91,7 @@ class SoftWorst:
 
     def gradient(self, information: Array) -> Array:
         """(p, p) block diagonal of shares_k M_k^-1."""
-        return blocks_to_matrix(
+        return block_diagonal(
             [s * D().gradient(m) for s, m in zip(self.shares(information), split(information, self.count), strict=True)]
         )
 
@@ -137,10 +137,10 @@ class Worst(SoftWorst):
         return np.min([D().value(part) for part in split(information, self.count)], axis=0)
 
 
-def gains(information: Array, blocks: Array, count: int) -> Array:
+def gains(information: Array, jacobians: Array, count: int) -> Array:
     """(K, s, c) log det(A_k + B_k^T B_k) - log det A_k of plans (s, p, p) and candidates (s, c, K d, p)."""
-    d, p = blocks.shape[-2] // count, blocks.shape[-1] // count
-    own = [blocks[..., k * d : (k + 1) * d, k * p : (k + 1) * p] for k in range(count)]
+    d, p = jacobians.shape[-2] // count, jacobians.shape[-1] // count
+    own = [jacobians[..., k * d : (k + 1) * d, k * p : (k + 1) * p] for k in range(count)]
     return np.stack([D().values_after_adding(m, b) for m, b in zip(split(information, count), own, strict=True)])
 
 
@@ -150,7 +150,7 @@ def split(information: Array, count: int) -> list[Array]:
     return [information[..., k * size : (k + 1) * size, k * size : (k + 1) * size] for k in range(count)]
 
 
-def blocks_to_matrix(parts: list[Array]) -> Array:
+def block_diagonal(parts: list[Array]) -> Array:
     """(p, p) block-diagonal matrix."""
     size = parts[0].shape[0]
     matrix = np.zeros((size * len(parts), size * len(parts)))

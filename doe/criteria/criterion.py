@@ -51,13 +51,13 @@ def surrogate(criterion: Criterion) -> Criterion:
     return getattr(criterion, "surrogate", criterion)
 
 
-def values_after_adding(criterion: Criterion, information: Array, blocks: Array) -> Array:
+def values_after_adding(criterion: Criterion, information: Array, jacobians: Array) -> Array:
     """(s, c) Phi(A_s + B_sc^T B_sc), but for a number that depends on s only: enough to choose a posture.
 
-    information : (s, p, p) matrices A of plans that lack one run;  blocks : (s, c, d, p) candidates for it
+    information : (s, p, p) matrices A of plans that lack one run;  jacobians : (s, c, d, p) candidates for it
     A criterion may have a faster `values_after_adding` of its own (D: the determinant lemma).
     """
     own = getattr(criterion, "values_after_adding", None)
     if own is not None:
-        return own(information, blocks)
-    return np.asarray(criterion.value(information[:, None] + np.swapaxes(blocks, -1, -2) @ blocks))
+        return own(information, jacobians)
+    return np.asarray(criterion.value(information[:, None] + np.swapaxes(jacobians, -1, -2) @ jacobians))

@@ -28,9 +28,9 @@ class D:
         """-tr(M^-1 X_a M^-1 X_b)."""
         return principal_submatrices.curvature(information, directions, _everything(information))
 
-    def values_after_adding(self, information: Array, blocks: Array) -> Array:
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """log det(A + B^T B) - log det A = log det(I_d + B A^-1 B^T): d x d determinants only."""
-        return principal_submatrices.values_after_adding(information, blocks, _everything(information))
+        return principal_submatrices.values_after_adding(information, jacobians, _everything(information))
 
     def upper_bound(self, information: Array, largest: float) -> float:
         """log det M + p log(max d / p): from log det N - log det M <= p log(tr(M^-1 N) / p) (arithmetic-geometric)."""

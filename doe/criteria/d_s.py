@@ -32,9 +32,9 @@ class Ds:
         """(k, k) second derivative along symmetric directions."""
         return principal_submatrices.curvature(information, directions, self._terms(information))
 
-    def values_after_adding(self, information: Array, blocks: Array) -> Array:
-        """(s, c) gain of adding a posture's block."""
-        return principal_submatrices.values_after_adding(information, blocks, self._terms(information))
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
+        """(s, c) gain of adding a posture."""
+        return principal_submatrices.values_after_adding(information, jacobians, self._terms(information))
 
     def upper_bound(self, information: Array, largest: float) -> float:
         """Phi(M) + s log(max tr(G N) / s), s parameters in the subset."""

@@ -13,7 +13,7 @@ from identification.arrays import Array
 
 @dataclass(frozen=True)
 class DStar:
-    """Phi(M) = sum of the log-determinants of the groups' own blocks.
+    """Phi(M) = sum of the log-determinants of the groups' own principal submatrices.
 
     The paper maximises det C' and asks for det S' = 0, C' and S' being the diagonal and off-diagonal blocks of M'
     (eq. 20). Of the base model both diagonal blocks are C', so Phi = 2 log det C' >= log det M', with equality when
@@ -21,7 +21,7 @@ class DStar:
     (doe/README.md, "Criteria"). det S' = 0 alone says nothing for odd n, where every antisymmetric matrix has it, and
     little for even n >= 4, where such a matrix may be singular without being zero: D* agrees with D for 2 links only.
 
-    groups : indices (from 0) of the parameters of each block, say lengths and angles
+    groups : indices (from 0) of the parameters of each group, say lengths and angles
     """
 
     groups: tuple[tuple[int, ...], ...]
@@ -33,20 +33,20 @@ class DStar:
         return cls(tuple(tuple(k for k, u in enumerate(units) if u == unit) for unit in dict.fromkeys(units)))
 
     def value(self, information: Array) -> Array:
-        """(...) sum of log det of the blocks, -inf where M is singular."""
+        """(...) sum of the groups' log det, -inf where M is singular."""
         return principal_submatrices.value(information, self._terms)
 
     def gradient(self, information: Array) -> Array:
-        """(p, p) inverses of the blocks, in their places."""
+        """(p, p) inverses of the groups' submatrices, in their places."""
         return principal_submatrices.gradient(information, self._terms)
 
     def curvature(self, information: Array, directions: Array) -> Array:
         """(k, k) second derivative along symmetric directions."""
         return principal_submatrices.curvature(information, directions, self._terms)
 
-    def values_after_adding(self, information: Array, blocks: Array) -> Array:
-        """(s, c) gain of adding a posture's block."""
-        return principal_submatrices.values_after_adding(information, blocks, self._terms)
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
+        """(s, c) gain of adding a posture."""
+        return principal_submatrices.values_after_adding(information, jacobians, self._terms)
 
     def upper_bound(self, information: Array, largest: float) -> float:
         """Phi(M) + s log(max tr(G N) / s), s parameters in the groups."""

@@ -51,12 +51,12 @@ class PowerMean:
         flat = turned.reshape(len(directions), -1)
         return diagonal @ full @ diagonal.T + (flat * quotient.ravel()) @ flat.T
 
-    def values_after_adding(self, information: Array, blocks: Array) -> Array:
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """(s, c) Phi_k(A + B^T B), inverses by Woodbury's identity, M^-k by squaring if k is a power of two."""
         doublings = float(np.log2(self.exponent))
         if doublings < 1.0 or not doublings.is_integer():
-            return self.value(information[:, None] + np.swapaxes(blocks, -1, -2) @ blocks)
-        inverse = inverses_after_adding(information, blocks)
+            return self.value(information[:, None] + np.swapaxes(jacobians, -1, -2) @ jacobians)
+        inverse = inverses_after_adding(information, jacobians)
         power = inverse / np.trace(inverse, axis1=-2, axis2=-1)[..., None, None]  # against overflow
         scale = np.trace(inverse, axis1=-2, axis2=-1)
         for _ in range(int(doublings) - 1):

@@ -18,18 +18,18 @@ class I(InverseTrace):  # noqa: E742 (its name in the literature)
     After m runs with noise sigma per coordinate, -Phi sigma^2 / m is the mean over the poses of E |error|^2 [mm^2]:
     Phi = -tr(W M^-1) with W = mean of B_0^T B_0. Invariant to units.
 
-    blocks : (k, d, p) scaled Jacobians at the test poses, `DesignProblem.blocks(poses)`
+    jacobians : (k, d, p) scaled Jacobians at the test poses, `DesignProblem.scaled_jacobians(poses)`
     """
 
-    blocks: Array
+    jacobians: Array
     name: str = "I"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "blocks", readonly(self.blocks))
+        object.__setattr__(self, "jacobians", readonly(self.jacobians))
 
     @cached_property
     def _weight(self) -> Array:
-        return np.mean(np.swapaxes(self.blocks, -1, -2) @ self.blocks, axis=0)
+        return np.mean(np.swapaxes(self.jacobians, -1, -2) @ self.jacobians, axis=0)
 
     def weight(self, parameters: int) -> Array:
         """(p, p) mean of B_0^T B_0."""

@@ -46,13 +46,13 @@ class InverseTrace:
         flat = (left @ directions @ root.T).reshape(len(directions), -1)
         return -2.0 * (flat @ flat.T)
 
-    def values_after_adding(self, information: Array, blocks: Array) -> Array:
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """(s, c) tr(W A^-1) - tr(W (A + B^T B)^-1), by Woodbury's identity: d x d inverses only."""
-        s, c, d, p = blocks.shape
+        s, c, d, p = jacobians.shape
         ridge = RIDGE * (1e-3 + np.trace(information, axis1=-2, axis2=-1) / p)
         inverse = np.linalg.inv(information + ridge[:, None, None] * np.eye(p))
-        seen = (blocks.reshape(s, c * d, p) @ inverse).reshape(s, c, d, p)  # B A^-1
-        inner = np.eye(d) + seen @ np.swapaxes(blocks, -1, -2)
+        seen = (jacobians.reshape(s, c * d, p) @ inverse).reshape(s, c, d, p)  # B A^-1
+        inner = np.eye(d) + seen @ np.swapaxes(jacobians, -1, -2)
         outer = (seen.reshape(s, c * d, p) @ self.weight(p)).reshape(s, c, d, p) @ np.swapaxes(seen, -1, -2)
         return np.trace(np.linalg.solve(inner, outer), axis1=-2, axis2=-1)
 
@@ -65,13 +65,13 @@ class InverseTrace:
         return bound / value if np.isfinite(value) else 0.0
 
 
-def inverses_after_adding(information: Array, blocks: Array) -> Array:
+def inverses_after_adding(information: Array, jacobians: Array) -> Array:
     """(s, c, p, p) (A_s + B_sc^T B_sc)^-1 by Woodbury's identity."""
-    s, c, d, p = blocks.shape
+    s, c, d, p = jacobians.shape
     ridge = RIDGE * (1e-3 + np.trace(information, axis1=-2, axis2=-1) / p)
     inverse = np.linalg.inv(information + ridge[:, None, None] * np.eye(p))
-    seen = (blocks.reshape(s, c * d, p) @ inverse).reshape(s, c, d, p)  # B A^-1
-    inner = np.eye(d) + seen @ np.swapaxes(blocks, -1, -2)
+    seen = (jacobians.reshape(s, c * d, p) @ inverse).reshape(s, c, d, p)  # B A^-1
+    inner = np.eye(d) + seen @ np.swapaxes(jacobians, -1, -2)
     return inverse[:, None] - np.swapaxes(seen, -1, -2) @ np.linalg.solve(inner, seen)
 
 

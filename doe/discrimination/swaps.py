@@ -60,7 +60,7 @@ def extended_problem(problem: DesignProblem, library: EffectLibrary) -> Extended
     """The same design space for the model with the effects that postures show."""
     wide = replace(problem, model=library.shown_by_postures)
     cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
-    reference = information_matrix(wide.blocks(cloud)) / len(cloud)
+    reference = information_matrix(wide.scaled_jacobians(cloud)) / len(cloud)
     return ExtendedProblem(wide, MisidentificationBound(library.own, library.bases, library.weights, reference))
 
 
@@ -114,7 +114,7 @@ def improving_swaps(
 class Swaps:
     """A plan, its information and the pool.
 
-    postures : (m, n);  blocks : (m, d, P) of the wide problem;  pool, offered : the same of the pool
+    postures : (m, n);  jacobians : (m, d, P), scaled, of the wide problem;  pool, offered : the same of the pool
     """
 
     problem: DesignProblem
@@ -124,7 +124,7 @@ class Swaps:
 
     def __post_init__(self) -> None:
         self.misidentification = self.wide.misidentification
-        self.blocks = self.wide.problem.blocks(self.postures)
+        self.jacobians = self.wide.problem.scaled_jacobians(self.postures)
         self.total = len(self.postures) + self.problem.prior.runs
         self.information = self.wide.problem.information(self.postures)
         self.value = float(self.misidentification.value(self.information))
@@ -138,7 +138,7 @@ class Swaps:
             width = NEARBY * (self.problem.upper - self.problem.lower)
             near = self.problem.clip(near + width * generator.uniform(-1.0, 1.0, near.shape))
             self.pool = np.concatenate([self.pool, near[self.problem.feasible(near)]])
-        self.offered = self.wide.problem.blocks(self.pool)
+        self.offered = self.wide.problem.scaled_jacobians(self.pool)
         self.open = np.ones(len(self.pool), dtype=bool)
         if self.problem.choices is not None and self.problem.minimum_distance > 0.0:  # no place for what is in the plan
             self.open = ~np.any(np.all(self.pool[:, None] == self.postures, axis=-1), axis=1)
@@ -173,7 +173,7 @@ class Swaps:
 
     def _promising(self, gradient: Array, outs: int, ins: int) -> NDArray[np.intp]:
         """(c, 2) runs and postures of the pool."""
-        lost = np.sum((self.blocks @ gradient) * self.blocks, axis=(1, 2))
+        lost = np.sum((self.jacobians @ gradient) * self.jacobians, axis=(1, 2))
         won = np.where(self.open, np.sum((self.offered @ gradient) * self.offered, axis=(1, 2)), -np.inf)
         ins = min(ins, int(self.open.sum()))
         runs, places = np.argsort(lost, kind="stable")[:outs], np.argsort(-won, kind="stable")[:ins]
@@ -181,7 +181,7 @@ class Swaps:
 
     def _gains(self, pairs: NDArray[np.intp]) -> Array:
         """(c,) what each swap adds to the criterion; -inf below the least value."""
-        old, new = self.blocks[pairs[:, 0]], self.offered[pairs[:, 1]]
+        old, new = self.jacobians[pairs[:, 0]], self.offered[pairs[:, 1]]
         change = np.swapaxes(new, -1, -2) @ new - np.swapaxes(old, -1, -2) @ old
         informations = self.information + change / self.total
         p = self.misidentification.own
@@ -203,7 +203,7 @@ class Swaps:
         if value < self.least:
             return False
         self.postures, self.slack = trial, value - self.least
-        self.blocks[run] = self.offered[place]
+        self.jacobians[run] = self.offered[place]
         self.information = self.wide.problem.information(self.postures)
         self.value = float(self.misidentification.value(self.information))
         return True

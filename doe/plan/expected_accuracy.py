@@ -61,19 +61,19 @@ class ExpectedDeviations:
 
 
 def plan_spectrum(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Spectrum:
-    """What m runs tell, measured postures (`kept`) included: decomposition of their sensitivities (`problem.blocks`).
+    """What m runs tell, measured postures (`kept`) included: decomposition of their scaled Jacobians.
 
     weights : (m,) shares of the m runs, None: one each. Its rank is right where det M is nothing but rounding.
     """
-    return spectrum(plan_blocks(problem, postures, weights), np.ones(problem.parameters))
+    return spectrum(plan_jacobians(problem, postures, weights), np.ones(problem.parameters))
 
 
-def plan_blocks(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Array:
-    """(m + k, d, p) sensitivities of m runs and of the k measured already."""
-    blocks = problem.blocks(postures)
+def plan_jacobians(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Array:
+    """(m + k, d, p) scaled Jacobians of m runs and of the k measured already."""
+    jacobians = problem.scaled_jacobians(postures)
     if weights is not None:
-        blocks = blocks * np.sqrt(len(blocks) * weights)[:, None, None]
-    return np.concatenate([blocks, problem.blocks(problem.kept)])
+        jacobians = jacobians * np.sqrt(len(jacobians) * weights)[:, None, None]
+    return np.concatenate([jacobians, problem.scaled_jacobians(problem.kept)])
 
 
 def expected_deviations(
@@ -96,11 +96,11 @@ def deviations_per_draw(
 ) -> tuple[ExpectedDeviations, ...] | None:
     """What the plan will give if the arm is that of draw 1, 2, ..., K; None as in `expected_deviations`.
 
-    model : the problem's own, of several arms: each is judged by its own block of the block-diagonal sensitivities
+    model : the problem's own, of several arms: each is judged by its own block of the block-diagonal Jacobian
     """
     if sigma is None:
         return None
-    stacked = plan_blocks(problem, postures, weights)
+    stacked = plan_jacobians(problem, postures, weights)
     d, p = model.model.dimension, len(model.model.parameters)
     each = range(len(model.draws))
     told = [spectrum(stacked[:, k * d : (k + 1) * d, k * p : (k + 1) * p], np.ones(p)) for k in each]

@@ -34,8 +34,8 @@ class Observability:
 def observability(problem: DesignProblem, postures: Array) -> Observability:
     """The five indices of a plan (m, n), measured postures (`kept`) included."""
     everything = np.vstack([postures, problem.kept])
-    blocks = problem.blocks(everything)
-    values = np.linalg.svd(blocks.reshape(-1, problem.parameters), compute_uv=False)
+    jacobians = problem.scaled_jacobians(everything)
+    values = np.linalg.svd(jacobians.reshape(-1, problem.parameters), compute_uv=False)
     if len(values) < problem.parameters or values[-1] <= 1e-12 * values[0]:
         return Observability(0.0, 0.0, 0.0, 0.0, 0.0)
     return Observability(

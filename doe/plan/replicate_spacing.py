@@ -107,9 +107,9 @@ def separated(problem: DesignProblem, postures: Array) -> Array:
         places = places[near.sum(axis=1) < replicates_allowed(problem)]
         places = places[problem.feasible(places)] if len(places) else places
         if len(places):
-            information = information_matrix(problem.blocks(others)) / len(others)
-            blocks = problem.blocks(places) / np.sqrt(len(others))
-            values = values_after_adding(surrogate(problem.criterion), information[None], blocks[None])[0]
+            information = information_matrix(problem.scaled_jacobians(others)) / len(others)
+            jacobians = problem.scaled_jacobians(places) / np.sqrt(len(others))
+            values = values_after_adding(surrogate(problem.criterion), information[None], jacobians[None])[0]
             plan[row] = places[np.argmax(values)]
     return plan
 

@@ -18,7 +18,7 @@ from identification.arrays import Array, readonly
 from identification.errors import InputError
 
 Index = NDArray[np.int64]
-CHUNK = 8192  # postures; the blocks of a chunk stay in the processor's cache, which is fastest
+CHUNK = 8192  # postures; the Jacobians of a chunk stay in the processor's cache, which is fastest
 OUTSIDE = 1e-9  # [rad] a listed posture may exceed a joint limit by this much, from rounding in a file in degrees
 
 

@@ -54,17 +54,17 @@ class PriorInformation:
         """(..., p, p) M of new runs whose B^T B sum to `new`; or of a weighted mean, with the prior per new run."""
         return np.asarray((new + self.total) / (new_runs + self.runs))
 
-    def mixture(self, blocks: Array, weights: Array) -> Array:
-        """(p, p) M of (j, d, p) blocks with weights (j,) that sum to one, with the prior per new run."""
-        return self.information(information_matrix(blocks, weights))
+    def mixture(self, jacobians: Array, weights: Array) -> Array:
+        """(p, p) M of (j, d, p) scaled Jacobians with weights (j,) that sum to one, with the prior per new run."""
+        return self.information(information_matrix(jacobians, weights))
 
-    def posture_information(self, blocks: Array) -> Array:
+    def posture_information(self, jacobians: Array) -> Array:
         """(j, p, p) F_i, what a design with all its weight on one posture would have."""
-        return self.information(np.swapaxes(blocks, 1, 2) @ blocks)
+        return self.information(np.swapaxes(jacobians, 1, 2) @ jacobians)
 
-    def sensitivities(self, blocks: Array, gradient: Array) -> Array:
-        """(j,) tr(G F_i) of (j, d, p) blocks; the literature calls it d for G = M^-1."""
-        return self.mixed(np.einsum("kda,kda->k", blocks @ gradient, blocks), gradient)
+    def sensitivities(self, jacobians: Array, gradient: Array) -> Array:
+        """(j,) tr(G F_i) of (j, d, p) scaled Jacobians; the literature calls it d for G = M^-1."""
+        return self.mixed(np.einsum("kda,kda->k", jacobians @ gradient, jacobians), gradient)
 
     def mixed(self, values: Array, gradient: Array) -> Array:
         """tr(G F) of values tr(G B^T B)."""

@@ -150,12 +150,12 @@ class DesignProblem:
         missing = self.parameters - self.model.dimension * len(self.kept)
         return max(1, -(-missing // self.model.dimension))
 
-    def blocks(self, postures: ArrayLike) -> Array:
-        """(..., d, p) dimensionless sensitivities B of (..., n) postures: Jacobian columns over their scales."""
+    def scaled_jacobians(self, postures: ArrayLike) -> Array:
+        """(..., d, p) dimensionless Jacobians B of (..., n) postures: Jacobian columns over their scales."""
         angles = np.atleast_2d(np.asarray(postures, dtype=float))
         if angles.shape[-1] != self.joints:
             raise InputError(f"postures: shape {angles.shape}, allowed: (..., {self.joints})")
-        return self._blocks(angles)[0]
+        return self._scaled_jacobians(angles)[0]
 
     def information(self, postures: ArrayLike, weights: Array | None = None) -> Array:
         """(p, p) information per run M' = S (sum_i w_i J_i^T J_i) S; the mean over runs without weights.
@@ -164,7 +164,7 @@ class DesignProblem:
         """
         m = len(np.atleast_2d(postures))
         shares = np.full(m, 1.0 / m) if weights is None else weights
-        return self.prior.per_new_run(m).mixture(self.blocks(postures), shares)
+        return self.prior.per_new_run(m).mixture(self.scaled_jacobians(postures), shares)
 
     def objective(self, postures: ArrayLike, weights: Array | None = None) -> float:
         """Criterion value of a plan (to maximise); -inf if its information matrix is singular."""
@@ -187,26 +187,26 @@ class DesignProblem:
         """What the postures measured already tell."""
         if not len(self.kept):
             return PriorInformation()
-        return PriorInformation(information_matrix(self.blocks(self.kept)), len(self.kept))
+        return PriorInformation(information_matrix(self.scaled_jacobians(self.kept)), len(self.kept))
 
     @cached_property
-    def block_function(self) -> ca.Function:
+    def scaled_jacobian_function(self) -> ca.Function:
         """CasADi q -> B (d, p) at neutral conditions and the model's best known parameter values."""
         q = ca.SX.sym("q", self.joints)
         arguments = (ca.DM(self.model.neutral_conditions), ca.DM(self.model.values))
         jacobian = self.model.jacobian_function(q, *arguments)[1]
         scaled = ca.cse(jacobian @ ca.diag(ca.DM(1.0 / self.model.parameters.scales)))
-        return ca.Function("block", [q], [scaled], ["q"], ["block"])
+        return ca.Function("scaled_jacobian", [q], [scaled], ["q"], ["jacobian"])
 
     @cached_property
-    def _blocks(self) -> Callable[..., tuple[Array, ...]]:
-        return vectorize(self.block_function)
+    def _scaled_jacobians(self) -> Callable[..., tuple[Array, ...]]:
+        return vectorize(self.scaled_jacobian_function)
 
     @cached_property
     def without_effect(self) -> tuple[str, ...]:
         """Names of parameters that move the tip at no posture, as thermal growth does at the mean temperature."""
         cloud = np.random.default_rng(0).uniform(self.lower, self.upper, (16, self.joints))
-        still = ~np.any(self.blocks(cloud), axis=(0, 1))
+        still = ~np.any(self.scaled_jacobians(cloud), axis=(0, 1))
         return tuple(name for name, zero in zip(self.model.parameters.names, still, strict=True) if zero)
 
     @cached_property
@@ -214,12 +214,12 @@ class DesignProblem:
         """Joints (from 0) that change B^T B; the others, such as q_1 of the base model, are free for other ends."""
         generator = np.random.default_rng(0)
         base = generator.uniform(self.lower, self.upper, (16, self.joints))
-        before = information_of_each(self.blocks(base))
+        before = information_of_each(self.scaled_jacobians(base))
         active = []
         for joint in range(self.joints):
             moved = base.copy()
             moved[:, joint] = generator.uniform(self.lower[joint], self.upper[joint], 16)
-            change = np.abs(information_of_each(self.blocks(moved)) - before).max()
+            change = np.abs(information_of_each(self.scaled_jacobians(moved)) - before).max()
             if change > 1e-9 * np.abs(before).max():
                 active.append(joint)
         return tuple(active)
@@ -247,6 +247,6 @@ def measured_already(kept: ArrayLike | None, joints: int) -> Array:
     return readonly(postures.reshape(-1, joints))
 
 
-def information_of_each(blocks: Array) -> Array:
-    """(m, p, p) B_i^T B_i of every posture by itself."""
-    return np.swapaxes(blocks, -1, -2) @ blocks
+def information_of_each(jacobians: Array) -> Array:
+    """(..., p, p) B^T B of every posture by itself, from (..., d, p) B."""
+    return np.swapaxes(jacobians, -1, -2) @ jacobians

@@ -196,11 +196,11 @@ def _told(design: Design, throw: bool) -> Design:
     message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
     if problem.choices is not None:
         many = listed(problem, problem.choices).postures
-        if identifiability(problem.blocks(many), problem.model.parameters.names, np.ones(p)).combinations:
+        if identifiability(problem.scaled_jacobians(many), problem.model.parameters.names, np.ones(p)).combinations:
             message = f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
         raise JobError(message)
     many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
-    lost = identifiability(problem.blocks(many), problem.model.parameters.names, np.ones(p)).combinations
+    lost = identifiability(problem.scaled_jacobians(many), problem.model.parameters.names, np.ones(p)).combinations
     if lost:
         message += f"; {NEUTRAL}: {'; '.join(lost)}"
     raise JobError(message)

@@ -58,45 +58,45 @@ class PlanFunction:
 
         Raises numpy's `LinAlgError` where the information matrix is singular.
         """
-        block, first, second = self._blocks(postures)
-        total, information = self.runs + self.problem.prior.runs, self._information(block)
+        jacobian, first, second = self._jacobians(postures)
+        total, information = self.runs + self.problem.prior.runs, self._information(jacobian)
         gradient = self.criterion.gradient(information)
-        slope = (2.0 / total) * np.einsum("mdp,madp->ma", block @ gradient, first)
+        slope = (2.0 / total) * np.einsum("mdp,madp->ma", jacobian @ gradient, first)
         value = float(self.criterion.value(information))
-        return value, slope.ravel(), self._hessian(block, first, second, information, gradient, total)
+        return value, slope.ravel(), self._hessian(jacobian, first, second, information, gradient, total)
 
     def _hessian(
-        self, block: Array, first: Array, second: Array, information: Array, gradient: Array, total: float
+        self, jacobian: Array, first: Array, second: Array, information: Array, gradient: Array, total: float
     ) -> Array:
         m, a, d, p = first.shape
-        half = np.swapaxes(block, -1, -2)[:, None] @ first  # B^T dB_a, (m, a, p, p)
+        half = np.swapaxes(jacobian, -1, -2)[:, None] @ first  # B^T dB_a, (m, a, p, p)
         directions = (half + np.swapaxes(half, -1, -2)).reshape(m * a, p, p) / total
         hessian = self.criterion.curvature(information, directions).reshape(m, a, m, a)
         flat = first.reshape(m, a, d * p)
         own = flat @ np.swapaxes((first @ gradient).reshape(m, a, d * p), -1, -2)
-        own += np.einsum("mx,mabx->mab", (block @ gradient).reshape(m, d * p), second)
+        own += np.einsum("mx,mabx->mab", (jacobian @ gradient).reshape(m, d * p), second)
         runs = np.arange(m)
         hessian[runs, :, runs, :] += (2.0 / total) * own
         return hessian.reshape(m * a, m * a)
 
-    def _information(self, block: Array) -> Array:
-        return self.problem.prior.information(information_matrix(block), self.runs)
+    def _information(self, jacobian: Array) -> Array:
+        return self.problem.prior.information(information_matrix(jacobian), self.runs)
 
-    def _blocks(self, postures: Array) -> tuple[Array, Array, Array]:
+    def _jacobians(self, postures: Array) -> tuple[Array, Array, Array]:
         """B (m, d, p), dB (m, a, d, p), d2B (m, a, a, d p) at every posture."""
-        block, first, second = self._tape(postures)
-        m, d, p = block.shape
+        jacobian, first, second = self._tape(postures)
+        m, d, p = jacobian.shape
         a = len(self.joints)
-        return block, np.moveaxis(first.reshape(m, d, p, a), 3, 1), np.moveaxis(second.reshape(m, a, d * p, a), 2, 3)
+        return jacobian, np.moveaxis(first.reshape(m, d, p, a), 3, 1), np.moveaxis(second.reshape(m, a, d * p, a), 2, 3)
 
     @cached_property
     def _tape(self) -> Callable[..., tuple[Array, ...]]:
         q = ca.SX.sym("q", self.problem.joints)
         active = q[list(self.joints)]
-        block = self.problem.block_function(q)
-        first = ca.jacobian(ca.vec(block.T), active)  # rows of B one after the other
+        jacobian = self.problem.scaled_jacobian_function(q)
+        first = ca.jacobian(ca.vec(jacobian.T), active)  # rows of B one after the other
         second = ca.jacobian(ca.vec(first), active)
-        return vectorize(ca.Function("derivatives", [q], ca.cse([block, first, second])))
+        return vectorize(ca.Function("derivatives", [q], ca.cse([jacobian, first, second])))
 
 
 @dataclass(frozen=True)

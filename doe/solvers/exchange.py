@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from doe.criteria.criterion import surrogate, values_after_adding
 from doe.plan.replicate_spacing import distance_to_keep
 from doe.problem.feasible import random_grid
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, information_of_each
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
 from identification.information import information_matrix
@@ -87,7 +87,7 @@ class Search:
         self.problem, self.grid, self.plans = problem, grid, plans
         self.distance = distance_to_keep(problem, plans.shape[1])
         self.criterion = surrogate(problem.criterion)
-        self.blocks = problem.blocks(plans)
+        self.jacobians = problem.scaled_jacobians(plans)
         self.total = plans.shape[1] + problem.prior.runs
         self.information = self._sum(np.arange(len(plans)))
         self.values = self._value(np.arange(len(plans)))
@@ -109,11 +109,11 @@ class Search:
     def _exchange(self, run: int) -> None:
         """Puts one run of every running start at the best posture in reach."""
         starts = np.arange(len(self.running))
-        old = self.blocks[self.running, run]
-        without = self.information[self.running] - products(old) / self.total
+        old = self.jacobians[self.running, run]
+        without = self.information[self.running] - information_of_each(old) / self.total
         postures = self.neighbours(self.plans[self.running, run])
-        blocks = self.problem.blocks(postures)
-        offered = np.concatenate([old[:, None], blocks], axis=1) / np.sqrt(self.total)
+        jacobians = self.problem.scaled_jacobians(postures)
+        offered = np.concatenate([old[:, None], jacobians], axis=1) / np.sqrt(self.total)
         values = values_after_adding(self.criterion, without, offered)
         values[:, 1:][~self._allowed(postures, run)] = -np.inf
         best = np.argmax(values[:, 1:], axis=1)
@@ -121,8 +121,8 @@ class Search:
         starts, best = starts[better], best[better]
         at = self.running[starts]
         self.plans[at, run] = postures[starts, best]
-        self.blocks[at, run] = blocks[starts, best]
-        self.information[at] = without[starts] + products(self.blocks[at, run]) / self.total
+        self.jacobians[at, run] = jacobians[starts, best]
+        self.information[at] = without[starts] + information_of_each(self.jacobians[at, run]) / self.total
 
     def _allowed(self, postures: Array, run: int) -> NDArray[np.bool_]:
         """(s, c) True where a posture satisfies the constraints and repeats no other run of its plan."""
@@ -146,12 +146,7 @@ class Search:
         return moved
 
     def _sum(self, starts: NDArray[np.intp]) -> Array:
-        return self.problem.prior.information(information_matrix(self.blocks[starts]), self.plans.shape[1])
+        return self.problem.prior.information(information_matrix(self.jacobians[starts]), self.plans.shape[1])
 
     def _value(self, starts: NDArray[np.intp]) -> Array:
         return np.asarray(self.criterion.value(self.information[starts]))
-
-
-def products(blocks: Array) -> Array:
-    """(..., p, p) B^T B of blocks (..., d, p)."""
-    return np.swapaxes(blocks, -1, -2) @ blocks

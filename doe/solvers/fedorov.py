@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from doe.criteria.criterion import surrogate, values_after_adding
 from doe.problem.candidates import listed
-from doe.problem.problem import DesignProblem
-from doe.solvers.exchange import IMPROVEMENT, SWEEPS, products
+from doe.problem.problem import DesignProblem, information_of_each
+from doe.solvers.exchange import IMPROVEMENT, SWEEPS
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
 from identification.errors import InputError
@@ -42,9 +42,9 @@ class Fedorov:
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
     ) -> Iterator[Offer]:
         """One offer per start. Raises `InputError` without choices, or with fewer of them than runs."""
-        postures, blocks = allowed_choices(problem, runs)
+        postures, jacobians = allowed_choices(problem, runs)
         while True:
-            state = State(problem, blocks, initial(problem, len(blocks), (self.batch, runs), generator))
+            state = State(problem, jacobians, initial(problem, len(jacobians), (self.batch, runs), generator))
             sweeps = 0
             while state.running.size and sweeps < SWEEPS and not budget.out_of_time:
                 state.sweep(generator)
@@ -54,7 +54,7 @@ class Fedorov:
 
 
 def allowed_choices(problem: DesignProblem, runs: int) -> tuple[Array, Array]:
-    """(N, n) choices within limits and constraints, and their (N, d, p) blocks."""
+    """(N, n) choices within limits and constraints, and their scaled Jacobians (N, d, p)."""
     if problem.choices is None:
         raise InputError("solver: fedorov chooses from a list of postures, none is given, allowed: with candidates")
     postures = listed(problem, problem.choices).postures
@@ -62,7 +62,7 @@ def allowed_choices(problem: DesignProblem, runs: int) -> tuple[Array, Array]:
         postures = np.unique(postures, axis=0)
         if len(postures) < runs:
             raise InputError(f"runs: {runs} of {len(postures)} different allowed postures, allowed: at most as many")
-    return postures, problem.blocks(postures)
+    return postures, problem.scaled_jacobians(postures)
 
 
 def initial(
@@ -80,8 +80,8 @@ class State:
     chosen : (s, m) rows of the list;  values : (s,) criterion, or its quick stand-in;  running : starts still improving
     """
 
-    def __init__(self, problem: DesignProblem, blocks: Array, chosen: NDArray[np.intp]) -> None:
-        self.problem, self.blocks, self.chosen = problem, blocks, chosen
+    def __init__(self, problem: DesignProblem, jacobians: Array, chosen: NDArray[np.intp]) -> None:
+        self.problem, self.jacobians, self.chosen = problem, jacobians, chosen
         self.total = chosen.shape[1] + problem.prior.runs
         self.criterion = surrogate(problem.criterion)
         self.running = np.arange(len(chosen))
@@ -101,11 +101,11 @@ class State:
 
     def _exchange(self, start: int, run: int) -> None:
         old = self.chosen[start, run]
-        without = self.information[start] - products(self.blocks[old]) / self.total
+        without = self.information[start] - information_of_each(self.jacobians[old]) / self.total
         values = np.concatenate(
             [
                 values_after_adding(self.criterion, without[None], part[None] / np.sqrt(self.total))[0]
-                for part in np.array_split(self.blocks, -(-len(self.blocks) // CHUNK))
+                for part in np.array_split(self.jacobians, -(-len(self.jacobians) // CHUNK))
             ]
         )
         now = values[old]
@@ -114,7 +114,7 @@ class State:
         best = int(np.argmax(values))
         if values[best] > now + IMPROVEMENT:
             self.chosen[start, run] = best
-            self.information[start] = without + products(self.blocks[best]) / self.total
+            self.information[start] = without + information_of_each(self.jacobians[best]) / self.total
 
     def _sum(self) -> Array:
-        return self.problem.prior.information(information_matrix(self.blocks[self.chosen]), self.chosen.shape[1])
+        return self.problem.prior.information(information_matrix(self.jacobians[self.chosen]), self.chosen.shape[1])

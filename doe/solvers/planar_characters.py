@@ -1,6 +1,6 @@
-"""Blocks of runs that attain the closed-form bound by themselves: orthogonal columns built from group characters.
+"""Plans of few runs that attain the closed-form bound by themselves: orthogonal columns built from group characters.
 
-Number the b runs of a block by the elements of a group Z_2^t x Z_(b / 2^t), and write z_j in C^b for the column of
+Number the b runs of such a plan by the elements of a group Z_2^t x Z_(b / 2^t), and write z_j in C^b for the column of
 exp(i theta_j). The proof in `doe.bounds.planar_theorem` says when the bound is attained: every new column, less what
 its neighbour explains of it, is orthogonal to all columns so far. Going from any link to the left or to the right,
 
@@ -9,7 +9,7 @@ its neighbour explains of it, is orthogonal to all columns so far. Going from an
 - *narrow* joint: always at one of its limits, exp(i q_j) = exp(i middle) (cos h + i s sin h), 2 h the range, with the
   signs s a character of order two such that s times the neighbour is orthogonal.
 
-A phase of a wide joint changes no |H_jk| and leaves H_jk = 0 across that joint. So blocks of any sizes and phases can
+A phase of a wide joint changes no |H_jk| and leaves H_jk = 0 across that joint. So plans of any sizes and phases can
 be put together: the mean of their matrices H is optimal again.
 """
 
@@ -25,12 +25,12 @@ from identification.arrays import Array
 
 Columns = NDArray[np.complex128]
 ROUNDING = 1e-9  # [rad] by which a range may fall short; and of a mean product of columns that counts as zero
-ALL, SAMPLE = 64, 32  # block size up to which all characters are tried; number tried of a larger group
+ALL, SAMPLE = 64, 32  # runs up to which all characters are tried; number tried of a larger group
 TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
-class Block:
+class CharacterPlan:
     """Runs that attain the bound. angles : (b, J) above the lower limits [rad];  room : (J,) free phase [rad]."""
 
     angles: Array
@@ -42,7 +42,7 @@ class Block:
         return placed
 
 
-def blocks(widths: Array, size: int, tries: int, generator: np.random.Generator) -> Iterator[Block]:
+def character_plans(widths: Array, size: int, tries: int, generator: np.random.Generator) -> Iterator[CharacterPlan]:
     """Those of a number of random constructions that come to their end; widths (J,) of the joints' ranges [rad]."""
     if size <= len(widths) or (halves(widths) and size % 2):  # as many orthogonal columns as links
         return
@@ -78,8 +78,8 @@ class Construction:
         self.angles = np.empty((len(self.elements), len(widths)))
         self.room = np.zeros(len(widths))
 
-    def run(self) -> Block | None:
-        """The block, None in a dead end."""
+    def run(self) -> CharacterPlan | None:
+        """The plan, None in a dead end."""
         joints = len(self.widths)
         left = right = int(self.generator.integers(joints + 1))
         columns = np.ones((len(self.elements), 1), dtype=complex)  # of links left..right
@@ -90,7 +90,7 @@ class Construction:
                 return None
             columns = np.column_stack([columns, new] if to_right else [new, columns])
             left, right = (left, right + 1) if to_right else (left - 1, right)
-        return Block(self.angles, self.room)
+        return CharacterPlan(self.angles, self.room)
 
     def _next(self, columns: Columns, joint: int, *, to_right: bool) -> Columns | None:
         """The column beyond a joint, whose angles are noted."""

@@ -1,7 +1,7 @@
 """D-optimal plans from theory, where the joint limits and the number of runs allow any: no search.
 
-One block of m runs (`doe.solvers.planar_characters`), or blocks of smaller sizes, each with its own phases, that make
-up m. With no limits a block of m runs is theta_j = 2 pi i f_j / m with distinct random frequencies f_j and random
+One group of m elements (`doe.solvers.planar_characters`), or smaller groups, each with its own phases, that make up
+m. With no limits the plan of a group of m is theta_j = 2 pi i f_j / m with distinct random frequencies f_j and random
 phases: any columns of the DFT matrix (doe/README.md, "Information matrix"), in shuffled order, since the plan f_j = j
 hides missing effects (identification/README.md, "Lessons"). With all ranges below pi it is the two-level factorial,
 2^(joints) runs or a multiple.
@@ -19,14 +19,14 @@ from doe.bounds.planar_theorem import applies, chain_joints
 from doe.plan.replicate_spacing import free_values, gaps, replicates_allowed, too_near
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import Exchange
-from doe.solvers.planar_characters import Block, blocks, halves
+from doe.solvers.planar_characters import CharacterPlan, character_plans, halves
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
 
-WHOLE = 2048  # runs up to which one block is tried
-SMALL = 48  # runs of the blocks that are put together, or as many as the factorial of all joints has
-PATTERNS = 16  # different blocks of one size, and places that are tried for each
-ATTEMPTS = 8  # plans of one block before smaller ones are put together
+WHOLE = 2048  # runs up to which one group is tried
+SMALL = 48  # runs of the plans that are put together, or as many as the factorial of all joints has
+PATTERNS = 16  # different plans of one size, and places that are tried for each
+ATTEMPTS = 8  # plans of one group before smaller ones are put together
 NEARLY = 64  # runs by which a plan may exceed one from theory to be begun from it
 
 
@@ -79,14 +79,14 @@ class NearlyAnalytic:
 
 
 class Composition:
-    """Blocks found so far for one number of runs."""
+    """Plans of groups found so far for one number of runs."""
 
     def __init__(self, problem: DesignProblem, runs: int, tries: int, generator: np.random.Generator) -> None:
         self.problem, self.joints = problem, list(chain_joints(problem))
         self.lower, self.upper = problem.lower[self.joints], problem.upper[self.joints]
         self.runs, self.tries, self.generator = runs, tries, generator
         self.whole = runs <= WHOLE  # until proven otherwise
-        self.patterns: dict[int, list[Block]] | None = None
+        self.patterns: dict[int, list[CharacterPlan]] | None = None
         self.apart = (
             problem.minimum_distance if replicates_allowed(problem) == 1.0 else 0.0
         )  # [rad] no free joint helps
@@ -94,7 +94,7 @@ class Composition:
     def plan(self) -> Array | None:
         """(m, n) a random plan, None where none is found; without repeats, as far as a few attempts find one."""
         for _ in range(ATTEMPTS if self.whole else 0):
-            plan = self._of_one_block()
+            plan = self._of_one_group()
             if plan is None:
                 self.whole = False
                 break
@@ -102,13 +102,13 @@ class Composition:
                 return plan
         return self._of_many()
 
-    def _of_one_block(self) -> Array | None:
-        found = next(self._blocks(self.runs), None)
+    def _of_one_group(self) -> Array | None:
+        found = next(self._character_plans(self.runs), None)
         return None if found is None else self._full(found.placed(self.lower, self.upper, self.generator))
 
     def _of_many(self) -> Array | None:
         if self.patterns is None:
-            self.patterns = self._small_blocks()
+            self.patterns = self._small_groups()
         if not self.patterns:
             return None
         angles, filled = np.empty((self.runs, len(self.joints))), 0
@@ -117,8 +117,8 @@ class Composition:
             filled += size
         return self._full(angles)
 
-    def _placed(self, patterns: list[Block], others: Array) -> Array:
-        """(b, J) a random block, at phases that keep it away from the others where some are found."""
+    def _placed(self, patterns: list[CharacterPlan], others: Array) -> Array:
+        """(b, J) a random one of the patterns, at phases that keep it away from the others where some are found."""
         for _ in range(PATTERNS):
             pattern = patterns[self.generator.integers(len(patterns))]
             angles = pattern.placed(self.lower, self.upper, self.generator)
@@ -132,18 +132,18 @@ class Composition:
         plan[:, self.joints] = angles
         return plan
 
-    def _blocks(self, size: int) -> Iterator[Block]:
-        return blocks(self.upper - self.lower, size, self.tries, self.generator)
+    def _character_plans(self, size: int) -> Iterator[CharacterPlan]:
+        return character_plans(self.upper - self.lower, size, self.tries, self.generator)
 
-    def _small_blocks(self) -> dict[int, list[Block]]:
-        """Size -> blocks, the smallest sizes that make up the number of runs; empty where none do."""
-        found: dict[int, list[Block]] = {}
+    def _small_groups(self) -> dict[int, list[CharacterPlan]]:
+        """Size -> plans of groups, the smallest sizes that make up the number of runs; empty where none do."""
+        found: dict[int, list[CharacterPlan]] = {}
         if halves(self.upper - self.lower) and self.runs % 2:
             return found
         for size in range(len(self.lower) + 1, min(self.runs // 2, max(SMALL, 2 ** len(self.lower))) + 1):
             if found and size % np.gcd.reduce(list(found)) == 0:
                 continue  # nothing that the smaller sizes cannot make, but for the smallest multiples
-            some = list(islice(self._blocks(size), PATTERNS))
+            some = list(islice(self._character_plans(size), PATTERNS))
             if some:
                 found[size] = some
             if found and makes(list(found), self.runs)[self.runs]:

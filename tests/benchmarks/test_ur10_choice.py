@@ -67,7 +67,7 @@ def test_chosen_postures_against_random_ones() -> None:
     print(f"\n20 of 2,773 UR10 postures; error of a random choice: median {np.median(errors):.3f} mm (bar: 95 %)")
     plain = DesignProblem.of(Model(ARM), choices=data.postures)
     for name in ("D", "A", "I"):
-        chosen = criterion(name, test_blocks=plain.blocks(data.postures[::10]))
+        chosen = criterion(name, test_jacobians=plain.scaled_jacobians(data.postures[::10]))
         design = solve(DesignProblem.of(Model(ARM), choices=data.postures, criterion=chosen), RUNS)
         distance = np.abs(data.postures[:, None] - design.plan.postures).max(axis=-1)
         rows = distance.argmin(axis=0)

@@ -38,7 +38,7 @@ def test_certificate_of_any_weights() -> None:
     information = case.information(FACTORIAL.postures, FACTORIAL.weights)
     axes = [np.linspace(a, b, 5) for a, b in zip(FOUR.lower[1:], FOUR.upper[1:], strict=True)]
     q = np.stack([np.zeros(125), *(a.ravel() for a in np.meshgrid(*axes))], axis=1)
-    d = np.array([np.trace(np.linalg.solve(information, b.T @ b)) for b in case.blocks(q)])
+    d = np.array([np.trace(np.linalg.solve(information, b.T @ b)) for b in case.scaled_jacobians(q)])
     assert found.log_det == pytest.approx(np.linalg.slogdet(information)[1], abs=1e-12)
     assert found.gap == pytest.approx(d.max() - 8.0, abs=1e-10)
     assert found.efficiency_lower_bound == pytest.approx(8.0 / d.max(), abs=1e-12)

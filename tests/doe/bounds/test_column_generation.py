@@ -98,7 +98,9 @@ def test_effects_in_the_model(effects: tuple[EffectSpec, ...]) -> None:
     assert design.bound is not None
     information = case.information(design.plan.postures, design.plan.shares)
     q = np.random.default_rng(9).uniform(case.lower, case.upper, (200_000, 4))
-    d = np.einsum("kda,ab,kdb->k", case.blocks(q), np.linalg.inv(information), case.blocks(q), optimize=True)
+    d = np.einsum(
+        "kda,ab,kdb->k", case.scaled_jacobians(q), np.linalg.inv(information), case.scaled_jacobians(q), optimize=True
+    )
     assert d.max() <= case.parameters + 1e-6
     coarse = column_generation(case, grid(case, 9))
     assert coarse.value <= design.bound.value + 1e-9
@@ -148,13 +150,13 @@ def test_equivalence_theorem_on_every_candidate(seed: int, links: int) -> None:
     case = problem(random_box(generator, links))
     candidates = listed(case, generator.uniform(case.lower, case.upper, (400, links)))
     design = column_generation(case, candidates)
-    blocks = case.blocks(candidates.postures)
+    jacobians = case.scaled_jacobians(candidates.postures)
     inverse = np.linalg.inv(case.information(design.plan.postures, design.plan.shares))
-    d = np.array([np.trace(b @ inverse @ b.T) for b in blocks])
+    d = np.array([np.trace(b @ inverse @ b.T) for b in jacobians])
     assert d.max() <= 2 * links + 1e-7
     assert design.gap == pytest.approx(d.max() - 2 * links, abs=1e-10)
     carried = design.plan.postures[design.plan.shares > 1e-6]  # w (p - d) vanishes, so d = p only where w does not
-    at_support = np.array([np.trace(b @ inverse @ b.T) for b in case.blocks(carried)])
+    at_support = np.array([np.trace(b @ inverse @ b.T) for b in case.scaled_jacobians(carried)])
     assert at_support == pytest.approx(2.0 * links, abs=1e-5)
 
 
@@ -179,7 +181,7 @@ def test_sampling_first_gives_the_same_answer() -> None:
     large = column_generation(case, PostureList(q))
     assert len(q) > 4 * module.SAMPLE
     inverse = np.linalg.inv(case.information(large.plan.postures, large.plan.shares))
-    rows = case.blocks(q) @ np.linalg.cholesky(inverse)
+    rows = case.scaled_jacobians(q) @ np.linalg.cholesky(inverse)
     assert np.square(rows).sum(axis=(1, 2)).max() <= case.parameters + 1e-7
 
 
@@ -188,7 +190,7 @@ def test_other_criteria_have_no_better_neighbour(name: str) -> None:
     """Directional derivatives of Phi towards every candidate are <= 0, by differences of Phi itself."""
     generator = np.random.default_rng(2)
     base = problem(FOUR)
-    tests = base.blocks(generator.uniform(FOUR.lower, FOUR.upper, (10, 4)))
+    tests = base.scaled_jacobians(generator.uniform(FOUR.lower, FOUR.upper, (10, 4)))
     criterion: Criterion = {"A": A(), "I": I(tests), "Ds": Ds((0, 1)), "E": E()}[name]
     case = problem(FOUR, criterion=criterion)
     candidates = grid(case, 5)

@@ -35,7 +35,7 @@ def test_quadratic_regression(criterion: Criterion, ends: float, middle: float, 
     assert weights == pytest.approx(expected, abs=tolerance)
 
 
-def random_blocks(generator: np.random.Generator, k: int, d: int, p: int) -> Array:
+def random_jacobians(generator: np.random.Generator, k: int, d: int, p: int) -> Array:
     return generator.standard_normal((k, d, p))
 
 
@@ -43,10 +43,10 @@ def random_blocks(generator: np.random.Generator, k: int, d: int, p: int) -> Arr
 @given(seed=st.integers(0, 10_000), p=st.integers(2, 6), d=st.integers(1, 3))
 def test_equivalence_theorem(seed: int, p: int, d: int) -> None:
     """max d = p over the postures, and d = p wherever there is weight (Kiefer and Wolfowitz, several coordinates)."""
-    blocks = random_blocks(np.random.default_rng(seed), 4 * p, d, p)
-    weights = solve_weights(blocks, D(), PriorInformation()).weights
-    information = np.einsum("k,kda,kdb->ab", weights, blocks, blocks)
-    d_values = np.einsum("kda,ab,kdb->k", blocks, np.linalg.inv(information), blocks)
+    jacobians = random_jacobians(np.random.default_rng(seed), 4 * p, d, p)
+    weights = solve_weights(jacobians, D(), PriorInformation()).weights
+    information = np.einsum("k,kda,kdb->ab", weights, jacobians, jacobians)
+    d_values = np.einsum("kda,ab,kdb->k", jacobians, np.linalg.inv(information), jacobians)
     assert weights.sum() == pytest.approx(1.0, abs=1e-14)
     assert weights.min() >= 0.0
     assert d_values.max() <= p + 1e-9
@@ -57,13 +57,13 @@ def test_equivalence_theorem(seed: int, p: int, d: int) -> None:
 def test_no_better_weights_by_scipy(criterion: Criterion) -> None:
     """SLSQP on the softmax of the weights, from the answer and from elsewhere, finds nothing better."""
     generator = np.random.default_rng(3)
-    blocks = random_blocks(generator, 12, 2, 5)
+    jacobians = random_jacobians(generator, 12, 2, 5)
 
     def minus_value(x: Array) -> float:
         w = np.exp(x - x.max())
-        return -float(criterion.value(np.einsum("k,kda,kdb->ab", w / w.sum(), blocks, blocks)))
+        return -float(criterion.value(np.einsum("k,kda,kdb->ab", w / w.sum(), jacobians, jacobians)))
 
-    mine = solve_weights(blocks, criterion, PriorInformation()).weights
+    mine = solve_weights(jacobians, criterion, PriorInformation()).weights
     reached = minus_value(np.log(np.maximum(mine, 1e-12)))
     for start in (np.log(np.maximum(mine, 1e-6)), np.zeros(12), generator.standard_normal(12)):
         assert minimize(minus_value, start, method="SLSQP").fun >= reached - 1e-9
@@ -72,16 +72,16 @@ def test_no_better_weights_by_scipy(criterion: Criterion) -> None:
 def test_a_part_of_the_runs_is_fixed() -> None:
     """With a fixed offset the multiplicative algorithm (Silvey, Titterington, Torsney) is the oracle."""
     generator = np.random.default_rng(4)
-    blocks, kept = random_blocks(generator, 15, 2, 4), random_blocks(generator, 3, 2, 4)
+    jacobians, kept = random_jacobians(generator, 15, 2, 4), random_jacobians(generator, 3, 2, 4)
     known = np.einsum("kda,kdb->ab", kept, kept)
     prior = PriorInformation(known, 2.0).per_new_run(3)  # two of five runs are known
-    atoms = 0.6 * np.einsum("kda,kdb->kab", blocks, blocks) + 0.2 * known
+    atoms = 0.6 * np.einsum("kda,kdb->kab", jacobians, jacobians) + 0.2 * known
     w = np.full(15, 1 / 15)
     for _ in range(20_000):
         w *= np.einsum("ab,kab->k", np.linalg.inv(np.einsum("k,kab->ab", w, atoms)), atoms) / 4
-    mine = solve_weights(blocks, D(), prior)
+    mine = solve_weights(jacobians, D(), prior)
     best = np.linalg.slogdet(np.einsum("k,kab->ab", w, atoms))[1]
-    assert np.linalg.slogdet(prior.mixture(blocks, mine.weights))[1] >= best - 1e-12
+    assert np.linalg.slogdet(prior.mixture(jacobians, mine.weights))[1] >= best - 1e-12
     assert mine.weights == pytest.approx(w, abs=1e-3)  # the multiplicative algorithm is slow near zero weights
     assert mine.gap <= 1e-10
 
@@ -90,15 +90,15 @@ def test_a_part_of_the_runs_is_fixed() -> None:
 @given(seed=st.integers(0, 10_000), p=st.integers(1, 5))
 def test_sparsest_keeps_the_information(seed: int, p: int) -> None:
     generator = np.random.default_rng(seed)
-    blocks = random_blocks(generator, 60, 2, p)
+    jacobians = random_jacobians(generator, 60, 2, p)
     weights = generator.dirichlet(np.ones(60))
     weights[::7] = 0.0
     weights /= weights.sum()
-    few = sparsest(blocks, weights)
+    few = sparsest(jacobians, weights)
     assert np.count_nonzero(few) <= p * (p + 1) // 2 + 1
     assert few.min() >= 0.0
     assert not few[::7].any()
-    before, after = (np.einsum("k,kda,kdb->ab", w, blocks, blocks) for w in (weights, few))
+    before, after = (np.einsum("k,kda,kdb->ab", w, jacobians, jacobians) for w in (weights, few))
     assert after == pytest.approx(before, rel=1e-10, abs=1e-10)
 
 

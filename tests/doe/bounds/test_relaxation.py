@@ -13,8 +13,8 @@ from identification.errors import InputError, JobError
 from identification.status import Status
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
 
-TEST_BLOCKS = problem(FOUR).blocks(np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (8, 4)))
-CRITERIA: dict[str, Criterion] = {"D": D(), "A": A(), "I": I(TEST_BLOCKS), "E": E()}
+TEST_JACOBIANS = problem(FOUR).scaled_jacobians(np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (8, 4)))
+CRITERIA: dict[str, Criterion] = {"D": D(), "A": A(), "I": I(TEST_JACOBIANS), "E": E()}
 # what an interior point of cvxpy's default accuracy (1e-8 on the program) leaves of the gap; a first-order method less
 GAPS = {"clarabel": 1e-3, "scs": 1e-5, "column_generation": 1e-6}
 

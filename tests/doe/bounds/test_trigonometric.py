@@ -1,11 +1,11 @@
-"""The sensitivity as a trigonometric polynomial: equal to the blocks where the model is one, None where it is not."""
+"""The sensitivity as a trigonometric polynomial: that of the Jacobians where the model is one, None where it is not."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from doe.bounds.trigonometric import trigonometric_blocks
+from doe.bounds.trigonometric import trigonometric_jacobian
 from identification.arm import Calibration, EffectSpec, Gravity
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
 from tests.doe.regression import regression
@@ -30,14 +30,14 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_equals_the_blocks(case) -> None:  # type: ignore[no-untyped-def]
+def test_equals_the_jacobians(case) -> None:  # type: ignore[no-untyped-def]
     generator = np.random.default_rng(0)
     q = generator.uniform(-4.0, 4.0, (200, case.joints))  # outside the limits too: it is an identity
     root = generator.standard_normal((case.parameters, case.parameters))
     gradient = root @ root.T
-    blocks = case.blocks(q)
-    expected = 0.7 * np.einsum("kda,ab,kdb->k", blocks, gradient, blocks) + 3.0
-    found = trigonometric_blocks(case)
+    jacobians = case.scaled_jacobians(q)
+    expected = 0.7 * np.einsum("kda,ab,kdb->k", jacobians, gradient, jacobians) + 3.0
+    found = trigonometric_jacobian(case)
     assert found is not None
     polynomial = found.sensitivity(gradient, 0.7, 3.0)
     assert polynomial.value(q) == pytest.approx(expected, rel=1e-11)
@@ -49,7 +49,7 @@ def test_base_model_has_a_wave_per_pair_of_links() -> None:
 
     doe/README.md, "Information matrix".
     """
-    found = trigonometric_blocks(problem(FOUR))
+    found = trigonometric_jacobian(problem(FOUR))
     assert found is not None
     frequencies = {tuple(f) for f in found.sensitivity(np.diag(np.arange(1.0, 9.0)) + 1.0).frequencies}
     pairs = {tuple(int(j < c <= k) for c in range(4)) for j in range(4) for k in range(j + 1, 4)}
@@ -68,4 +68,4 @@ def test_base_model_has_a_wave_per_pair_of_links() -> None:
     ids=["gear ratio", "sign", "coupling", "regression"],
 )
 def test_others_are_not(case) -> None:  # type: ignore[no-untyped-def]
-    assert trigonometric_blocks(case) is None
+    assert trigonometric_jacobian(case) is None

@@ -133,8 +133,8 @@ def test_efficiency_is_a_share_of_the_runs(phi: Criterion) -> None:
 def test_equivalence_theorem(phi: Criterion) -> None:
     """Optimal weights by scipy have max_i tr(G M_i) = tr(G M), and the bound there is the optimum."""
     generator = np.random.default_rng(7)
-    blocks = generator.normal(size=(12, 2, P))
-    atoms = np.swapaxes(blocks, -1, -2) @ blocks
+    jacobians = generator.normal(size=(12, 2, P))
+    atoms = np.swapaxes(jacobians, -1, -2) @ jacobians
 
     def share(x: np.ndarray) -> np.ndarray:
         return np.exp(x - x.max()) / np.exp(x - x.max()).sum()
@@ -159,9 +159,9 @@ def test_equivalence_theorem(phi: Criterion) -> None:
 def test_gain_of_adding_a_block(phi: Criterion) -> None:
     generator = np.random.default_rng(8)
     information = np.array([random_information(generator) for _ in range(3)])
-    blocks = generator.normal(size=(3, 7, 2, P))
-    gains = values_after_adding(phi, information, blocks)
-    direct = phi.value(information[:, None] + np.swapaxes(blocks, -1, -2) @ blocks)
+    jacobians = generator.normal(size=(3, 7, 2, P))
+    gains = values_after_adding(phi, information, jacobians)
+    direct = phi.value(information[:, None] + np.swapaxes(jacobians, -1, -2) @ jacobians)
     apart = np.asarray(direct) - gains  # may depend on the start only
     np.testing.assert_allclose(apart, np.repeat(apart[:, :1], 7, axis=1), rtol=1e-6, atol=1e-6)
 
@@ -182,7 +182,7 @@ def test_stand_ins_of_criteria_without_derivatives() -> None:
 
 def test_names() -> None:
     for name in NAMES:
-        made = criterion(name, units=("mm", "mm", "rad", "rad"), subset=(0, 1), test_blocks=POSES)
+        made = criterion(name, units=("mm", "mm", "rad", "rad"), subset=(0, 1), test_jacobians=POSES)
         assert made.name == name
     assert criterion("Dstar", units=("mm", "mm", "rad", "rad")) == DStar(((0, 1), (2, 3)))
     with pytest.raises(InputError, match="did you mean 'Ds'"):

@@ -79,10 +79,10 @@ def test_adding_a_run_ranks_as_the_value_does(criterion: Average | SoftWorst) ->
     generator = np.random.default_rng(6)
     model = ensemble_problem(DesignProblem.of(MODEL), DRAWS).model
     postures = generator.uniform(ARM.lower, ARM.upper, (20, 3))
-    blocks = model.jacobian(postures) / model.parameters.scales
-    information = np.einsum("kda,kdb->ab", blocks[:10], blocks[:10])
-    direct = np.array([float(criterion.value(information + b.T @ b)) for b in blocks[10:]])
-    surrogate = criterion.values_after_adding(information[None], blocks[None, 10:])[0]
+    jacobians = model.jacobian(postures) / model.parameters.scales
+    information = np.einsum("kda,kdb->ab", jacobians[:10], jacobians[:10])
+    direct = np.array([float(criterion.value(information + b.T @ b)) for b in jacobians[10:]])
+    surrogate = criterion.values_after_adding(information[None], jacobians[None, 10:])[0]
     np.testing.assert_allclose(
         surrogate - surrogate[0], direct - direct[0], atol=1e-5
     )  # the ridge is 1e-9 of the trace

@@ -19,12 +19,13 @@ def test_information_with_measured_postures_is_the_information_of_all_runs() -> 
     weights = np.array([0.1, 0.2, 0.3, 0.3, 0.1])  # ten runs: 1, 2, 3, 3, 1
     rows = np.concatenate([kept, np.repeat(new, [1, 2, 3, 3, 1], axis=0)])
     expected = problem(FOUR, OFFSET, ECCENTRICITY).information(rows)
-    information = prior.mixture(case.blocks(new), weights)
+    information = prior.mixture(case.scaled_jacobians(new), weights)
     assert information == pytest.approx(expected, rel=1e-12, abs=1e-12)
     gradient = np.linalg.inv(information)
-    g = prior.sensitivities(case.blocks(new), gradient)
+    jacobians = case.scaled_jacobians(new)
+    g = prior.sensitivities(jacobians, gradient)
     assert weights @ g == pytest.approx(case.parameters, abs=1e-9)  # tr(G M) = p
-    assert g == pytest.approx([np.sum(gradient * f) for f in prior.posture_information(case.blocks(new))], rel=1e-12)
+    assert g == pytest.approx([np.sum(gradient * f) for f in prior.posture_information(jacobians)], rel=1e-12)
 
 
 def test_measured_postures_need_the_number_of_runs() -> None:
@@ -49,12 +50,12 @@ def test_no_measured_postures_are_an_empty_array_and_tell_nothing() -> None:
 def test_a_prior_without_runs_adds_to_the_sum_and_leaves_the_number_of_runs() -> None:
     """A calibration's covariance C, as it would be added: inverse of C times sigma^2, no run of this plan."""
     case = problem(FOUR, OFFSET)
-    blocks = case.blocks(np.random.default_rng(2).uniform(FOUR.lower, FOUR.upper, (5, 4)))
+    jacobians = case.scaled_jacobians(np.random.default_rng(2).uniform(FOUR.lower, FOUR.upper, (5, 4)))
     known = 3.0 * np.eye(case.parameters)
-    total = sum(block.T @ block for block in blocks)
+    total = sum(b.T @ b for b in jacobians)
     prior = PriorInformation(known)
     assert not prior.empty
     assert prior.information(total, 5) == pytest.approx((total + known) / 5, rel=1e-12, abs=1e-12)
-    assert prior.per_new_run(5).mixture(blocks, np.full(5, 0.2)) == pytest.approx(
+    assert prior.per_new_run(5).mixture(jacobians, np.full(5, 0.2)) == pytest.approx(
         (total + known) / 5, rel=1e-12, abs=1e-12
     )

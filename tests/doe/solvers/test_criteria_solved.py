@@ -12,7 +12,7 @@ from tests.doe.arms import FOUR, problem
 
 POSES = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (20, 4))
 CASES = {
-    "A": A(), "I": I(problem(FOUR).blocks(POSES)), "Ds": Ds((0, 1, 2, 3)),
+    "A": A(), "I": I(problem(FOUR).scaled_jacobians(POSES)), "Ds": Ds((0, 1, 2, 3)),
     "Dstar": DStar(((0, 1, 2, 3), (4, 5, 6, 7))),
 }  # fmt: skip
 

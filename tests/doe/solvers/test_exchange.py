@@ -21,9 +21,9 @@ def test_determinant_lemma_is_direct_evaluation() -> None:
     root = generator.normal(size=(3, 9, 6))
     information = np.swapaxes(root, -1, -2) @ root
     for d in (2, 3):
-        blocks = generator.normal(size=(3, 11, d, 6))
-        direct = np.linalg.slogdet(information[:, None] + np.swapaxes(blocks, -1, -2) @ blocks)[1]
-        found = values_after_adding(D(), information, blocks) + np.linalg.slogdet(information)[1][:, None]
+        jacobians = generator.normal(size=(3, 11, d, 6))
+        direct = np.linalg.slogdet(information[:, None] + np.swapaxes(jacobians, -1, -2) @ jacobians)[1]
+        found = values_after_adding(D(), information, jacobians) + np.linalg.slogdet(information)[1][:, None]
         np.testing.assert_allclose(found, direct, atol=1e-7)  # the ridge is 1e-9 of the mean eigenvalue
 
 
@@ -49,8 +49,8 @@ def test_finds_the_best_of_all_grid_plans() -> None:
     levels = Exchange(levels=5).grid(case)
     postures = np.array([[0.0, a, b] for a in levels[1] for b in levels[2]])
     every = np.array(list(combinations_with_replacement(range(25), 4)))
-    blocks = case.blocks(postures)
-    products = np.swapaxes(blocks, -1, -2) @ blocks
+    jacobians = case.scaled_jacobians(postures)
+    products = np.swapaxes(jacobians, -1, -2) @ jacobians
     best = np.linalg.slogdet(products[every].sum(axis=1) / 4)[1].max()
     design = solve(case, 4, Exchange(levels=5), starts=100)
     assert design.value == pytest.approx(best, abs=1e-12)
@@ -69,8 +69,8 @@ def test_measured_postures_count() -> None:
     case = problem(FOUR, kept=kept)
     assert case.fewest_runs == 1  # 8 unknowns, 20 equations there: but all of one posture
     design = solve(case, 4, "exchange", starts=50, bound=Bound(np.inf, "grid"))
-    blocks = case.blocks(np.vstack([design.plan.postures, kept])).reshape(28, 8)
-    assert design.log_det == pytest.approx(np.linalg.slogdet(blocks.T @ blocks / 14)[1])
+    jacobians = case.scaled_jacobians(np.vstack([design.plan.postures, kept])).reshape(28, 8)
+    assert design.log_det == pytest.approx(np.linalg.slogdet(jacobians.T @ jacobians / 14)[1])
 
 
 def test_single_link() -> None:
