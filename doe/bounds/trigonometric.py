@@ -1,7 +1,7 @@
 """Is a model's sensitivity a trigonometric polynomial of the joint angles? Read off its CasADi instructions.
 
 The scaled Jacobians B(q) of a chain of revolute joints, planar or spatial, are sums of products of sines and cosines of
-whole combinations of joint angles; most effects keep that. Then d(q) = c_0 + sum_t Re(c_t exp(i f_t . q)) with whole f_t,
+whole combinations of joint angles; most effects keep that. Then d(q) = c_0 + sum_t Re(c_t exp(i f_t . q)), whole f_t,
 and its maximum over a box can be bounded by a theorem (`doe.bounds.branch_and_bound`). The walk over the
 instructions is the proof: anything that leaves the ring of trigonometric polynomials gives None.
 """
