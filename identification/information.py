@@ -1,7 +1,8 @@
-"""The information matrix, and what a plan can tell before any data exist (paper, eq. 16-19, corrected).
+"""The information matrix, and what a plan makes estimable before any data exist (paper, eq. 16-19, corrected).
 
-All rank decisions are made on columns that are scaled twice: by `Model.scales` (so that one is a millimetre at the tip)
-and to unit length, so that no choice of units can make a parameter look lost or found.
+One rule decides every rank (`column_lengths` and `significant`): columns are scaled to unit length, one whose length,
+counted in mm at the tip (`Model.scales`), is nothing beside the longest is zero, and singular values below a share of
+the largest are zero. No choice of units can change whether a parameter is estimable.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from identification.arrays import Array, readonly
 RANK_TOLERANCE = 1e-9  # singular values of columns of unit length below this share of the largest are zero
 CLEAR = 1e-8  # smallest eigenvalue of a normal matrix of unit columns that needs no closer look
 SHOWN = 0.02  # coefficients below this share of the largest are not shown, and such differences from 1 neither
-TOUCHED = 1e-3  # a parameter with less than this in every lost direction is estimable
+TOUCHED = 1e-3  # a parameter with less than this in every null direction is estimable
 
 
 def information_matrix(jacobian: Array, weights: Array | None = None) -> Array:
@@ -40,11 +41,33 @@ def orientation_transform(names: tuple[str, ...]) -> Array:
     return transform
 
 
+def column_lengths(sizes: Array, scales: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """(..., p) what to divide the columns of a Jacobian by, and which of them are zero (those by their scale).
+
+    sizes : (..., p) Euclidean lengths of the columns;  scales : (p,) `Model.scales` [mm/unit]
+    """
+    relative = sizes / scales
+    zero = relative <= RANK_TOLERANCE * np.max(relative, axis=-1, keepdims=True, initial=np.finfo(float).tiny)
+    return np.where(zero, scales, sizes), zero
+
+
+def significant(values: Array, tolerance: float = RANK_TOLERANCE) -> NDArray[np.bool_]:
+    """(..., r) which singular values of unit columns count: those above `tolerance` times the largest."""
+    return values > tolerance * np.max(values, axis=-1, keepdims=True, initial=0.0)
+
+
+def column_space(jacobian: Array, scales: Array) -> Array:
+    """(N, rank) orthonormal basis of the columns of a Jacobian (N, p) that may be whitened."""
+    lengths, zero = column_lengths(np.linalg.norm(jacobian, axis=0), scales)
+    left, values, _ = np.linalg.svd(np.where(zero, 0.0, jacobian / lengths), full_matrices=False)
+    return np.asarray(left[:, significant(values)])
+
+
 @dataclass(frozen=True)
 class Spectrum:
     """Singular value decomposition of a Jacobian whose columns are scaled to unit length.
 
-    lengths : (p,) what each column was divided by, 1 for a column that is zero
+    lengths : (p,) what each column was divided by
     values : (p,) singular values, largest first
     directions : (p, p) orthonormal columns, in the scaled parameters lengths * parameters
     rank : number of singular values that count
@@ -57,58 +80,55 @@ class Spectrum:
 
     def truncated(self, tolerance: float) -> Spectrum:
         """The same decomposition with the rank at another tolerance (share of the largest singular value)."""
-        return replace(self, rank=int(np.sum(self.values > tolerance * np.max(self.values, initial=0.0))))
+        return replace(self, rank=int(np.count_nonzero(significant(self.values, tolerance))))
 
     @property
-    def kept(self) -> Array:
-        """(p, rank) directions that the data tell."""
+    def estimable(self) -> Array:
+        """(p, rank) orthonormal basis of the combinations that the data determine."""
         return self.directions[:, : self.rank]
 
     @property
-    def lost(self) -> Array:
-        """(p, p - rank) orthonormal basis of what the data do not tell."""
+    def null_space(self) -> Array:
+        """(p, p - rank) orthonormal basis of the combinations that the data leave undetermined."""
         return self.directions[:, self.rank :]
 
     @property
     def covariance(self) -> Array:
-        """(p, p) (J^T J)^-1 on the kept directions, zero on the lost ones: the pseudo-inverse in scaled parameters."""
-        root = self.kept / self.values[: self.rank] / self.lengths[:, None]
+        """(p, p) (J^T J)^-1 on the estimable directions, zero on the others: pseudo-inverse in scaled parameters."""
+        root = self.estimable / self.values[: self.rank] / self.lengths[:, None]
         return root @ root.T
 
 
 def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE) -> Spectrum:
     """Decomposes a Jacobian (m, d, p) or (rows, p), whose rows may carry weights.
 
-    scales : (p,) `Model.scales` [mm/unit]; a column of less than `RANK_TOLERANCE` times the longest, so scaled, is zero
-    tolerance : singular values below this share of the largest do not count
+    scales : (p,) `Model.scales` [mm/unit];  tolerance : of `significant`
     """
     p = jacobian.shape[-1]
     triangle = np.linalg.qr(jacobian.reshape(-1, p), mode="r")
-    sizes = np.linalg.norm(triangle, axis=0)
-    empty = sizes / scales <= RANK_TOLERANCE * np.max(sizes / scales, initial=np.finfo(float).tiny)
-    lengths = np.where(empty, scales, sizes)
-    _, found, rows = np.linalg.svd(np.where(empty, 0.0, triangle / lengths), full_matrices=True)
+    lengths, zero = column_lengths(np.linalg.norm(triangle, axis=0), scales)
+    _, found, rows = np.linalg.svd(np.where(zero, 0.0, triangle / lengths), full_matrices=True)
     values = np.zeros(p)
     values[: found.size] = found
     return Spectrum(lengths, values, rows.T, p).truncated(tolerance)
 
 
 def covariance(jacobian: Array, scales: Array, sigma: float = 1.0, tolerance: float = RANK_TOLERANCE) -> Array:
-    """(p, p) sigma^2 (sum J^T J)^-1 (eq. 17), never inverting what the data do not tell: see `Spectrum.covariance`."""
+    """(p, p) sigma^2 (sum J^T J)^-1 (eq. 17) on the estimable directions: see `Spectrum.covariance`."""
     return sigma**2 * spectrum(jacobian, scales, tolerance).covariance
 
 
 def full_rank(jacobians: Array, scales: Array) -> NDArray[np.bool_]:
-    """(K,) True where a plan tells every parameter: `spectrum(...).rank == p` of many Jacobians (K, m, d, p)."""
+    """(K,) True where every parameter is estimable: `spectrum(...).rank == p` of many Jacobians (K, m, d, p)."""
     normal, lengths = _unit_normal(jacobians)
-    told = _clear(np.linalg.eigh(normal)[0], lengths, scales)
-    for k in np.flatnonzero(~told):
-        told[k] = spectrum(jacobians[k], scales).rank == len(scales)
-    return told
+    full = _clear(np.linalg.eigh(normal)[0], lengths, scales)
+    for k in np.flatnonzero(~full):
+        full[k] = spectrum(jacobians[k], scales).rank == len(scales)
+    return full
 
 
 def covariances(jacobians: Array, scales: Array, sigma: float = 1.0) -> Array:
-    """(K, p, p) `covariance` of many Jacobians (K, m, d, p); not a number where a plan loses something."""
+    """(K, p, p) `covariance` of many Jacobians (K, m, d, p); not a number where not all is estimable."""
     normal, lengths = _unit_normal(jacobians)
     values, vectors = np.linalg.eigh(normal)
     clear = _clear(values, lengths, scales)
@@ -140,11 +160,11 @@ def _clear(values: Array, lengths: Array, scales: Array) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What a plan tells about p parameters.
+    """Which of p parameters a plan makes estimable.
 
-    rank : number of combinations that are told
-    identifiable : (p,) True where the parameter itself is told
-    null_space : (p, p - rank) sparse basis of what is not told, in `scales` * parameters [mm], largest entry 1
+    rank : number of estimable combinations
+    identifiable : (p,) True where the parameter itself is estimable
+    null_space : (p, p - rank) sparse basis of what is not estimable, in `scales` * parameters [mm], largest entry 1
     combinations : the basis in words, see `describe`
     """
 
@@ -163,18 +183,18 @@ def identifiability(
 
 def identifiability_of(found: Spectrum, names: Sequence[str], scales: Array) -> Identifiability:
     """`identifiability` of a Jacobian that is decomposed already."""
-    told = np.linalg.norm(found.lost, axis=1) <= TOUCHED
-    told.setflags(write=False)
-    basis = sparse_basis(found.lost) / found.lengths[:, None] * scales[:, None]
+    identifiable = np.linalg.norm(found.null_space, axis=1) <= TOUCHED
+    identifiable.setflags(write=False)
+    basis = sparse_basis(found.null_space) / found.lengths[:, None] * scales[:, None]
     basis /= np.max(np.abs(basis), axis=0, initial=np.finfo(float).tiny)
-    return Identifiability(found.rank, told, readonly(basis), tuple(describe(v, names) for v in basis.T))
+    return Identifiability(found.rank, identifiable, readonly(basis), tuple(describe(v, names) for v in basis.T))
 
 
 def describe(direction: Array, names: Sequence[str]) -> str:
     """A direction of the null space in words: `joint_offset:1 + base_rotation.angle`.
 
     The last parameter named acts exactly as the sum of the others does (its Jacobian column is that combination of
-    theirs, each in mm at the tip), so only what they make together is told. Coefficients near 1 are left out.
+    theirs, each in mm at the tip), so only what they make together is estimable. Coefficients near 1 are left out.
     """
     shown = np.flatnonzero(np.abs(direction) > SHOWN * np.max(np.abs(direction)))
     coefficients = direction[shown] / np.max(np.abs(direction))
@@ -197,7 +217,7 @@ def sparse_basis(orthonormal: Array) -> Array:
     p, k = orthonormal.shape
     if k == 0:
         return np.zeros((p, 0))
-    from scipy.linalg import qr  # deferred: only plans that lose something pay for the import
+    from scipy.linalg import qr  # deferred: only rank-deficient plans pay for the import
 
     _, _, pivots = qr(orthonormal.T, pivoting=True, mode="economic")
     echelon = orthonormal @ np.linalg.inv(orthonormal[pivots[:k]])

@@ -30,6 +30,7 @@ from identification.kinematics.planar import (
     symbolic_chain,
     symbolic_points,
 )
+from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.measurements import Conditions
 from identification.vectorize import vectorize
 
@@ -139,7 +140,22 @@ class Model:
     @property
     def linear_in_links(self) -> bool:
         """True if the tip is a complex linear function of l_j exp(i dtheta_j): nothing known, at most a base offset."""
-        return not self.fixed and all(effect.name == "base_offset" for effect in self.effects)
+        return self.closed_form is not None and self.closed_form.exact
+
+    @cached_property
+    def closed_form(self) -> PlanarClosedForm | None:
+        """Least squares in closed form for lengths and offsets, as if there were no other effects than a base offset.
+
+        None where a length or an offset is known.
+        """
+        chain = [*self.parameters.indices(LENGTH_ERROR), *self.parameters.indices(JOINT_OFFSET)]
+        base = [k for k, name in enumerate(self.names) if name in ("base_offset.x0", "base_offset.y0")]
+        if len(chain) < 2 * self.joints:
+            return None
+        offset = len(base) == 2
+        indices = np.array(chain + base if offset else chain)
+        exact = not self.fixed and len(indices) == len(self.names)
+        return PlanarClosedForm(self.arm.lengths, offset, indices, exact)
 
     # -- symbols ---------------------------------------------------------------------------------------------------
     @cached_property

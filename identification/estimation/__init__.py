@@ -1,9 +1,9 @@
 """From measurements to parameters with their uncertainty: `estimate` is the only door for one data set,
 `estimate_batch` for many data sets on one plan, `estimate_each` for many with a plan of its own each."""
 
-from identification.estimation.batch import BatchFit, estimate_batch
-from identification.estimation.estimate import METHODS, estimate
-from identification.estimation.own_plans import estimate_each
+from identification.estimation.batch import BatchFit, estimate_batch, estimate_each
+from identification.estimation.estimate import estimate
+from identification.estimation.methods import METHODS
 from identification.estimation.result import Identification
 
 __all__ = ["METHODS", "BatchFit", "Identification", "estimate", "estimate_batch", "estimate_each"]

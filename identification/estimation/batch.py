@@ -1,35 +1,32 @@
-"""Many data sets on one plan: Monte Carlo studies, bootstraps, fleets of one arm.
+"""Many data sets at once, on one plan (`estimate_batch`: Monte Carlo studies, bootstraps, fleets of one arm) or each on
+a plan of its own (`estimate_each`: the average over random plans).
 
-A model that is linear in its links has one pseudo-inverse for all data sets: a fit is a few multiplications. Any other
-model starts there and takes steps N^-1 J(p)^T W r with one inverse normal matrix N^-1 shared by all data sets, where
-J(p)^T W r comes exactly from CasADi's reverse mode at the price of a few position evaluations. The shared matrix only
-sets the speed: what is accepted is stationary for its own data set. What does not contract quickly, or meets a physical
-bound, gets damped Gauss-Newton steps of its own (`individual`).
+A model with a closed form takes a few multiplications per fit. Any other starts there and goes on with
+`levenberg_marquardt`; on one plan, the steps that data sets can share come first (`chord`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError
+from identification.estimation.chord import Chord
 from identification.estimation.estimate import check, weighting
-from identification.estimation.individual import individual
-from identification.estimation.planar_linear import as_complex, design, parameters_of
-from identification.estimation.problem import GRADIENT_TOLERANCE, ROUNDING, Problem
-from identification.information import identifiability_of, information_matrix, spectrum
-from identification.measurements import Measurements
-from identification.model import DIMENSION, Model
-from identification.vectorize import vectorize
+from identification.estimation.levenberg_marquardt import levenberg_marquardt, outcomes
+from identification.estimation.methods import gauss_newton, linear, starts
+from identification.estimation.problem import Problem
+from identification.information import full_rank, identifiability_of, spectrum
+from identification.measurements import Conditions, Measurements, directions_from_order, session_time
+from identification.model import Model
+from identification.status import Status
 
 CHUNK = 20_000  # rows (data sets times postures) at a time: the arrays of one pass stay in the processor's cache
-SHARED_STEPS = 12
-CONTRACTION = 0.3  # a shared step that shrinks the gradient by less hands the data set over
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,17 +35,24 @@ class BatchFit:
 
     parameters : (K, p) in the order of `model.parameters`, API units
     rss : (K,) weighted sum of squares at the solution; [mm^2] without sigma
-    converged : (K,) True where it is stationary: no free column of the Jacobian has a cosine above 1e-9 with the
-        residuals (the closed form always is); False for data that are not finite
+    status : (K,) of `Status`
     """
 
     parameters: Array
     rss: Array
-    converged: NDArray[np.bool_]
+    status: NDArray[np.object_]
 
     def __post_init__(self) -> None:
-        for array in (self.parameters, self.rss, self.converged):
+        for array in (self.parameters, self.rss, self.status):
             array.setflags(write=False)
+
+    @cached_property
+    def converged(self) -> NDArray[np.bool_]:
+        """(K,) True where it is stationary: no free column of the Jacobian has a cosine above 1e-9 with the residuals
+        (the closed form always is); False for data that are not finite."""
+        converged = np.asarray(self.status == Status.converged)
+        converged.setflags(write=False)
+        return converged
 
     def __len__(self) -> int:
         return len(self.rss)
@@ -58,6 +62,18 @@ class BatchFit:
         return f"BatchFit({k} data sets, {p} parameters, {np.count_nonzero(self.converged)} converged)"
 
 
+def _chunks(count: int, rows: int) -> Iterator[slice]:
+    size = max(1, CHUNK // rows)
+    return (slice(start, min(start + size, count)) for start in range(0, count, size))
+
+
+def _empty(count: int, model: Model) -> tuple[Array, Array, NDArray[np.object_]]:
+    """Parameters, sums of squares and statuses of data sets that are not fitted."""
+    status = np.full(count, Status.not_identifiable, dtype=object)
+    return np.full((count, len(model.names)), np.nan), np.full(count, np.nan), status
+
+
+# -- one plan ------------------------------------------------------------------------------------------------------
 def estimate_batch(
     model: Model, plan: Measurements | ArrayLike, positions: ArrayLike, weights: ArrayLike | None = None
 ) -> BatchFit:
@@ -65,147 +81,92 @@ def estimate_batch(
 
     plan : measurements whose postures and conditions all data sets share (their positions are not read), or (m, n)
         postures [rad] in the order of measurement
-    positions : (K, m, 2) measured [mm]
+    positions : (K, m, d) measured [mm]
     weights : (m,) relative weights of the rows; left out: 1/sigma^2 with the plan's sigma per row where it has one
 
     Raises `InputError` for shapes that do not fit, `JobError` naming what the plan cannot tell apart.
     """
-    measured = np.asarray(positions, dtype=float)
-    problem = _problem(model, plan, measured, weights)
-    lost = identifiability_of(
-        spectrum(problem.linearize(problem.start)[1], model.scales, problem.tolerance), model.names, model.scales
-    )
-    if lost.combinations:
-        raise JobError(f"the plan cannot tell apart: {'; '.join(lost.combinations)}")
-    if model.linear_in_links:
-        return _closed_form(problem, measured)
-    return _iterated(problem, measured)
+    problem = _problem(model, plan, np.asarray(positions, dtype=float), weights)
+    decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance)
+    undetermined = identifiability_of(decomposed, model.names, model.scales).combinations
+    if undetermined:
+        raise JobError(f"the plan cannot tell apart: {'; '.join(undetermined)}")
+    if model.closed_form is not None and model.closed_form.exact:
+        return _closed_form(problem)
+    return _iterated(problem)
 
 
 def _problem(model: Model, plan: Measurements | ArrayLike, measured: Array, weights: ArrayLike | None) -> Problem:
-    """The shared part, with zeros for the measured positions."""
     if not isinstance(plan, Measurements):
         postures = np.atleast_2d(np.asarray(plan, dtype=float))
-        plan = Measurements(postures, np.zeros((len(postures), DIMENSION)))
-    m = len(plan)
-    if measured.ndim != 3 or measured.shape[1:] != (m, DIMENSION):
-        raise InputError(f"positions: shape {measured.shape}, allowed: (K, {m}, {DIMENSION})")
-    check(model, replace(plan, positions=np.zeros((m, DIMENSION))))
+        plan = Measurements(postures, np.zeros((len(postures), model.dimension)))
+    m, d = len(plan), model.dimension
+    if measured.ndim != 3 or measured.shape[1:] != (m, d):
+        raise InputError(f"positions: shape {measured.shape}, allowed: (K, {m}, {d})")
+    check(model, replace(plan, positions=np.zeros((m, d))))
     without_arm = replace(model.arm, sigma=None)
-    return Problem(model, plan, weighting(Model(without_arm, model.known), plan, None, weights).weights)
+    noise = weighting(Model(without_arm, model.known), plan, None, weights)
+    return Problem(model, plan.postures, plan.conditions, measured, noise.weights)
 
 
-def _chunks(count: int, rows: int) -> Iterator[slice]:
-    size = max(1, CHUNK // rows)
-    return (slice(start, min(start + size, count)) for start in range(0, count, size))
-
-
-# -- closed form ---------------------------------------------------------------------------------------------------
-def _closed_form(problem: Problem, measured: Array) -> BatchFit:
+def _closed_form(problem: Problem) -> BatchFit:
     """One pseudo-inverse for all (identification/README.md, "Closed form")."""
-    count, m, _ = measured.shape
-    parameters, rss = np.empty((count, len(problem.model.parameters))), np.empty(count)
-    solve = _linear_solver(problem)
+    assert problem.model.closed_form is not None
+    solve = problem.model.closed_form.solver(problem.postures, problem.weights, problem.tolerance)
+    count = len(problem.positions)
+    parameters, rss = np.empty((count, len(problem.model.names))), np.empty(count)
+    for part in _chunks(count, len(problem.postures)):
+        parameters[part], rss[part] = solve(problem.positions[part])
+    return BatchFit(parameters, rss, outcomes(np.isfinite(rss), Status.converged, Status.solver_failed))
+
+
+def _iterated(problem: Problem) -> BatchFit:
+    count, m = problem.positions.shape[:2]
+    parameters, rss, status = _empty(count, problem.model)
     for part in _chunks(count, m):
-        parameters[part], rss[part] = solve(measured[part])
-    return BatchFit(parameters, rss, np.isfinite(rss))
-
-
-def _linear_solver(problem: Problem) -> Callable[[Array], tuple[Array, Array]]:
-    """(k, m, 2) positions -> parameters (k, p) and weighted sums of squares (k,)."""
-    columns, nominal = design(problem.model, problem.measurements.postures)
-    root = problem.root_weights
-    back = np.ascontiguousarray((np.linalg.pinv(root * columns) * root.T).T)
-    forth = np.ascontiguousarray(columns.T)
-
-    def solve(positions: Array) -> tuple[Array, Array]:
-        # differences to the nominal arm: the sum of squares then loses no digits
-        rest = as_complex(positions) - columns @ nominal
-        change = rest @ back
-        residuals = (rest - change @ forth) * root[:, 0]
-        squares = residuals.view(np.float64)
-        return parameters_of(problem.model, nominal + change), np.einsum("ki,ki->k", squares, squares)
-
-    return solve
-
-
-# -- every other model ---------------------------------------------------------------------------------------------
-def _iterated(problem: Problem, measured: Array) -> BatchFit:
-    count, m, _ = measured.shape
-    parameters, rss, converged = _starts(problem, measured), np.empty(count), np.zeros(count, dtype=bool)
+        parameters[part] = starts(problem.rows(part))
     usable = np.all(np.isfinite(parameters), axis=1)
-    shared = _Shared(problem, np.mean(parameters[usable], axis=0) if usable.any() else problem.start)
+    chord = Chord(problem, np.mean(parameters[usable], axis=0) if usable.any() else problem.start)
+    stationary = np.zeros(count, dtype=bool)
     for part in _chunks(count, m):
-        _shared_steps(problem, shared, measured[part], parameters[part], rss[part], converged[part])
-    rest = np.flatnonzero(~converged)
+        parameters[part], rss[part], stationary[part] = chord.solve(problem.rows(part), parameters[part])
+    status[stationary] = Status.converged
+    rest = np.flatnonzero(~stationary)
     for part in _chunks(len(rest), m):
         some = rest[part]
-        parameters[some], rss[some], converged[some] = individual(problem, measured[some], parameters[some])
-    return BatchFit(parameters, rss, converged)
+        found = levenberg_marquardt(problem.rows(some).least_squares, parameters[some])
+        parameters[some], rss[some], status[some] = found.parameters, found.squares, found.status
+    return BatchFit(parameters, rss, status)
 
 
-def _starts(problem: Problem, measured: Array) -> Array:
-    """(K, p) closed-form lengths and offsets with the effects at their best known values, where nothing is known."""
-    model, n = problem.model, problem.model.arm.links
-    starts = np.tile(problem.start, (len(measured), 1))
-    base = Model(model.arm.with_effects())
-    if model.names[: 2 * n] == base.names:
-        without = replace(problem, model=base)
-        if spectrum(without.linearize(without.start)[1], base.scales).rank == 2 * n:
-            starts[:, : 2 * n] = _closed_form(without, measured).parameters
-    return starts
+# -- plans of their own --------------------------------------------------------------------------------------------
+def estimate_each(model: Model, postures: ArrayLike, positions: ArrayLike) -> BatchFit:
+    """Fits every data set on its own plan, each as `estimate` would with equal weights.
+
+    postures : (K, m, n) [rad], each plan in the order of measurement;  positions : (K, m, d) [mm]
+    `parameters` are not numbers and `converged` is False where a plan does not make all parameters estimable.
+    Raises `InputError` for shapes that do not fit.
+    """
+    plans, measured = np.asarray(postures, dtype=float), np.asarray(positions, dtype=float)
+    n, d = model.arm.links, model.dimension
+    if plans.ndim != 3 or plans.shape[-1] != n:
+        raise InputError(f"postures: shape {plans.shape}, allowed: (K, m, {n})")
+    if measured.shape != (*plans.shape[:2], d):
+        raise InputError(f"positions: shape {measured.shape}, allowed: {(*plans.shape[:2], d)}")
+    count, m, _ = plans.shape
+    parameters, rss, status = _empty(count, model)
+    solve = linear if model.closed_form is not None and model.closed_form.exact else gauss_newton
+    for part in _chunks(count, m):
+        problem = Problem(model, plans[part], sessions(plans[part]), measured[part], np.ones(m))
+        jacobians = model.jacobian(problem.postures, problem.start, problem.conditions)
+        estimable = np.flatnonzero(full_rank(jacobians, model.scales))
+        if estimable.size:
+            found, some = solve(problem.rows(estimable)), estimable + part.start
+            parameters[some], rss[some], status[some] = found.parameters, found.squares, found.status
+    return BatchFit(np.where((status == Status.converged)[:, None], parameters, np.nan), rss, status)
 
 
-class _Shared:
-    """The inverse normal matrix at one point, and exact gradients anywhere."""
-
-    def __init__(self, problem: Problem, center: Array) -> None:
-        _, jacobian = problem.linearize(center)
-        self.lengths = np.linalg.norm(jacobian, axis=0)
-        scaled = jacobian / self.lengths
-        self.inverse = np.linalg.inv(information_matrix(scaled[:, None, :])) / self.lengths  # for scaled gradients
-        data, model = problem.measurements, problem.model
-        payload = 0.0 if model.arm.gravity is None else model.arm.gravity.payload
-        self._table = problem.conditions.table(len(data), data.links, payload)
-        self._postures, self._weights = data.postures, problem.weights
-        self._tape = vectorize(gradient_function(model))
-
-    def gradient(self, measured: Array, parameters: Array) -> tuple[Array, Array]:
-        """(k, p) J^T W r / column lengths, and (k,) weighted sums of squares, for components-first (2, k, m) data."""
-        arguments = self._postures, self._table, parameters[:, None, :], np.moveaxis(measured, 0, -1)
-        gradient, squares = self._tape(*arguments)
-        # the tape writes components first, so these sums over rows are products with contiguous memory
-        sums = np.moveaxis(gradient[..., 0], -1, 0) @ self._weights
-        return sums.T / self.lengths, squares[..., 0, 0] @ self._weights
-
-
-def gradient_function(model: Model) -> ca.Function:
-    """CasADi (q, c, p, measured y) -> J^T (y - position) (p) by reverse mode, and |y - position|^2."""
-    q, c, p, position = model.symbols
-    y = ca.SX.sym("y", DIMENSION)
-    outputs = ca.cse([ca.jtimes(position, p, y - position, True), ca.sumsqr(y - position)])
-    return ca.Function("gradient", [q, c, p, y], outputs, ["q", "c", "p", "y"], ["gradient", "squares"])
-
-
-def _shared_steps(
-    problem: Problem, shared: _Shared, measured: Array, parameters: Array, rss: Array, converged: NDArray[np.bool_]
-) -> None:
-    """Steps in place, until every data set is stationary, slow, or outside its bounds."""
-    lower, upper = problem.bounds
-    active = np.arange(len(measured))
-    data = np.ascontiguousarray(np.moveaxis(measured, -1, 0))
-    rounding = ROUNDING * np.sqrt(np.sum(data**2 * problem.weights, axis=(0, 2)))
-    x, last = parameters.copy(), np.full(len(measured), np.inf)
-    for _ in range(SHARED_STEPS):
-        gradient, cost = shared.gradient(data, x)
-        size = np.max(np.abs(gradient), axis=1)
-        inside = np.all((x >= lower) & (x <= upper), axis=1)
-        done = (size <= GRADIENT_TOLERANCE * np.sqrt(cost) + rounding) & inside
-        finished = active[done]
-        parameters[finished], rss[finished], converged[finished] = x[done], cost[done], True
-        going = ~done & (size <= CONTRACTION * last)
-        if not going.any():
-            return
-        x = x[going] + gradient[going] @ shared.inverse
-        active, last, rounding = active[going], size[going], rounding[going]
-        data = data if going.all() else np.ascontiguousarray(data[:, going])
+def sessions(postures: Array) -> Conditions:
+    """Conditions (K, m) of plans (K, m, n) that are measured in their order, as `Measurements.conditions` of each."""
+    time = np.broadcast_to(session_time(np.arange(postures.shape[1], dtype=float)), postures.shape[:2])
+    return Conditions(time=time, directions=directions_from_order(postures))

@@ -1,8 +1,7 @@
-"""`estimate`: checks the data, chooses the method, and states what the data tell and how well."""
+"""`estimate`: checks the data, chooses the method, and states what is estimable and how well."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -10,22 +9,16 @@ from numpy.typing import ArrayLike
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
-from identification.estimation.gauss_newton import gauss_newton
-from identification.estimation.paper_steps import paper_steps
-from identification.estimation.planar_linear import linear
-from identification.estimation.problem import Fit, Problem
+from identification.estimation.levenberg_marquardt import Solution
+from identification.estimation.methods import METHODS
+from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
-from identification.information import RANK_TOLERANCE, Identifiability, Spectrum, identifiability_of, spectrum
+from identification.information import RANK_TOLERANCE, Spectrum, identifiability_of, spectrum
 from identification.measurements import Measurements
-from identification.model import DIMENSION, Model
+from identification.model import Model
 from identification.status import Status
 
-METHODS: Mapping[str, Callable[[Problem], Fit]] = {
-    "linear": linear,
-    "gauss_newton": gauss_newton,
-    "paper_steps": paper_steps,
-}
-LOST_SHARE = 0.1  # a combination whose deviation exceeds this share of the arm's reach is not told by the data
+LARGEST_SHARE = 0.1  # a combination whose deviation exceeds this share of the arm's reach is not estimable
 
 
 class Noise(NamedTuple):
@@ -51,21 +44,21 @@ def estimate(
     weights : (m,) relative weights >= 0 of the rows, on top of sigma: the variance of row i is sigma^2 / weights_i, so
         a row of weight 3 moves the estimates as three equal rows would; rows of weight 0 are left out
 
-    A plan that cannot tell everything is no error: what it does tell is estimated, the rest is named in
+    A plan that does not make everything estimable is no error: what is estimable is estimated, the rest is named in
     `not_identifiable`, and `status` says so. Raises `InputError` for data that do not fit the model, `JobError` if the
     method fails.
     """
     check(model, measurements)
     noise = weighting(model, measurements, sigma, weights)
-    chosen = method or ("linear" if model.linear_in_links else "gauss_newton")
+    chosen = method or ("linear" if model.closed_form is not None and model.closed_form.exact else "gauss_newton")
     if chosen not in METHODS:
         raise InputError(f"method: unknown name {chosen!r}, {nearest(chosen, METHODS)}")
-    problem = Problem(model, measurements, noise.weights)
-    fit, found = _solve(problem, chosen, noise)
-    if not fit.status.succeeded:
-        raise JobError(f"{chosen}: {fit.status.value} Nothing damps this method; gauss_newton may do better.")
-    told = identifiability_of(found, model.names, model.scales)
-    return _result(problem, chosen, fit, found, told, noise)
+    problem = Problem.of(model, measurements, noise.weights)
+    solution, decomposed, problem = _solve(problem, chosen, noise)
+    status = solution.status[0]
+    if not status.succeeded:
+        raise JobError(f"{chosen}: {status.value} Nothing damps this method; gauss_newton may do better.")
+    return _result(problem, measurements, chosen, solution, decomposed, noise)
 
 
 def check(model: Model, measurements: Measurements) -> None:
@@ -87,9 +80,9 @@ def check(model: Model, measurements: Measurements) -> None:
             raise InputError(
                 f"effects: {effect.key} needs gravity torques, allowed: an arm file with a [gravity] table"
             )
-    if DIMENSION * m < p:
-        found = f"{DIMENSION} m = {DIMENSION * m} < p = {p}"
-        raise InputError(f"measurements: fewer equations than unknowns: {found}, allowed: m >= {-(-p // DIMENSION)}")
+    if (d := model.dimension) * m < p:
+        found = f"{d} m = {d * m} < p = {p}"
+        raise InputError(f"measurements: fewer equations than unknowns: {found}, allowed: m >= {-(-p // d)}")
 
 
 def _check_kind(name: str, value: object, kind: type, allowed: str) -> None:
@@ -118,19 +111,20 @@ def weighting(
     return Noise(relative / deviations**2, float(np.sqrt(np.mean(deviations**2))))
 
 
-def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Fit, Spectrum]:
+def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spectrum, Problem]:
     """Fits; and fits again without the combinations whose deviation turns out too large to mean anything."""
-    fit = METHODS[method](problem)
-    residuals, jacobian = problem.linearize(fit.parameters)
-    found = spectrum(jacobian, problem.model.scales, problem.tolerance)
-    sigma = noise.sigma or _estimated(residuals, found.rank) or 0.0
+    solution = METHODS[method](problem)
+    residuals, jacobian = problem.linearize_at(solution.parameters[0])
+    decomposed = spectrum(jacobian, problem.model.scales, problem.tolerance)
+    sigma = noise.sigma or _estimated(residuals, decomposed.rank) or 0.0
     reach = float(np.sum(problem.model.arm.lengths))
-    useful = max(RANK_TOLERANCE, sigma / (np.sqrt(len(problem.measurements)) * LOST_SHARE * reach))
-    if found.truncated(min(useful, 0.1)).rank == found.rank:
-        return fit, found
+    useful = max(RANK_TOLERANCE, sigma / (np.sqrt(len(problem.weights)) * LARGEST_SHARE * reach))
+    if decomposed.truncated(min(useful, 0.1)).rank == decomposed.rank:
+        return solution, decomposed, problem
     problem = problem.with_tolerance(min(useful, 0.1))
-    fit = METHODS[method](problem)
-    return fit, spectrum(problem.linearize(fit.parameters)[1], problem.model.scales, problem.tolerance)
+    solution = METHODS[method](problem)
+    jacobian = problem.linearize_at(solution.parameters[0])[1]
+    return solution, spectrum(jacobian, problem.model.scales, problem.tolerance), problem
 
 
 def _estimated(residuals: Array, rank: int) -> float | None:
@@ -139,30 +133,29 @@ def _estimated(residuals: Array, rank: int) -> float | None:
 
 
 def _result(
-    problem: Problem, method: str, fit: Fit, found: Spectrum, told: Identifiability, noise: Noise
+    problem: Problem, data: Measurements, method: str, solution: Solution, decomposed: Spectrum, noise: Noise
 ) -> Identification:
-    model, data = problem.model, problem.measurements
-    before = data.positions - model.position(data.postures, problem.start, problem.conditions)
-    after = data.positions - model.position(data.postures, fit.parameters, problem.conditions)
-    weighted = float(np.sum(problem.root_weights**2 * after**2))
-    dof = DIMENSION * int(np.count_nonzero(problem.weights)) - told.rank
+    model, parameters = problem.model, solution.parameters[0]
+    found = identifiability_of(decomposed, model.names, model.scales)
+    before, after = problem.residuals(problem.start)[0], problem.residuals(parameters)[0]
+    weighted = (problem.root_weights * after)[problem.weights > 0.0]
     known = noise.sigma is not None
-    sigma = noise.sigma if known else _estimated((problem.root_weights * after)[problem.weights > 0.0], told.rank)
+    sigma = noise.sigma if known else _estimated(weighted, found.rank)
     unit = 1.0 if known else (np.nan if sigma is None else sigma)
     return Identification(
         model=model,
-        parameters=fit.parameters,
-        covariance=unit**2 * found.covariance,
-        identifiable=told.identifiable,
-        not_identifiable=told.combinations,
+        parameters=parameters,
+        covariance=unit**2 * decomposed.covariance,
+        identifiable=found.identifiable,
+        not_identifiable=found.combinations,
         sigma=sigma,
         sigma_known=known,
-        chi2=weighted if known else None,
-        dof=dof,
+        chi2=float(np.sum(weighted**2)) if known else None,
+        dof=weighted.size - found.rank,
         residuals_before=before,
         residuals_after=after,
         method=method,
-        status=Status.not_identifiable if told.combinations else fit.status,
-        iterations=fit.iterations,
+        status=Status.not_identifiable if found.combinations else solution.status[0],
+        iterations=int(solution.iterations[0]),
         provenance=data.provenance,
     )

@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from identification.arrays import Array
 from identification.errors import InputError
-from identification.estimation.problem import Fit, Problem
+from identification.estimation.levenberg_marquardt import Solution, truncated_steps
+from identification.estimation.problem import Problem
+from identification.information import column_lengths
 from identification.status import Status
 
 MAX_ITERATIONS = 50
 STEP_TOLERANCE = 1e-12  # of the arm's reach; "required accuracy" of Step 5
 
 
-def paper_steps(problem: Problem) -> Fit:
+def paper_steps(problem: Problem) -> Solution:
     """Steps 1-5 until the correction is below 1e-12 of the reach. Raises `InputError` for parameters with bounds."""
     model = problem.model
     for parameter in model.parameters:
@@ -27,11 +30,25 @@ def paper_steps(problem: Problem) -> Fit:
     errors = np.zeros(len(model.parameters))  # Step 1
     enough = STEP_TOLERANCE * float(np.sum(model.arm.lengths))
     for iteration in range(1, MAX_ITERATIONS + 1):
-        residuals, jacobian = problem.linearize(errors)  # Step 2
-        scaled = np.linalg.lstsq(jacobian / model.scales, residuals, rcond=problem.tolerance)[0]  # Step 3, eq. 11
-        errors = errors + scaled / model.scales  # Step 4
+        residuals, jacobian = problem.linearize_at(errors)  # Step 2
+        correction = _correction(residuals, jacobian, model.scales, problem.tolerance)  # Step 3, eq. 11
+        errors = errors + correction  # Step 4
         if not np.all(np.isfinite(errors)):
-            return Fit(np.zeros(len(errors)), Status.solver_failed, iteration)
-        if np.linalg.norm(scaled) <= enough:  # Step 5
-            return Fit(errors, Status.converged, iteration)
-    return Fit(errors, Status.iteration_limit, MAX_ITERATIONS)
+            return _end(problem, np.zeros(len(errors)), Status.solver_failed, iteration)
+        if np.linalg.norm(correction * model.scales) <= enough:  # Step 5
+            return _end(problem, errors, Status.converged, iteration)
+    return _end(problem, errors, Status.iteration_limit, MAX_ITERATIONS)
+
+
+def _correction(residuals: Array, jacobian: Array, scales: Array, tolerance: float) -> Array:
+    """(p,) least-squares solution, the shortest where the rank is not full."""
+    lengths, zero = column_lengths(np.linalg.norm(jacobian, axis=0), scales)
+    columns = np.where(zero, 0.0, jacobian / lengths)
+    return truncated_steps(columns[None], residuals[None], np.zeros(1), tolerance)[0][0] / lengths
+
+
+def _end(problem: Problem, errors: Array, status: Status, iterations: int) -> Solution:
+    parameters = errors[None]
+    inactive = np.zeros(parameters.shape, dtype=bool)
+    ends = np.array([status], dtype=object), np.array([iterations])
+    return Solution(parameters, problem.squares(parameters), inactive, *ends)

@@ -1,52 +1,55 @@
-"""The least-squares problem that every method solves: weighted residuals and their Jacobian."""
+"""The least-squares problem that every method solves: weighted residuals of data sets and their Jacobian."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arrays import Array
+from identification.estimation.levenberg_marquardt import Index, LeastSquares
 from identification.information import RANK_TOLERANCE
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
-from identification.status import Status
 
 ROUNDING = 1e-14  # of a coordinate, after a chain of some ten operations
-GRADIENT_TOLERANCE = 1e-9  # stationary: no column of the Jacobian has a cosine with the residuals above this
 
 
-class Fit(NamedTuple):
-    """What a method returns: parameters (p,) in API units, and how it ended."""
-
-    parameters: Array
-    status: Status
-    iterations: int
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Problem:
-    """min over the parameters of sum_i w_i |measured_i - position_i|^2 (eq. 3, with weights).
+    """min over the parameters of sum_i w_i |measured_i - position_i|^2 (eq. 3, with weights), for K data sets.
 
+    postures : (m, n) [rad] that all data sets share, with conditions (m,); or (K, m, n), each its own, and (K, m)
+    positions : (K, m, d) measured [mm]
     weights : (m,) of the rows, 1/sigma_i^2 where sigma is known
     tolerance : singular values below this share of the largest do not count; along them nothing is estimated
     """
 
     model: Model
-    measurements: Measurements
+    postures: Array
+    conditions: Conditions
+    positions: Array
     weights: Array
     tolerance: float = RANK_TOLERANCE
+
+    @classmethod
+    def of(cls, model: Model, measurements: Measurements, weights: Array) -> Problem:
+        """The problem of one data set."""
+        positions = measurements.positions[None]
+        return cls(model, measurements.postures, measurements.conditions, positions, weights)
 
     def with_tolerance(self, tolerance: float) -> Problem:
         """The same problem with another rank tolerance."""
         return replace(self, tolerance=tolerance)
 
-    @cached_property
-    def conditions(self) -> Conditions:
-        """What the rows were measured under."""
-        return self.measurements.conditions
+    def rows(self, index: Index | NDArray[np.bool_] | slice) -> Problem:
+        """The problem of some of the data sets."""
+        some = replace(self, positions=self.positions[index])
+        if self.postures.ndim == 2:
+            return some
+        return replace(some, postures=self.postures[index], conditions=self.conditions.rows(index))
 
     @cached_property
     def root_weights(self) -> Array:
@@ -56,8 +59,7 @@ class Problem:
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
         """(p,) lower and (p,) upper physical bounds, API units."""
-        parameters = self.model.parameters
-        return np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+        return self.model.parameters.lower, self.model.parameters.upper
 
     @cached_property
     def start(self) -> Array:
@@ -65,17 +67,38 @@ class Problem:
         return np.clip(self.model.values, *self.bounds)
 
     @cached_property
-    def rounding(self) -> float:
-        """Norm of the weighted residuals that rounding errors of coordinates of this size make."""
-        return ROUNDING * float(np.linalg.norm(self.root_weights * self.measurements.positions))
+    def rounding(self) -> Array:
+        """(K,) norms of the weighted residuals that rounding errors of coordinates of this size make."""
+        return ROUNDING * np.sqrt(np.einsum("kmd,m->k", self.positions**2, self.weights))
+
+    @property
+    def least_squares(self) -> LeastSquares:
+        """What the solver sees."""
+        return LeastSquares(self.linearize, *self.bounds, self.model.scales, self.rounding, self.tolerance)
 
     def residuals(self, parameters: Array) -> Array:
-        """(2m,) weighted, measured minus computed."""
-        position = self.model.position(self.measurements.postures, parameters, self.conditions)
-        return (self.root_weights * (self.measurements.positions - position)).ravel()
+        """(K, m, d) measured less computed [mm], for parameters (p,) or (K, p)."""
+        return self.positions - self.model.position(self.postures, parameters, self.conditions)
 
-    def linearize(self, parameters: Array) -> tuple[Array, Array]:
-        """(2m,) weighted residuals and (2m, p) weighted Jacobian of the positions."""
-        position, jacobian = self.model.linearize(self.measurements.postures, parameters, self.conditions)
-        rows = self.root_weights[:, :, None] * jacobian
-        return (self.root_weights * (self.measurements.positions - position)).ravel(), rows.reshape(-1, rows.shape[-1])
+    def squares(self, parameters: Array) -> Array:
+        """(K,) weighted sums of squares."""
+        return np.einsum("kmd,m->k", self.residuals(parameters) ** 2, self.weights)
+
+    def linearize(self, parameters: Array, index: Index) -> tuple[Array, Array]:
+        """(k, m d) weighted residuals of the data sets numbered (k,) and the (k, m d, p) weighted Jacobian."""
+        some = self if len(index) == len(self.positions) else self.rows(index)
+        position, jacobian = self.model.linearize(some.postures, parameters, some.conditions)
+        residuals = self.root_weights * (some.positions - position)
+        jacobian = self.root_weights[:, :, None] * jacobian
+        k, m, d, p = jacobian.shape
+        return residuals.reshape(k, m * d), jacobian.reshape(k, m * d, p)
+
+    def linearize_at(self, parameters: Array) -> tuple[Array, Array]:
+        """(m d,) weighted residuals of the first data set and the (m d, p) weighted Jacobian, at parameters (p,)."""
+        residuals, jacobian = self.linearize(parameters[None], np.arange(1))
+        return residuals[0], jacobian[0]
+
+    def jacobian(self, parameters: Array) -> Array:
+        """(m d, p) weighted Jacobian of the plan that the data sets share, at parameters (p,)."""
+        jacobian = self.root_weights[:, :, None] * self.model.jacobian(self.postures, parameters, self.conditions)
+        return jacobian.reshape(-1, jacobian.shape[-1])

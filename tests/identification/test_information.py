@@ -130,8 +130,8 @@ def test_spectrum_takes_any_leading_shape_and_more_columns_than_rows() -> None:
     jacobian = np.random.default_rng(0).normal(size=(2, 2, 7))
     wide = spectrum(jacobian, np.ones(7))
     assert wide.rank == 4
-    assert wide.lost.shape == (7, 3)
-    np.testing.assert_allclose((jacobian.reshape(4, 7) / wide.lengths) @ wide.lost, 0.0, atol=1e-12)
+    assert wide.null_space.shape == (7, 3)
+    np.testing.assert_allclose((jacobian.reshape(4, 7) / wide.lengths) @ wide.null_space, 0.0, atol=1e-12)
 
 
 def test_orientation_transform_sums_offsets() -> None:

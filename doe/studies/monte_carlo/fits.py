@@ -16,7 +16,7 @@ from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import JobError
 from identification.estimation import estimate_batch, estimate_each
-from identification.estimation.own_plans import sessions
+from identification.estimation.batch import sessions
 from identification.files.arm import arm_from_tables
 from identification.information import covariance, covariances
 from identification.kinematics.planar import orientation_transform

@@ -1,0 +1,242 @@
+"""Levenberg-Marquardt for many nonlinear least-squares problems at once, with bounds and parameters that are equal.
+
+    min |r_k(x)|^2  subject to  lower <= x <= upper,     k = 1 .. K
+
+Each step solves min |E s - r|^2 + damping |s|^2 over the columns E of the exact Jacobian, scaled to unit length
+(Marquardt 1963), undamped until a step fails to descend; every problem has its own damping. Parameters on a bound that
+the gradient or the step would leave on the wrong side are held (active set; without the step's, a cut step need not
+descend); what a step takes beyond a bound from inside is cut off there. Combinations of parameters that the data do
+not determine get no step: singular values below `tolerance` are zero (`information.significant`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arrays import Array
+from identification.information import CLEAR, RANK_TOLERANCE, column_lengths, significant
+from identification.status import Status
+
+GRADIENT_TOLERANCE = 1e-9  # stationary: no column of the Jacobian has a cosine with the residuals above this
+ITERATIONS = 200
+MAX_DAMPING = 1e12
+FLAT = 1e-4  # share of the residuals that the last step would still explain: 1e-4 sqrt(N) deviations
+Index = NDArray[np.intp]
+Linearize = Callable[[Array, Index], tuple[Array, Array]]
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """K problems with the same numbers of equations N and parameters p.
+
+    linearize : parameters (k, p) of the problems numbered (k,) -> residuals (k, N), measured less computed, and the
+        Jacobian (k, N, p) of what is computed; both may be weighted or whitened
+    lower, upper : (p,) bounds
+    scales : (p,) what one unit of each parameter moves, see `information.column_lengths`
+    rounding : (K,) norm of residuals that are nothing but rounding
+    tolerance : singular values of unit columns below this share of the largest are zero
+    metric : (p,) what a step's components are multiplied by where its length counts (damping, and the shortest of
+        many); None: the lengths of the Jacobian's columns
+    iterations : most steps, rejected ones included
+    """
+
+    linearize: Linearize
+    lower: Array
+    upper: Array
+    scales: Array
+    rounding: Array
+    tolerance: float = RANK_TOLERANCE
+    metric: Array | None = None
+    iterations: int = ITERATIONS
+
+    def tied(self, groups: Sequence[Sequence[int]]) -> tuple[LeastSquares, Array]:
+        """The problem in z values, of which parameters of one group share one; (p, z) ones where x = matrix @ z."""
+        leader = np.arange(len(self.scales))
+        for group in groups:
+            leader[list(group)] = min(group)
+        first, column = np.unique(leader, return_inverse=True)
+        spread = np.eye(len(first))[column]
+
+        def linearize(values: Array, index: Index) -> tuple[Array, Array]:
+            residual, jacobian = self.linearize(values @ spread.T, index)
+            return residual, jacobian @ spread
+
+        lower, upper, scales = self.lower[first], self.upper[first], self.scales[first]
+        return replace(self, linearize=linearize, lower=lower, upper=upper, scales=scales), spread
+
+
+class Points(NamedTuple):
+    """Where k searches are; the problems by their numbers."""
+
+    problems: Index  # (k,)
+    parameters: Array  # (k, p)
+    residuals: Array  # (k, N)
+    jacobians: Array  # (k, N, p)
+    squares: Array  # (k,)
+    damping: Array  # (k,)
+
+    def at(self, rows: NDArray[np.bool_]) -> Points:
+        """Some of them."""
+        return self if rows.all() else Points._make(array[rows] for array in self)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Ends of K searches.
+
+    parameters : (K, p);  squares : (K,) sums of squared residuals;  active : (K, p) True where a bound is active
+    status : (K,) of `Status`: converged; almost_solved where rounding or a flat valley ended the search;
+        iteration_limit; solver_failed where the residuals at the start are not finite
+    iterations : (K,) steps, rejected ones included
+    """
+
+    parameters: Array
+    squares: Array
+    active: NDArray[np.bool_]
+    status: NDArray[np.object_]
+    iterations: Index
+
+    def record(self, points: Points, active: NDArray[np.bool_], status: NDArray[np.object_], iteration: int) -> None:
+        """Write down the ends of some searches."""
+        self.parameters[points.problems], self.squares[points.problems] = points.parameters, points.squares
+        self.active[points.problems], self.status[points.problems] = active, status
+        self.iterations[points.problems] = iteration
+
+
+class Steps(NamedTuple):
+    """(k, p) steps; (k,) stationary; (k, p) active bounds; (k,) share of the residuals' norm that a step explains."""
+
+    steps: Array
+    stationary: NDArray[np.bool_]
+    active: NDArray[np.bool_]
+    explained: Array
+
+
+def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
+    """Stationary points of K problems from starts (K, p), which are moved inside the bounds first."""
+    count, p = starts.shape
+    x = np.clip(starts, problem.lower, problem.upper)
+    every = np.arange(count)
+    residuals, jacobians = problem.linearize(x, every)
+    points = Points(every, x, residuals, jacobians, _squares(residuals), np.zeros(count))
+    failed = np.full(count, Status.solver_failed, dtype=object)
+    solution = Solution(x.copy(), points.squares.copy(), np.zeros((count, p), dtype=bool), failed, np.zeros(count, int))
+    points = points.at(np.isfinite(points.squares))
+    for iteration in range(problem.iterations):
+        found = _steps(problem, points)
+        ended = found.stationary | (points.damping > MAX_DAMPING)
+        status = outcomes(found.stationary[ended], Status.converged, Status.almost_solved)
+        solution.record(points.at(ended), found.active[ended], status, iteration)
+        points = points.at(~ended)
+        if len(points.problems) == 0:
+            return solution
+        points = _moved(problem, points, found.steps[~ended])
+    # a flat curved valley (nearly undetermined combination, few rows) is left slowly: what is missing is far below its
+    # standard deviation
+    found = _steps(problem, points._replace(damping=np.zeros(len(points.problems))))
+    status = outcomes(found.explained <= FLAT, Status.almost_solved, Status.iteration_limit)
+    solution.record(points, found.active, status, problem.iterations)
+    return solution
+
+
+def outcomes(condition: NDArray[np.bool_], status: Status, other: Status) -> NDArray[np.object_]:
+    """(k,) of `Status`: one where the condition holds, the other elsewhere."""
+    return np.array([other, status], dtype=object)[condition.astype(int)]
+
+
+def _squares(residuals: Array) -> Array:
+    return np.einsum("kn,kn->k", residuals, residuals)
+
+
+def _steps(problem: LeastSquares, points: Points) -> Steps:
+    """Damped steps inside the bounds."""
+    x, damping, norms = points.parameters, points.damping, np.sqrt(points.squares)
+    sizes = np.sqrt(np.einsum("knp,knp->kp", points.jacobians, points.jacobians))
+    lengths, zero = column_lengths(sizes, problem.scales)
+    if problem.metric is not None:
+        lengths = np.broadcast_to(problem.metric, lengths.shape)
+    columns = points.jacobians / lengths[:, None, :]
+    gradient = np.einsum("knp,kn->kp", columns, points.residuals)
+    low, high = x <= problem.lower, x >= problem.upper
+    held = (low & (gradient < 0.0)) | (high & (gradient > 0.0))
+    steps, gradient = damped_steps(columns, points.residuals, held | zero, damping, problem.tolerance)
+    limit = GRADIENT_TOLERANCE * norms + problem.rounding[points.problems]
+    stationary = np.max(np.abs(gradient), axis=1, initial=0.0) <= limit
+    while np.any(out := (low & (steps < 0.0) | high & (steps > 0.0)) & ~stationary[:, None]):
+        held |= out
+        again = np.any(out, axis=1)
+        steps[again], gradient[again] = damped_steps(
+            columns[again], points.residuals[again], (held | zero)[again], damping[again], problem.tolerance
+        )
+    explained = np.sqrt(np.maximum(np.sum(gradient * steps, axis=1), 0.0)) / np.maximum(norms, np.finfo(float).tiny)
+    return Steps(steps / lengths, stationary, held, explained)
+
+
+def damped_steps(
+    columns: Array, residuals: Array, held: NDArray[np.bool_], damping: Array, tolerance: float
+) -> tuple[Array, Array]:
+    """(k, p) minimisers s of |E s - r|^2 + damping |s|^2, zero where held, and gradients E^T r.
+
+    By the smaller of the normal matrices E^T E and E E^T, which square the condition, where that costs no digits that
+    matter; elsewhere by singular values, of which those below `tolerance` are zero, in step and gradient.
+    """
+    columns = np.where(held[:, None, :], 0.0, columns)
+    across = np.swapaxes(columns, 1, 2)
+    gradient = (across @ residuals[:, :, None])[:, :, 0]
+    wide = columns.shape[1] < columns.shape[2]
+    normal = columns @ across if wide else across @ columns
+    if not wide:
+        diagonal = np.arange(normal.shape[1])
+        normal[:, diagonal, diagonal] += held
+    values, vectors = np.linalg.eigh(normal)
+    turned = np.swapaxes(vectors, 1, 2) @ (residuals if wide else gradient)[:, :, None]
+    clear = values[:, 0] > max(CLEAR, tolerance**2) * values[:, -1]
+    steps = vectors @ (turned / np.where(clear[:, None], values + damping[:, None], 1.0)[:, :, None])
+    steps = (across @ steps if wide else steps)[:, :, 0]
+    if not clear.all():
+        steps[~clear], gradient[~clear] = truncated_steps(
+            columns[~clear], residuals[~clear], damping[~clear], tolerance
+        )
+    return np.where(held, 0.0, steps), gradient
+
+
+def truncated_steps(columns: Array, residuals: Array, damping: Array, tolerance: float) -> tuple[Array, Array]:
+    """`damped_steps` by singular values."""
+    # the triangle of [E, r] holds all that the step needs; rows can be millions, columns are few
+    triangle: Array = np.linalg.qr(np.concatenate([columns, residuals[:, :, None]], axis=2), mode="r")  # type: ignore[assignment]
+    left, values, right = np.linalg.svd(triangle[:, :, :-1], full_matrices=False)
+    rotated = (np.swapaxes(left, 1, 2) @ triangle[:, :, -1:])[:, :, 0]
+    count = significant(values, tolerance)
+    factors = np.where(count, values, 0.0) / np.where(count, values**2 + damping[:, None], 1.0)
+    directions = np.swapaxes(right, 1, 2)
+    steps = directions @ (factors * rotated)[:, :, None]
+    gradient = directions @ np.where(count, values * rotated, 0.0)[:, :, None]
+    return steps[:, :, 0], gradient[:, :, 0]
+
+
+def _moved(problem: LeastSquares, points: Points, steps: Array) -> Points:
+    """The points after their steps, where those descend; elsewhere as before with more damping."""
+    trial = np.clip(points.parameters + steps, problem.lower, problem.upper)
+    residuals, jacobians = problem.linearize(trial, points.problems)
+    squares = _squares(residuals)
+    # rounding may hide the descent of the last steps
+    allowance = 2.0 * np.sqrt(points.squares) * problem.rounding[points.problems]
+    better = squares <= points.squares + allowance
+    relaxed = np.where(points.damping > 1e-6, points.damping / 10.0, 0.0)
+    damping = np.where(better, relaxed, np.maximum(10.0 * points.damping, 1e-4))
+    if better.all():
+        return Points(points.problems, trial, residuals, jacobians, squares, damping)
+    row = better[:, None]
+    return Points(
+        points.problems,
+        np.where(row, trial, points.parameters),
+        np.where(row, residuals, points.residuals),
+        np.where(row[:, :, None], jacobians, points.jacobians),
+        np.where(better, squares, points.squares),
+        damping,
+    )

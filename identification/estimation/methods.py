@@ -1,0 +1,53 @@
+"""The methods of estimation by name: closed form, damped Gauss-Newton, and the paper's own steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.estimation.levenberg_marquardt import Solution, levenberg_marquardt, outcomes
+from identification.estimation.paper_steps import paper_steps
+from identification.estimation.problem import Problem
+from identification.status import Status
+
+
+def linear(problem: Problem) -> Solution:
+    """Exact global minimiser of a model with a closed form. Raises `InputError` for any other model."""
+    form = problem.model.closed_form
+    if form is None or not form.exact:
+        allowed = "lengths and offsets, nothing known, and no effect but base_offset; use gauss_newton"
+        raise InputError(f"method: linear does not fit this model, allowed: {allowed}")
+    parameters, squares = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)
+    status = outcomes(np.isfinite(squares), Status.converged, Status.solver_failed)
+    return Solution(parameters, squares, np.zeros(parameters.shape, dtype=bool), status, np.ones(len(squares), int))
+
+
+def gauss_newton(problem: Problem) -> Solution:
+    """A stationary point within the bounds, by damped Gauss-Newton steps (Levenberg-Marquardt) from `starts`."""
+    return levenberg_marquardt(problem.least_squares, starts(problem))
+
+
+METHODS: Mapping[str, Callable[[Problem], Solution]] = {
+    "linear": linear,
+    "gauss_newton": gauss_newton,
+    "paper_steps": paper_steps,
+}
+
+
+def starts(problem: Problem) -> Array:
+    """(K, p) the closed form of the model without its effects, or the best known values where those fit better.
+
+    The closed form makes any size of joint offset harmless: it is the global minimiser of the model without effects.
+    """
+    known = np.tile(problem.start, (len(problem.positions), 1))
+    form = problem.model.closed_form
+    if form is None:
+        return known
+    solved = known.copy()
+    solved[:, form.indices] = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)[0]
+    if not np.any(problem.start):
+        return solved  # nothing is known that the closed form does not know
+    return np.where((problem.squares(known) < problem.squares(solved))[:, None], known, solved)

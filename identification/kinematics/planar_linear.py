@@ -1,0 +1,107 @@
+"""The closed form (identification/README.md, "Closed form"): the paper says there is none, but eq. 1 is linear in u_j.
+
+With u_j = (l_j + dl_j) exp(i dtheta_j) the tip is sum_j exp(i theta_j) u_j (+ x0 + i y0): a complex linear
+least-squares problem. Its solution is the exact global minimiser of eq. 3, then dl_j = |u_j| - l_j and
+dtheta_j = arg u_j. Of combinations that the postures do not determine, the nominal arm's values stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arrays import Array
+
+Complex = NDArray[np.complex128]
+Solver = Callable[[Array], tuple[Array, Array]]
+ILL = 1e6  # condition (1-norm) of a normal matrix from which on its inverse is not used
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarClosedForm:
+    """Length errors, joint offsets and, if `offset`, the base's offset of a planar chain.
+
+    lengths : (n,) nominal [mm]
+    indices : (q,) where the q parameters stand among those of the model
+    exact : the model has no other parameters, so that the closed form is its least-squares solution; else a start
+    """
+
+    lengths: Array
+    offset: bool
+    indices: NDArray[np.intp]
+    exact: bool
+
+    def solver(self, postures: Array, weights: Array, tolerance: float) -> Solver:
+        """Function of positions (K, m, 2) [mm] -> (K, q) parameters and (K,) weighted sums of squares.
+
+        postures : (m, n) [rad] for all data sets, or (K, m, n) for each its own;  weights : (m,) of the rows
+        tolerance : singular values below this share of the largest are zero; the columns have equal lengths
+        """
+        columns, nominal, root = self._columns(postures), self._nominal, np.sqrt(weights)
+        back = _pseudo_inverse(root[:, None] * columns, tolerance) * root
+        back, forth = (np.ascontiguousarray(np.swapaxes(a, -1, -2)) for a in (back, columns))
+
+        def solve(positions: Array) -> tuple[Array, Array]:
+            # differences to the nominal arm: the sum of squares then loses no digits
+            rest = as_complex(positions) - columns @ nominal
+            change = _times(rest, back)
+            residuals = (rest - _times(change, forth)) * root
+            squares = residuals.view(np.float64)
+            return self._parameters(nominal + change), np.einsum("ki,ki->k", squares, squares)
+
+        return solve
+
+    @property
+    def _nominal(self) -> Complex:
+        """(u,) l_j, and 0 for the base."""
+        return np.concatenate([self.lengths, np.zeros(int(self.offset))]).astype(complex)
+
+    def _columns(self, postures: Array) -> Complex:
+        """(..., m, u) exp(i theta_j), and ones for a base offset."""
+        columns = np.exp(1j * np.cumsum(postures, axis=-1))
+        ones = np.ones((*columns.shape[:-1], int(self.offset)))
+        return np.concatenate([columns, ones], axis=-1) if self.offset else columns
+
+    def _parameters(self, unknowns: Complex) -> Array:
+        """(..., q) parameters dl_j, dq_j and base offset of the unknowns (..., u); dq_j in (-pi, pi]."""
+        n = len(self.lengths)
+        u = unknowns[..., :n]
+        # dq_j = arg u_j - arg u_(j-1) as one argument, so that it needs no wrapping
+        turned = u.copy()
+        turned[..., 1:] *= np.conj(u[..., :-1])
+        parts = [np.abs(u) - self.lengths, np.angle(turned)]
+        if self.offset:
+            parts += [unknowns[..., n:].real, unknowns[..., n:].imag]
+        return np.concatenate(parts, axis=-1)
+
+
+def as_complex(positions: Array) -> Complex:
+    """(..., 2) coordinates as (...) complex numbers x + iy, without a copy where memory allows."""
+    return np.ascontiguousarray(positions, dtype=float).view(np.complex128)[..., 0]
+
+
+def _times(rows: Complex, matrix: Complex) -> Complex:
+    """(K, b) rows (K, a) times one matrix (a, b), or each times its own (K, a, b)."""
+    return rows @ matrix if matrix.ndim == 2 else (rows[:, None, :] @ matrix)[:, 0, :]
+
+
+def _pseudo_inverse(columns: Complex, tolerance: float) -> Complex:
+    """(..., u, m) of columns (m, u) or (K, m, u).
+
+    Of many, by the inverse of the normal matrix, which squares the condition, where that costs no digits that matter.
+    """
+    if columns.ndim == 2:
+        return np.asarray(np.linalg.pinv(columns, rcond=tolerance))
+    across = np.swapaxes(columns.conj(), -1, -2)
+    normal = across @ columns
+    inverse = np.asarray(
+        np.linalg.inv(normal + np.finfo(float).eps * normal[:, :1, :1].real * np.eye(normal.shape[-1])), dtype=complex
+    )
+    found = inverse @ across
+    condition = np.linalg.norm(normal, 1, axis=(-2, -1)) * np.linalg.norm(inverse, 1, axis=(-2, -1))
+    ill = np.flatnonzero(~(condition < min(ILL, tolerance**-2)))
+    found[ill] = np.linalg.pinv(columns[ill], rcond=tolerance)
+    return found
