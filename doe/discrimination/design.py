@@ -36,6 +36,7 @@ from identification.information import information_matrix
 from identification.progress import Progress, silent
 from identification.status import Status
 
+# reasons: doe/README.md, "Misidentification"
 TURN = 2.0 * np.pi
 MOVES, TRIES = np.radians([30.0, 20.0, 15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.0]), 10
 THEORY_PLANS, SHUFFLES = 64, 200

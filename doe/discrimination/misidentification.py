@@ -25,8 +25,9 @@ from scipy.special import ndtr
 
 from identification.arrays import Array
 
-LAMBDA = 8.0
-UNSEEN = 1e-9  # share of its length off the base model below which no plan is judged by a direction
+# reasons: doe/README.md, "Misidentification"
+LAMBDA = 8.0  # length on random postures at which plans differ
+UNSEEN = 1e-9  # fraction of its length off the base model below which no plan is judged by a direction
 RIDGE = 1e-12  # of a rival's length on random postures: keeps the inverse of a rival that a plan hides
 NEAR = 0.05  # the gradient is infinite where two effects are the same, d = 0
 

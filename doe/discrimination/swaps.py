@@ -26,6 +26,7 @@ from identification.arrays import Array
 from identification.information import information_matrix
 from identification.progress import Progress, silent
 
+# reasons: doe/README.md, "Misidentification"
 CLOUD, POOL, NEARBY = 512, 1500, 0.15  # postures; neighbours differ by this share of a joint's range
 OUTS, INS, MORE_OUTS = 4, 8, 50  # runs and postures that are tried per derivative; runs where those bring nothing
 MULTIPLIERS = (2.0, 10.0)  # of the derivative of log det where little of it is left to lose

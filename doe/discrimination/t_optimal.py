@@ -28,6 +28,7 @@ from identification.gap.selection import WINDOW
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 
+# reasons: doe/README.md, "T-optimality"
 POOL = 1500  # random postures to choose from
 SWEEPS = 2  # exchange passes after the greedy choice
 NUDGE = 1e-2  # weight of the smooth part of the merit, which leads where the chance is still flat

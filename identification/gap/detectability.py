@@ -18,13 +18,11 @@ from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses
 from identification.gap.whitening import Rows
 from identification.measurements import Conditions, directions_from_order, session_time
 
-SPARE = 4  # degrees of freedom below which nothing is tested
-POWER = 0.9
-LEVEL = 0.05
-EXACT, NEAR = 0.9999, 0.9  # correlations that make an alias
-LARGEST = (
-    0.1  # of the reach: an effect that must move the tip farther to be seen is invisible, and beyond linear theory
-)
+# reasons: identification/README.md, "Constants"
+SPARE = 4  # degrees of freedom; with fewer an effect of two parameters is found at no size
+POWER, LEVEL = 0.9, 0.05  # convention
+EXACT, NEAR = 0.9999, 0.9  # likeness: Delta BIC of two effects stays within the window up to lambda = 173 and 5.6
+LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,9 @@ from identification.measurements import Measurements
 from identification.model import Model
 from identification.progress import Progress, silent
 
-STEPS = 8
-FEWEST_DRAWS = round(1.0 / (ALPHA_NEXT * STRICTER)) - 1  # the strictest level must be within reach: p >= 1/(draws + 1)
+STEPS = 8  # of the progress bar
+# the strictest level must be within reach: p >= 1 / (draws + 1) (identification/README.md, "Constants")
+FEWEST_DRAWS = round(1.0 / (ALPHA_NEXT * STRICTER)) - 1
 
 
 def diagnose(

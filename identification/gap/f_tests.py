@@ -16,8 +16,9 @@ from scipy.special import fdtrc, stdtr
 
 from identification.arrays import Array
 
-VISIBLE = 1e-4  # share of a column's norm that must survive projection; less is an alias of what is in the model
-TINY = 1e-300  # p-values below are not told apart
+# reasons: identification/README.md, "Constants"
+VISIBLE = 1e-4  # fraction of a column's length that must survive projection; less is an alias of what is in the model
+TINY = 1e-300  # smaller p-values count as equal
 
 
 def basis(jacobian: Array) -> Array:

@@ -93,7 +93,7 @@ class Residuals:
     positions: Array
 
 
-WIDE = 3.0  # times the sigma of the arm file: no verdict should be read without it
+WIDE = 3.0  # times the arm file's sigma: shown with the verdict (identification/README.md, "Constants")
 VERDICTS = {
     "none": "none: nothing is missing that these data could show; larger effects than the sizes listed are excluded",
     "named": "named: {effects} is missing from the model",

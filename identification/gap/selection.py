@@ -16,15 +16,15 @@ from identification.gap.omnibus_test import OmnibusTest, Scatter, omnibus_test
 from identification.gap.whitening import Rows
 from identification.model import Model
 
-MOST = 4  # effects at once
-ALPHA_FIRST, ALPHA_NEXT = 0.035, 0.005  # below 0.05 and 0.01: screening and the look for the unknown take their part
-# Two effects can hide each other from the gate; both at once must then be far beyond chance, and one alone not absurd
+# reasons: identification/README.md, "Constants"
+MOST = 4  # effects at once; more are the series of something else
+ALPHA_FIRST, ALPHA_NEXT = 0.035, 0.005  # of 0.05 in all, screening and the test for unknown shapes need a part
+# two effects can hide each other from the gate; both at once must then be far beyond chance, and one alone not absurd
 ALPHA_PAIR, PAIR_HINT = 1e-5, 0.35
-PAIR_STARTS = 3
-STRICTER = 0.5  # factor on the levels where the noise model, too, was estimated from the data
-MARGIN = 8.0  # linear BIC within which rivals are refitted
-REFITS = 6
-WINDOW = 6.0  # Delta BIC of the ambiguity set
+PAIR_STARTS = 3  # effort: single effects that a pair is built on
+STRICTER = 0.5  # tuned: factor on the levels where the noise model was estimated from the same data
+MARGIN, REFITS = 8.0, 6  # effort: rivals within this linear BIC, and as many at most, are refitted
+WINDOW = 6.0  # Delta BIC of the ambiguity set: odds of 20 to 1
 Choice = tuple[Hypothesis, ...]
 
 

@@ -12,12 +12,13 @@ from identification.gap.omnibus_test import wild_draws
 from identification.gap.selection import STRICTER, Choice, Search
 from identification.gap.unmodelled_shapes import GeneralShape, general_shapes
 
-LEVEL = 0.001
-WILD = 0.05
-DRAWS = (399, 1999)  # the second number only where the first shows nothing as strange
-CROWD = 3  # effects at one joint
-# BIC that an unknown shape must gain on the effects of the library that it would replace: one effect is believed, two
-# have no credit left, three or four at once are the series expansion of something else
+# reasons: identification/README.md, "Constants"
+LEVEL = 0.001  # tuned: `unknown` takes names back
+WILD = 0.05  # tuned: the wild bootstrap has a veto only
+DRAWS = (399, 1999)  # 1 / 2000 is the strictest level; the second number only where the first shows nothing as strange
+CROWD = 3  # effects at one joint that are the series of one unknown function
+# BIC that an unknown shape must gain on k effects that it would replace, 6 (2 - k): one effect is believed, two have no
+# credit left, three or four at once are the series expansion of something else
 ODDS = {1: 6.0, 2: 0.0, 3: -6.0, 4: -12.0}
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "axes_skew": "workspace"}
 

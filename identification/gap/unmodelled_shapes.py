@@ -16,12 +16,12 @@ from identification.arrays import Array
 from identification.gap.fit import Fit
 from identification.gap.whitening import Rows
 
-FREE_ORDERS = np.arange(0.5, 160.5, 0.5)  # periods per turn, whole or not
-SMOOTH_ORDERS = np.arange(1, 6)
-CENTRES = 24
-WIDTHS = (0.2, 0.3, 0.45, 0.7, 1.0)  # rad
-PERIODS = (2.0, 1.5, 1.0, 0.75, 0.5, 0.35)  # of waves over the workspace, in units of the reach
-STEPS = 100  # in time: every row up to this many
+# reasons: identification/README.md, "Constants"
+FREE_ORDERS = np.arange(0.5, 160.5, 0.5)  # periods per turn: every wave between has a likeness of 0.9 with one of them
+SMOOTH_ORDERS = np.arange(1, 6)  # of a smooth curve
+CENTRES, WIDTHS = 24, (0.2, 0.3, 0.45, 0.7, 1.0)  # of bumps [rad]: a likeness of 0.9 with every bump between
+PERIODS = (2.0, 1.5, 1.0, 0.75, 0.5, 0.35)  # of waves over the workspace, in units of the reach; a sketch
+STEPS = 100  # effort: steps in time at every row up to this many
 
 
 @dataclass(frozen=True)

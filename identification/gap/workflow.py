@@ -15,8 +15,9 @@ from identification.gap.selection import Search, Selection, select
 from identification.gap.unmodelled import Unknown, find_unmodelled
 from identification.gap.whitening import Rows
 
-PASSES = 4
-CREDIT = 6.0  # BIC by which effects must beat a finding of the screening that they replace
+# reasons: identification/README.md, "Constants"
+PASSES = 4  # effort: rounds of naming and screening
+CREDIT = 6.0  # odds of 20 to 1 for another explanation of the scatter
 
 
 @dataclass(frozen=True)
