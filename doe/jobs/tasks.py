@@ -22,6 +22,7 @@ from doe.jobs.isolated import one_line
 from doe.jobs.row_table import Key, Row, RowTable, canonical
 from doe.jobs.workers import Workers, serial
 from identification.errors import JobError
+from identification.files.io import PathLike
 from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -65,6 +66,28 @@ def run(
     finally:
         table.arrange(keys)
     return table.frame(keys)
+
+
+@dataclass(frozen=True)
+class Job:
+    """Several tables of rows that belong together: where they are kept, who fills them, what becomes of earlier ones.
+
+    folder : where the tables go, made if need be; None: kept in memory only
+    """
+
+    folder: PathLike | None
+    workers: Workers | None
+    seed: int
+    resume: bool
+    force: bool
+    progress: Progress
+
+    def run(
+        self, function: Function, keys: Sequence[Key], name: str, payload: Callable[[Key], Any] | None = None
+    ) -> polars.DataFrame:
+        """The rows of all keys, as `run` gives them, kept in the table NAME.parquet."""
+        with RowTable.within(self.folder, name, resume=self.resume, force=self.force) as table:
+            return run(function, keys, table, self.workers, seed=self.seed, payload=payload, progress=self.progress)
 
 
 def _work(state: _Drive, workers: Workers, ahead: int) -> None:

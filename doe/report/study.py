@@ -6,7 +6,8 @@ from typing import Any
 
 from rich.table import Table
 
-from doe.studies.monte_carlo.study import CELL, StudyResult
+from doe.studies.monte_carlo.specification import CELL
+from doe.studies.monte_carlo.study import StudyResult
 
 MOST = 12  # cells shown; the files have all
 

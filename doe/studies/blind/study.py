@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from doe.jobs.row_table import Key, Row, RowTable, canonical
-from doe.jobs.tasks import run
+from doe.jobs.row_table import KEY, Key, Row, canonical
+from doe.jobs.tasks import Job
 from doe.jobs.workers import Workers
 from doe.studies.blind import cells as simulated
 from doe.studies.blind.data_set import DataSet
@@ -60,28 +59,17 @@ def blind_study(
 
     Raises `InputError` for an unknown cell.
     """
-    names = _checked(cells)
-    keys = [dict(key) for cell in names for key in _keys(cell, count, seed)]
-    if set(names) & set(COMPARED) and not has_processes():
-        lacking = "scikit-learn is not installed: no Gaussian process in the comparison"
-        warnings.warn(f"{lacking}, pip install 'armcal[studies]'", UserWarning, stacklevel=2)
-    plans: dict[str, Any] = {}
+    keys = [dict(key) for cell in _checked(cells) for key in _keys(cell, count, seed)]
+    job = Job(folder, workers, 0, resume, force, progress)  # the seed is in the keys
+    to_plan = [key for key in keys if simulated.to_be_planned(key["cell"], _number(key)) is not None]
+    made = job.run(plan, to_plan, PLANS)
+    plans = {row[KEY]: row.get("postures_deg") for row in made.iter_rows(named=True)}
 
     def planned(key: Key) -> list[list[float]] | None:
         return plans.get(canonical({name: value for name, value in key.items() if name != "draws"}))
 
-    def table(name: str) -> AbstractContextManager[RowTable]:
-        return RowTable.within(folder, name, resume=resume, force=force)
-
-    with table(PLANS) as rows:
-        to_plan = [key for key in keys if simulated.to_be_planned(key["cell"], _number(key)) is not None]
-        run(plan, to_plan, rows, workers, progress=progress)
-        plans |= {text: made[0].get("postures_deg") for text, made in rows.rows.items()}
-    with table(TRUTH) as rows:
-        truth = run(hide, keys, rows, workers, payload=planned, progress=progress)
-    with table(DIAGNOSES) as rows:
-        tasks = [{**key, "draws": draws} for key in keys]
-        diagnoses = run(examine, tasks, rows, workers, payload=planned, progress=progress)
+    truth = job.run(hide, keys, TRUTH, payload=planned)
+    diagnoses = job.run(examine, [{**key, "draws": draws} for key in keys], DIAGNOSES, payload=planned)
     found = score(truth, diagnoses)
     if folder is not None:
         for name, frame in found.tables.items():
@@ -95,7 +83,11 @@ def _checked(cells: Sequence[str] | None) -> list[str]:
     for cell in cells or ():
         if cell not in known:
             raise InputError(f"cell: unknown name {cell!r}, {nearest(cell, known)}")
-    return list(cells or (cell for cell, spec in simulated.CELLS.items() if spec.reported))
+    names = list(cells or (cell for cell, spec in simulated.CELLS.items() if spec.reported))
+    if set(names) & set(COMPARED) and not has_processes():
+        lacking = "scikit-learn is not installed: no Gaussian process in the comparison"
+        warnings.warn(f"{lacking}, pip install 'armcal[studies]'", UserWarning, stacklevel=3)
+    return names
 
 
 def _keys(cell: str, count: int | None, seed: int) -> Iterator[Key]:

@@ -1,6 +1,9 @@
-"""Monte Carlo studies: what plans, models and estimators are worth, by simulation; and the paper's own, reproduced."""
+"""Monte Carlo studies: how accurate plans, models and estimators are, by simulation."""
 
-from doe.studies.monte_carlo.cells import Fitted, Study, Truth, load_study
-from doe.studies.monte_carlo.study import StudyResult, cells, dft_postures, run_study
+from doe.studies.monte_carlo.file import load_study
+from doe.studies.monte_carlo.plans import dft_postures
+from doe.studies.monte_carlo.specification import Fitted, Study, Truth
+from doe.studies.monte_carlo.study import StudyResult, run_study
+from doe.studies.monte_carlo.summary import pooled
 
-__all__ = ["Fitted", "Study", "StudyResult", "Truth", "cells", "dft_postures", "load_study", "run_study"]
+__all__ = ["Fitted", "Study", "StudyResult", "Truth", "dft_postures", "load_study", "pooled", "run_study"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from doe.jobs.row_table import frame_of
-from doe.studies.monte_carlo.study import dft_postures
+from doe.studies.monte_carlo.plans import dft_postures
 from doe.studies.paper.tables import (
     JOINT_OFFSETS_DEG,
     LENGTH_ERRORS,

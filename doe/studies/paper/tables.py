@@ -22,8 +22,9 @@ import numpy as np
 
 from doe.bounds.planar_theorem import table_1 as table_1_sums
 from doe.jobs.row_table import frame_of
-from doe.studies.monte_carlo.cells import Study, Truth
-from doe.studies.monte_carlo.study import dft_postures, run_study
+from doe.studies.monte_carlo.plans import dft_postures
+from doe.studies.monte_carlo.specification import Study, Truth
+from doe.studies.monte_carlo.study import run_study
 from identification.arm import Arm
 from identification.information import information_matrix
 from identification.model import Model

@@ -17,8 +17,8 @@ from doe.cli.study import command
 from doe.jobs.row_table import frame_of
 from doe.jobs.workers import processes
 from doe.plan.plan import Plan
-from doe.studies.monte_carlo import Fitted, Study, Truth, cells, dft_postures, load_study, run_study
-from doe.studies.monte_carlo.fits import Cell
+from doe.studies.monte_carlo import Fitted, Study, Truth, dft_postures, load_study, pooled, run_study
+from doe.studies.monte_carlo.replications import Cell
 from identification.arm import Arm, EffectSpec, WorkspaceBox
 from identification.errors import InputError
 from identification.estimation import BatchFit, estimate_each
@@ -80,7 +80,7 @@ def test_cells_pool_blocks_as_if_there_were_none() -> None:
         }
         for e in parts
     ]  # fmt: skip
-    (found,) = cells(frame_of(rows)).to_dicts()
+    (found,) = pooled(frame_of(rows)).to_dicts()
     every = np.concatenate(parts)
     assert found["fits"] == 46
     assert found["failed"] == 3
@@ -181,7 +181,7 @@ def test_plans_keep_to_the_constraints(monkeypatch: pytest.MonkeyPatch) -> None:
         seen.append(postures)
         return estimate_each(model, postures, measured)
 
-    monkeypatch.setattr("doe.studies.monte_carlo.fits.estimate_each", spy)
+    monkeypatch.setattr("doe.studies.monte_carlo.replications.estimate_each", spy)
     found = run_study(Study([boxed], ["random", "dft"], [8], truths=[PAPER], replications=300)).cells
     heights = positions(np.concatenate(seen), LENGTHS, np.zeros(4))[..., 1]
     assert heights.shape == (300, 8)
@@ -341,7 +341,7 @@ def test_parts_of_a_block_are_one_stream(monkeypatch: pytest.MonkeyPatch) -> Non
     """Long plans go through memory in parts: the same draws, and sums that do not tell."""
     study = Study([ARM], ["dft"], [6], truths=[PAPER], replications=50)
     whole = run_study(study).cells
-    monkeypatch.setattr("doe.studies.monte_carlo.fits.MOST_ROWS", 6 * 7)
+    monkeypatch.setattr("doe.studies.monte_carlo.replications.MOST_ROWS", 6 * 7)
     parts = run_study(study).cells
     numbers = ["mean_error", "std", "expected_std", "coverage", "rms_mm"]
     np.testing.assert_allclose(parts.select(numbers).to_numpy(), whole.select(numbers).to_numpy(), rtol=1e-9)

@@ -109,7 +109,7 @@ def as_plan(postures: Array) -> Measurements:
     return Measurements(postures, np.zeros((len(postures), 2)))
 
 
-def block(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | str) -> list[Row]:
+def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | str) -> list[Row]:
     """Rows of one block: per reported parameter the number of fits, mean error, sum of squares about it, coverage.
 
     cell : what to do; a text is the reason why it cannot be done (its plan could not be made)

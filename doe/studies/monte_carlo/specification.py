@@ -1,25 +1,21 @@
-"""A study as a grid: arms x plans x runs x sigma x truths x models, and the file that describes one."""
+"""What a study asks for: a grid of arms x plans x runs x sigma x truths x models; each combination is a cell."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from doe.plan.file import load_plan
 from doe.plan.plan import Plan
-from doe.studies.monte_carlo.schema import MOST_BLOCK, MOST_REPLICATIONS, MOST_RUNS, StudyFile, check
+from doe.studies.monte_carlo.schema import MOST_BLOCK, MOST_REPLICATIONS, MOST_RUNS
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import readonly
 from identification.effects import library
 from identification.errors import InputError, nearest
-from identification.files.arm import arm_from_tables, load_arm
-from identification.files.io import PathLike, read_toml
 from identification.model import DIMENSION, Model
 
+CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # what tells cells apart, as columns
 DFT, RANDOM = "dft", "random"
 MOST_TASKS = 100_000  # of a cell: each is a row of a table
 
@@ -158,81 +154,3 @@ def _scattering(truth: Truth | Fitted, arm: Arm) -> EffectSpec | None:
     """An effect on the scatter that a truth asks for; the arm's own may stand there unknown."""
     asked = [spec for spec in truth.of(arm).effects if truth.effects is not None or spec.values]
     return next((spec for spec in asked if library()[spec.name].scatter), None)
-
-
-def load_study(path: PathLike) -> Study:
-    """The study that a TOML file describes; names of files in it are beside it.
-
-    ```toml
-    arms = ["arm.toml"]
-    plans = ["exchange_ipopt", "random", "plan.csv"]   # solvers of `armcal design`, "dft", "random", or plan files
-    runs = [10, 20]                                    # numbers of measurements m; a plan file has its own
-    sigma_mm = [0.05, 0.1]                             # left out: the arm's own
-    replications = 10000                               # simulated data sets per cell
-
-    [[truths]]                                         # left out: the arm's own calibration and effects
-    name = "eccentric"
-    length_errors_mm = [1.5, -0.6, -0.4, 0.7]
-    joint_offsets_deg = [0.5, -0.5, 0.7, -0.3]
-    effects = [{name = "encoder_eccentricity", joint = 2, a_deg = 0.03, b_deg = -0.01}]
-
-    [[models]]                                         # left out: one, with the arm's own effects
-    name = "base"
-    effects = []
-
-    [[models]]
-    name = "with eccentricity"
-    effects = [{name = "encoder_eccentricity", joint = 2}]
-    ```
-
-    Raises `InputError`, one line naming file, key, what was found and what is allowed.
-    """
-    tables = read_toml(path)
-    folder = Path(path).parent
-    try:
-        file = check(tables)
-        arms = [load_arm(folder / name) for name in file.arms]
-        plans = [(name, load_plan(folder / name)) if name.endswith(".csv") else name for name in file.plans]
-        return Study(
-            arms,
-            plans,
-            file.runs,
-            file.sigma_mm or (),
-            _truths(file, arms),
-            _models(file, arms),
-            file.replications,
-            file.block,
-            file.solver_seconds,
-        )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def _truths(file: StudyFile, arms: Sequence[Arm]) -> Sequence[Truth]:
-    if file.truths is None:
-        return (Truth(),)
-    return [
-        Truth(
-            table.name,
-            table.length_errors_mm,
-            None if table.joint_offsets_deg is None else np.radians(table.joint_offsets_deg).tolist(),
-            None if table.effects is None else _effects(f"truths[{k}]", table.effects, arms),
-        )
-        for k, table in enumerate(file.truths, start=1)
-    ]
-
-
-def _models(file: StudyFile, arms: Sequence[Arm]) -> Sequence[Fitted]:
-    if file.models is None:
-        return (Fitted(),)
-    entries = enumerate(file.models, start=1)
-    return [Fitted(table.name, _effects(f"models[{k}]", table.effects, arms)) for k, table in entries]
-
-
-def _effects(place: str, entries: list[dict[str, Any]], arms: Sequence[Arm]) -> tuple[EffectSpec, ...]:
-    """Entries as under `[[effects]]` of an arm file, which every arm of the study must be able to have."""
-    try:
-        found = [arm_from_tables({"links_mm": arm.lengths.tolist(), "effects": entries}).effects for arm in arms]
-    except InputError as error:
-        raise InputError(f"{place}.{error}") from None
-    return found[0]
