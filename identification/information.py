@@ -29,18 +29,6 @@ def information_matrix(jacobian: Array, weights: Array | None = None) -> Array:
     return np.swapaxes(rows, -1, -2) @ rows
 
 
-def orientation_transform(names: tuple[str, ...]) -> Array:
-    """(n, p) matrix T with dtheta = T parameters: dtheta_j = dq_1 + ... + dq_j of the joint offsets that are estimated.
-
-    The paper's sigma_q (eq. 25) is the deviation of dtheta_j, not of the joint offset dq_j.
-    """
-    offsets = [k for k, name in enumerate(names) if name.startswith("joint_offset:")]
-    transform = np.zeros((len(offsets), len(names)))
-    for row in range(len(offsets)):
-        transform[row, offsets[: row + 1]] = 1.0
-    return transform
-
-
 def column_lengths(sizes: Array, scales: Array) -> tuple[Array, NDArray[np.bool_]]:
     """(..., p) what to divide the columns of a Jacobian by, and which of them are zero (those by their scale).
 

@@ -120,6 +120,11 @@ class Model:
         return self.arm.sigma
 
     @property
+    def reach(self) -> float:
+        """Length of the stretched nominal arm [mm]."""
+        return float(np.sum(self.arm.lengths))
+
+    @property
     def scales(self) -> Array:
         """(p,) length per unit of each parameter [mm/unit]; column k of the Jacobian divided by it is about one."""
         return self.parameters.scales
@@ -257,6 +262,9 @@ class Model:
     ) -> Array:
         """(m, d, n) derivative of the positions by each joint's own offset [mm/rad], be that offset estimated or not;
         (K, m, d, n) for (K, p) parameter sets."""
+        offsets = self.parameters.indices(JOINT_OFFSET)
+        if len(offsets) == self.joints:  # compiled already: they are columns of the Jacobian
+            return self.jacobian(postures, parameters, conditions)[..., offsets]
         return self._levers(*self._arguments(postures, parameters, conditions))[0]
 
     def points(self, postures: ArrayLike) -> Array:

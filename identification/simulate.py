@@ -68,15 +68,12 @@ def disturbed(
     sigma: float,
     generator: np.random.Generator,
 ) -> Array:
-    """(m, 2) errors with the truth's effects on the scatter applied, in the order of the arm file."""
+    """(m, d) errors with the truth's effects on the scatter applied, in the order of the arm file."""
     built = [(build(spec, truth.links, truth.lengths), spec) for spec in truth.effects]
     noisy = [(effect, spec) for effect, spec in built if isinstance(effect, NoiseEffect)]
     if not noisy:
         return errors
-    n = truth.links
-    names = [f"joint_offset:{j + 1}" for j in range(n)]
-    plain = Model(replace(truth, effects=(), calibration=None))
-    levers = plain.jacobian(exact.postures)[:, :, [plain.names.index(name) for name in names]]
+    levers = Model(replace(truth, effects=(), calibration=None)).joint_levers(exact.postures)
     time = np.zeros(len(exact)) if conditions.time is None else conditions.time
     scene = Scene(exact.positions, levers, time, sigma)
     for effect, spec in noisy:

@@ -10,8 +10,9 @@ import numpy as np
 from doe.problem.bayesian import EnsembleModel
 from doe.problem.problem import DesignProblem, InformationModel
 from identification.arrays import Array, readonly
-from identification.information import Spectrum, orientation_transform, spectrum
+from identification.information import Spectrum, spectrum
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, ParameterSet
+from identification.kinematics.planar import orientation_transform
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,6 @@ def _deviations(told: Spectrum, model: InformationModel, joints: int, sigma: flo
     matrix = per_scale[:, None] * told.covariance * per_scale  # sigma^2 (sum J^T J)^-1, own units
     orientation = np.zeros(joints)
     offsets = [(parameters[k].joint or 0) - 1 for k in parameters.indices(JOINT_OFFSET).tolist()]
-    transform = orientation_transform(parameters.names)
+    transform = orientation_transform(parameters)
     orientation[offsets] = np.sqrt(np.einsum("jp,pq,jq->j", transform, matrix, transform))
     return ExpectedDeviations(parameters, np.sqrt(np.diag(matrix)), orientation)

@@ -1,6 +1,6 @@
 """Effects on the scatter, not on the mean: `simulate` applies them, `diagnose` screens for them, models ignore them.
 
-Each changes the (m, 2) errors of the measured positions [mm] in turn, in the order of the arm file. Their values are
+Each changes the (m, d) errors of the measured positions [mm] in turn, in the order of the arm file. Their values are
 given in the arm file; nothing is estimated.
 """
 
@@ -19,7 +19,7 @@ from identification.kinematics.parameters import Parameter
 class Scene:
     """What noise may depend on, for m measured postures.
 
-    positions : (m, 2) exact [mm];  levers : (m, 2, n) what one rad at each joint does to the tip [mm/rad]
+    positions : (m, d) exact [mm];  levers : (m, d, n) what one rad at each joint does to the tip [mm/rad]
     time : (m,) -0.5..0.5;  sigma : of the instrument [mm]
     """
 
@@ -35,7 +35,7 @@ class NoiseEffect(Effect):
     scatter = True
 
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
-        """(m, 2) errors [mm] with this effect, from those without; `values` by short name of the parameter."""
+        """(m, d) errors [mm] with this effect, from those without; `values` by short name of the parameter."""
         raise NotImplementedError
 
 
@@ -89,7 +89,7 @@ class TimeNoise(NoiseEffect):
 
 @register
 class Outliers(NoiseEffect):
-    """A share of the rows, drawn at random, is off by `size` standard deviations in a random direction."""
+    """A share of the rows, drawn at random, is off by `size` standard deviations in a random direction of the plane."""
 
     name = "outliers"
     summary = "some rows are far off"

@@ -100,19 +100,19 @@ def detectability(
     if `conditions` has it. library : the arm's hypotheses, for many plans of one arm. Raises `InputError` with fewer
     than 4 spare degrees of freedom.
     """
-    rows = _planned(postures, conditions)
-    given = frozenset() if rows.conditions.temperature is None else frozenset({"temperature"})
+    given = frozenset() if conditions is None or conditions.temperature is None else frozenset({"temperature"})
     library = library or hypotheses(arm, given)
+    rows = _planned(postures, conditions, library.base.dimension)
     noise = sigma or arm.sigma or 1.0
     return assess(library, rows, library.base.jacobian(rows.postures, None, rows.conditions), {}, noise)
 
 
-def _planned(postures: Array, conditions: Conditions | None) -> Rows:
+def _planned(postures: Array, conditions: Conditions | None, dimension: int) -> Rows:
     q = np.atleast_2d(np.asarray(postures, dtype=float))
     order = np.arange(len(q), dtype=float)
     given = {} if conditions is None else {k: v for k, v in vars(conditions).items() if v is not None}
     filled = Conditions(**({"time": session_time(order), "directions": directions_from_order(q)} | given))
-    return Rows(q, np.zeros((len(q), 2)), filled, order)
+    return Rows(q, np.zeros((len(q), dimension)), filled, order)
 
 
 def require_spare(freedom: int, rows: int) -> None:
@@ -145,7 +145,7 @@ def assess(
     for k, hypothesis in enumerate(members):
         if hypothesis.tied:
             continue
-        limit = LARGEST * float(np.sum(library.arm.lengths))
+        limit = LARGEST * library.base.reach * np.sqrt(len(rows))
         size = _detectable(hypothesis, raw[k], tested, sigma, threshold * hypothesis.weight, limit)
         before = detectable.get(hypothesis.key)
         detectable[hypothesis.key] = size if before is None else _larger(before, size)
@@ -188,7 +188,7 @@ def _detectable(
         return Size(None, parameter.file_unit)
     needed = detectable_lambda(hypothesis.size, tested.freedom - hypothesis.size, level, hypothesis.one_sided)
     size = needed * sigma / visible[-1]
-    if size * whole / np.sqrt(len(raw) / 2) > limit:  # root mean square distance [mm] that it would move the tip
+    if size * whole > limit:  # root sum of squares over the rows [mm] of what it would move the tip
         return Size(None, parameter.file_unit)
     return Size(float(size * parameter.to_file), parameter.file_unit)
 

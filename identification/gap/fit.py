@@ -19,7 +19,7 @@ TOLERANCE = 1e-10  # relative decrease of the sum of squares that ends the itera
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted model, in whitened coordinates (N = 2m).
+    """A fitted model, in whitened coordinates (N = m d).
 
     values : (p,) parameters;  residual : (N,);  jacobian : (N, p);  free : (p,) not held at a bound
     count : number of values estimated, fewer than p if some are tied to be equal

@@ -35,12 +35,12 @@ class Gap:
 
 
 def rms_distance(residual: Array) -> float:
-    """Root mean square over rows of the distance of (m, 2) residuals."""
+    """Root mean square over rows of the distance of (m, d) residuals."""
     return float(np.sqrt(np.mean(np.sum(np.square(residual), axis=-1))))
 
 
 def residuals(found: Fit, measurements: Measurements, conditions: Conditions) -> Array:
-    """(m, 2) measured less predicted position [mm]."""
+    """(m, d) measured less predicted position [mm]."""
     return np.asarray(measurements.positions - found.model.position(measurements.postures, found.values, conditions))
 
 
@@ -90,7 +90,7 @@ def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements)
     there = held_out_conditions(measurements, holdout)
     expected = np.mean(np.sum(np.square(residuals(base, measurements, measurements.conditions)), axis=1))
     expected += np.mean(prediction_variance(base, holdout, there))
-    limit = max(10.0 * float(np.sqrt(expected)), 0.01 * float(np.sum(base.model.arm.lengths)))
+    limit = max(10.0 * float(np.sqrt(expected)), 0.01 * base.model.reach)
     missed = float(np.median(np.linalg.norm(residuals(base, holdout, there), axis=1)))  # a few outliers are no arm
     if missed > limit:
         raise InputError(

@@ -59,7 +59,7 @@ class Hypothesis:
 
     @property
     def size(self) -> int:
-        """d, number of parameters."""
+        """Number of parameters."""
         return 1 if self.tied else len(self.effect.parameters)
 
     @property
@@ -107,10 +107,6 @@ class HypothesisSet:
         return tuple(h for h in self.members if h.spec.values)
 
     @cached_property
-    def _slots(self) -> dict[str, int]:
-        return {name: k for k, name in enumerate(self.wide.names)}
-
-    @cached_property
     def _scan(self) -> Callable[..., tuple[Array, ...]]:
         return vectorize(_angle_function(self.arm, tuple(h.effect for h in self.scanned)))
 
@@ -118,29 +114,27 @@ class HypothesisSet:
         """(m, S) derivative of the joint angles by the parameters of the scanned hypotheses, which need no fit."""
         if not self.scanned:
             return np.zeros((len(rows), 0))
-        payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
-        table = rows.conditions.table(len(rows), self.arm.links, payload)
+        table = rows.conditions.table(len(rows), self.base.joints, float(self.base.neutral_conditions[0]))
         return self._scan(rows.postures, table)[0][..., 0]
 
     def columns(self, rows: Rows, values: Mapping[str, float], slopes: Array) -> list[Array]:
-        """Per member, (m, 2, d) derivative of the position by its parameters, at these parameter values (others 0)."""
-        parameters = np.array([values.get(name, 0.0) for name in self.wide.names])
+        """Per member, (m, d, size) derivative of the position by its parameters, at these values (others 0)."""
+        parameters = self.wide.parameters.vector(values)
         jacobian = self.wide.jacobian(rows.postures, parameters, rows.conditions)
-        scanned = iter(self._scanned_columns(jacobian, slopes))
+        levers = self.wide.joint_levers(rows.postures, parameters, rows.conditions)
+        scanned = iter(self._scanned_columns(levers, slopes))
         return [next(scanned) if h.spec.values else self._plain_columns(h, jacobian) for h in self.members]
 
     def _plain_columns(self, hypothesis: Hypothesis, jacobian: Array) -> Array:
-        columns = jacobian[:, :, [self._slots[p.name] for p in hypothesis.effect.parameters]]
+        columns = jacobian[:, :, [self.wide.parameters.index(p.name) for p in hypothesis.effect.parameters]]
         return columns.sum(axis=2, keepdims=True) if hypothesis.tied else columns
 
-    def _scanned_columns(self, jacobian: Array, slopes: Array) -> Iterator[Array]:
-        n = self.arm.links
-        by_joint = jacobian[:, :, n : 2 * n]  # the joint offsets' columns: what one rad at a joint does to the tip
+    def _scanned_columns(self, levers: Array, slopes: Array) -> Iterator[Array]:
         start = 0
         for hypothesis in self.scanned:
             joint = hypothesis.effect.joint_index
-            part = slopes[:, start : start + hypothesis.size]  # (m, d)
-            yield by_joint[:, :, joint, None] * part[:, None, :]
+            part = slopes[:, start : start + hypothesis.size]  # (m, size)
+            yield levers[:, :, joint, None] * part[:, None, :]
             start += hypothesis.size
 
 

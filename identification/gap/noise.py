@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtrc
+from scipy.special import chdtrc, chdtri, fdtrc
 
 from identification.arrays import Array
 from identification.gap.f_tests import basis
@@ -19,7 +19,7 @@ from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 
 # reasons: identification/README.md, "Constants"
-OUTLIER = 6.0  # robust standard deviations; 3 in 10,000 data sets without outliers have one
+OUTLIER = 6.0  # robust deviations in a plane, else the same chance; 3 in 10,000 data sets without outliers have one
 MOST_OUTLIERS = 0.25  # of the rows: the robust scale is then 1.26 times too large; more is structure
 LEVEL = 0.01  # convention: of any finding on white noise, after Holm's correction
 DRAWS = 999  # the smallest p-value times the number of tests must reach LEVEL; raised for many joints
@@ -48,19 +48,19 @@ class Finding:
 def outliers(predicted: Array, jacobian: Array, everything: Rows) -> NDArray[np.bool_]:
     """(m,) rows whose residual no model of this kind can explain.
 
-    The worst row is taken out and the linearised model refitted, until none stands out by more than `OUTLIER` robust
-    standard deviations (median of the studentised squared residuals, chi-square with 2 degrees of freedom).
+    The worst row is taken out and the linearised model refitted, until none is farther off than `OUTLIER`: studentised
+    squared residuals of d coordinates, over their robust scale, are chi-square with d degrees of freedom.
 
-    predicted : (m, 2) positions of the fitted model for all rows;  jacobian : (m, 2, p)
+    predicted : (m, d) positions of the fitted model for all rows;  jacobian : (m, d, p)
     """
     plain = replace(everything, correlation=0.0)  # a posture is judged on its own
-    residual = plain.whiten(everything.positions - predicted).reshape(-1, 2)
+    residual = plain.whiten(everything.positions - predicted).reshape(predicted.shape)
     columns = plain.whiten(jacobian)
-    kept = np.ones(len(everything), dtype=bool)
+    kept, limit = np.ones(len(everything), dtype=bool), chdtri(everything.dimension, chdtrc(2, OUTLIER**2))
     for _ in range(int(MOST_OUTLIERS * len(kept)) + 1):
         squares = studentised(residual, columns, kept)
         worst = int(np.argmax(np.where(kept, squares, -1.0)))
-        if squares[worst] <= OUTLIER**2:
+        if squares[worst] <= limit:
             return ~kept
         kept[worst] = False
     return np.zeros(len(kept), dtype=bool)
@@ -68,15 +68,16 @@ def outliers(predicted: Array, jacobian: Array, everything: Rows) -> NDArray[np.
 
 def studentised(residual: Array, columns: Array, kept: NDArray[np.bool_]) -> Array:
     """(m,) squared residual of each posture in units of its own covariance and of the robust scale of the kept rows."""
-    blocks = columns.reshape(len(kept), 2, -1)
-    q = basis(blocks[kept].reshape(-1, columns.shape[1])).reshape(int(kept.sum()), 2, -1)
+    d = residual.shape[1]
+    blocks = columns.reshape(len(kept), d, -1)
+    q = basis(blocks[kept].reshape(-1, columns.shape[1])).reshape(int(kept.sum()), d, -1)
     inside = residual[kept].reshape(-1)
     flat = q.reshape(len(inside), -1)
-    left = (inside - flat @ (flat.T @ inside)).reshape(-1, 2)
-    rest = np.eye(2) - q @ q.transpose(0, 2, 1) + 1e-6 * np.eye(2)
+    left = (inside - flat @ (flat.T @ inside)).reshape(-1, d)
+    rest = np.eye(d) - q @ q.transpose(0, 2, 1) + 1e-6 * np.eye(d)
     squares = np.zeros(len(kept))
     squares[kept] = np.einsum("mi,mi->m", left, np.linalg.solve(rest, left[..., None])[..., 0])
-    return np.asarray(squares / max(np.median(squares[kept]) / (2.0 * np.log(2.0)), 1e-300))
+    return np.asarray(squares / max(np.median(squares[kept]) / chdtri(d, 0.5), 1e-300))  # the median of chi-square
 
 
 def screen(found: Fit, rows: Rows, generator: np.random.Generator) -> tuple[Finding, ...]:
@@ -98,7 +99,7 @@ def scatter_tests(
     position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
     residual, columns = rows.whiten(rows.positions - position), rows.whiten(jacobian)
     q = basis(columns)
-    forms = variance_forms(rows, position, jacobian)
+    forms = variance_forms(rows, position, found.model.joint_levers(rows.postures, found.values, rows.conditions))
     # Holm multiplies the smallest p-value, 1 / (draws + 1), by the number of tests: the level must be within reach
     draws = max(DRAWS, int(np.ceil((len(forms) + 1) / LEVEL - 1e-9)) - 1)
     drawn = generator.standard_normal((len(residual), draws))
@@ -117,32 +118,31 @@ def homoscedastic(found: Fit, rows: Rows, generator: np.random.Generator) -> boo
     return min(holm(scatter_tests(found, rows, generator)[0]).values()) > HINT
 
 
-def variance_forms(rows: Rows, position: Array, jacobian: Array) -> dict[str, Array]:
-    """Finding -> (m, 2, 2) shape of the extra covariance, of mean trace 2.
+def variance_forms(rows: Rows, position: Array, levers: Array) -> dict[str, Array]:
+    """Finding -> (m, d, d) shape of the extra covariance, of mean trace d.
 
-    Joint noise moves the tip along the joint's column of the Jacobian, by its lever arm; reach noise grows with the
+    Joint noise moves the tip along the joint's lever (`Model.joint_levers`, (m, d, n)); reach noise grows with the
     distance from the base; time noise with the time in the session.
     """
-    n = rows.postures.shape[1]
-    forms = {}
-    for j in range(n):
-        lever = jacobian[:, :, n + j]
-        forms[f"joint_noise:{j + 1}"] = lever[:, :, None] * lever[:, None, :]
-    forms["reach_noise"] = np.sum(position**2, axis=1)[:, None, None] * np.eye(2)
+    d, forms = rows.dimension, {}
+    for j, lever in enumerate(np.moveaxis(levers, 2, 0), start=1):
+        forms[f"joint_noise:{j}"] = lever[:, :, None] * lever[:, None, :]
+    forms["reach_noise"] = np.sum(position**2, axis=1)[:, None, None] * np.eye(d)
     time = rows.conditions.time if rows.conditions.time is not None else np.zeros(len(rows))
-    forms["time_noise"] = (time - time.min() + 1e-9)[:, None, None] * np.eye(2)
-    return {name: form * (2.0 * len(form) / np.einsum("mii->", form)) for name, form in forms.items()}
+    forms["time_noise"] = (time - time.min() + 1e-9)[:, None, None] * np.eye(d)
+    return {name: form * (d * len(form) / np.einsum("mii->", form)) for name, form in forms.items()}
 
 
 def _quadratic(form: Array, sample: Array) -> Array:
     """(B,) sum_i e_i^T (W_i - mean) e_i."""
-    e = sample.reshape(len(form), 2, -1)
-    return np.asarray(np.einsum("mib,mij,mjb->b", e, form - np.eye(2), e, optimize=True))
+    m, d, _ = form.shape
+    e = sample.reshape(m, d, -1)
+    return np.asarray(np.einsum("mib,mij,mjb->b", e, form - np.eye(d), e, optimize=True))
 
 
 def lag_one(sample: Array, rows: Rows) -> Array:
     """(B,) lag-1 correlation of the residuals in the order of measurement."""
-    e = sample.reshape(len(rows), 2, -1)[rows.sequence]
+    e = sample.reshape(len(rows), rows.dimension, -1)[rows.sequence]
     return np.asarray(np.sum(e[1:] * e[:-1], axis=(0, 1)) / np.sum(e * e, axis=(0, 1)))
 
 
@@ -173,8 +173,9 @@ def whitened(rows: Rows, found: Fit, findings: tuple[Finding, ...]) -> Rows:
         if finding.name == "serial_correlation":
             rows = replace(rows, correlation=finding.size)
             continue
-        position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
-        form = _oriented(variance_forms(rows, position, jacobian)[finding.name], finding.size < 0.0)
+        position = found.model.position(rows.postures, found.values, rows.conditions)
+        levers = found.model.joint_levers(rows.postures, found.values, rows.conditions)
+        form = _oriented(variance_forms(rows, position, levers)[finding.name], finding.size < 0.0)
         values, vectors = np.linalg.eigh(form)
         deviations = np.sqrt(1.0 + abs(finding.size) * np.maximum(values, 0.0))
         spread = vectors * deviations[:, None, :] @ vectors.transpose(0, 2, 1)
@@ -184,13 +185,13 @@ def whitened(rows: Rows, found: Fit, findings: tuple[Finding, ...]) -> Rows:
 
 def _oriented(form: Array, falling: bool) -> Array:
     """The shape of a variance that grows with time, or that falls with it."""
-    return form.max() * np.eye(2) - form if falling else form
+    return form.max() * np.eye(form.shape[1]) - form if falling else form
 
 
 def _variance_ratio(form: Array, residual: Array) -> float:
     """Profile likelihood of the variance ratio g in I + g W, maximised over a grid."""
     values, vectors = np.linalg.eigh(form)
-    turned = np.einsum("mij,mi->mj", vectors, residual.reshape(-1, 2))
+    turned = np.einsum("mij,mi->mj", vectors, residual.reshape(values.shape))
     variances = 1.0 + GRID[:, None, None] * np.maximum(values, 0.0)
     costs = residual.size * np.log(np.mean(turned**2 / variances, axis=(1, 2))) + np.log(variances).sum(axis=(1, 2))
     return float(GRID[np.argmin(costs)])
@@ -215,9 +216,10 @@ def repeat_finding(measurements: Measurements, found: Fit, kept: NDArray[np.bool
     position = found.model.position(measurements.postures, found.values, measurements.conditions)
     residual = (measurements.positions - position)[kept]
     counts = np.bincount(groups)
-    means = np.stack([np.bincount(groups, residual[:, k]) for k in range(2)], axis=1) / counts[:, None]
+    means = np.stack([np.bincount(groups, column) for column in residual.T], axis=1) / counts[:, None]
     pure = float(np.sum((residual - means[groups]) ** 2))
-    pure_freedom, fit_freedom = 2 * (len(residual) - len(counts)), 2 * len(counts) - found.rank
+    d = residual.shape[1]
+    pure_freedom, fit_freedom = d * (len(residual) - len(counts)), d * len(counts) - found.rank
     if pure_freedom < 4 or fit_freedom < 1 or pure == 0.0:
         return ()
     excess = (float(np.sum(residual**2)) - pure) / fit_freedom / (pure / pure_freedom)

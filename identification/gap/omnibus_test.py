@@ -37,34 +37,46 @@ class OmnibusTest:
         return float(self.adjusted.min(initial=1.0))
 
 
-def leverage_corrected(residual: Array, model_basis: Array) -> Array:
-    """(m, 2) residuals of each posture times (I - H_ii)^(-1/2), H_ii (2, 2) the posture's block of the hat matrix."""
-    blocks = model_basis.reshape(len(residual) // 2, 2, -1)
-    rest = np.eye(2) - blocks @ blocks.transpose(0, 2, 1)
+def leverage_corrected(residual: Array, model_basis: Array, dimension: int) -> Array:
+    """(m, d) residuals of each posture times (I - H_ii)^(-1/2), H_ii (d, d) the posture's block of the hat matrix."""
+    blocks = model_basis.reshape(len(residual) // dimension, dimension, -1)
+    rest = np.eye(dimension) - blocks @ blocks.transpose(0, 2, 1)
     values, vectors = np.linalg.eigh(rest)
     factor = 1.0 / np.sqrt(np.maximum(values, 1e-3))
     matrices = vectors * factor[:, None, :] @ vectors.transpose(0, 2, 1)
-    return np.einsum("mij,mj->mi", matrices, residual.reshape(-1, 2))
+    return np.einsum("mij,mj->mi", matrices, residual.reshape(-1, dimension))
 
 
 def wild_draws(
-    residual: Array, residual_basis: Array, model_basis: Array, draws: int, generator: np.random.Generator
+    residual: Array,
+    residual_basis: Array,
+    model_basis: Array,
+    dimension: int,
+    draws: int,
+    generator: np.random.Generator,
 ) -> Array:
     """(N, draws) bootstrap residuals: corrected residuals with one random sign per posture, projected off the model.
 
     residual_basis : of the model that left the residual, whose leverages are corrected for
+    dimension : d, coordinates per posture
     """
-    corrected = leverage_corrected(residual, residual_basis)
+    corrected = leverage_corrected(residual, residual_basis, dimension)
     signs = generator.integers(0, 2, (len(corrected), draws)) * 2.0 - 1.0
     drawn = (corrected[:, :, None] * signs[:, None, :]).reshape(len(residual), draws)
     return drawn - model_basis @ (model_basis.T @ drawn)
 
 
 def omnibus_test(
-    residual: Array, hypotheses: Dictionary, draws: int, generator: np.random.Generator, scatter: Scatter | None = None
+    residual: Array,
+    hypotheses: Dictionary,
+    dimension: int,
+    draws: int,
+    generator: np.random.Generator,
+    scatter: Scatter | None = None,
 ) -> OmnibusTest:
-    """Test all hypotheses against the residual (N,) of the fitted model.
+    """Test all hypotheses against the residual (N = m d,) of the fitted model.
 
+    dimension : d, coordinates per posture
     scatter : a fit whose residuals show how large the noise is at each posture; None: those of the model itself
     """
     observed = residual[:, None] - hypotheses.model_basis @ (hypotheses.model_basis.T @ residual[:, None])
@@ -72,7 +84,7 @@ def omnibus_test(
     falls = hypotheses.reductions(observed)
     p = hypotheses.p_values(falls, squares)[:, 0]
     left, own = scatter or (observed[:, 0], hypotheses.model_basis)
-    drawn = wild_draws(left, own, hypotheses.model_basis, draws, generator)
+    drawn = wild_draws(left, own, hypotheses.model_basis, dimension, draws, generator)
     smallest = np.sort(hypotheses.smallest_weighted(hypotheses.reductions(drawn), np.square(drawn).sum(axis=0)))
     ranks = np.searchsorted(smallest, p / hypotheses.weights, side="right")
     f = hypotheses.f_values(falls, squares)[:, 0]

@@ -85,7 +85,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Residuals:
-    """(m, 2) residuals [mm] of base and named model over all rows, and (m,) what to draw them against, by name."""
+    """(m, d) residuals [mm] of base and named model over all rows, and (m,) what to draw them against, by name."""
 
     before: Array
     after: Array

@@ -89,7 +89,7 @@ class Search:
             found = self.fit(chosen)
             members, against = self.rivals(chosen)
             scatter = self.scatter(chosen, members, against, generator)
-            result = omnibus_test(found.residual, against, draws, generator, scatter)
+            result = omnibus_test(found.residual, against, self.rows.dimension, draws, generator, scatter)
             self.tests[key] = Test(
                 members, result, bic_change(result.falls, against, len(found.residual), found.squares)
             )

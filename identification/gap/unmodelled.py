@@ -39,19 +39,19 @@ class Unknown:
 
 @dataclass(frozen=True)
 class _Shapes:
-    """The atoms projected off a fit, with their falls of the sum of squares."""
+    """General shapes projected off a fit, with their falls of the sum of squares."""
 
     listed: list[GeneralShape]
     against: Dictionary
     falls: Array
-    bic: Array  # (atoms,) of the fit with the atom added
+    bic: Array  # (shapes,) of the fit with the shape added
     smallest: float  # weighted p-value
 
 
 def find_unmodelled(search: Search, chosen: Choice, generator: np.random.Generator) -> Unknown:
     """General block test after the last accepted effect, then the place by BIC."""
     after = _shapes(search, chosen)
-    p = _adjusted(after, search.fit(chosen).residual, generator) if after.listed else 1.0
+    p = _adjusted(after, search, chosen, generator) if after.listed else 1.0
     best = search.bic(chosen)
     options = [
         (float(s.bic[k]), chosen_without, s.listed[k]) for chosen_without, s, k in _options(search, chosen, after)
@@ -69,9 +69,9 @@ def find_unmodelled(search: Search, chosen: Choice, generator: np.random.Generat
 
 
 def _named(p: float, option: tuple[float, Choice, GeneralShape], place: str | None = None) -> Unknown:
-    value, kept, atom = option
-    same = place is None or place == atom.place
-    return Unknown(p, place or atom.place, atom.shape if same else None, kept, value)
+    value, kept, best = option
+    same = place is None or place == best.place
+    return Unknown(p, place or best.place, best.shape if same else None, kept, value)
 
 
 def place_of_all(chosen: Choice, place: str) -> int:
@@ -88,7 +88,7 @@ def _crowded(chosen: Choice) -> str | None:
 
 
 def _options(search: Search, chosen: Choice, after: _Shapes) -> list[tuple[Choice, _Shapes, int]]:
-    """An atom added to the chosen set, or put in the place of some of its members; few rows may leave none."""
+    """A shape added to the chosen set, or put in the place of some of its members; few rows may leave none."""
     sets = [(chosen, after), *((rest, _shapes(search, rest)) for rest in _reduced(chosen))]
     return [(rest, shapes, int(np.argmin(shapes.bic))) for rest, shapes in sets if shapes.listed]
 
@@ -127,14 +127,15 @@ def _shapes(search: Search, chosen: Choice) -> _Shapes:
     return _Shapes([listed[k] for k in keep], against, falls, bic, float(smallest))
 
 
-def _adjusted(shapes: _Shapes, residual: Array, generator: np.random.Generator) -> float:
+def _adjusted(shapes: _Shapes, search: Search, chosen: Choice, generator: np.random.Generator) -> float:
     """Adjusted p-value of the best shape under white Gaussian noise, if the wild bootstrap does not object.
 
     The wild bootstrap alone would have no power against a shape that moves a few postures only (their signs come out
     alike too often), Gaussian noise alone would take scatter for waves; so the bootstrap is asked at `WILD` only.
     """
-    q = shapes.against.model_basis
-    scatter = _tail(shapes, wild_draws(residual, q, q, DRAWS[0], generator)) * LEVEL / WILD
+    q, residual = shapes.against.model_basis, search.fit(chosen).residual
+    drawn = wild_draws(residual, q, q, search.rows.dimension, DRAWS[0], generator)
+    scatter = _tail(shapes, drawn) * LEVEL / WILD
     white = 1.0
     for draws in DRAWS:
         drawn = generator.standard_normal((len(q), draws))

@@ -9,6 +9,7 @@ explains what is left, after correction for all shapes of all places.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations, product
 
 import numpy as np
 
@@ -21,12 +22,13 @@ FREE_ORDERS = np.arange(0.5, 160.5, 0.5)  # periods per turn: every wave between
 SMOOTH_ORDERS = np.arange(1, 6)  # of a smooth curve
 CENTRES, WIDTHS = 24, (0.2, 0.3, 0.45, 0.7, 1.0)  # of bumps [rad]: a likeness of 0.9 with every bump between
 PERIODS = (2.0, 1.5, 1.0, 0.75, 0.5, 0.35)  # of waves over the workspace, in units of the reach; a sketch
+DENTS = (-1.5, -0.75, 0.0, 0.75, 1.5)  # centres along each axis, in root mean square coordinates; a sketch
 STEPS = 100  # effort: steps in time at every row up to this many
 
 
 @dataclass(frozen=True)
 class GeneralShape:
-    """place : `joint:j`, `time`, `workspace`;  shape : for people;  columns : (m, 2, d)"""
+    """place : `joint:j`, `time`, `workspace`;  shape : for people;  columns : (m, d, k) for d coordinates"""
 
     place: str
     shape: str
@@ -35,19 +37,16 @@ class GeneralShape:
 
 def general_shapes(found: Fit, rows: Rows) -> list[GeneralShape]:
     """All shapes at a fitted model."""
-    position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
-    n = rows.postures.shape[1]
+    at = (rows.postures, found.values, rows.conditions)
+    position, levers = found.model.position(*at), found.model.joint_levers(*at)
     listed: list[GeneralShape] = []
-    for j in range(n):
-        names, values = _joint_shapes(rows.postures, j)
-        lever = jacobian[:, :, n + j, None]
-        listed += [
-            GeneralShape(f"joint:{j + 1}", name, lever * v[:, None, :]) for name, v in zip(names, values, strict=True)
-        ]
+    for j, lever in enumerate(np.moveaxis(levers, 2, 0)):
+        shapes = zip(*_joint_shapes(rows.postures, j), strict=True)
+        listed += [GeneralShape(f"joint:{j + 1}", name, lever[:, :, None] * v[:, None, :]) for name, v in shapes]
     time = rows.conditions.time
     if time is not None and np.ptp(time) > 0.0:
-        listed += _time_atoms(time, position)
-    return listed + _workspace_atoms(position)
+        listed += _time_shapes(time, position)
+    return listed + _workspace_shapes(position)
 
 
 def _joint_shapes(postures: Array, j: int) -> tuple[list[str], list[Array]]:
@@ -94,44 +93,55 @@ def _shared_shapes(postures: Array, j: int) -> list[tuple[str, Array]]:
     return found
 
 
-def _time_atoms(time: Array, position: Array) -> list[GeneralShape]:
-    turn = np.column_stack([-position[:, 1], position[:, 0]])
+def _time_shapes(time: Array, position: Array) -> list[GeneralShape]:
+    d, turns = position.shape[1], rotations(position)
     edges = np.quantile(time, np.linspace(0.0, 1.0, min(STEPS, len(time) - 1) + 1)[1:-1])
     shapes = [(f"step at {edge:+.2f}", np.greater(time, edge) * 1.0) for edge in edges]
     shapes += [(f"power {k}", time**k) for k in (2, 3)]
     listed = []
     for shape, values in shapes:
-        listed.append(GeneralShape("time", shape, values[:, None, None] * np.eye(2)))
-        listed.append(GeneralShape("time", f"rotation {shape}", (values[:, None] * turn)[:, :, None]))
-    for k in (1, 2, 3):
-        columns = (np.eye(2)[None, :, :, None] * _waves(k * time)[:, None, None, :]).reshape(len(time), 2, 4)
-        listed.append(GeneralShape("time", f"wave of {k} per session", columns))
-    return listed
+        listed.append(GeneralShape("time", shape, values[:, None, None] * np.eye(d)))
+        listed.append(GeneralShape("time", f"rotation {shape}", values[:, None, None] * turns))
+    return listed + [GeneralShape("time", f"wave of {k} per session", _vector_waves(k * time, d)) for k in (1, 2, 3)]
 
 
-def _workspace_atoms(position: Array) -> list[GeneralShape]:
-    x, y = (position / np.sqrt(np.mean(position**2))).T
-    shapes = [(f"x^{a} y^{b}", x**a * y**b) for a in range(4) for b in range(4) if 2 <= a + b <= 3]
-    for cx in (-1.5, -0.75, 0.0, 0.75, 1.5):
-        for cy in (-1.5, -0.75, 0.0, 0.75, 1.5):
-            dent = np.exp(-0.5 * ((x - cx) ** 2 + (y - cy) ** 2) / 0.5**2)
-            if np.sum(dent > 0.3) >= 3:
-                shapes.append((f"dent near ({cx:g}, {cy:g}) rms reach", dent))
-    listed = [GeneralShape("workspace", shape, values[:, None, None] * np.eye(2)) for shape, values in shapes]
-    return listed + _instrument_atoms(position)
+def rotations(position: Array) -> Array:
+    """(m, d, d (d - 1) / 2) what small rotations about the base do to positions (m, d), one in each coordinate plane.
+
+    In the plane of coordinates a < b: a moves by minus b, b by a.
+    """
+    d = position.shape[1]
+    planes = list(combinations(range(d), 2))
+    turns = np.zeros((len(position), d, len(planes)))
+    for k, (a, b) in enumerate(planes):
+        turns[:, a, k], turns[:, b, k] = -position[:, b], position[:, a]
+    return turns
 
 
-def _instrument_atoms(position: Array) -> list[GeneralShape]:
+def _workspace_shapes(position: Array) -> list[GeneralShape]:
+    d = position.shape[1]
+    scaled = position / np.sqrt(np.mean(position**2))
+    powers = [p for p in product(range(4), repeat=d) if 2 <= sum(p) <= 3]
+    shapes = [
+        (" ".join(f"{x}^{k}" for x, k in zip("xyz", p, strict=False)), np.prod(scaled**p, axis=1)) for p in powers
+    ]
+    for centre in product(DENTS, repeat=d):
+        dent = np.exp(-0.5 * np.sum((scaled - centre) ** 2, axis=1) / 0.5**2)
+        if np.sum(dent > 0.3) >= 3:
+            shapes.append((f"dent near ({', '.join(f'{c:g}' for c in centre)}) rms reach", dent))
+    listed = [GeneralShape("workspace", shape, values[:, None, None] * np.eye(d)) for shape, values in shapes]
+    return listed + _instrument_shapes(position)
+
+
+def _instrument_shapes(position: Array) -> list[GeneralShape]:
     """What bends an instrument's frame: the cubic distortion of a lens, waves along an axis or along the radius."""
     radius = np.linalg.norm(position, axis=1)
     reach = max(float(radius.max()), 1e-300)
     listed = [GeneralShape("workspace", "lens distortion", (position * radius[:, None] ** 2)[:, :, None])]
     outward = position / np.maximum(radius, 1e-12 * reach)[:, None]
     for period in PERIODS:
-        for name, values in (("x", position[:, 0]), ("y", position[:, 1])):
-            columns = (np.eye(2)[None, :, :, None] * _waves(values / reach / period)[:, None, None, :]).reshape(
-                -1, 2, 4
-            )
+        for name, values in zip("xyz", position.T, strict=False):
+            columns = _vector_waves(values / reach / period, position.shape[1])
             listed.append(GeneralShape("workspace", f"wave of {period:g} reach along {name}", columns))
         columns = outward[:, :, None] * _waves(radius / reach / period)[:, None, :]
         listed.append(GeneralShape("workspace", f"wave of {period:g} reach along the radius", columns))
@@ -141,3 +151,9 @@ def _instrument_atoms(position: Array) -> list[GeneralShape]:
 def _waves(turns: Array) -> Array:
     """(m, 2) cosine and sine."""
     return np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)], axis=1)
+
+
+def _vector_waves(turns: Array, dimension: int) -> Array:
+    """(m, d, 2 d) cosine and sine of every coordinate."""
+    waves = np.eye(dimension)[None, :, :, None] * _waves(turns)[:, None, None, :]
+    return waves.reshape(len(turns), dimension, 2 * dimension)

@@ -21,7 +21,7 @@ from identification.measurements import Conditions, Measurements
 class Rows:
     """m measured postures with everything that follows from the whole session fixed, so that rows can be left out.
 
-    spread : (m, 2, 2) symmetric square root of the relative covariance of a row, None: the same for all
+    spread : (m, d, d) symmetric square root of the relative covariance of a row, None: the same for all
     correlation : lag-1 correlation of the noise from one row to the next measured
     """
 
@@ -43,7 +43,7 @@ class Rows:
         spread = None
         if measurements.sigma is not None:
             relative = measurements.sigma / np.exp(np.mean(np.log(measurements.sigma)))
-            spread = relative[:, None, None] * np.eye(2)
+            spread = relative[:, None, None] * np.eye(measurements.dimension)
         return cls(measurements.postures, measurements.positions, measurements.conditions, order, spread)
 
     def pick(self, index: Any) -> Rows:
@@ -59,30 +59,35 @@ class Rows:
         )
 
     @property
+    def dimension(self) -> int:
+        """d, coordinates per row."""
+        return int(self.positions.shape[1])
+
+    @property
     def sequence(self) -> NDArray[np.int64]:
         """(m,) row numbers in the order of measurement."""
         return np.argsort(self.order, kind="stable")
 
     @cached_property
     def _inverse(self) -> Array:
-        """(m, 2, 2) inverse of the spread."""
-        return np.asarray(np.linalg.inv(np.eye(2) if self.spread is None else self.spread))
+        """(m, d, d) inverse of the spread."""
+        return np.asarray(np.linalg.inv(np.eye(self.dimension) if self.spread is None else self.spread))
 
     @property
     def log_determinant(self) -> float:
-        """Logarithm of the determinant of the relative covariance of all 2m coordinates."""
-        memory = 2.0 * (len(self) - 1) * np.log1p(-(self.correlation**2))
+        """Logarithm of the determinant of the relative covariance of all m d coordinates."""
+        memory = self.dimension * (len(self) - 1) * np.log1p(-(self.correlation**2))
         spread = 0.0 if self.spread is None else 2.0 * np.sum(np.linalg.slogdet(self.spread)[1])
         return float(memory + spread)
 
     def whiten(self, values: Array) -> Array:
-        """(2m, ...) of (m, 2, ...) with unit covariance up to a factor; linear, so it serves residuals and columns."""
+        """(m d, ...) of (m, d, ...) with unit covariance up to a factor; linear, so it serves residuals and columns."""
+        m, d = len(self), self.dimension
         if self.spread is not None:
-            flat = values.reshape(len(self), 2, -1)
-            # 2 x 2 by hand: numpy's solver and product of m small matrices take many times as long
-            (a, b), (c, d) = np.moveaxis(self._inverse, 0, -1)[..., None]
-            x, y = flat[:, 0], flat[:, 1]
-            values = np.stack([a * x + b * y, c * x + d * y], axis=1).reshape(values.shape)
+            flat = values.reshape(m, d, -1)
+            # coordinate by coordinate: numpy's solver and product of m small matrices take many times as long
+            turned = [sum(self._inverse[:, i, j, None] * flat[:, j] for j in range(d)) for i in range(d)]
+            values = np.stack(turned, axis=1).reshape(values.shape)
         if self.correlation:
             rho = self.correlation
             sequence = self.sequence
@@ -91,4 +96,4 @@ class Rows:
             before, after = values[sequence[:-1]], values[sequence[1:]]
             changed[sequence[1:]] = (after - rho * before) / np.sqrt(1.0 - rho**2)
             values = changed
-        return values.reshape(2 * len(self), *values.shape[2:])
+        return values.reshape(m * d, *values.shape[2:])

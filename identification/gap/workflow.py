@@ -107,15 +107,16 @@ def _explained(
 def cost(found: Findings, m: int) -> float:
     """BIC of effects and noise model together, comparable between different sets of outliers.
 
-    Each outlier is a model of its own: two free coordinates at one of m rows. The noise model costs its parameters and
+    Each outlier is a model of its own: d free coordinates at one of m rows. The noise model costs its parameters and
     the logarithm of its covariance's determinant.
     """
-    n, taken = 2 * m, int(found.outlier.sum())
+    d = found.search.rows.dimension
+    n, taken = d * m, int(found.outlier.sum())
     kept = found.search.fit(found.unknown.chosen)
     rest = found.unknown.bic - len(kept.residual) * np.log(kept.squares / len(kept.residual))
     effects = n * np.log(kept.squares / n) + rest
     noise = found.search.rows.log_determinant + len(found.scatter) * np.log(n)
-    return float(effects + noise + taken * (2.0 * np.log(n) + 2.0 * np.log(m)))
+    return float(effects + noise + taken * (d * np.log(n) + 2.0 * np.log(m)))
 
 
 def _screen_rows(search: Search, chosen: tuple, rows: Rows) -> NDArray[np.bool_]:

@@ -14,7 +14,6 @@ from identification.information import (
     describe,
     identifiability,
     information_matrix,
-    orientation_transform,
     sparse_basis,
     spectrum,
 )
@@ -132,11 +131,6 @@ def test_spectrum_takes_any_leading_shape_and_more_columns_than_rows() -> None:
     assert wide.rank == 4
     assert wide.null_space.shape == (7, 3)
     np.testing.assert_allclose((jacobian.reshape(4, 7) / wide.lengths) @ wide.null_space, 0.0, atol=1e-12)
-
-
-def test_orientation_transform_sums_offsets() -> None:
-    transform = orientation_transform(("length_error:1", "joint_offset:1", "joint_offset:2"))
-    np.testing.assert_array_equal(transform, [[0, 1, 0], [0, 1, 1]])
 
 
 @given(st.integers(0, 2**32), st.integers(2, 4), st.integers(1, 3))

@@ -3,29 +3,32 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.linalg import sqrtm
 
 from identification.gap.f_tests import basis, dictionary
 from identification.gap.omnibus_test import leverage_corrected, omnibus_test, wild_draws
 
 
-def test_leverage_correction_is_the_inverse_square_root_of_each_block() -> None:
+@pytest.mark.parametrize("d", [2, 3])
+def test_leverage_correction_is_the_inverse_square_root_of_each_block(d: int) -> None:
     rng = np.random.default_rng(1)
-    jacobian, residual = rng.normal(size=(20, 5)), rng.normal(size=20)
+    jacobian, residual = rng.normal(size=(10 * d, 5)), rng.normal(size=10 * d)
     hat = jacobian @ np.linalg.inv(jacobian.T @ jacobian) @ jacobian.T
-    corrected = leverage_corrected(residual, basis(jacobian))
+    corrected = leverage_corrected(residual, basis(jacobian), d)
     for i in range(10):
-        block = np.eye(2) - hat[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-        np.testing.assert_allclose(corrected[i], np.linalg.inv(sqrtm(block).real) @ residual[2 * i : 2 * i + 2])
+        own = slice(d * i, d * i + d)
+        block = np.eye(d) - hat[own, own]
+        np.testing.assert_allclose(corrected[i], np.linalg.inv(sqrtm(block).real) @ residual[own])
 
 
 def test_draws_are_orthogonal_to_the_model_and_keep_each_postures_direction() -> None:
     rng = np.random.default_rng(2)
     jacobian, residual = rng.normal(size=(12, 3)), rng.normal(size=12)
     q = basis(jacobian)
-    drawn = wild_draws(residual, q, q, 50, rng)
+    drawn = wild_draws(residual, q, q, 2, 50, rng)
     np.testing.assert_allclose(q.T @ drawn, 0.0, atol=1e-12)
-    corrected = leverage_corrected(residual, q).ravel()
+    corrected = leverage_corrected(residual, q, 2).ravel()
     project = np.eye(12) - q @ q.T
     # every draw is the projection of the corrected residuals with one sign per posture
     for b in range(50):
@@ -44,7 +47,7 @@ def _rejections(scale: np.ndarray, sets: int) -> float:
         tested = dictionary(jacobian, columns, np.zeros(7, dtype=bool), np.ones(7))
         noise = rng.normal(size=60) * np.repeat(scale, 2)
         residual = noise - tested.model_basis @ (tested.model_basis.T @ noise)
-        count += omnibus_test(residual, tested, 199, rng).smallest <= 0.05
+        count += omnibus_test(residual, tested, 2, 199, rng).smallest <= 0.05
     return count / sets
 
 
@@ -60,6 +63,6 @@ def test_a_clear_effect_opens_the_gate() -> None:
     jacobian, columns = rng.normal(size=(60, 6)), [rng.normal(size=(60, 1)) for _ in range(8)]
     tested = dictionary(jacobian, columns, np.zeros(8, dtype=bool), np.ones(8))
     y = rng.normal(size=60) + 8.0 * columns[5][:, 0] / np.linalg.norm(columns[5])
-    result = omnibus_test(y - tested.model_basis @ (tested.model_basis.T @ y), tested, 499, rng)
+    result = omnibus_test(y - tested.model_basis @ (tested.model_basis.T @ y), tested, 2, 499, rng)
     assert int(np.argmin(result.p)) == 5
     assert result.smallest <= 0.01
