@@ -1,27 +1,23 @@
-"""Approximate designs: weights on postures, what they are worth, and how three independent answers compare.
+"""Approximate designs: weights on postures, with their certificate.
 
 Everything here is recomputed from the stored problem; no number of a solver is passed on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from doe.bounds.bound import Bound
+from doe.bounds.equivalence import certify
 from doe.criteria import D
 from doe.plan.plan import Plan
-from doe.problem.candidates import Candidates, chunks
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
-from identification.errors import InputError
 from identification.status import Status
-
-KEPT_ENTRIES = 4_000_000  # of candidates' Jacobians that are kept between passes: 32 MB
 
 
 @dataclass(frozen=True)
@@ -90,66 +86,6 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def proper_weights(weights: Array) -> Array:
-    """A solver's weights made into a design: negative ones (rounding) to zero, sum to one.
-
-    Raises InputError where nothing positive is left.
-    """
-    clipped = np.maximum(np.asarray(weights, dtype=float), 0.0)
-    total = float(clipped.sum())
-    if not np.isfinite(total) or total <= 0.0:
-        raise InputError(f"weights: their sum is {total}, allowed: finite weights >= 0 that sum to one")
-    return clipped / total
-
-
-@dataclass(frozen=True)
-class CandidateJacobians:
-    """Candidates chunk by chunk with their scaled Jacobians, kept from one pass to the next where they are few."""
-
-    problem: DesignProblem
-    candidates: Candidates
-    _kept: list[tuple[Array, Array]] = field(default_factory=list, repr=False)
-
-    def __iter__(self) -> Iterator[tuple[Array, Array]]:
-        """Postures (k, n) and scaled Jacobians (k, d, p) of chunk after chunk."""
-        if self._kept:
-            yield from self._kept
-            return
-        entries = len(self.candidates) * self.problem.model.dimension * self.problem.parameters
-        made = ((postures, self.problem.scaled_jacobians(postures)) for _, postures in chunks(self.candidates))
-        if entries > KEPT_ENTRIES:
-            yield from made
-            return
-        self._kept.extend(made)
-        yield from self._kept
-
-
-def sensitivities(
-    jacobians: CandidateJacobians, gradient: Array, prior: PriorInformation
-) -> Iterator[tuple[Array, Array]]:
-    """Per chunk of candidates: postures (k, n) and g (k,) = tr(G F). Never more than one chunk of values in memory."""
-    root = np.linalg.cholesky(gradient) if _positive(gradient) else None
-    for postures, some in jacobians:
-        if root is None:
-            yield postures, prior.sensitivities(some, gradient)
-            continue
-        k, d, p = some.shape
-        half = (some.reshape(k * d, p) @ root).reshape(k, -1)  # tr(L L^T B^T B) = |B L|^2
-        yield postures, prior.mixed(np.einsum("ij,ij->i", half, half), gradient)
-
-
-def _positive(gradient: Array) -> bool:
-    return bool(np.linalg.eigvalsh(gradient)[0] > 1e-14 * np.trace(gradient))
-
-
-def largest_sensitivity(
-    problem: DesignProblem, candidates: Candidates, gradient: Array, prior: PriorInformation
-) -> float:
-    """max over the candidates of g = tr(G F), all of them visited, their Jacobians computed afresh."""
-    fresh = CandidateJacobians(problem, candidates)
-    return max(float(g.max()) for _, g in sensitivities(fresh, gradient, prior))
-
-
 def assess(
     problem: DesignProblem,
     prior: PriorInformation,
@@ -171,19 +107,16 @@ def assess(
     and the efficiency hold for any weights, whoever made them.
     """
     information = prior.mixture(problem.scaled_jacobians(plan.postures), plan.shares)
-    criterion = problem.criterion
-    slope = criterion.gradient(information) if gradient is None else gradient
-    value = float(criterion.value(information))
-    proven = criterion.upper_bound(information, largest)
+    proven = certify(problem, information, largest, gradient)
     source = "continuous" if candidates is None else "grid"
     return ApproximateDesign(
         plan,
-        criterion.name,
-        value,
+        problem.criterion.name,
+        proven.value,
         float(D().value(information)),
-        largest - float(np.sum(slope * information)),
-        Bound(proven, source, rigorous) if status is Status.converged else None,
-        criterion.efficiency(value, proven, problem.parameters),
+        proven.gap,
+        Bound(proven.bound, source, rigorous) if status is Status.converged else None,
+        proven.efficiency,
         status,
         solver_status,
         solver,

@@ -1,8 +1,8 @@
 """Column generation: optimal weights on few postures, priced against very many, or against all of the joint box.
 
-The loop is in `working_set`. Here is what it is fed with: all of a million candidates, chunk by chunk, or the climbs of
-`doe.bounds.continuous` over every posture there is; and what the end is worth: a gap on the plan that is reported,
-proven by `doe.bounds.branch_and_bound` where the model allows.
+The loop is in `restricted_master`. Here is what it is fed with: all of a million candidates, chunk by chunk, or the
+climbs of `doe.bounds.continuous` over every posture there is; and the certificate at the end, on the plan that is
+reported, proven by `doe.bounds.branch_and_bound` where the model allows.
 """
 
 from __future__ import annotations
@@ -12,17 +12,12 @@ from time import perf_counter
 
 import numpy as np
 
-from doe.bounds.approximate_design import (
-    ApproximateDesign,
-    CandidateJacobians,
-    assess,
-    largest_sensitivity,
-    sensitivities,
-)
+from doe.bounds.approximate_design import ApproximateDesign, assess
 from doe.bounds.bound import Bound
 from doe.bounds.branch_and_bound import maximum
 from doe.bounds.continuous import ContinuousSet, distinct
-from doe.bounds.restricted_master import Price, Settled, Stage, generate, settle
+from doe.bounds.equivalence import CandidateJacobians, candidate_sensitivities, largest_sensitivity
+from doe.bounds.restricted_master import Price, SparseDesign, Stage, generate_columns, sparse_design
 from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobian
 from doe.problem.candidates import Candidates, PostureList, spread
 from doe.problem.prior import PriorInformation
@@ -58,10 +53,10 @@ def column_generation(
         sample = PostureList(spread(candidates, SAMPLE))
         stages.insert(0, Stage(candidate_price(problem, sample, prior), max(COARSE, tolerance)))
     start = spread(candidates, 6 * problem.parameters)
-    working, _ = generate(problem, prior, start, stages)
-    ended = settle(problem, prior, working)
+    working, _ = generate_columns(problem, prior, start, stages)
+    ended = sparse_design(problem, prior, working)
     largest = largest_sensitivity(problem, candidates, ended.gradient, prior)
-    return finish(problem, prior, ended, largest, len(candidates), tolerance, began, rigorous=True)
+    return certified(problem, prior, ended, largest, len(candidates), tolerance, began, rigorous=True)
 
 
 def continuous_design(
@@ -95,15 +90,15 @@ def continuous_design(
         Stage(thorough, tolerance, back=1),
     ]
     start = spread(starts, 6 * problem.parameters)
-    working, gap = generate(problem, prior, start, stages)
-    ended = settle(problem, prior, working)
+    working, gap = generate_columns(problem, prior, start, stages)
+    ended = sparse_design(problem, prior, working)
     largest = max(ended.level + gap, float(everything.best(ended.gradient, ended.plan.postures)[1][0]))
     jacobians = trigonometric_jacobian(problem) if proof > 0.0 and not problem.constraints else None
     rigorous = False
     if jacobians is not None:
         proof = max(tolerance, proof)
         ended, largest, rigorous = prove(everything, jacobians, ended, largest, stages, proof, most_boxes)
-    return finish(problem, prior, ended, largest, None, max(tolerance, proof), began, rigorous=rigorous)
+    return certified(problem, prior, ended, largest, None, max(tolerance, proof), began, rigorous=rigorous)
 
 
 def continuous_bound(
@@ -133,7 +128,7 @@ def candidate_price(problem: DesignProblem, candidates: Candidates, prior: Prior
 
     def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
         offers, values = [near[:0]], [np.empty(0)]
-        for postures, g in sensitivities(jacobians, gradient, prior):
+        for postures, g in candidate_sensitivities(jacobians, gradient, prior):
             edges = np.arange(0, len(g), part)
             top = np.array([edge + int(np.argmax(g[edge : edge + part])) for edge in edges])
             offers.append(postures[top])
@@ -167,12 +162,12 @@ def _worth_adding(postures: Array, values: Array, level: float, count: int, shar
 def prove(
     everything: ContinuousSet,
     jacobians: TrigonometricJacobian,
-    ended: Settled,
+    ended: SparseDesign,
     largest: float,
     stages: Sequence[Stage],
     tolerance: float,
     most_boxes: int,
-) -> tuple[Settled, float, bool]:
+) -> tuple[SparseDesign, float, bool]:
     """Branch and bound on the sensitivity; a posture that the multistart missed starts the loop again.
 
     Returns the design, its largest sensitivity, and whether that is proven.
@@ -189,16 +184,16 @@ def prove(
         if found.value <= ended.level + close:
             return ended, found.upper, True
         start = np.concatenate([known, found.posture[None]])
-        working, gap = generate(problem, prior, start, stages[1:])
-        ended = settle(problem, prior, working)
+        working, gap = generate_columns(problem, prior, start, stages[1:])
+        ended = sparse_design(problem, prior, working)
         largest = ended.level + gap
     return ended, found.upper, True
 
 
-def finish(
+def certified(
     problem: DesignProblem,
     prior: PriorInformation,
-    ended: Settled,
+    ended: SparseDesign,
     largest: float,
     candidates: int | None,
     tolerance: float,

@@ -1,23 +1,29 @@
-"""Is a plan optimal? The equivalence theorem and the bounds that follow from it, independent of every solver.
+"""Is a design optimal? The equivalence theorem and the bounds that follow from it, independent of every solver.
 
-A design w is optimal over a set Q of postures exactly when max_(q in Q) tr(G B(q)^T B(q)) = tr(G M(w)), with G the
-gradient of the criterion at M(w) and B the scaled Jacobian (d, p) of a posture, whose d coordinates are indivisible
-(doe/README.md, "Equivalence theorem"). For D, G = M^-1 and the right side is p. From any design, optimal or not, the
-maximum gives an upper bound for every other one, exact plans of any number of runs included.
+A design w is optimal over a set Q of postures exactly when max_(q in Q) tr(G F(q)) = tr(G M(w)), with G the gradient of
+the criterion at M(w), B the scaled Jacobian (d, p) of a posture, whose d coordinates are indivisible, and F = B^T B,
+or the matrix F of `PriorInformation` where something is known already (doe/README.md, "Equivalence theorem"). For D,
+G = M^-1 and the right side is p. From any design, optimal or not, the maximum gives an upper bound for every other
+one, exact plans of any number of runs included.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.bounds.bound import Bound
+from doe.problem.candidates import Candidates, chunks
+from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 
-CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal (identification/files/README.md, "JSON keys")
+CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal
 REACHED = 1.0 - 1e-9  # efficiency from which searching on cannot matter
 ROUNDING = 1e-12  # by which an efficiency may exceed 1 where value and bound are the same number but for rounding
+REMEMBERED = 4_000_000  # entries of candidates' Jacobians that are remembered between passes: 32 MB
 
 
 def without_rounding(efficiency: float) -> float:
@@ -25,40 +31,90 @@ def without_rounding(efficiency: float) -> float:
     return 1.0 if 1.0 < efficiency <= 1.0 + ROUNDING else efficiency
 
 
+def level(gradient: Array, information: Array) -> float:
+    """tr(G M), what the largest sensitivity is compared with."""
+    return float(np.sum(gradient * information))
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What a design proves about all others of its design space.
+
+    value : criterion value of the design;  gap : max tr(G F) - tr(G M), which is zero exactly at an optimum
+    bound : no design has a greater criterion value;  efficiency : share 0..1 that the design reaches at least
+    """
+
+    value: float
+    gap: float
+    bound: float
+    efficiency: float
+
+
+def certify(problem: DesignProblem, information: Array, largest: float, gradient: Array | None = None) -> Certificate:
+    """The certificate of a design with information M, given `largest` >= max tr(G F) over the design space.
+
+    gradient : (p, p) G, default the criterion's at M; E-optimality needs the one of its dual problem
+    """
+    criterion = problem.criterion
+    slope = criterion.gradient(information) if gradient is None else gradient
+    value, bound = float(criterion.value(information)), criterion.upper_bound(information, largest)
+    efficiency = criterion.efficiency(value, bound, problem.parameters)
+    return Certificate(value, largest - level(slope, information), bound, efficiency)
+
+
+# -- the largest sensitivity -------------------------------------------------------------------------------------------
 def sensitivity(problem: DesignProblem, information: Array, postures: ArrayLike) -> Array:
     """(m,) tr(G B^T B) of postures (m, n), with G the criterion's gradient at the design's information matrix."""
     gradient = problem.criterion.gradient(information)
-    jacobians = problem.scaled_jacobians(postures)
-    return np.sum((jacobians @ gradient) * jacobians, axis=(-2, -1))
+    return PriorInformation().sensitivities(problem.scaled_jacobians(postures), gradient)
 
 
-def mixture_sensitivity(problem: DesignProblem, information: Array, largest: float, runs: int) -> float:
-    """The largest tr(G N) of any design N of `runs` new runs, given `largest` >= max_q tr(G B^T B).
+@dataclass(frozen=True)
+class CandidateJacobians:
+    """Candidates chunk by chunk with their scaled Jacobians, which are remembered between passes where they are few."""
 
-    What is known before them has a fixed share: with K from k runs it is (m largest + tr(G K)) / (m + k).
+    problem: DesignProblem
+    candidates: Candidates
+    _remembered: list[tuple[Array, Array]] = field(default_factory=list, repr=False)
+
+    def __iter__(self) -> Iterator[tuple[Array, Array]]:
+        """Postures (k, n) and scaled Jacobians (k, d, p) of chunk after chunk."""
+        if self._remembered:
+            yield from self._remembered
+            return
+        entries = len(self.candidates) * self.problem.model.dimension * self.problem.parameters
+        made = ((postures, self.problem.scaled_jacobians(postures)) for _, postures in chunks(self.candidates))
+        if entries > REMEMBERED:
+            yield from made
+            return
+        self._remembered.extend(made)
+        yield from self._remembered
+
+
+def candidate_sensitivities(
+    jacobians: CandidateJacobians, gradient: Array, prior: PriorInformation
+) -> Iterator[tuple[Array, Array]]:
+    """Per chunk of candidates: postures (k, n) and g (k,) = tr(G F). Never more than one chunk of values in memory."""
+    root = np.linalg.cholesky(gradient) if _positive(gradient) else None
+    for postures, some in jacobians:
+        if root is None:
+            yield postures, prior.sensitivities(some, gradient)
+            continue
+        k, d, p = some.shape
+        half = (some.reshape(k * d, p) @ root).reshape(k, -1)  # tr(L L^T B^T B) = |B L|^2
+        yield postures, prior.mixed(np.einsum("ij,ij->i", half, half), gradient)
+
+
+def _positive(gradient: Array) -> bool:
+    return bool(np.linalg.eigvalsh(gradient)[0] > 1e-14 * np.trace(gradient))
+
+
+def largest_sensitivity(
+    problem: DesignProblem, candidates: Candidates, gradient: Array, prior: PriorInformation
+) -> float:
+    """max over the candidates of g = tr(G F), all of them visited, their Jacobians computed afresh.
+
+    prior : per new run
     """
-    prior = problem.prior.per_new_run(runs)
-    return float(prior.mixed(np.asarray(largest), problem.criterion.gradient(information)))
-
-
-def gap_and_bound(
-    problem: DesignProblem, postures: ArrayLike, largest: float, source: str, weights: Array | None = None
-) -> tuple[float, Bound]:
-    """What a design proves about all others, given `largest` >= max_q tr(G B^T B) over the design space.
-
-    Returns max tr(G N) - tr(G M), which is zero exactly at an optimum, and the upper bound that follows from it.
-    source : of the bound, see `doe.bounds.bound.Bound`
-    """
-    information = problem.information(postures, weights)
-    most = mixture_sensitivity(problem, information, largest, len(np.atleast_2d(postures)))
-    level = float(np.sum(problem.criterion.gradient(information) * information))
-    return most - level, Bound(problem.criterion.upper_bound(information, most), source)
-
-
-def gap_on_candidates(
-    problem: DesignProblem, postures: ArrayLike, candidates: ArrayLike, weights: Array | None = None
-) -> tuple[float, Bound]:
-    """`gap_and_bound` on a list of candidates (k, n): the bound holds for designs on these candidates only."""
-    information = problem.information(postures, weights)
-    largest = float(sensitivity(problem, information, candidates).max())
-    return gap_and_bound(problem, postures, largest, "grid", weights)
+    fresh = CandidateJacobians(problem, candidates)
+    return max(float(g.max()) for _, g in candidate_sensitivities(fresh, gradient, prior))

@@ -10,11 +10,9 @@ the sensitivity of the base model is a sum of waves of separate joints, whose ma
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, null_space
 
+from doe.bounds.weights import Weights
 from doe.criteria import Criterion
 from doe.problem.prior import PriorInformation
 from identification.arrays import Array
@@ -25,24 +23,10 @@ SHRINK = 0.1  # of the complementarity asked for per step
 STALLS = 5  # steps without a smaller gap: rounding is reached
 
 
-@dataclass(frozen=True)
-class Weights:
-    """Weights (k,) on k postures, gradient (p, p) G there, gap max_i g_i - tr(G M) on these postures."""
-
-    weights: Array
-    gradient: Array
-    gap: float
-    iterations: int
-
-
 def solve_weights(
     jacobians: Array, criterion: Criterion, prior: PriorInformation, *, tolerance: float = 1e-14
 ) -> Weights:
     """Optimal weights for scaled Jacobians (k, d, p), to a gap of `tolerance` times tr(G M) where rounding allows."""
-    if criterion.name == "E":
-        from doe.bounds.relaxation import smallest_eigenvalue_weights
-
-        return smallest_eigenvalue_weights(jacobians, prior)
     k = len(jacobians)
     w = np.full(k, 1.0 / k)
     gradient = criterion.gradient(prior.mixture(jacobians, w))
@@ -74,6 +58,8 @@ def _newton(curvature: Array, w: Array, s: Array, residual: Array) -> tuple[Arra
 
     None where rounding has made the matrix indefinite, which happens when the gap is down to rounding too.
     """
+    from scipy.linalg import cho_factor, cho_solve  # 0.1 s to import
+
     mu = SHRINK * float(w @ s) / len(w)
     try:
         factor = cho_factor(curvature + np.diag(s / w), lower=True)
@@ -104,34 +90,3 @@ def _curvature_d(jacobians: Array, gradient: Array) -> Array:
     k, d, p = jacobians.shape
     rows = jacobians.reshape(k * d, p)
     return np.square(rows @ gradient @ rows.T).reshape(k, d, k, d).sum(axis=(1, 3))
-
-
-def sparsest(jacobians: Array, weights: Array) -> Array:
-    """Weights (k,) of the same information matrix on at most p (p + 1) / 2 + 1 postures (Caratheodory).
-
-    Along a combination c with sum c_i F_i = 0 and sum c_i = 0 the information does not change: follow it until a
-    weight is zero, and again.
-    """
-    p = jacobians.shape[2]
-    upper = np.triu_indices(p)
-    support = np.flatnonzero(weights > 0.0)
-    carried = jacobians[support]
-    posture_information = (np.swapaxes(carried, 1, 2) @ carried)[:, upper[0], upper[1]]
-    w, alive = weights[support].copy(), np.ones(len(support), dtype=bool)
-    nothing = null_space(
-        np.vstack([posture_information.T / np.abs(posture_information).max(), np.ones(len(support))]), rcond=1e-12
-    )
-    while nothing.shape[1]:
-        direction = nothing[:, 0] if nothing[:, 0].min() < 0.0 else -nothing[:, 0]
-        falling = np.flatnonzero(alive & (direction < 0.0))
-        reach = -w[falling] / direction[falling]
-        gone = falling[int(np.argmin(reach))]
-        w = np.maximum(w + reach.min() * direction, 0.0)
-        w[gone], alive[gone] = 0.0, False
-        pivot = int(np.argmax(np.abs(nothing[gone])))  # combinations that leave the posture gone untouched
-        others = np.delete(nothing, pivot, axis=1)
-        nothing = others - np.outer(nothing[:, pivot], others[gone] / nothing[gone, pivot])
-        nothing[~alive] = 0.0
-    sparse = np.zeros_like(weights)
-    sparse[support] = w / w.sum()
-    return sparse

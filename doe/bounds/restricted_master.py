@@ -1,6 +1,6 @@
 """The loop of column generation: a small working set of postures, and searches that offer it more.
 
-    repeat:  weights   solve the small problem on the working set           (master.py)
+    repeat:  weights   solve the small problem on the working set           (interior_point, convex_program)
              price     find postures with tr(G F(q)) above tr(G M)          (a stage)
              purge     drop postures that need not carry weight
 
@@ -15,7 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.bounds.continuous import distinct
-from doe.bounds.interior_point import Weights, solve_weights, sparsest
+from doe.bounds.convex_program import smallest_eigenvalue_weights
+from doe.bounds.equivalence import level
+from doe.bounds.interior_point import solve_weights
+from doe.bounds.weights import Weights, sparsest
 from doe.criteria import Criterion
 from doe.plan.plan import Plan
 from doe.problem.prior import PriorInformation
@@ -27,7 +30,7 @@ ROUNDS = 200
 CROWD = 30  # postures per parameter
 ROUGH = 1e-4  # gap of the weights relative to that of the postures, until the end
 EXACT = 1e-14  # the same at the end: rounding
-DEAD = 1e-10  # weight below which a posture is dropped
+NEGLIGIBLE = 1e-10  # weight below which a posture is dropped
 RANK = 1e-13  # reciprocal condition number of a matrix that has lost a rank
 
 # price(gradient, level, working postures) -> postures worth adding (k, n), largest g over its whole set
@@ -56,16 +59,15 @@ class WorkingSet:
 
     def level(self, prior: PriorInformation) -> float:
         """tr(G M)."""
-        information = prior.mixture(self.jacobians, self.solution.weights)
-        return float(np.sum(self.solution.gradient * information))
+        return level(self.solution.gradient, prior.mixture(self.jacobians, self.solution.weights))
 
     @property
     def sparse(self) -> Array:
         """(k,) weights of the same information on as few postures as possible."""
-        return sparsest(self.jacobians, np.where(self.solution.weights > DEAD, self.solution.weights, 0.0))
+        return sparsest(self.jacobians, np.where(self.solution.weights > NEGLIGIBLE, self.solution.weights, 0.0))
 
 
-def generate(
+def generate_columns(
     problem: DesignProblem, prior: PriorInformation, start: Array, stages: Sequence[Stage]
 ) -> tuple[WorkingSet, float]:
     """The working set with its solution, and the gap (absolute) that the last pricing of the last stage found."""
@@ -73,11 +75,11 @@ def generate(
     working = _solve(problem, prior, start, problem.scaled_jacobians(start), accuracy)
     current, gap, smallest = 0, np.inf, np.inf
     for _ in range(ROUNDS):
-        stage, level = stages[current], working.level(prior)
-        offers, largest = stage.price(working.solution.gradient, level, working.postures)
-        gap = largest - level
-        if len(offers) and gap > stage.goal * abs(level):
-            accuracy = max(ROUGH * gap / abs(level), EXACT)
+        stage, reached = stages[current], working.level(prior)
+        offers, largest = stage.price(working.solution.gradient, reached, working.postures)
+        gap = largest - reached
+        if len(offers) and gap > stage.goal * abs(reached):
+            accuracy = max(ROUGH * gap / abs(reached), EXACT)
             # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
             crowded = len(working.postures) > CROWD * problem.parameters
             working = _extend(problem, prior, working, offers, accuracy, purge=crowded or gap < 0.9 * smallest)
@@ -102,7 +104,16 @@ def _solve(
             "approximate design: the information matrix is singular on these postures, the parameters cannot all be "
             "identified; drop an effect or allow more postures"
         )
-    return WorkingSet(postures, jacobians, solve_weights(jacobians, problem.criterion, prior, tolerance=accuracy))
+    return WorkingSet(postures, jacobians, optimal_weights(jacobians, problem.criterion, prior, accuracy))
+
+
+def optimal_weights(
+    jacobians: Array, criterion: Criterion, prior: PriorInformation, accuracy: float = EXACT
+) -> Weights:
+    """Optimal weights for scaled Jacobians (k, d, p), by the method that the criterion allows."""
+    if criterion.name == "E":
+        return smallest_eigenvalue_weights(jacobians, prior)
+    return solve_weights(jacobians, criterion, prior, tolerance=accuracy)
 
 
 def _diverges(criterion: Criterion, information: Array) -> bool:
@@ -124,15 +135,15 @@ def _extend(
     problem: DesignProblem, prior: PriorInformation, working: WorkingSet, offers: Array, accuracy: float, *, purge: bool
 ) -> WorkingSet:
     """Postures that need not carry weight out, new ones in, solved again."""
-    alive = np.flatnonzero(working.sparse > 0.0) if purge else np.arange(len(working.postures))
-    postures = np.concatenate([working.postures[alive], offers])
-    jacobians = np.concatenate([working.jacobians[alive], problem.scaled_jacobians(offers)])
+    carrying = np.flatnonzero(working.sparse > 0.0) if purge else np.arange(len(working.postures))
+    postures = np.concatenate([working.postures[carrying], offers])
+    jacobians = np.concatenate([working.jacobians[carrying], problem.scaled_jacobians(offers)])
     once = np.sort(distinct(postures))
     return _solve(problem, prior, postures[once], jacobians[once], accuracy)
 
 
 @dataclass(frozen=True)
-class Settled:
+class SparseDesign:
     """The design on as few postures as carry its information: plan, gradient (p, p) G there, level tr(G M)."""
 
     plan: Plan
@@ -140,7 +151,7 @@ class Settled:
     level: float
 
 
-def settle(problem: DesignProblem, prior: PriorInformation, working: WorkingSet) -> Settled:
+def sparse_design(problem: DesignProblem, prior: PriorInformation, working: WorkingSet) -> SparseDesign:
     """The plan that is reported; what is proven is proven of it, not of the weights that the loop ended with."""
     weights = working.sparse
     order = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
@@ -148,4 +159,4 @@ def settle(problem: DesignProblem, prior: PriorInformation, working: WorkingSet)
     information = prior.mixture(problem.scaled_jacobians(plan.postures), plan.shares)
     dual = problem.criterion.name == "E"  # any gradient of unit trace bounds it; that of the dual program is the best
     gradient = working.solution.gradient if dual else problem.criterion.gradient(information)
-    return Settled(plan, gradient, float(np.sum(gradient * information)))
+    return SparseDesign(plan, gradient, level(gradient, information))

@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from doe.bounds.approximate_design import assess, largest_sensitivity, proper_weights
+from doe.bounds.approximate_design import assess
+from doe.bounds.equivalence import largest_sensitivity
 from doe.plan.plan import Plan
 from doe.problem.candidates import grid
 from doe.problem.prior import PriorInformation
-from identification.errors import InputError
 from identification.status import Status
 from tests.doe.arms import FOUR, problem
 
@@ -74,10 +74,3 @@ def test_prints_what_matters() -> None:
     assert "gap" in text
     assert "<table>" in judged(FACTORIAL)._repr_html_()
     assert "none" in str(judged(FACTORIAL, Status.almost_solved))
-
-
-def test_proper_weights() -> None:
-    assert proper_weights(np.array([0.3, -1e-9, 0.9])) == pytest.approx([0.25, 0.0, 0.75], abs=1e-15)
-    for bad in ([0.0, 0.0], [-1.0, -2.0], [np.nan, 1.0]):
-        with pytest.raises(InputError, match="weights"):
-            proper_weights(np.array(bad))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.bounds import relaxation
-from doe.bounds.relaxation import LARGEST, SOLVERS, Answer, relax
+from doe.bounds import convex_program, relaxation
+from doe.bounds.convex_program import Answer
+from doe.bounds.relaxation import LARGEST, SOLVERS, relax
 from doe.criteria import A, Criterion, D, Ds, E, I
 from doe.problem.candidates import PostureList, grid
 from identification.errors import InputError, JobError
@@ -60,8 +61,8 @@ def test_around_measured_postures() -> None:
 def test_a_status_other_than_solved_is_reported_and_is_no_bound(monkeypatch: pytest.MonkeyPatch, word: str) -> None:
     """Even with perfect weights; the gap and the efficiency are facts about the weights and stay."""
     exact = relax(problem(FOUR), 3)
-    real = relaxation._run
-    monkeypatch.setattr(relaxation, "_run", lambda program, solver: (real(program, solver), word)[1])
+    real = convex_program._run
+    monkeypatch.setattr(convex_program, "_run", lambda program, solver: (real(program, solver), word)[1])
     found = relax(problem(FOUR), 3, "clarabel")
     assert found.bound is None
     assert found.status is not Status.converged
