@@ -123,7 +123,7 @@ class Design:
         return deviations_per_draw(self.problem, model, self.plan.postures, model.sigma, self.plan.weights)
 
     def to_json(self) -> dict[str, Any]:
-        """The contract's keys of `design` and `score`: millimetres and degrees; None for what cannot be given."""
+        """Keys of `design` and `score` (identification/files/README.md, "JSON keys"); None where unknown."""
         worst = self.deviations_per_draw
         return {
             "criterion": self.problem.criterion.name,

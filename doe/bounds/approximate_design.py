@@ -46,7 +46,7 @@ class ApproximateDesign:
     seconds: float
 
     def to_json(self) -> dict[str, Any]:
-        """The contract's JSON keys of `relax`; angles in degrees."""
+        """Keys of `relax` (identification/files/README.md, "JSON keys"); angles in degrees."""
         return {
             "candidates": self.candidates,
             "criterion": self.criterion,

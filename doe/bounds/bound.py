@@ -20,7 +20,7 @@ class Bound:
     rigorous: bool = False
 
     def as_dict(self) -> dict[str, float | str | bool]:
-        """The JSON value of the contract's key `bound`."""
+        """The key `bound` (identification/files/README.md, "JSON keys")."""
         return {"value": self.value, "source": self.source, "rigorous": self.rigorous}
 
     def __str__(self) -> str:

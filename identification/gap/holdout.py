@@ -30,7 +30,7 @@ class Gap:
     predicted: float | None = None
 
     def to_json(self) -> dict[str, float | None]:
-        """Keys of the contract."""
+        """Keys of `gap` (identification/files/README.md, "JSON keys")."""
         return {f"{name}_mm": value for name, value in vars(self).items()}
 
 

@@ -53,7 +53,7 @@ class Candidate:
         return " + ".join(_titled(key, spec) for key, spec in zip(self.effects, self.specs, strict=True))
 
     def to_json(self) -> dict[str, Any]:
-        """Keys of the contract."""
+        """An entry of `candidates` (identification/files/README.md, "JSON keys")."""
         named = zip(self.effects, self.specs, strict=True)
         settings = {f"{key}.{name}": value for key, spec in named for name, value in spec.values.items()}
         return {
@@ -158,7 +158,7 @@ class Diagnosis:
         return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=chosen.calibration)
 
     def to_json(self) -> dict[str, Any]:
-        """Keys of the contract, and a few more."""
+        """Keys of `diagnose` (identification/files/README.md, "JSON keys")."""
         return {
             "verdict": self.verdict,
             "sentence": self.sentence,

@@ -1,4 +1,4 @@
-"""Timed bars of exact design (issues 2 and 3): `pytest -m benchmark -s tests/benchmarks/test_design_speed.py`."""
+"""Times of exact design: `pytest -m benchmark -s tests/benchmarks/test_design_speed.py`."""
 
 from __future__ import annotations
 

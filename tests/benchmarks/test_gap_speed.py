@@ -1,6 +1,6 @@
 """The gap workflow's speed: `pytest -m benchmark -s tests/benchmarks/test_gap_speed.py`.
 
-Bars of issue 4: m = 200, 4 links, whole library, 999 draws in 3 s on one core; 2,773 rows in 60 s. Machines differ, so
+Targets: m = 200, 4 links, whole library, 999 draws in 3 s on one core; 2,773 rows in 60 s. Machines differ, so
 the claim is a ratio to a yardstick measured in the same run: a product of two 1,000 x 1,000 matrices on one core, which
 takes about 0.04 s on the machine of the bars.
 """

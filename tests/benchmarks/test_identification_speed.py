@@ -1,4 +1,4 @@
-"""The identification bars of issue 2, as ratios measured in one run: `pytest -m benchmark -s tests/benchmarks`.
+"""Speed of identification, as ratios measured in one run: `pytest -m benchmark -s tests/benchmarks`.
 
 The rival is a loop over scipy `least_squares` with residuals (and Jacobian) written by hand in plain numpy, so that it
 pays for nothing of ours. The loop is timed on a subset and scaled per fit; the best of several rounds counts for both.

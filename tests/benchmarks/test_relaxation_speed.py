@@ -1,4 +1,4 @@
-"""Timed bars of approximate designs (issue 3): `pytest -m benchmark -s tests/benchmarks/test_relaxation_speed.py`."""
+"""Times of approximate designs: `pytest -m benchmark -s tests/benchmarks/test_relaxation_speed.py`."""
 
 from __future__ import annotations
 

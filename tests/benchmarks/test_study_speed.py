@@ -1,4 +1,4 @@
-"""Speed of Monte Carlo studies (issue 5, item 3). Times are of whole studies: simulation, fits, tables.
+"""Speed of Monte Carlo studies. Times are of whole studies: simulation, fits, tables.
 
 Ratios against one general least-squares fit at a time, in the same run, so that the machine cancels out; the seconds of
 the table are for people.

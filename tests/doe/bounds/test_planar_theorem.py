@@ -68,7 +68,7 @@ def test_no_design_is_better(links: int, offset: bool, seed: int) -> None:
 
 def test_value_of_the_issue() -> None:
     assert closed_form_log_det(problem(FOUR)) == pytest.approx(-0.0612353259, abs=5e-11)  # the box of doe/README.md
-    assert closed_form_log_det(problem(SIX)) == pytest.approx(-1.2994579, abs=5e-8)  # issue 2
+    assert closed_form_log_det(problem(SIX)) == pytest.approx(-1.2994579, abs=5e-8)  # five narrow joints
 
 
 def test_first_joint_plays_a_part_only_with_a_base_offset() -> None:

@@ -1,4 +1,4 @@
-"""Every bad input of the contract: exit 2, one line that says where, what and what is allowed; no output file."""
+"""Every kind of bad input: exit 2, one line that says where, what and what is allowed; no output file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The loop of commands as a user's script runs it, with the JSON keys of the contract."""
+"""The loop of commands as a user's script runs it, with the JSON keys it reads."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def load(tmp_path: Path, text: str, links: int | None = None) -> Plan:
     return load_plan(tmp_path / "plan.csv", links)
 
 
-def test_text_is_what_the_contract_says() -> None:
+def test_text_is_as_documented() -> None:
     assert plan_text(Plan(np.radians([[30, -60], [90, 0]]))) == "run,q1_deg,q2_deg\n1,30.0,-60.0\n2,90.0,0.0\n"
     assert plan_text(Plan([[0.0], [np.pi]], [0.25, 0.75])) == "run,q1_deg,weight\n1,0.0,0.25\n2,180.0,0.75\n"
 

@@ -1,4 +1,4 @@
-"""The exact-design table of issues 2 and 3: values only; times are in `tests/benchmarks/test_design_speed.py`."""
+"""Best values known of exact designs (doe/README.md, "Exact plans"); times are in `tests/benchmarks`."""
 
 from __future__ import annotations
 

@@ -21,8 +21,8 @@ from identification.status import Status
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, truth
 
 UR10 = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "measurements.csv"
-CONTRACT_KEYS = {"parameters", "not_identifiable", "sigma_mm", "chi2", "dof", "p_value"}
-CONTRACT_KEYS |= {"rms_before_mm", "rms_after_mm", "max_before_mm", "max_after_mm", "method"}
+DOCUMENTED_KEYS = {"parameters", "not_identifiable", "sigma_mm", "chi2", "dof", "p_value"}
+DOCUMENTED_KEYS |= {"rms_before_mm", "rms_after_mm", "max_before_mm", "max_after_mm", "method"}
 
 
 def dft_plan(m: int) -> np.ndarray:
@@ -135,7 +135,7 @@ def test_intervals_cover_95_percent(m: int) -> None:
     for name, hits in covered.items():
         share = hits / count
         print(f"sigma {name}: {share.mean():.4f}, single {share.min():.4f}..{share.max():.4f}")  # noqa: T201
-        assert 0.94 <= share.mean() <= 0.96  # the bar of issue 2
+        assert 0.94 <= share.mean() <= 0.96  # 95 % asked
         # one parameter's share scatters by 0.0049; beyond 0.0122 (2.5 deviations) is an alert, beyond 4 a failure
         if np.max(np.abs(share - 0.95)) > 0.0122:
             print(f"ALERT: a single coverage is {share[np.argmax(np.abs(share - 0.95))]:.4f}")  # noqa: T201
@@ -199,12 +199,12 @@ def test_exactly_determined_data_leave_sigma_unknown() -> None:
 
 
 # -- the result ------------------------------------------------------------------------------------------------------
-def test_json_has_the_keys_and_units_of_the_contract() -> None:
+def test_json_has_the_documented_keys_and_units() -> None:
     model = Model(arm(EffectSpec("encoder_eccentricity", 2), EffectSpec("base_offset")))
     measurements = data(model, plan(20))
     found = estimate(model, measurements, sigma=SIGMA)
     figures = json.loads(json.dumps(found.to_json(), allow_nan=False))
-    assert set(figures) == CONTRACT_KEYS
+    assert set(figures) == DOCUMENTED_KEYS
     names = [f"{kind}:{j}" for kind in ("length_error", "joint_offset") for j in (1, 2, 3, 4)]
     names += ["encoder_eccentricity:2.a", "encoder_eccentricity:2.b", "base_offset.x0", "base_offset.y0"]
     assert [row["name"] for row in figures["parameters"]] == names

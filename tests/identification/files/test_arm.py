@@ -105,7 +105,7 @@ def same(a: object, b: object) -> None:
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
-def test_the_contract_is_read(tmp_path: Path) -> None:
+def test_every_documented_key_is_read(tmp_path: Path) -> None:
     arm = load(tmp_path, FULL)
     degree = np.pi / 180.0
     expected = Arm(

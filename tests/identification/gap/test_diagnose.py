@@ -1,4 +1,4 @@
-"""The workflow as a whole: verdicts, contract, bad input."""
+"""The workflow as a whole: verdicts, JSON keys, bad input."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_unknown_effects_are_placed(name: str, place: str) -> None:
     assert (found.verdict, found.where) == ("unknown", place)
 
 
-def test_json_has_the_keys_of_the_contract_and_no_nan() -> None:
+def test_json_has_the_documented_keys_and_no_nan() -> None:
     for name in (None, "backlash", "bump"):
         data = json.loads(json.dumps(diagnosed(name).to_json(), allow_nan=False))
         keys = {
