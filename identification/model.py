@@ -34,8 +34,6 @@ from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.measurements import Conditions
 from identification.vectorize import vectorize
 
-__all__ = ["DIMENSION", "Model"]
-
 
 @dataclass(frozen=True)
 class Model:
@@ -176,7 +174,7 @@ class Model:
 
     def _measured(self, q: ca.SX, c: ca.SX, values: ca.SX) -> ca.SX:
         """Joint -> link -> mounting -> instrument, each with its effects (identification/README.md, "Effects")."""
-        chain = Chain(self.arm.lengths, self.arm.gravity, q, c[0], c[1], c[2], c[3:])
+        chain = Chain.of(self.arm, q, c)
         n, parts, start = chain.links, [], 2 * chain.links
         for effect in self.effects:
             parts.append((effect, values[start : start + len(effect.parameters)]))
@@ -274,6 +272,13 @@ class Model:
         """
         q = self._postures(postures)
         return joint_points(self._chain_values[0], q + self._chain_values[1])
+
+    def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Callable[[ArrayLike, Conditions | None], Array]:
+        """Numpy function of (m, n) postures and conditions that gives an expression of the nominal chain, (m, rows)."""
+        q, c, _, _ = self.symbols
+        function = ca.Function("expression", [q, c], [ca.cse(ca.densify(expression(Chain.of(self.arm, q, c))))])
+        evaluate = vectorize(function)
+        return lambda postures, conditions: evaluate(*self._arguments(postures, None, conditions)[:2])[0][..., 0]
 
     @property
     def neutral_conditions(self) -> Array:

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from identification.arm import EffectSpec, Gravity
+from identification.arm import Arm, EffectSpec, Gravity
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.parameters import Parameter
@@ -36,6 +36,11 @@ class Chain:
     temperature: ca.SX  # [K] above the mean
     time: ca.SX  # -0.5..0.5 over the session
     directions: ca.SX  # (n,) +1 or -1
+
+    @classmethod
+    def of(cls, arm: Arm, q: ca.SX, c: ca.SX) -> Chain:
+        """An arm at a posture q (n) under conditions c (3 + n, the columns of `Conditions.table`)."""
+        return cls(arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3:])
 
     @property
     def links(self) -> int:

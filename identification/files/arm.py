@@ -32,8 +32,8 @@ from identification.files.arm_schema import (
     CircleTable,
     ConstraintTable,
     EffectTable,
-    check,
     check_covariance,
+    validated,
 )
 from identification.files.io import PathLike, read_toml
 from identification.files.toml import Plain, append_tables, replace_table
@@ -60,7 +60,7 @@ def load_arm(path: PathLike) -> Arm:
 
 def arm_from_tables(tables: dict[str, Any]) -> Arm:
     """The arm of parsed TOML; raises `InputError` as `load_arm` does, without the file's name."""
-    file = check(tables)
+    file = validated(tables)
     links = len(file.links_mm)
     limits = file.joint_limits_deg
     effects = effects_of(file)
@@ -109,7 +109,7 @@ def with_effects(text: str, specs: Iterable[EffectSpec]) -> str:
     """
     text = text.removeprefix("\ufeff")
     before = tomllib.loads(text)
-    file = check({key: value for key, value in before.items() if key != "calibration"})
+    file = validated({key: value for key, value in before.items() if key != "calibration"})
     there = {effect.label for _, effect in effects_of(file)}
     built = _built(specs, len(file.links_mm))
     tables = [_effect_table(spec, effect) for spec, effect in built if effect.label not in there]
@@ -124,7 +124,7 @@ def with_calibration(text: str, calibration: Calibration) -> str:
     """
     text = text.removeprefix("\ufeff")
     before = tomllib.loads(text)
-    file = check({key: value for key, value in before.items() if key != "calibration"})
+    file = validated({key: value for key, value in before.items() if key != "calibration"})
     tables = _calibration_table(calibration, file_names(len(file.links_mm), effects_of(file)))
     arm_from_tables({**before, "calibration": tables})  # nothing is written that could not be read again
     return replace_table(text, "calibration", tables)

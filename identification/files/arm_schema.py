@@ -156,7 +156,7 @@ _MODELS: dict[str, type[BaseModel]] = {
 }
 
 
-def check(tables: dict[str, Any]) -> ArmFile:
+def validated(tables: dict[str, Any]) -> ArmFile:
     """The tables of an arm file, checked. Raises `InputError` naming key, what was found and what is allowed."""
     try:
         return ArmFile.model_validate(tables)
@@ -220,7 +220,7 @@ def _shown(detail: Any) -> str:
 
 
 def check_covariance(matrix: Array, names: list[str]) -> None:
-    """Raises `InputError` for a (p, p) matrix that no numbers can have as their covariance, but for rounding."""
+    """Raises `InputError` for a (p, p) matrix that is not symmetric and positive semidefinite, but for rounding."""
     variances = np.diag(matrix)
     if np.any(variances < 0.0):
         k = int(np.argmax(variances < 0.0))
@@ -235,5 +235,5 @@ def check_covariance(matrix: Array, names: list[str]) -> None:
             found = f"{matrix[i, j]:g} and {matrix[j, i]:g} of {names[i]} and {names[j]}"
             raise InputError(f"calibration.covariance: found {found}, allowed: {allowed}")
     if matrix.size and (least := float(np.linalg.eigvalsh(matrix / scale)[0])) < -ROUNDED * len(matrix):
-        found = f"a combination of variance {least:.3g} (of correlations)"
-        raise InputError(f"calibration.covariance: found {found}, allowed: no negative one")
+        found = f"a matrix of correlations with eigenvalue {least:.3g}"
+        raise InputError(f"calibration.covariance: found {found}, allowed: positive semidefinite")

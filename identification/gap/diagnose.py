@@ -9,7 +9,6 @@ import numpy as np
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
-from identification.effects import Chain
 from identification.errors import InputError
 from identification.gap.detectability import EXACT, NEAR, Detectability, assess, require_spare
 from identification.gap.fit import Fit
@@ -259,18 +258,8 @@ def show_residuals(arm: Arm, measurements: Measurements, base: Fit, named: Fit) 
 
 
 def torques(arm: Arm, measurements: Measurements) -> Array:
-    """(m, n) gravity torques [N m]."""
-    import casadi as ca
-
-    from identification.vectorize import vectorize
-
-    n = arm.links
-    q, c = ca.SX.sym("q", n), ca.SX.sym("c", 3 + n)
-    chain = Chain(arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3:])
-    function = ca.Function("torques", [q, c], [ca.densify(chain.torques)])
-    payload = 0.0 if arm.gravity is None else arm.gravity.payload
-    table = measurements.conditions.table(len(measurements), n, payload)
-    return np.asarray(vectorize(function)(measurements.postures, table)[0][..., 0])
+    """(m, n) gravity torques [N m] at the nominal pose."""
+    return Model(arm).on_chain(lambda chain: chain.torques)(measurements.postures, measurements.conditions)
 
 
 def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measurements | None, gap: Gap) -> list[str]:

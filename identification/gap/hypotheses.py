@@ -13,13 +13,14 @@ from itertools import product
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.effects import Chain, Effect, build, build_all, library
 from identification.gap.whitening import Rows
+from identification.measurements import Conditions
 from identification.model import Model
-from identification.vectorize import vectorize
 
 
 @dataclass(frozen=True)
@@ -107,15 +108,14 @@ class HypothesisSet:
         return tuple(h for h in self.members if h.spec.values)
 
     @cached_property
-    def _scan(self) -> Callable[..., tuple[Array, ...]]:
-        return vectorize(_angle_function(self.arm, tuple(h.effect for h in self.scanned)))
+    def _scan(self) -> Callable[[ArrayLike, Conditions | None], Array]:
+        return self.base.on_chain(lambda chain: _angle_slopes(chain, tuple(h.effect for h in self.scanned)))
 
     def slopes(self, rows: Rows) -> Array:
         """(m, S) derivative of the joint angles by the parameters of the scanned hypotheses, which need no fit."""
         if not self.scanned:
             return np.zeros((len(rows), 0))
-        table = rows.conditions.table(len(rows), self.base.joints, float(self.base.neutral_conditions[0]))
-        return self._scan(rows.postures, table)[0][..., 0]
+        return self._scan(rows.postures, rows.conditions)
 
     def columns(self, rows: Rows, values: Mapping[str, float], slopes: Array) -> list[Array]:
         """Per member, (m, d, size) derivative of the position by its parameters, at these values (others 0)."""
@@ -138,11 +138,8 @@ class HypothesisSet:
             start += hypothesis.size
 
 
-def _angle_function(arm: Arm, effects: tuple[Effect, ...]) -> ca.Function:
-    """CasADi (q, c) -> per effect and parameter, the derivative of its own joint's angle."""
-    n = arm.links
-    q, c = ca.SX.sym("q", n), ca.SX.sym("c", 3 + n)
-    chain = Chain(arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3:])
+def _angle_slopes(chain: Chain, effects: tuple[Effect, ...]) -> ca.SX:
+    """Per effect and parameter, the derivative of its own joint's angle."""
     v = ca.SX.sym("v", sum(len(effect.parameters) for effect in effects))
     total, start = ca.SX(0), 0
     for effect in effects:
@@ -150,8 +147,7 @@ def _angle_function(arm: Arm, effects: tuple[Effect, ...]) -> ca.Function:
         total += ca.SX(effect.joint_angles(chain, own))[effect.joint_index]
         start += len(effect.parameters)
     # every parameter turns one joint only, so the gradient of the sum holds each one's own slope
-    slopes = ca.substitute(ca.gradient(total, v), v, ca.SX.zeros(v.numel()))
-    return ca.Function("slopes", [q, c], [ca.cse(ca.densify(slopes))])
+    return ca.substitute(ca.gradient(total, v), v, ca.SX.zeros(v.numel()))
 
 
 def hypotheses(arm: Arm, given: frozenset[str]) -> HypothesisSet:

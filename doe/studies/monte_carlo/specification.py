@@ -13,7 +13,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import readonly
 from identification.effects import library
 from identification.errors import InputError, nearest
-from identification.model import DIMENSION, Model
+from identification.model import Model
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # what tells cells apart, as columns
 DFT, RANDOM = "dft", "random"
@@ -120,9 +120,9 @@ class Study:
         """Some cell must have as many equations as unknowns; the others are rows that say why there is nothing."""
         sizes = [size for plan in self.plans for size in (self.runs if isinstance(plan, str) else [len(plan[1])])]
         fitted = [Model(entry.of(arm)) for arm in self.arms for entry in self.models]
-        unknowns = min((len(model.names) for model in fitted), default=0)
-        if sizes and DIMENSION * max(sizes) < unknowns:
-            allowed = f"at least {-(-unknowns // DIMENSION)} for {unknowns} parameters"
+        fewest = min(fitted, key=lambda model: len(model.names) / model.dimension, default=None)
+        if sizes and fewest and fewest.dimension * max(sizes) < (unknowns := len(fewest.names)):
+            allowed = f"at least {-(-unknowns // fewest.dimension)} for {unknowns} parameters"
             raise InputError(f"runs: found {max(sizes)}, allowed: {allowed}")
 
     @property

@@ -271,7 +271,7 @@ BAD = [
     (PLAIN + TWO + "covariance = [[1, 2], [2, 1]]\n", ["found 2 and 2 of length_error:1", "correlation of -1 to 1"]),
     (PLAIN + TWO + "covariance = [[1, 1], [1, 0]]\n", ["found 1 and 1 of length_error:1", "correlation of -1 to 1"]),
     # correlations -0.6 of each two of three: the sum has variance 3 - 6 * 0.6 = -0.6, a third of it per unit vector
-    (PLAIN + THREE, ["combination of variance -0.2", "allowed: no negative one"]),
+    (PLAIN + THREE, ["correlations with eigenvalue -0.2", "allowed: positive semidefinite"]),
     (
         PLAIN + CALIBRATION + 'parameters = ["lenght_error:1"]\n',
         ["calibration.parameters", "did you mean 'length_error:1'"],
