@@ -1,4 +1,4 @@
-"""What all verbs share: the common options, one-line errors, JSON or tables, progress on standard error."""
+"""What is common to all verbs: the common options, one-line errors, JSON or tables, progress on standard error."""
 
 from __future__ import annotations
 

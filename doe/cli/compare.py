@@ -48,13 +48,13 @@ class ComparisonOptions:
         """The comparison. Raises `InputError` for unknown names and for too few runs."""
         from doe.solvers import library
         from doe.solvers.driver import check_runs
-        from doe.studies.comparison import Comparison, problem_of
+        from doe.studies.comparison import Comparison, compared_problem
 
         solvers = list(library()) if self.solvers is None else _words(self.solvers)
         criteria = _words(self.criteria)
         found = Comparison(arms, self.runs, solvers, self.starts or [None], self.repeats, self.seconds, criteria)
         for arm, number in product(arms, self.runs):
-            check_runs(problem_of(arm, criteria[0]), number)
+            check_runs(compared_problem(arm, criteria[0]), number)
         return found
 
 
@@ -83,8 +83,8 @@ comparison_options = grouped(
 def command(session: Session, arms: tuple[Path, ...], compared: ComparisonOptions, job: JobOptions) -> Answer:
     """Run design solvers side by side on the problems ARM x RUNS, each run in a process of its own.
 
-    Every plan is judged on the stored problem, whatever its solver says. Hit rate: share of the runs that found the
-    best value known. With --repeats 10 --starts 1 that is the share of good starts.
+    Every plan is evaluated on the stored problem, whatever its solver says. Hit rate: fraction of the runs that found
+    the best value known. With --repeats 10 --starts 1 that is the fraction of good starts.
     """
     one_thread_each()
     from doe.jobs.row_table import RowTable

@@ -17,7 +17,7 @@ from doe.cli.options import FILE, Output, output_options
 @click.option("--payloads", help="Payloads to choose from [kg], as 0,5,10; left out: the arm's own.")
 @output_options()
 def command(session: Session, arm: Path, data: Path, runs: int, payloads: str | None, output: Output) -> Answer:
-    """The next RUNS postures that tell the candidates of an ambiguous diagnosis apart, with their chance of success."""
+    """The next RUNS postures, to distinguish the candidates of an ambiguous diagnosis, and their chance of success."""
     from doe.discrimination.t_optimal import discriminate
     from doe.report.next_postures import missing_payload, next_data, next_tables, next_text
     from identification.errors import InputError
@@ -33,7 +33,7 @@ def command(session: Session, arm: Path, data: Path, runs: int, payloads: str | 
     with session.progress("discriminate") as progress:
         diagnosis = diagnose(loaded, measurements, seed=session.seed, progress=progress)
     if diagnosis.verdict != "ambiguous":
-        sentence = f"nothing to tell apart: {diagnosis.sentence}"
+        sentence = f"nothing to distinguish: {diagnosis.sentence}"
         return Answer({"verdict": diagnosis.verdict, "postures_deg": [], "chance": None}, [sentence])
     found = discriminate(loaded, diagnosis, measurements, runs, session.seed, masses)
     written = [

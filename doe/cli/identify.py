@@ -29,7 +29,7 @@ def command(session: Session, arm: Path, data: Path, method: str | None, output:
     found = estimate(Model(loaded), measurements, method=method)
     shown = identification_tables(found)
     if output.out is not None and found.not_identifiable:
-        shown.append(f"{output.out} was not written: numbers that the data do not tell are no calibration")
+        shown.append(f"{output.out} was not written: not every parameter is estimable from the data")
     elif output.out is not None:
         shown += output.write(with_calibration(read_text(arm), found.calibration()), "calibrated arm")
     return Answer(found.to_json(), shown, exit_code=1 if found.not_identifiable else 0)

@@ -1,4 +1,4 @@
-"""What the verbs with long, resumable work share: where they run, where rows go, and what Ctrl-C says."""
+"""Common to the verbs with long, resumable work: where they run, where rows go, what Ctrl-C says."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @verb("armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png")
 @click.argument("arm", type=FILE)
 @click.argument("plan", type=FILE)
-@click.option("--aliases", type=FILE, metavar="FILE", help="Draw which effects look alike on this plan.")
+@click.option("--aliases", type=FILE, metavar="FILE", help="Draw which effects this plan can hardly distinguish.")
 @output_options(picture="Draw the postures (.png, .svg, .pdf).", out=False)
 def command(session: Session, arm: Path, plan: Path, aliases: Path | None, output: Output) -> Answer:
     """Score a PLAN of your own: efficiency against the bound, expected deviations, and which effects it could show."""
@@ -63,7 +63,7 @@ def _scored(arm: Arm, given: Plan, path: Path) -> Design:
 def _preflight(
     arm: Arm, given: Plan, path: Path, aliases: Path | None, force: bool
 ) -> tuple[dict[str, Any] | None, list[Any]]:
-    """Which effects the plan could show, as JSON and as tables; the picture of those that look alike is written."""
+    """Which effects the plan could show, as JSON and as tables; the picture of those that are alike is written."""
     from doe.report.detectability_tables import preflight_tables
     from identification.errors import InputError
     from identification.gap.detectability import detectability

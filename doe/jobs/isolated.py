@@ -33,7 +33,7 @@ class Outcome:
     status : "done", "failed" (it raised), "timeout" (killed), "crashed" (the process died)
     error : one line on what went wrong
     seconds : wall time of the call itself, without starting the process
-    peak_memory_mb : largest resident memory of the process, with its imports; None where the system does not tell
+    peak_memory_mb : largest resident memory of the process, with its imports; None where the system does not give it
     """
 
     value: Any

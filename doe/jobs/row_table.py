@@ -102,7 +102,7 @@ class RowTable:
             self.rows.pop(key, None)
 
     def arrange(self, keys: Iterable[Key]) -> None:
-        """Puts the rows of these keys first, in their order: the file then does not tell who finished first."""
+        """Puts the rows of these keys first, in their order, whichever finished first."""
         first = [text for key in keys if (text := canonical(key)) in self.rows]
         self.rows = {text: self.rows[text] for text in dict.fromkeys([*first, *self.rows])}
 

@@ -68,7 +68,7 @@ def cluster(address: str, patience: float = 10.0) -> Workers:
     except ImportError:
         raise InputError("--cluster: dask is not installed, allowed: pip install 'armcal[cluster]'") from None
     try:
-        get_address_host_port(address, strict=True)  # a client of a bad address hangs when it is thrown away
+        get_address_host_port(address, strict=True)  # a client of a bad address hangs when it is closed
     except (ValueError, TypeError, NotImplementedError):
         raise InputError(f"--cluster: found {address!r}, allowed: an address as tcp://host:8786") from None
     try:

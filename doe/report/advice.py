@@ -19,7 +19,7 @@ def advice_figure(advice: Advice) -> Figure:
     known = all(accuracy is not None for accuracy in accuracies)
     figure = Figure(figsize=(10.0, 3.6) if known else (6.0, 3.6), layout="constrained")
     axes = figure.subplots(1, 2 if known else 1, squeeze=False)[0]
-    good = set(advice.good_value())
+    good = set(advice.efficient_runs())
     efficiencies = [design.efficiency or float("nan") for design in advice.designs]
     axes[0].plot(advice.runs, efficiencies, color=AFTER, lw=1)
     colors = [AFTER if m in good else "white" for m in advice.runs]
@@ -38,7 +38,7 @@ def advice_tables(advice: Advice) -> list[Any]:
     table = Table()
     for heading in ("runs", "efficiency", "at the bound", "largest std of a length [mm]", "of a joint offset [deg]"):
         table.add_column(Text(heading), justify="right")
-    good = set(advice.good_value())
+    good = set(advice.efficient_runs())
     for design in advice.designs:
         offsets = design.to_json()["std"]["joint_offset_deg"]
         m = len(design.plan)
@@ -54,11 +54,11 @@ def advice_tables(advice: Advice) -> list[Any]:
 
 def sentence(advice: Advice) -> str:
     """What to do, in one line."""
-    good = ", ".join(map(str, advice.good_value())) or "none of these numbers"
-    waste = f"Plans that waste nothing exist for m = {good}."
+    good = ", ".join(map(str, advice.efficient_runs())) or "none of these numbers"
+    efficient = f"Plans at the bound (efficiency 0.999 or better) exist for m = {good}."
     if advice.target is None:
-        return waste
+        return efficient
     smallest = advice.smallest
     if smallest is None:
-        return f"No number of runs up to {max(advice.runs)} reaches {advice.target:g} mm. {waste}"
-    return f"{len(smallest.plan)} runs reach {advice.target:g} mm. {waste}"
+        return f"No number of runs up to {max(advice.runs)} reaches {advice.target:g} mm. {efficient}"
+    return f"{len(smallest.plan)} runs reach {advice.target:g} mm. {efficient}"

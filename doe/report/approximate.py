@@ -16,7 +16,7 @@ MOST = 24
 
 
 def relax_tables(design: ApproximateDesign) -> list[Any]:
-    """What the weights are worth, then the support."""
+    """Value, bound and efficiency, then the support."""
     head = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     where = "all postures" if design.candidates is None else f"{design.candidates} candidates"
     head.add_row("criterion", f"{design.criterion} over {where}, {len(design.plan)} of them carry weight")

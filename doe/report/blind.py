@@ -28,7 +28,7 @@ COLUMNS = {
     "located": "located",
     "gap / true": "gap/true",
 }
-SHARES = ("alarm", "exact", "class", "in the set", "located")
+RATES = ("alarm", "exact", "class", "in the set", "located")
 COLORS = {"met": "green", "within its error": "yellow", "missed": "red"}
 
 
@@ -38,7 +38,7 @@ def blind_tables(found: BlindStudy) -> list[Any]:
 
 
 def cell_table(cells: polars.DataFrame) -> Table:
-    """One row per cell, with the largest standard error of its shares; each figure's own is in the file."""
+    """One row per cell, with the largest standard error of its rates; each figure's own is in the file."""
     table = Table(title="Blind study", title_justify="left", box=SIMPLE_HEAD, padding=(0, 0, 0, 1))
     table.add_column("hidden", no_wrap=True)
     table.add_column("sets", justify="right", no_wrap=True)
@@ -48,7 +48,7 @@ def cell_table(cells: polars.DataFrame) -> Table:
     for part in cells.partition_by("cell", maintain_order=True):
         figures = {row["measure"]: row for row in part.iter_rows(named=True)}
         shown = ("" if name not in figures else f"{figures[name]['value']:.3f}" for name in COLUMNS)
-        error = max(row["standard_error"] for name, row in figures.items() if name in SHARES)
+        error = max(row["standard_error"] for name, row in figures.items() if name in RATES)
         table.add_row(part["cell"][0], str(figures["alarm"]["count"]), *shown, f"{error:.3f}")
     return table
 
@@ -69,10 +69,10 @@ def further_tables(cells: polars.DataFrame) -> list[Table]:
     table = Table(title=f"{count} ambiguous sets after further postures", title_justify="left")
     for heading in ("postures", "right", "gravity", "others", "right and alone", "right class", "predicted"):
         table.add_column(heading, justify="left" if heading == "postures" else "right")
-    for way, told in WAYS.items():
+    for way, label in WAYS.items():
         names = [f"{way} {measure}" for measure in FURTHER_MEASURES]
         if names[0] in rows:
-            table.add_row(told, *(with_error(rows[name]) if name in rows else "" for name in names))
+            table.add_row(label, *(with_error(rows[name]) if name in rows else "" for name in names))
     return [table]
 
 
@@ -139,7 +139,7 @@ def confusion_figure(confusion: polars.DataFrame) -> Figure:
             axes.text(j, i, f"{share:.3f}".lstrip("0"), ha="center", va="center", color=color, fontsize=7)
     axes.set_xlabel("named")
     axes.set_ylabel("hidden (data sets)")
-    axes.set_title("What was hidden and what was named: share of each row")
+    axes.set_title("What was hidden and what was named: fraction of each row")
     return figure
 
 

@@ -83,7 +83,7 @@ def label(setting: Setting) -> str:
 
 
 def performance_profile(rows: polars.DataFrame) -> dict[Setting, Curve]:
-    """Setting -> (tau, share): share of the instances that it solved within tau times the fastest setting's time.
+    """Setting -> (tau, fraction): fraction of the instances that it solved within tau times the fastest setting's time.
 
     An instance is a problem and a repeat, solved where the run is a hit; an instance nobody solved counts against all.
     E. D. Dolan, J. J. More, Benchmarking optimization software with performance profiles, Math. Program. 91 (2002),
@@ -113,13 +113,13 @@ def profile_figure(rows: polars.DataFrame) -> Figure:
     end = 1.3 * max((float(tau[-1]) for tau, _ in curves.values() if tau.size), default=1.0)
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.subplots()
-    for setting, (tau, share) in curves.items():
+    for setting, (tau, fraction) in curves.items():
         color, dashes, _ = styles[setting]
-        x, y = np.r_[0.9, tau, end], np.r_[0.0, share, share[-1] if share.size else 0.0]
+        x, y = np.r_[0.9, tau, end], np.r_[0.0, fraction, fraction[-1] if fraction.size else 0.0]
         axes.step(x, y, where="post", color=color, ls=dashes, label=label(setting))
     axes.set(xscale="log", xlim=(1.0, max(end, 1.1)), ylim=(-0.02, 1.02))
     _plain_numbers(axes)
-    axes.set(xlabel="time / time of the fastest", ylabel="share of instances at the best known value")
+    axes.set(xlabel="time / time of the fastest", ylabel="fraction of instances at the best known value")
     figure.legend(fontsize=8, loc="outside right center")
     return figure
 
@@ -148,7 +148,7 @@ def time_figure(rows: polars.DataFrame) -> Figure:
         _plain_numbers(axes)
         axes.set_title(f"{problem[0]}, {problem[2]}, {problem[3]} runs", fontsize=9)
     for first in grid[:, 0]:
-        first.set_ylabel(f"efficiency lost to the best (floor {FLOOR:g})")
+        first.set_ylabel(f"efficiency below the best (floor {FLOOR:g})")
     handles, names = panels[0].get_legend_handles_labels()
     figure.legend(handles, names, fontsize=8, loc="outside right center")
     return figure

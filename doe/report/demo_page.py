@@ -23,12 +23,12 @@ def gap_sheet(demo: Demo) -> Sheet:
         [
             ["drawing", number(start), number(drawing)],
             ["lengths and offsets identified", number(demo.base.rms_after), number(demo.gap(demo.base))],
-            [named(demo), number(demo.extended.rms_after), number(demo.gap(demo.extended))],
+            [last_model(demo), number(demo.extended.rms_after), number(demo.gap(demo.extended))],
         ],
     )
 
 
-def named(demo: Demo) -> str:
+def last_model(demo: Demo) -> str:
     """The last row's name."""
     return f"with {' + '.join(demo.diagnosis.effects)}" if demo.diagnosis.effects else "nothing named"
 
@@ -43,13 +43,13 @@ def parameter_sheet(demo: Demo) -> Sheet:
     return Sheet(["parameter", "value", "low 95 %", "high 95 %", "hidden truth", "unit"], rows)
 
 
-def verdict(demo: Demo) -> str:
+def demo_summary(demo: Demo) -> str:
     """The whole loop in one sentence."""
     optimal = "certified optimal" if demo.design.certified_optimal else f"efficiency {demo.design.efficiency:.4f}"
     return (
         f"A {optimal} plan of {len(demo.design.plan)} runs; the model's gap falls from {demo.drawing_gap:.2f} to "
         f"{demo.gap(demo.base):.3f} mm by calibration, and to {demo.gap(demo.extended):.3f} mm "
-        f"{named(demo)}; {demo.noise:.3f} mm is measurement noise."
+        f"{last_model(demo)}; {demo.noise:.3f} mm is measurement noise."
     )
 
 
@@ -72,7 +72,7 @@ def demo_data(demo: Demo, directory: Path) -> dict[str, Any]:
 def demo_tables(demo: Demo, directory: Path) -> list[Any]:
     """What a newcomer sees after the first command."""
     return [
-        Text(verdict(demo), style="bold"),
+        Text(demo_summary(demo), style="bold"),
         as_table(gap_sheet(demo)),
         Text(demo.diagnosis.sentence),
         as_table(candidate_sheet(demo.diagnosis)),
@@ -108,4 +108,4 @@ def demo_page(demo: Demo) -> str:
         ),
         *gap_sections(demo.diagnosis),
     ]
-    return page("armcal demo: the paper's 4-link arm", verdict(demo), sections)
+    return page("armcal demo: the paper's 4-link arm", demo_summary(demo), sections)

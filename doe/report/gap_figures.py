@@ -1,4 +1,4 @@
-"""Pictures of a diagnosis: residuals before and after against everything, and which effects look alike."""
+"""Pictures of a diagnosis: residuals before and after against everything, and which effects are alike."""
 
 from __future__ import annotations
 
@@ -75,6 +75,6 @@ def alias_figure(detectability: Detectability) -> Figure:
     image = axis.imshow(detectability.likeness, vmin=0.0, vmax=1.0, cmap="magma_r")
     axis.set_xticks(range(size), detectability.names, rotation=90, fontsize=7)
     axis.set_yticks(range(size), detectability.names, fontsize=7)
-    axis.set_title("likeness of effects on these postures: 1 = cannot be told apart", fontsize=9)
+    axis.set_title("likeness of effects on these postures: 1 = indistinguishable", fontsize=9)
     figure.colorbar(image, ax=axis, shrink=0.7)
     return figure

@@ -122,8 +122,13 @@ def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
             [against_figure(diagnosis)],
         ),
         Section(
-            "What these postures can and cannot tell",
-            " ".join(["Sizes of effects that would have been found, and which effects look alike.", *notes]),
+            "What these postures can and cannot show",
+            " ".join(
+                [
+                    "Sizes of effects that would have been found, and effects that are hard to distinguish.",
+                    *notes,
+                ]
+            ),
             [excluded_sheet(diagnosis), alias_sheet(diagnosis)],
             [alias_figure(diagnosis.detectability)],
         ),

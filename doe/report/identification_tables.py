@@ -25,7 +25,7 @@ def identification_tables(found: Identification) -> list[Any]:
         verdict.add_row("chi2", f"{data['chi2']:.2f}, p = {data['p_value']:.3g}")
     shown: list[Any] = [verdict, parameter_table(data)]
     if data["not_identifiable"]:
-        shown.append("These cannot be told apart by this plan; measure other postures or fix one of each:")
+        shown.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         shown.extend(Text(f"  {combination}") for combination in data["not_identifiable"])
     return shown
 

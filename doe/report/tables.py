@@ -39,7 +39,7 @@ def accuracy_table(arm: Arm, data: dict[str, Any]) -> Table | str:
     if arm.sigma is None:
         return "No expected standard deviations: the arm file has no sigma_mm."
     if any(d is None for d in deviations):
-        return "No expected standard deviations: the plan does not tell every parameter."
+        return "No expected standard deviations: not every parameter is estimable from the plan."
     worst = data.get("std_worst_draw")
     over = "" if worst is None else ", mean over the draws of the arm and worst of them"
     table = Table(title=f"Expected standard deviations (sigma = {arm.sigma:g} mm{over})", title_justify="left")
@@ -55,7 +55,7 @@ def accuracy_table(arm: Arm, data: dict[str, Any]) -> Table | str:
     return table
 
 
-def verdict_table(data: dict[str, Any], sentence: str) -> Table:
+def summary_table(data: dict[str, Any], sentence: str) -> Table:
     """Value, bound, efficiency: what a person reads first."""
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     bound = data["bound"]
@@ -81,8 +81,8 @@ def repeats_line(design: Design) -> list[Text]:
     return [Text(f"postures are kept {apart} apart; with --repeats they may be equal, which can be better")]
 
 
-def untold_line(design: Design, most: int = 4) -> list[Text]:
-    """Why there is no log det: what the plan does not tell."""
+def not_estimable_line(design: Design, most: int = 4) -> list[Text]:
+    """Why there is no log det: what is not estimable from the plan."""
     if design.identifies_all:
         return []
     still, combinations = design.problem.without_effect, design.not_identifiable
@@ -90,7 +90,7 @@ def untold_line(design: Design, most: int = 4) -> list[Text]:
         why = "under one payload, temperature, time and approach nothing depends on"
         return [Text(f"no log det: {why} {', '.join(still)}")]
     more = ", ..." if len(combinations) > most else ""
-    return [Text(f"no log det: the plan does not tell {', '.join(combinations[:most])}{more}")]
+    return [Text(f"no log det: not estimable from the plan: {', '.join(combinations[:most])}{more}")]
 
 
 def observability_line(indices: Observability) -> Text:
@@ -109,11 +109,11 @@ def certified(data: dict[str, Any], most: int = 10) -> str:
 
 
 def design_tables(arm: Arm, design: Design) -> list[Any]:
-    """Everything about a plan, verdict first."""
+    """Everything about a plan, the summary first."""
     data = design.to_json()
     return [
-        verdict_table(data, design.status.value),
-        *untold_line(design),
+        summary_table(data, design.status.value),
+        *not_estimable_line(design),
         *repeats_line(design),
         plan_table(design),
         accuracy_table(arm, data),

@@ -1,6 +1,6 @@
 """Solvers side by side: every solver on every problem, several times over, each run in a process of its own.
 
-A row is one run of one solver: what it cost, and what its plan is worth on our own evaluation of the stored problem.
+A row is one run of one solver: what it cost, and how good its plan is by our own evaluation of the stored problem.
 `status` says whether the run ended well, `correct` whether the plan is what the solver claims: these are two things.
 """
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 Task = tuple[str, "str | Solver"]  # arm file's text, solver
 FEASIBLE = 1e-9  # [rad] outside the joint limits, or below zero in a constraint's margin
 AGREES = 1e-9  # between the solver's value and ours
-HIT = 1e-6  # a run has found the best known plan if it loses less than this share of efficiency
+HIT = 1e-6  # a run has found the best known plan if it loses less than this of the efficiency
 KILL_FACTOR, KILL_EXTRA = 1.5, 10.0  # a run that overstays its time limit by so much [s] is killed
 PROBLEM = ("arm", "arm_hash", "criterion", "runs")
 CRITERIA = ("D", "A", "E", "Dstar")  # those that need nothing but the arm
@@ -63,7 +63,7 @@ class Comparison:
         of classes that can be imported where the runs happen; each has a name that no other has
     starts : numbers of starts of one run, None: the solver's own number
     repeats : runs of each, with seeds of their own
-    seconds : time limit of one run [s]: told to the solver, and the run is killed if it does not keep it
+    seconds : time limit of one run [s]: given to the solver, and the run is killed if it does not keep it
     criteria : names as in `armcal design --criterion`, of those in `CRITERIA`
     """
 
@@ -148,30 +148,30 @@ def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: Task) -> lis
     """The row of one run, which happens in a new process; the task is the arm file's text and the solver."""
     number = int(seed.generate_state(1)[0])
     limit = key["limit_s"] * KILL_FACTOR + KILL_EXTRA
-    outcome = call(solve_and_judge, task, key, number, seconds=limit)
+    outcome = call(solve_and_evaluate, task, key, number, seconds=limit)
     measured = {"status": outcome.status, "error": outcome.error, "peak_memory_mb": outcome.peak_memory_mb}
     return [{**measured, "seconds": outcome.seconds, **(outcome.value or {})}]
 
 
-def solve_and_judge(task: Task, key: dict[str, Any], seed: int) -> Row:
+def solve_and_evaluate(task: Task, key: dict[str, Any], seed: int) -> Row:
     """Runs the solver in this process; `seconds` is the search alone."""
     from doe.solvers import solve
 
     text, solver = task
-    problem = problem_of(arm_from_tables(tomllib.loads(text)), key["criterion"])
+    problem = compared_problem(arm_from_tables(tomllib.loads(text)), key["criterion"])
     design = solve(problem, key["runs"], solver, seed=seed, starts=key["starts"] or None, seconds=key["limit_s"])
-    return judged(problem, key["runs"], design)
+    return evaluated(problem, key["runs"], design)
 
 
-def problem_of(arm: Arm, name: str) -> DesignProblem:
+def compared_problem(arm: Arm, name: str) -> DesignProblem:
     """What is compared: an arm and a criterion of `CRITERIA`."""
     model = Model(arm)
     units = [parameter.unit for parameter in model.parameters]
     return DesignProblem.of(model, criterion=criterion(name, units=units))
 
 
-def judged(problem: DesignProblem, runs: int, design: Design) -> Row:
-    """What a design is worth by the stored problem, whatever it says of itself."""
+def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:
+    """A design evaluated on the stored problem, whatever its solver claims."""
     postures = design.plan.postures
     value, violation = problem.objective(postures), violation_of(problem, postures)
     bound = design.bound
@@ -207,7 +207,7 @@ def violation_of(problem: DesignProblem, postures: np.ndarray) -> float:
 def summary(rows: polars.DataFrame) -> polars.DataFrame:
     """One row per problem and setting, best value first.
 
-    `hit_rate` : share of all runs (failed ones too) that found the best value known of the problem
+    `hit_rate` : fraction of all runs (failed ones too) that found the best value known of the problem
     `seconds_to_hit` : expected time until a hit when runs are repeated, total seconds / hits [s]; null without a hit
     """
     import polars as pl
@@ -248,7 +248,7 @@ def with_hits(rows: polars.DataFrame) -> polars.DataFrame:
         rows = rows.with_columns(pl.lit("D").alias("criterion"))
     good = (pl.col("status") == "done") & pl.col("correct").fill_null(value=False) & pl.col("value").is_not_null()
     best = pl.when(good).then(pl.col("value")).max().over(PROBLEM)
-    share = pl.col("efficiency") / pl.when(good).then(pl.col("efficiency")).max().over(PROBLEM)
-    d_share = ((pl.col("value") - best) / pl.col("parameters")).exp()
-    loss = pl.when(good).then(1.0 - pl.when(pl.col("criterion") == "D").then(d_share).otherwise(share))
+    relative = pl.col("efficiency") / pl.when(good).then(pl.col("efficiency")).max().over(PROBLEM)
+    d_efficiency = ((pl.col("value") - best) / pl.col("parameters")).exp()
+    loss = pl.when(good).then(1.0 - pl.when(pl.col("criterion") == "D").then(d_efficiency).otherwise(relative))
     return rows.with_columns(good.alias("good"), loss.alias("loss"), (loss <= HIT).fill_null(value=False).alias("hit"))

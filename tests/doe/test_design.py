@@ -11,7 +11,7 @@ import pytest
 from doe.bounds.bound import Bound
 from doe.design import score
 from doe.plan.plan import Plan
-from doe.report.tables import untold_line
+from doe.report.tables import not_estimable_line
 from doe.solvers import score_plan
 from identification.arm import Arm, EffectSpec
 from tests.doe.arms import ECCENTRICITY, FOUR, SIX, problem
@@ -122,9 +122,9 @@ def test_what_the_plan_does_not_tell_is_said() -> None:
     still = score(problem(FOUR, EffectSpec("thermal_growth")), some_plan(12))
     assert still.log_det == -np.inf
     assert still.to_json()["not_identifiable"] == ["thermal_growth.a"]
-    assert "nothing depends on thermal_growth.a" in str(untold_line(still)[0])
+    assert "nothing depends on thermal_growth.a" in str(not_estimable_line(still)[0])
     twice = score(problem(FOUR), np.repeat(some_plan(2), 4, axis=0))
-    assert "the plan does not tell" in str(untold_line(twice)[0])
+    assert "not estimable from the plan" in str(not_estimable_line(twice)[0])
     told = score(problem(FOUR), some_plan())
     assert told.to_json()["not_identifiable"] == []
-    assert untold_line(told) == []
+    assert not_estimable_line(told) == []

@@ -1,4 +1,4 @@
-"""Truth and diagnoses joined: shares with their Monte Carlo errors, the confusion matrix, and the targets."""
+"""Truth and diagnoses joined: rates with their Monte Carlo errors, the confusion matrix, and the targets."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ class BlindStudy:
 
     def __str__(self) -> str:
         counts = Counter(self.bars["outcome"]) if len(self.bars) else Counter[str]()
-        told = ", ".join(f"{counts[word]} {word}" for word in OUTCOMES if counts[word])
+        outcomes = ", ".join(f"{counts[word]} {word}" for word in OUTCOMES if counts[word])
         failed = f"; {self.failures} blocks failed" if self.failures else ""
-        return f"{len(self.sets)} blind data sets; bars: {told or 'none'}{failed}"
+        return f"{len(self.sets)} blind data sets; bars: {outcomes or 'none'}{failed}"
 
     __repr__ = __str__
 
@@ -111,7 +111,7 @@ def score(truth: polars.DataFrame, found: polars.DataFrame) -> BlindStudy:
     done = [row for row in found.iter_rows(named=True) if row["status"] == "done"]
     families = {name: cls.family or name for name, cls in library().items()}
     sets = [
-        judged({**row, **hidden[place]}, families) for row in done if (place := (row["cell"], row["set"])) in hidden
+        scored_set({**row, **hidden[place]}, families) for row in done if (place := (row["cell"], row["set"])) in hidden
     ]
     cells = [
         row
@@ -125,7 +125,7 @@ def score(truth: polars.DataFrame, found: polars.DataFrame) -> BlindStudy:
     )
 
 
-def judged(row: Mapping[str, Any], families: Mapping[str, str]) -> dict[str, Any]:
+def scored_set(row: Mapping[str, Any], families: Mapping[str, str]) -> dict[str, Any]:
     """One data set: what was hidden, what was named, and in which respects that is right (None: not asked)."""
     hidden, named = sorted(row["hidden"] or ()), sorted(row["named"] or ())
     options = row["candidates"] or []
@@ -179,7 +179,7 @@ def _measures(sets: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
         if not values:
             continue
         mean, n = float(np.mean(values)), len(values)
-        if isinstance(values[0], bool):  # never claims to be certain: at least the error of half a case
+        if isinstance(values[0], bool):  # never claims to be certain: at least the error of half a set
             error = sqrt(max(mean * (1.0 - mean), 0.25 / n) / n)
         else:
             error = float(np.std(values, ddof=1)) / sqrt(n) if n > 1 else float("inf")

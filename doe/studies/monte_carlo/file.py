@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from doe.plan.file import load_plan
-from doe.studies.monte_carlo.schema import StudyFile, check
+from doe.studies.monte_carlo.schema import StudyFile, parse_study
 from doe.studies.monte_carlo.specification import Fitted, Study, Truth
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
@@ -27,7 +27,7 @@ def load_study(path: PathLike) -> Study:
     tables = read_toml(path)
     folder = Path(path).parent
     try:
-        file = check(tables)
+        file = parse_study(tables)
         arms = [load_arm(folder / name) for name in file.arms]
         plans = [(name, load_plan(folder / name)) if name.endswith(".csv") else name for name in file.plans]
         return Study(

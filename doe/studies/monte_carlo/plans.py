@@ -53,12 +53,12 @@ def dft_postures(links: int, runs: int) -> np.ndarray:
 def _dft(arm: Arm, runs: int) -> np.ndarray | str:
     postures = dft_postures(arm.links, runs)
     if runs < arm.links:
-        return f"plan dft: {runs} runs cannot tell {arm.links} links apart, allowed: at least {arm.links}"
+        return f"plan dft: {runs} runs are too few for {arm.links} links, allowed: at least {arm.links}"
     outside = np.flatnonzero(np.any((postures < arm.lower) | (postures > arm.upper), axis=0))
     if outside.size:
         return f"plan dft: joint {outside[0] + 1} would leave its limits"
-    lost = np.flatnonzero(~DesignProblem.of(Model(arm)).feasible(postures))
-    return f"plan dft: posture {lost[0] + 1} would violate a constraint" if lost.size else postures
+    outside = np.flatnonzero(~DesignProblem.of(Model(arm)).feasible(postures))
+    return f"plan dft: posture {outside[0] + 1} would violate a constraint" if outside.size else postures
 
 
 def made_postures(plans: polars.DataFrame) -> dict[tuple[str, str, int], np.ndarray | str]:

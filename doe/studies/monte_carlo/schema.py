@@ -58,7 +58,7 @@ class StudyFile(_Table):
 _TABLES: dict[str, type[BaseModel]] = {"": StudyFile, "truths": TruthTable, "models": ModelTable}
 
 
-def check(tables: dict[str, Any]) -> StudyFile:
+def parse_study(tables: dict[str, Any]) -> StudyFile:
     """The tables of a study file, checked. Raises `InputError` naming key, what was found and what is allowed."""
     try:
         return StudyFile.model_validate(tables)

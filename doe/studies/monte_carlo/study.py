@@ -92,7 +92,7 @@ def _tasks(study: Study, made: Mapping[Any, np.ndarray | str]) -> Iterator[tuple
 
 
 def _sizes(study: Study, cell: Cell | str) -> list[int]:
-    """Replications of each block; one empty-handed task says why a cell cannot be done."""
+    """Replications of each block; of a cell that cannot be done one task, whose row says why."""
     if isinstance(cell, str):
         return [study.replications]
     whole, rest = divmod(study.replications, study.block)

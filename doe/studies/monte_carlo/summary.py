@@ -16,7 +16,7 @@ def pooled(blocks: polars.DataFrame) -> polars.DataFrame:
     `fits`, `failed` : numbers of data sets;  `mean_error`, `std`, `rms` : of the errors, file units
     `mean_error_se`, `std_se` : their standard errors; the deviation's for normal errors, so null for random plans
     `expected_std` : eq. 16; of random plans the root mean square over the plans, which `std` must equal
-    `coverage` : share of 95 % intervals, with the true sigma and each data set's own plan, that hold the true value
+    `coverage` : fraction of 95 % intervals, with the true sigma and each data set's own plan, that hold the true value
     `rms_mm` : of the fits' residuals per row;  `status`, `error` : of the first block that failed, else done
     """
     import polars as pl

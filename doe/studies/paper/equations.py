@@ -236,7 +236,7 @@ def four_links_three_points(generator: np.random.Generator, replications: int) -
     return Erratum(
         "Table III, 4 links, 3 points",
         "8 parameters identified",
-        "6 equations tell 6 of 8 combinations: not identifiable, m >= n is needed",
+        "6 equations determine 6 of 8 combinations: not identifiable, m >= n is needed",
         distance(8.0, float(max(ranks))),
         distance(6.0, float(max(ranks))),
         0.0,

@@ -164,7 +164,7 @@ def _simulated(case: str, replications: int, seed: int) -> Iterator[dict[str, An
             "ideal": ideal,
             "simulated": row["std"],
             "standard_error": row["std_se"],
-            "verdict": verdict(printed, ideal),
+            "verdict": agreement(printed, ideal),
             "note": None,
         }
 
@@ -198,7 +198,7 @@ def _ideal(links: int, runs: int, parameter: str) -> float:
     return float(of(links, runs)[int(number) - 1])
 
 
-def verdict(printed: float | None, theory: float, digit: float = LAST_DIGIT) -> str:
+def agreement(printed: float | None, theory: float, digit: float = LAST_DIGIT) -> str:
     """Whether a printed figure is ours to one unit of its last digit: 0.0276 is printed as 0.027 or as 0.028."""
     if printed is None:
         return "added"
@@ -220,7 +220,7 @@ def text_figures() -> polars.DataFrame:
     for j, (printed, theory) in enumerate(zip((0.002, 0.003, 0.005, 0.006), orientation_std(4, 100), strict=True), 1):
         item = {"item": f"orientation_offset:{j}", "unit": "deg", "printed": printed, "theory": float(theory)}
         rows.append({"place": "Sec. VI: 100 points", "links": 4, "runs": 100, **item})
-    return frame_of([{**row, "verdict": verdict(row["printed"], row["theory"])} for row in rows])
+    return frame_of([{**row, "verdict": agreement(row["printed"], row["theory"])} for row in rows])
 
 
 def consistent(table: polars.DataFrame) -> bool:

@@ -1,4 +1,4 @@
-"""Comparison of solvers: rows judged by the problem, summaries and profiles counted by hand."""
+"""Comparison of solvers: rows evaluated by the problem, summaries and profiles counted by hand."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from doe.report.comparison import comparison_tables, performance_profile, profile_figure, time_figure
 from doe.solvers import Offer, Random, _installed, named
-from doe.studies.comparison import Comparison, compare, judged, summary, with_hits
+from doe.studies.comparison import Comparison, compare, evaluated, summary, with_hits
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.model import Model
@@ -84,19 +84,19 @@ def test_rows_without_any_success_have_tables_and_pictures() -> None:
 
 def test_judged_by_the_problem() -> None:
     postures = np.random.default_rng(3).uniform(-LIMITS, LIMITS, (5, 3))
-    honest = judged(PROBLEM, 5, score(PROBLEM, Plan(postures)))
+    honest = evaluated(PROBLEM, 5, score(PROBLEM, Plan(postures)))
     theta = np.exp(1j * np.cumsum(postures, axis=1))
     hermitian = theta.conj().T @ theta / 5
     assert honest["value"] == pytest.approx(2.0 * np.linalg.slogdet(hermitian)[1], abs=1e-10)  # 2 log det H
     assert honest["correct"]
     assert honest["violation"] == 0.0
-    assert not judged(PROBLEM, 6, score(PROBLEM, Plan(postures)))["correct"]  # a run is missing
+    assert not evaluated(PROBLEM, 6, score(PROBLEM, Plan(postures)))["correct"]  # a run is missing
 
 
 def test_plan_outside_the_limits_is_not_correct() -> None:
     postures = np.random.default_rng(3).uniform(-LIMITS, LIMITS, (5, 3))
     postures[2, 1] = LIMITS[1] + 1e-6
-    found = judged(PROBLEM, 5, score(PROBLEM, Plan(postures)))
+    found = evaluated(PROBLEM, 5, score(PROBLEM, Plan(postures)))
     assert found["violation"] == pytest.approx(1e-6)
     assert not found["correct"]
 
@@ -104,7 +104,7 @@ def test_plan_outside_the_limits_is_not_correct() -> None:
 def test_claim_that_the_problem_does_not_confirm_is_not_correct() -> None:
     postures = np.random.default_rng(3).uniform(-LIMITS, LIMITS, (5, 3))
     other = replace(PROBLEM, kept=postures)  # the solver worked on another problem
-    found = judged(PROBLEM, 5, score(other, Plan(postures[::-1] * 0.5)))
+    found = evaluated(PROBLEM, 5, score(other, Plan(postures[::-1] * 0.5)))
     assert found["claimed"] != pytest.approx(found["value"], abs=1e-6)
     assert not found["correct"]
 

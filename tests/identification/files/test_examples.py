@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from doe.plan.file import load_plan
-from doe.studies.monte_carlo.schema import check as check_study
+from doe.studies.monte_carlo.schema import parse_study
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
 from identification.files.target import load_targets
@@ -64,4 +64,4 @@ def test_targets(example: Path) -> None:
 
 
 def test_study() -> None:
-    assert check_study(tomllib.loads(EXAMPLES["Study file"])).replications == 10_000
+    assert parse_study(tomllib.loads(EXAMPLES["Study file"])).replications == 10_000

@@ -237,7 +237,7 @@ def test_cells_that_cannot_be_done_are_rows() -> None:
         ("limited", "dft", 4),
         ("limited", "analytic", 4),
     }
-    assert "3 runs cannot tell 4 links apart" in reason["paper-4-link", "dft", 3]
+    assert "3 runs are too few for 4 links" in reason["paper-4-link", "dft", 3]
     assert "joint 1 would leave its limits" in reason["limited", "dft", 4]
     assert "no plan" in reason["limited", "analytic", 4]
 

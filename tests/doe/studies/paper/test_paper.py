@@ -19,7 +19,7 @@ from doe.studies.paper import study as paper_run
 from doe.studies.paper.equations import Erratum
 from doe.studies.paper.errata import errata
 from doe.studies.paper.figures import figure_1, figure_2
-from doe.studies.paper.tables import consistent, joint_offset_std, table_1, table_2, table_3, text_figures, verdict
+from doe.studies.paper.tables import agreement, consistent, joint_offset_std, table_1, table_2, table_3, text_figures
 from identification.errors import JobError
 from identification.progress import silent
 
@@ -100,7 +100,7 @@ def test_inconsistency_is_seen() -> None:
     [(0.027, 0.02757, "agrees"), (0.028, 0.02757, "agrees"), (0.058, 0.022361, "erratum"), (None, 1.0, "added")],
 )
 def test_verdict(printed: float | None, theory: float, expected: str) -> None:
-    assert verdict(printed, theory) == expected
+    assert agreement(printed, theory) == expected
 
 
 def test_text() -> None:
