@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, ndtri, stdtrit
+from scipy.special import chdtrc
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
+from identification.estimation.intervals import limits_95
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint
 from identification.kinematics.planar import orientation_transform
 from identification.model import Model
@@ -24,18 +25,18 @@ from identification.status import Status
 class Identification:
     """Estimated parameters of a model, in the order of `model.parameters` and in API units [mm, rad].
 
-    parameters : (p,) estimates; along what is not told, values of the size of the others (from the nominal arm and the
-        model without effects), good for computing positions and for nothing else
-    covariance : (p, p) sigma^2 (sum J^T W J)^-1 (eq. 17), zero along what is not told; NaN if sigma is unknown and no
-        equation is left over to estimate it
-    identifiable : (p,) True where the parameter itself is told by the data
-    not_identifiable : what cannot be told apart, in words
+    parameters : (p,) estimates; along what is not estimable, values of the size of the others (from the nominal arm and
+        the model without effects), good for computing positions and for nothing else
+    covariance : (p, p) sigma^2 (sum J^T W J)^-1 (eq. 17), zero along what is not estimable; NaN if sigma is unknown and
+        no equation is left over to estimate it
+    identifiable : (p,) True where the parameter itself is estimable from the data
+    not_identifiable : combinations of parameters that cannot be told apart, in words
     sigma : standard deviation of one coordinate [mm] (with sigma per row: their root mean square; with relative
         weights: of a row of weight one); None if it is unknown
     sigma_known : given beforehand, or else estimated as sqrt(weighted sum of squares / dof)
     chi2 : weighted sum of squares in units of sigma^2, None if sigma was not known
-    dof : 2 m equations minus the number of combinations told
-    residuals_before, residuals_after : (m, 2) measured minus computed [mm], with the arm as it was and as identified
+    dof : d m equations minus the number of estimable combinations
+    residuals_before, residuals_after : (m, d) measured minus computed [mm], with the arm as it was and as identified
     """
 
     model: Model
@@ -67,26 +68,17 @@ class Identification:
 
     @cached_property
     def std(self) -> Array:
-        """(p,) standard deviations; NaN where a parameter is not told."""
+        """(p,) standard deviations; NaN where a parameter is not estimable."""
         return readonly(np.where(self.identifiable, np.sqrt(np.diag(self.covariance)), np.nan))
 
     @cached_property
     def intervals(self) -> Array:
-        """(p, 2) 95 % confidence limits, cut at the physical bounds; NaN where a parameter is not told.
+        """(p, 2) 95 % confidence limits, cut at the physical bounds; NaN where a parameter is not estimable.
 
         Normal quantile where sigma is known, Student's t with `dof` where it is estimated from the same residuals.
         """
-        limits = self.parameters[:, None] + self.quantile * self.std[:, None] * np.array([-1.0, 1.0])
-        for k, parameter in enumerate(self.model.parameters):
-            limits[k] = np.clip(limits[k], parameter.lower, parameter.upper)
-        return readonly(limits)
-
-    @property
-    def quantile(self) -> float:
-        """Half the width of a 95 % interval in standard deviations; NaN if nothing is left to estimate sigma."""
-        if self.sigma_known:
-            return float(ndtri(0.975))
-        return float(stdtrit(self.dof, 0.975)) if self.dof > 0 else float("nan")
+        dof = None if self.sigma_known else self.dof
+        return readonly(limits_95(self.model.parameters, self.parameters, self.std, dof))
 
     @property
     def p_value(self) -> float | None:
@@ -109,29 +101,24 @@ class Identification:
         return by_joint(self._everything, JOINT_OFFSET)
 
     @cached_property
-    def orientation_offsets(self) -> Array:
-        """(n,) dtheta_j = dq_1 + ... + dq_j [rad]."""
-        return readonly(np.cumsum(self.joint_offsets))
-
-    @cached_property
     def joint_offset_std(self) -> Array:
-        """(n,) standard deviations of dq_j [rad]; zero where known, NaN where not told."""
+        """(n,) standard deviations of dq_j [rad]; zero where known, NaN where not estimable."""
         every = self.model.all_parameters
         return readonly(every.vector(self.model.parameters.mapping(self.std))[every.indices(JOINT_OFFSET)])
 
     @cached_property
     def orientation_std(self) -> Array:
-        """(n,) standard deviations of dtheta_j [rad], the paper's sigma_q (eq. 25); NaN where an offset is not told."""
+        """(n,) standard deviations of dtheta_j [rad], the paper's sigma_q (eq. 25); NaN where not estimable."""
         every = self.model.all_parameters
         transform = orientation_transform(every)[:, [every.index(name) for name in self.names]]
         variance = np.einsum("jk,kl,jl->j", transform, self.covariance, transform)
-        told = np.all((transform == 0.0) | self.identifiable, axis=1)
-        return readonly(np.where(told, np.sqrt(np.maximum(variance, 0.0)), np.nan))
+        estimable = np.all((transform == 0.0) | self.identifiable, axis=1)
+        return readonly(np.where(estimable, np.sqrt(np.maximum(variance, 0.0)), np.nan))
 
     # -- quality of the fit ----------------------------------------------------------------------------------------
     @property
     def rms_before(self) -> float:
-        """Root mean square over rows of the distance sqrt(dx^2 + dy^2) [mm], arm as it was."""
+        """Root mean square over rows of the distance [mm], arm as it was."""
         return _rms(self.residuals_before)
 
     @property
@@ -169,12 +156,12 @@ class Identification:
                 {
                     "name": parameter.name,
                     "unit": parameter.file_unit,
-                    "value": _number(value * parameter.to_file) if told else None,
+                    "value": _number(value * parameter.to_file) if estimable else None,
                     "std": _number(std * parameter.to_file),
                     "low_95": _number(limits[0] * parameter.to_file),
                     "high_95": _number(limits[1] * parameter.to_file),
                 }
-                for parameter, told, value, std, limits in rows
+                for parameter, estimable, value, std, limits in rows
             ],
             "not_identifiable": list(self.not_identifiable),
             "sigma_mm": self.sigma,

@@ -13,9 +13,10 @@ from scipy.special import fdtri, ncfdtr, nctdtr, stdtrit
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
-from identification.gap.f_tests import Dictionary, basis, dictionary
+from identification.gap.f_tests import Dictionary, dictionary
 from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses
 from identification.gap.whitening import Rows
+from identification.information import column_space
 from identification.measurements import Conditions, directions_from_order, session_time
 
 # reasons: identification/README.md, "Constants"
@@ -134,11 +135,13 @@ def assess(
 ) -> Detectability:
     """The pre-flight figures at given base parameters; level : weighted p-value the gate asks for."""
     white = rows.whiten(jacobian)
-    freedom = len(white) - basis(white).shape[1]
+    model_basis = column_space(white, library.base.scales)
+    freedom = len(white) - model_basis.shape[1]
     require_spare(freedom, len(rows))
     raw = [rows.whiten(c) for c in library.columns(rows, values, library.slopes(rows))]
     members = library.members
-    tested = dictionary(white, raw, np.array([h.one_sided for h in members]), np.array([h.weight for h in members]))
+    one_sided, weights = np.array([h.one_sided for h in members]), np.array([h.weight for h in members])
+    tested = dictionary(model_basis, raw, one_sided, weights)
     threshold = LEVEL / sum(h.weight for h in members) if level is None else level
     plain = [k for k, h in enumerate(members) if not h.spec.values and not h.tied]
     detectable: dict[str, Size] = {}

@@ -10,6 +10,7 @@ import numpy as np
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.errors import InputError
+from identification.estimation.intervals import limits_95
 from identification.gap.detectability import EXACT, NEAR, Detectability, assess, require_spare
 from identification.gap.fit import Fit
 from identification.gap.holdout import Gap, check_holdout, check_same_arm, confirm, residuals
@@ -19,7 +20,6 @@ from identification.gap.result import Candidate, Diagnosis, Estimate, Residuals,
 from identification.gap.selection import ALPHA_NEXT, STRICTER, Choice, Search, trial_of
 from identification.gap.whitening import Rows
 from identification.gap.workflow import Findings, investigate
-from identification.kinematics.parameters import Parameter
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.progress import Progress, silent
@@ -152,14 +152,16 @@ def candidate_list(found: Findings, draws: int, generator: np.random.Generator) 
 def describe(search: Search, chosen: Choice, delta: float, trial: tuple[float, float]) -> Candidate:
     """A set of effects with its estimates."""
     found = search.fit(chosen)
-    covariance = found.covariance(held=False)
+    covariance = found.covariance(bounded=False)
+    deviations = np.sqrt(np.diag(covariance))
+    limits = limits_95(found.model.parameters, found.values, deviations, found.freedom)
     effects = found.model.effects[len(found.model.effects) - len(chosen) :]  # their names depend on the others
     added = {p.name for effect in effects for p in effect.parameters}
     estimates = []
     for k, p in enumerate(found.model.parameters):
         if p.name in added:
-            value, std = found.values[k] * p.to_file, np.sqrt(covariance[k, k]) * p.to_file
-            estimates.append(Estimate(p.name, p.file_unit, float(value), float(std), *_interval(p, value, std)))
+            figures = np.array([found.values[k], deviations[k], *limits[k]]) * p.to_file
+            estimates.append(Estimate(p.name, p.file_unit, *figures.tolist()))
     return Candidate(
         tuple(effect.key for effect in effects),
         tuple(h.spec for h in chosen),
@@ -169,11 +171,6 @@ def describe(search: Search, chosen: Choice, delta: float, trial: tuple[float, f
         tuple(estimates),
         _calibration(found, covariance),
     )
-
-
-def _interval(parameter: Parameter, value: float, std: float) -> tuple[float, float]:
-    low, high = value - 1.96 * std, value + 1.96 * std
-    return float(max(low, parameter.lower * parameter.to_file)), float(min(high, parameter.upper * parameter.to_file))
 
 
 def _calibration(found: Fit, covariance: Array) -> Calibration:

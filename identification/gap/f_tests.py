@@ -21,13 +21,6 @@ VISIBLE = 1e-4  # fraction of a column's length that must survive projection; le
 TINY = 1e-300  # smaller p-values count as equal
 
 
-def basis(jacobian: Array) -> Array:
-    """(N, r) orthonormal basis of the column space of a Jacobian (N, p), r its rank."""
-    norms = np.linalg.norm(jacobian, axis=0)
-    q, singular, _ = np.linalg.svd(jacobian / np.where(norms > 0.0, norms, 1.0), full_matrices=False)
-    return q[:, singular > 1e-9 * singular[0]] if singular.size else q
-
-
 @dataclass(frozen=True)
 class Dictionary:
     """Hypotheses projected off a fitted model.
@@ -117,13 +110,15 @@ class Dictionary:
         return falls / sizes / variance
 
 
-def dictionary(jacobian: Array, columns: list[Array], one_sided: NDArray[np.bool_], weights: Array) -> Dictionary:
-    """Project the columns (N, d) of each hypothesis off a Jacobian (N, p) and orthonormalise them.
+def dictionary(model_basis: Array, columns: list[Array], one_sided: NDArray[np.bool_], weights: Array) -> Dictionary:
+    """Project the columns (N, d) of each hypothesis off a fitted model and orthonormalise them.
+
+    model_basis : (N, r) orthonormal basis of the columns of the model's Jacobian, `information.column_space`
 
     Directions of which less than `VISIBLE` survives are dropped; a hypothesis that has none left gets size 0 and the
     caller must leave it out (see `visible`).
     """
-    q = basis(jacobian)
+    q = model_basis
     sizes = np.array([c.shape[1] for c in columns], dtype=np.int64)
     # a row for each column, so that what is worked on together lies together in memory
     stacked = np.concatenate([np.zeros((0, len(q))), *(c.T for c in columns)])

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from identification.arrays import Array
-from identification.gap.f_tests import basis
 from identification.gap.fit import Fit
 from identification.gap.whitening import Rows
+from identification.information import column_space
 from identification.measurements import Measurements
 
 # reasons: identification/README.md, "Constants"
@@ -45,17 +45,18 @@ class Finding:
         return f"{self.name} ({what} {self.size:.2g}, p = {self.p:.2g})"
 
 
-def outliers(predicted: Array, jacobian: Array, everything: Rows) -> NDArray[np.bool_]:
+def outliers(found: Fit, everything: Rows) -> NDArray[np.bool_]:
     """(m,) rows whose residual no model of this kind can explain.
 
     The worst row is taken out and the linearised model refitted, until none is farther off than `OUTLIER`: studentised
     squared residuals of d coordinates, over their robust scale, are chi-square with d degrees of freedom.
 
-    predicted : (m, d) positions of the fitted model for all rows;  jacobian : (m, d, p)
+    found : a fit to these rows or to some of them
     """
     plain = replace(everything, correlation=0.0)  # a posture is judged on its own
+    predicted, jacobian = found.model.linearize(everything.postures, found.values, everything.conditions)
     residual = plain.whiten(everything.positions - predicted).reshape(predicted.shape)
-    columns = plain.whiten(jacobian)
+    columns = plain.whiten(jacobian / found.model.scales)
     kept, limit = np.ones(len(everything), dtype=bool), chdtri(everything.dimension, chdtrc(2, OUTLIER**2))
     for _ in range(int(MOST_OUTLIERS * len(kept)) + 1):
         squares = studentised(residual, columns, kept)
@@ -68,9 +69,9 @@ def outliers(predicted: Array, jacobian: Array, everything: Rows) -> NDArray[np.
 
 def studentised(residual: Array, columns: Array, kept: NDArray[np.bool_]) -> Array:
     """(m,) squared residual of each posture in units of its own covariance and of the robust scale of the kept rows."""
-    d = residual.shape[1]
+    d, p = residual.shape[1], columns.shape[1]
     blocks = columns.reshape(len(kept), d, -1)
-    q = basis(blocks[kept].reshape(-1, columns.shape[1])).reshape(int(kept.sum()), d, -1)
+    q = column_space(blocks[kept].reshape(-1, p), np.ones(p)).reshape(int(kept.sum()), d, -1)
     inside = residual[kept].reshape(-1)
     flat = q.reshape(len(inside), -1)
     left = (inside - flat @ (flat.T @ inside)).reshape(-1, d)
@@ -98,7 +99,7 @@ def scatter_tests(
     """
     position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
     residual, columns = rows.whiten(rows.positions - position), rows.whiten(jacobian)
-    q = basis(columns)
+    q = column_space(columns, found.model.scales)
     forms = variance_forms(rows, position, found.model.joint_levers(rows.postures, found.values, rows.conditions))
     # Holm multiplies the smallest p-value, 1 / (draws + 1), by the number of tests: the level must be within reach
     draws = max(DRAWS, int(np.ceil((len(forms) + 1) / LEVEL - 1e-9)) - 1)

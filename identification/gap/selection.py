@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from scipy.special import fdtrc
 
-from identification.gap.f_tests import Dictionary, basis, dictionary
-from identification.gap.fit import Fit, fit, links_start
+from identification.gap.f_tests import Dictionary, dictionary
+from identification.gap.fit import Fit, fit
 from identification.gap.hypotheses import Hypothesis, HypothesisSet
 from identification.gap.noise import homoscedastic
 from identification.gap.omnibus_test import OmnibusTest, Scatter, omnibus_test
@@ -61,8 +61,7 @@ class Search:
         if key not in self.fits:
             arm = self.hypotheses.arm
             model = Model(arm.with_effects(*arm.effects, *(h.spec for h in chosen)))
-            known = dict(zip(model.names, model.values, strict=True))
-            start = known | (links_start(model, self.rows) if not chosen else self.fit(()).by_name)
+            start = model.parameters.mapping(model.values) | self.fit(()).by_name if chosen else None
             ties = [[p.name for p in h.effect.parameters] for h in chosen if h.tied]
             self.fits[key] = fit(model, self.rows, start, ties)
         return self.fits[key]
@@ -109,7 +108,7 @@ class Search:
         falls = against.reductions(found.residual[:, None])
         p = against.p_values(falls, np.array([found.squares]))[:, 0] / against.weights
         best = self.fit((*chosen, members[int(np.argmin(p))]))
-        return (best.residual, basis(best.jacobian)) if homoscedastic(best, self.rows, generator) else None
+        return (best.residual, best.basis) if homoscedastic(best, self.rows, generator) else None
 
     def rivals(self, chosen: Choice) -> tuple[list[Hypothesis], Dictionary]:
         """Hypotheses that can still be added to a set, projected off its fit."""
@@ -123,7 +122,7 @@ class Search:
         ]
         members = [h for h, _ in pairs]
         full = dictionary(
-            found.jacobian,
+            found.basis,
             [c for _, c in pairs],
             np.array([h.one_sided for h in members], dtype=bool),
             np.array([h.weight for h in members]),

@@ -116,7 +116,7 @@ def _shapes(search: Search, chosen: Choice) -> _Shapes:
     counts = {place: places.count(place) for place in set(places)}
     weights = np.array([1.0 / (counts[place] * len(counts)) for place in places])
     columns = [search.rows.whiten(a.columns) for a in listed]
-    full = dictionary(found.jacobian, columns, np.zeros(len(listed), dtype=bool), weights)
+    full = dictionary(found.basis, columns, np.zeros(len(listed), dtype=bool), weights)
     keep = np.flatnonzero((full.sizes > 0) & (full.shares > 0.02))
     against = full.subset(keep)
     residual = found.residual[:, None] - against.model_basis @ (against.model_basis.T @ found.residual[:, None])

@@ -49,13 +49,13 @@ def investigate(
     tell("fitting the base model")
     noisy = rows
     scatter: tuple[Finding, ...] = ()
-    outlier = _screen_rows(Search(hypotheses, rows), (), rows)
+    outlier = outliers(Search(hypotheses, rows).fit(()), rows)
     seen: list[tuple[object, ...]] = []
     for number in range(PASSES):
         tell(f"testing the effects, pass {number + 1}")
         search = Search(hypotheses, noisy.pick(~outlier), strict_levels=bool(scatter))
         selection = select(search, draws, generator)
-        again = _screen_rows(search, selection.chosen, noisy)
+        again = outliers(search.fit(selection.chosen), noisy)
         plain = rows.pick(~again)
         named = Search(hypotheses, plain).fit(selection.chosen)
         new = screen(named, plain, generator)
@@ -117,9 +117,3 @@ def cost(found: Findings, m: int) -> float:
     effects = n * np.log(kept.squares / n) + rest
     noise = found.search.rows.log_determinant + len(found.scatter) * np.log(n)
     return float(effects + noise + taken * (d * np.log(n) + 2.0 * np.log(m)))
-
-
-def _screen_rows(search: Search, chosen: tuple, rows: Rows) -> NDArray[np.bool_]:
-    found = search.fit(chosen)
-    position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
-    return outliers(position, jacobian, rows)

@@ -9,7 +9,7 @@ import numpy as np
 
 from doe.studies.blind.data_set import DataSet
 from identification.arrays import Array
-from identification.gap.fit import fit, links_start
+from identification.gap.fit import fit
 from identification.gap.holdout import rms_distance
 from identification.gap.hypotheses import hypotheses
 from identification.gap.whitening import Rows
@@ -26,7 +26,7 @@ def true_gap(data: DataSet) -> float:
     kept = np.ones(len(data.measurements), dtype=bool)
     kept[[row - 1 for row in data.wrong_rows]] = False
     rows, fresh = Rows.of(data.measurements).pick(kept), Rows.of(data.holdout)
-    values = fit(model, rows, links_start(model, rows)).values
+    values = fit(model, rows).values
     return rms_distance(fresh.positions - model.position(fresh.postures, values, fresh.conditions))
 
 
@@ -57,7 +57,7 @@ def _missed(data: DataSet, model: Model) -> tuple[Array, Array]:
     """Residuals of a fitted model on the data and on the hold-out."""
     assert data.holdout is not None
     rows, fresh = Rows.of(data.measurements), Rows.of(data.holdout)
-    values = fit(model, rows, links_start(model, rows)).values
+    values = fit(model, rows).values
     here = rows.positions - model.position(rows.postures, values, rows.conditions)
     return np.asarray(here), np.asarray(fresh.positions - model.position(fresh.postures, values, fresh.conditions))
 

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from doe.studies.blind import hidden_effects, simulator
 from identification.arm import Arm, EffectSpec, Gravity
@@ -262,7 +263,7 @@ def test_an_estimate_at_its_bound_has_an_interval() -> None:
     std = search.fit(chosen).sigma / (300.0 * np.sqrt(np.sum((tau - tau.mean()) ** 2)))
     assert estimate.value == estimate.low_95 == 0.0
     assert estimate.std == pytest.approx(std, rel=1e-3)  # the link is 300 mm to 1e-4
-    assert estimate.high_95 == pytest.approx(1.96 * std, rel=1e-3)
+    assert estimate.high_95 == pytest.approx(stats.t(2 * 60 - 3).ppf(0.975) * std, rel=1e-3)
 
 
 def test_poor_data_do_not_crash() -> None:

@@ -8,7 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from identification.gap.f_tests import basis, dictionary
+from identification.gap.f_tests import dictionary
+from identification.information import column_space
+
+
+def basis(jacobian: np.ndarray) -> np.ndarray:
+    return column_space(jacobian, np.ones(jacobian.shape[1]))
 
 
 def _problem(seed: int, sizes: list[int]) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
@@ -22,7 +27,7 @@ def _problem(seed: int, sizes: list[int]) -> tuple[np.ndarray, list[np.ndarray],
 @settings(max_examples=40)
 def test_f_and_p_are_those_of_two_nested_fits(seed: int, sizes: list[int]) -> None:
     jacobian, columns, y = _problem(seed, sizes)
-    tested = dictionary(jacobian, columns, np.zeros(len(sizes), dtype=bool), np.ones(len(sizes)))
+    tested = dictionary(basis(jacobian), columns, np.zeros(len(sizes), dtype=bool), np.ones(len(sizes)))
     q = basis(jacobian)
     residual = (y - q @ (q.T @ y))[:, None]
     falls = tested.reductions(residual)
@@ -44,7 +49,7 @@ def test_forbidden_sign_is_no_evidence_and_the_allowed_one_is_a_one_sided_t_test
     for sign in (1.0, -1.0):
         y = sign * 2.0 * columns[0][:, 0] / np.linalg.norm(columns[0]) + 0.3 * np.random.default_rng(1).normal(size=40)
         residual = (y - q @ (q.T @ y))[:, None]
-        tested = dictionary(jacobian, columns, np.array([True]), np.ones(1))
+        tested = dictionary(basis(jacobian), columns, np.array([True]), np.ones(1))
         p = tested.p_values(tested.reductions(residual), np.square(residual).sum(axis=0))[0, 0]
         if sign < 0.0:
             assert p == 1.0
@@ -61,14 +66,14 @@ def test_columns_inside_the_model_are_invisible() -> None:
     jacobian, _, _ = _problem(5, [1])
     inside = jacobian @ np.array([[1.0], [2.0], [0.0], [0.0], [0.0], [0.5]])
     half = np.hstack([inside, np.random.default_rng(0).normal(size=(40, 1))])
-    tested = dictionary(jacobian, [inside, half, np.zeros((40, 1))], np.zeros(3, dtype=bool), np.ones(3))
+    tested = dictionary(basis(jacobian), [inside, half, np.zeros((40, 1))], np.zeros(3, dtype=bool), np.ones(3))
     assert tested.sizes.tolist() == [0, 1, 0]
 
 
 def test_smallest_weighted_p_value_is_the_smallest_over_all() -> None:
     jacobian, columns, _ = _problem(7, [1, 2, 1, 3, 2])
     weights = np.array([1.0, 0.1, 1.0, 1.0, 0.5])
-    tested = dictionary(jacobian, columns, np.array([True, False, False, False, False]), weights)
+    tested = dictionary(basis(jacobian), columns, np.array([True, False, False, False, False]), weights)
     q = basis(jacobian)
     drawn = np.random.default_rng(8).normal(size=(40, 30))
     drawn -= q @ (q.T @ drawn)
@@ -79,6 +84,6 @@ def test_smallest_weighted_p_value_is_the_smallest_over_all() -> None:
 
 def test_subset_keeps_the_columns_of_its_members() -> None:
     jacobian, columns, y = _problem(9, [2, 1, 3, 1])
-    tested = dictionary(jacobian, columns, np.zeros(4, dtype=bool), np.ones(4))
+    tested = dictionary(basis(jacobian), columns, np.zeros(4, dtype=bool), np.ones(4))
     part = tested.subset(np.array([0, 2]))
     np.testing.assert_allclose(part.reductions(y[:, None]), tested.reductions(y[:, None])[[0, 2]])

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.gap.fit import fit, links_start
+from identification.gap.fit import fit
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from identification.model import Model
@@ -30,7 +30,7 @@ def test_agrees_with_scipy_within_bounds(flexibility: float) -> None:
     values = {"link_bending.flexibility": flexibility, "joint_offset:2": 0.03, "length_error:1": 2.0}
     rows = _rows(arm, values, 1)
     model = Model(arm)
-    found = fit(model, rows, links_start(model, rows))
+    found = fit(model, rows)
     lower = np.array([p.lower for p in model.parameters])
 
     def residual(scaled: np.ndarray) -> np.ndarray:
@@ -50,7 +50,7 @@ def test_tied_parameters_are_equal_and_best() -> None:
     names = ["joint_compliance.c1", "joint_compliance.c2", "joint_compliance.c3"]
     rows = _rows(arm, dict.fromkeys(names, 3e-5), 2)
     model = Model(arm)
-    found = fit(model, rows, links_start(model, rows), [names])
+    found = fit(model, rows, ties=[names])
     assert len({found.by_name[name] for name in names}) == 1
     assert found.count == len(model.names) - 2
     index = [model.names.index(name) for name in names]
@@ -66,6 +66,6 @@ def test_rank_counts_only_what_the_data_determine() -> None:
     q = np.column_stack([np.linspace(-2, 2, 15), np.zeros(15)])  # joint 2 never moves
     model = Model(arm)
     rows = Rows.of(Measurements(q, model.position(q) + 0.1 * np.random.default_rng(3).normal(size=(15, 2))))
-    found = fit(model, rows, links_start(model, rows))
+    found = fit(model, rows)
     assert found.rank == 2
     assert found.freedom == 28

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from identification.arm import Arm
-from identification.gap.fit import fit, links_start
+from identification.gap.fit import fit
 from identification.gap.noise import Finding, holm, outliers, repeat_finding, screen, studentised, whitened
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
@@ -35,7 +35,7 @@ def _measured(seed: int, m: int = 60, kind: str = "white") -> Measurements:
 
 def _screened(measurements: Measurements, seed: int) -> tuple[Finding, ...]:
     rows, model = Rows.of(measurements), Model(ARM)
-    return screen(fit(model, rows, links_start(model, rows)), rows, np.random.default_rng(seed))
+    return screen(fit(model, rows), rows, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_finds_noise_of_an_arm_with_many_joints() -> None:
     position, jacobian = model.linearize(q)
     shaking = jacobian[:, :, 12] * (0.002 * rng.normal(size=200))[:, None]  # joint 1, some 10 times the common noise
     rows = Rows.of(Measurements(q, position + 0.1 * rng.normal(size=(200, 2)) + shaking))
-    assert [f.name for f in screen(fit(model, rows, links_start(model, rows)), rows, rng)] == ["joint_noise:1"]
+    assert [f.name for f in screen(fit(model, rows), rows, rng)] == ["joint_noise:1"]
 
 
 def test_white_noise_is_left_alone() -> None:
@@ -77,7 +77,7 @@ def test_whitening_makes_an_autoregression_white(correlation: float) -> None:
 def test_noise_model_of_a_finding_whitens_it() -> None:
     measurements = _measured(2)
     rows, model = Rows.of(measurements), Model(ARM)
-    found = fit(model, rows, links_start(model, rows))
+    found = fit(model, rows)
     noisy = whitened(rows, found, (Finding("joint_noise:2", 0.001, 2.5),))
     lever = model.jacobian(rows.postures, found.values)[:, :, 4]
     form = lever[:, :, None] * lever[:, None, :]
@@ -99,8 +99,8 @@ def test_outliers_are_found_and_only_they() -> None:
         positions = measurements.positions.copy()
         positions[wrong] += 1.5 * np.column_stack([np.cos(angle), np.sin(angle)])  # 15 sigma
         rows, model = Rows.of(replace(measurements, positions=positions)), Model(ARM)
-        found = fit(model, rows, links_start(model, rows))
-        flagged = outliers(*model.linearize(rows.postures, found.values), rows)
+        found = fit(model, rows)
+        flagged = outliers(found, rows)
         hits += flagged[wrong].all()
         false += flagged.sum() - flagged[wrong].sum()
     assert hits == 30  # 15 sigma against a limit of 6
@@ -130,7 +130,7 @@ def test_repeats_tell_ripple_from_noise() -> None:
         positions = model.position(q) + 0.05 * rng.normal(size=(48, 2)) + ripple * shared
         measurements = Measurements(q, positions)
         rows = Rows.of(measurements)
-        found = fit(model, rows, links_start(model, rows))
+        found = fit(model, rows)
         assert len(repeat_finding(measurements, found, np.ones(48, dtype=bool))) == expected
 
 
