@@ -15,6 +15,8 @@ KINDS = {".py", ".ipynb", ".md", ".toml", ".j2", ""}
 CITATION = re.compile(r"((?:[\w.-]+/)*[\w-]+\.md)(?:,? \"([^\"]+)\")?")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 HEADING = re.compile(r"^#+ +(.+?) *$", re.MULTILINE)
+MODULE = re.compile(r"`((?:doe|identification)(?:\.[A-Za-z_]\w*)+)[^`\w]*`")
+PATH = re.compile(r"(?<![\w/.-])((?:doe|identification|tests|notebooks)/[\w./-]*\w)")
 CODE_BLOCK = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 
 
@@ -79,10 +81,30 @@ def test_relative_links_work():
     assert {page.name: wrong for page in pages if (wrong := wrong_links(page))} == {}
 
 
+def exists(dotted: str) -> bool:
+    """True for a module, a package, or a name that the module before it defines."""
+    module, _, name = dotted.rpartition(".")
+    for candidate in (dotted, module):
+        path = ROOT / candidate.replace(".", "/")
+        source = path.with_suffix(".py") if path.with_suffix(".py").is_file() else path / "__init__.py"
+        if source.is_file():
+            return candidate == dotted or re.search(rf"\b{name}\b", source.read_text()) is not None
+    return False
+
+
+def test_named_modules_and_paths_exist():
+    found = {str(path.relative_to(ROOT)): prose(path) for path in FILES}
+    modules = {file: [name for name in MODULE.findall(text) if not exists(name)] for file, text in found.items()}
+    paths = {file: [name for name in PATH.findall(text) if not (ROOT / name).exists()] for file, text in found.items()}
+    assert {file: names for file, names in modules.items() if names} == {}
+    assert {file: names for file, names in paths.items() if names} == {}
+
+
 def test_a_wrong_citation_is_found():
     """Also across a line break, as docstrings write them."""
     text = re.sub(r"\s+", " ", 'the bound (doe/README.md,\n    "No such heading"), see NOWHERE.md and doe/README.md.')
     assert wrong_citations(text, ROOT) == ['doe/README.md "No such heading"', 'NOWHERE.md ""']
+    assert not exists("doe.bounds.nowhere")
 
 
 def constants(package: str) -> set[str]:
