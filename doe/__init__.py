@@ -12,7 +12,7 @@ _PLACES = {
     "Plan": "doe.plan.plan",
     "load_plan": "doe.plan.file",
     "score": "doe.design",
-    "score_plan": "doe.solvers",
+    "score_plan": "doe.design",
     "solve": "doe.solvers",
 }
 __all__ = sorted(_PLACES)

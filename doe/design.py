@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doe.bounds.best_known import best_known_bound
 from doe.bounds.bound import Bound
 from doe.bounds.equivalence import CERTIFIED, without_rounding
 from doe.bounds.planar_theorem import is_planar, table_1_max_residual
@@ -168,6 +169,12 @@ class Design:
 def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = None) -> Design:
     """Any plan as a `Design`, judged against `bound` if one is given; knows no solver."""
     return Design(problem, given_plan(problem, plan), bound)
+
+
+def score_plan(problem: DesignProblem, plan: Plan | ArrayLike) -> Design:
+    """Any plan, judged against the best bound that is known. Raises `InputError` for one that does not fit."""
+    given = given_plan(problem, plan)
+    return score(problem, given, best_known_bound(problem, len(given)))
 
 
 def given_plan(problem: DesignProblem, plan: Plan | ArrayLike) -> Plan:

@@ -46,11 +46,11 @@ class ComparisonOptions:
 
     def of(self, arms: list[Arm]) -> Comparison:
         """The comparison. Raises `InputError` for unknown names and for too few runs."""
-        from doe.solvers import library
-        from doe.solvers.driver import check_runs
+        from doe.solvers import available_solvers
+        from doe.solvers.solvability import check_runs
         from doe.studies.comparison import Comparison, compared_problem
 
-        solvers = list(library()) if self.solvers is None else _words(self.solvers)
+        solvers = list(available_solvers()) if self.solvers is None else _words(self.solvers)
         criteria = _words(self.criteria)
         found = Comparison(arms, self.runs, solvers, self.starts or [None], self.repeats, self.seconds, criteria)
         for arm, number in product(arms, self.runs):

@@ -44,8 +44,8 @@ def command(session: Session, arm: Path, plan: Path, aliases: Path | None, outpu
 
 def _scored(arm: Arm, given: Plan, path: Path) -> Design:
     """The plan judged. Raises `InputError` if it has too few runs; warns of runs that the arm cannot do."""
+    from doe.design import score_plan
     from doe.problem.problem import DesignProblem
-    from doe.solvers import score_plan
     from identification.errors import InputError
     from identification.model import Model
 

@@ -24,10 +24,10 @@ from doe.discrimination.swaps import ExtendedProblem, extended_problem, improvin
 from doe.plan.plan import Plan
 from doe.plan.replicate_spacing import spread_free_joints
 from doe.problem.problem import DesignProblem
-from doe.solvers import MANY, PATIENCE, Solver, solve
+from doe.solvers import Solver, solve
 from doe.solvers.driver import feasible_value
 from doe.solvers.planar_theory import Analytic
-from doe.solvers.solver import Budget
+from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
@@ -95,8 +95,8 @@ def discrimination_design(
         raise InputError(f"criterion: {problem.criterion.name} for a discriminating plan, allowed: D")
     began = perf_counter()
     library = effects if isinstance(effects, EffectLibrary) else effect_library(effects)
-    if runs > MANY and starts is None and seconds is None:
-        seconds = 2.0 * PATIENCE
+    if runs > LONG_PLAN and starts is None and seconds is None:
+        seconds = 2.0 * LONG_PLAN_SECONDS
     budget = Budget(1, None if seconds is None else began + seconds)
     half = None if seconds is None else seconds / 2.0
     best = solve(problem, runs, solver, seed=seed, starts=starts, seconds=half, progress=progress)

@@ -1,4 +1,4 @@
-"""`solve`, the only door to the exact solvers: the loop that all of them share is written once.
+"""The search loop that all solvers share: it takes their plans and trusts no number of theirs.
 
 The solver offers plans; the driver clips them to the joint limits, recomputes the criterion from the stored problem,
 keeps the best, and ends when the bound is reached, the budget is used up or the user presses Ctrl-C.
@@ -16,11 +16,11 @@ from doe.bounds.bound import Bound
 from doe.bounds.equivalence import REACHED
 from doe.design import Design
 from doe.plan.plan import Plan
-from doe.plan.replicate_spacing import replicates_allowed, separated, spread_free_joints, too_near
+from doe.plan.replicate_spacing import separated, spread_free_joints, too_near
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import Budget, Offer, Solver
 from identification.arrays import Array
-from identification.errors import InputError, JobError
+from identification.errors import JobError
 from identification.progress import Progress
 from identification.status import Status
 
@@ -29,7 +29,7 @@ AGREES = 1e-7  # difference of criterion values that counts as none
 
 
 @dataclass(frozen=True)
-class Search:
+class SearchResult:
     """What a search came to: the best plan (m, n), its value, how it ended, starts used."""
 
     postures: Array | None
@@ -40,7 +40,7 @@ class Search:
 
 def run_search(
     problem: DesignProblem, offers: Iterator[Offer], budget: Budget, bound: Bound | None, progress: Progress
-) -> Search:
+) -> SearchResult:
     """Takes offers until there is a reason to stop."""
     best, value, starts, agreeing, status = None, -np.inf, 0, 0, None
     try:
@@ -60,7 +60,7 @@ def run_search(
         status = Status.interrupted
     if best is None and status is not Status.interrupted:
         status = Status.solver_failed
-    return Search(best, value, status or Status.starts_finished, starts)
+    return SearchResult(best, value, status or Status.starts_finished, starts)
 
 
 def feasible_value(problem: DesignProblem, postures: Array) -> float:
@@ -83,44 +83,19 @@ def reason_to_stop(
     return Status.time_limit if budget.out_of_time else None
 
 
-def check_runs(problem: DesignProblem, runs: int) -> None:
-    """Raises `InputError` where there are fewer equations than unknowns, or what is no number of runs."""
-    if isinstance(runs, bool) or not isinstance(runs, int | np.integer):
-        raise InputError(f"runs: {runs!r:.40}, allowed: a whole number")
-    if runs < problem.fewest_runs:
-        raise InputError(
-            f"runs: {runs} with {problem.parameters} parameters to identify, allowed: at least {problem.fewest_runs}"
-        )
-    kept = len(problem.kept)
-    if runs + kept > (room := most_postures(problem, runs)):
-        found = f"{runs + kept} postures {problem.spacing} apart"
-        raise InputError(f"runs: {found}, allowed: at most {room:.0f} in the limits")
-
-
-def most_postures(problem: DesignProblem, runs: int) -> float:
-    """No more postures than this fit into the joint limits at the minimum distance; infinite where that is zero.
-
-    Boxes of half the distance's side around the postures do not overlap, and one axis holds width / distance + 1.
-    """
-    alike = replicates_allowed(problem)
-    if alike >= runs:
-        return np.inf
-    joints = list(problem.searched_joints)
-    width = problem.comparable(problem.upper - problem.lower)[joints]
-    return alike * float(np.prod(np.floor(width / problem.minimum_distance * (1.0 + 1e-9)) + 1.0))
-
-
-def finish(
-    problem: DesignProblem, search: Search, solver: Solver, bound: Bound | None, began: float, seed: int, throw: bool
+def design_of(
+    problem: DesignProblem, result: SearchResult, solver: Solver, bound: Bound | None, began: float, seed: int
 ) -> Design:
-    """The search's result as a certified design; joints that play no part are spread over their limits."""
-    if search.postures is None and search.status is Status.interrupted:
-        raise KeyboardInterrupt
-    if search.postures is None or not np.isfinite(search.value):
-        message = f"design: no plan that identifies all {problem.parameters} parameters was found by {solver.name}"
-        if throw or search.postures is None:
-            raise JobError(message)
-    assert search.postures is not None
-    generator = np.random.default_rng([seed, len(search.postures)])
-    plan = Plan(problem.clip(spread_free_joints(problem, search.postures, generator)))
-    return Design(problem, plan, bound, search.status, solver.name, search.starts, perf_counter() - began)
+    """The search's result as a design with a bound; joints that play no part are spread over their limits.
+
+    Raises `JobError` where the solver offered no plan at all.
+    """
+    if result.postures is None:
+        if result.status is Status.interrupted:
+            raise KeyboardInterrupt
+        raise JobError(
+            f"design: no plan that identifies all {problem.parameters} parameters was found by {solver.name}"
+        )
+    generator = np.random.default_rng([seed, len(result.postures)])
+    plan = Plan(problem.clip(spread_free_joints(problem, result.postures, generator)))
+    return Design(problem, plan, bound, result.status, solver.name, result.starts, perf_counter() - began)

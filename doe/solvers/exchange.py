@@ -60,7 +60,7 @@ class Exchange:
         self, problem: DesignProblem, plans: Array, generator: np.random.Generator, budget: Budget
     ) -> tuple[Array, Array]:
         """Plans (s, m, n) that no single exchange improves, and their values (s,), best first."""
-        search = Search(problem, self.grid(problem), plans)
+        search = ExchangeState(problem, self.grid(problem), plans)
         while search.running.size and not budget.out_of_time and search.sweeps < SWEEPS:
             search.sweep(generator, budget)
         values = np.asarray(problem.criterion.value(search.information))
@@ -77,7 +77,7 @@ class Exchange:
         return np.linspace(problem.lower, problem.upper, self.levels, axis=1)
 
 
-class Search:
+class ExchangeState:
     """The state of a batch of starts.
 
     plans : (s, m, n);  values : (s,) criterion, or its quick stand-in;  running : starts that still improve

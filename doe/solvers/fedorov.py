@@ -44,7 +44,7 @@ class Fedorov:
         """One offer per start. Raises `InputError` without choices, or with fewer of them than runs."""
         postures, jacobians = allowed_choices(problem, runs)
         while True:
-            state = State(problem, jacobians, initial(problem, len(jacobians), (self.batch, runs), generator))
+            state = FedorovState(problem, jacobians, initial(problem, len(jacobians), (self.batch, runs), generator))
             sweeps = 0
             while state.running.size and sweeps < SWEEPS and not budget.out_of_time:
                 state.sweep(generator)
@@ -74,7 +74,7 @@ def initial(
     return generator.integers(total, size=shape)
 
 
-class State:
+class FedorovState:
     """A batch of choices.
 
     chosen : (s, m) rows of the list;  values : (s,) criterion, or its quick stand-in;  running : starts still improving

@@ -1,4 +1,4 @@
-"""What a solver is: a small frozen settings object whose one method offers plans. Everything else is `solve`'s job."""
+"""What a solver is: a small frozen settings object whose one method offers plans. The driver does everything else."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ import numpy as np
 
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
+
+LONG_PLAN = 100  # runs above which a search has a time limit of its own
+LONG_PLAN_SECONDS = 30.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,11 @@ class Budget:
     def out_of_time(self) -> bool:
         """True once the time is up."""
         return self.remaining <= 0.0
+
+
+def time_limit(runs: int, starts: int | None, seconds: float | None) -> float | None:
+    """[s] as asked for; long plans have one where neither starts nor seconds are given."""
+    return LONG_PLAN_SECONDS if runs > LONG_PLAN and starts is None and seconds is None else seconds
 
 
 class Solver(Protocol):

@@ -76,11 +76,11 @@ class Comparison:
     criteria: Sequence[str] = ("D",)
 
     def __post_init__(self) -> None:
-        from doe.solvers import library
+        from doe.solvers import available_solvers
 
         for solver in self.solvers:
-            if isinstance(solver, str) and solver not in library():
-                raise InputError(f"solvers: unknown name {solver!r}, {nearest(solver, library())}")
+            if isinstance(solver, str) and solver not in available_solvers():
+                raise InputError(f"solvers: unknown name {solver!r}, {nearest(solver, available_solvers())}")
         for name in self.criteria:
             if name not in CRITERIA:
                 raise InputError(f"criterion: {name!r} in a comparison, {nearest(name, CRITERIA)}")

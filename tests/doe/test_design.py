@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from doe.bounds.bound import Bound
-from doe.design import score
+from doe.design import score, score_plan
 from doe.plan.plan import Plan
 from doe.report.tables import not_estimable_line
-from doe.solvers import score_plan
 from identification.arm import Arm, EffectSpec
 from tests.doe.arms import ECCENTRICITY, FOUR, SIX, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det

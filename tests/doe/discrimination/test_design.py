@@ -259,7 +259,7 @@ def test_the_time_budget_holds_between_swaps(monkeypatch: pytest.MonkeyPatch) ->
         looks += 1
         return 0.01 * looks
 
-    for module in ("doe.solvers", "doe.solvers.solver", "doe.discrimination.design"):
+    for module in ("doe.solvers.solving", "doe.solvers.solver", "doe.discrimination.design"):
         monkeypatch.setattr(f"{module}.perf_counter", clock)
     arm = Arm(LENGTHS, np.radians([-180, -120, -100, -90]), np.radians([180, 120, 60, 90]), sigma=0.1)
     found = discrimination_design(DesignProblem.of(Model(arm)), arm, 42, loss=0.2, seconds=1.0)
@@ -269,7 +269,7 @@ def test_the_time_budget_holds_between_swaps(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_many_runs_have_a_time_budget_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("doe.discrimination.design.PATIENCE", 0.1)
+    monkeypatch.setattr("doe.discrimination.design.LONG_PLAN_SECONDS", 0.1)
     found = designed([-180, -120, -100, -90], [180, 120, 60, 90], 102)
     assert found.design.status is Status.time_limit
 

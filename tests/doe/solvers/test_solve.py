@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from doe.bounds.bound import Bound
+from doe.design import score_plan
 from doe.problem.problem import DesignProblem
-from doe.solvers import Offer, score_plan, solve
+from doe.solvers import Offer, solve
 from doe.solvers.driver import AGREEMENT
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError, JobError

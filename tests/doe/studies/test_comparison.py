@@ -19,7 +19,8 @@ from doe.jobs.row_table import RowTable, frame_of
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from doe.report.comparison import comparison_tables, performance_profile, profile_figure, time_figure
-from doe.solvers import Offer, Random, _installed, named
+from doe.solvers import Offer, Random, solver_named
+from doe.solvers.registry import installed_solvers
 from doe.studies.comparison import Comparison, compare, evaluated, summary, with_hits
 from identification.arm import Arm
 from identification.errors import InputError
@@ -178,12 +179,12 @@ def test_criterion_and_own_solver_are_settings() -> None:
 def test_solver_of_an_installed_package(monkeypatch: pytest.MonkeyPatch) -> None:
     point = EntryPoint("fourier", f"{__name__}:Fourier", "armcal.solvers")
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == "armcal.solvers" else [])
-    _installed.cache_clear()
+    installed_solvers.cache_clear()
     try:
-        assert named("fourier") == Fourier()
+        assert solver_named("fourier") == Fourier()
         Comparison([ARM], [4], ["fourier"])
     finally:
-        _installed.cache_clear()
+        installed_solvers.cache_clear()
 
 
 @pytest.mark.parametrize(
@@ -193,12 +194,12 @@ def test_solver_of_an_installed_package(monkeypatch: pytest.MonkeyPatch) -> None
 def test_a_broken_solver_of_a_package_is_named(monkeypatch: pytest.MonkeyPatch, value: str, expected: str) -> None:
     point = EntryPoint("mine", value, "armcal.solvers")
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
-    _installed.cache_clear()
+    installed_solvers.cache_clear()
     try:
         with pytest.raises(InputError, match=f"mine = {value}.*{expected}"):
-            named("mine")
+            solver_named("mine")
     finally:
-        _installed.cache_clear()
+        installed_solvers.cache_clear()
 
 
 def test_verb(tmp_path: Path) -> None:

@@ -1,0 +1,58 @@
+"""The best upper bound that is known for a problem, and what to do with a bound that a plan beats."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from doe.bounds.bound import Bound
+from doe.bounds.column_generation import column_generation, continuous_bound
+from doe.bounds.planar_theorem import closed_form_bound
+from doe.problem.candidates import listed
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
+from identification.errors import JobError
+
+BEATEN = 1e-8  # relative excess over a bound that is not rounding
+
+
+def best_known_bound(problem: DesignProblem, runs: int) -> Bound | None:
+    """The closed form; without one, or where constraints or a list of postures loosen it, the lower of both.
+
+    None where the continuous problem cannot be solved; the bound over a list of choices is the relaxation's. Without a
+    joint to choose, every plan has the same value.
+    """
+    closed = closed_form_bound(problem)
+    if closed is not None and not problem.constraints and problem.choices is None:
+        return closed
+    if not problem.searched_joints:
+        return Bound(problem.objective(np.tile(problem.lower, (runs, 1))), "continuous", rigorous=True)
+    found: Bound | None
+    try:
+        if problem.choices is None:
+            found = continuous_bound(problem, runs=runs)
+        else:
+            found = column_generation(problem, listed(problem, problem.choices), runs=runs).bound
+    except JobError:
+        return closed
+    if closed is None or found is None:
+        return found or closed
+    return min(closed, found, key=lambda bound: bound.value)
+
+
+def bound_that_holds(problem: DesignProblem, bound: Bound | None, postures: Array, value: float) -> Bound | None:
+    """The bound, unless a plan (m, n) with this value beats it: then one that its postures helped to find, or None.
+
+    A numerical bound rests on the largest sensitivity that a search found. A better plan proves that the search missed
+    a posture, and one of the plan's own has a greater sensitivity (the criterion is concave).
+    """
+    if bound is None or not _beats(value, bound):
+        return bound
+    try:
+        again = continuous_bound(problem, runs=len(postures), also=postures)
+    except JobError:
+        return None
+    return None if _beats(value, again) else again
+
+
+def _beats(value: float, bound: Bound) -> bool:
+    return value > bound.value + BEATEN * max(1.0, abs(bound.value))

@@ -1,0 +1,106 @@
+"""`solve`, the only door to the exact solvers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import chain
+from time import perf_counter
+
+import numpy as np
+
+from doe.bounds.best_known import best_known_bound, bound_that_holds
+from doe.bounds.bound import Bound
+from doe.design import Design
+from doe.problem.feasible import random_postures
+from doe.problem.problem import DesignProblem
+from doe.solvers.driver import SearchResult, design_of, run_search
+from doe.solvers.fedorov import Fedorov
+from doe.solvers.planar_theory import Analytic, NearlyAnalytic
+from doe.solvers.registry import SOLVERS, solver_named
+from doe.solvers.solvability import check_parameters, check_runs, identifies_all, require_solved
+from doe.solvers.solver import LONG_PLAN, Budget, Offer, Solver, time_limit
+from identification.errors import InputError
+from identification.progress import Progress, silent
+from identification.status import Status
+from identification.threads import single_thread
+
+
+def solve(
+    problem: DesignProblem,
+    runs: int,
+    solver: Solver | str | None = None,
+    *,
+    seed: int = 0,
+    starts: int | None = None,
+    seconds: float | None = None,
+    bound: Bound | None = None,
+    progress: Progress = silent,
+    throw: bool = True,
+) -> Design:
+    """The best plan of `runs` measurements that the solver finds, with its certificate.
+
+    solver : settings object, or name; left out: a plan from theory if that attains the bound, else exchange + IPOPT
+    seed : the same seed gives the same plan, unless the time limit binds
+    starts, seconds : budget; left out: the solver's own number of starts, fewer when many of them agree; no time limit
+        up to 100 runs, 30 s for more
+    bound : upper bound of the criterion; left out: the best that is known, see `doe.bounds.best_known`
+    throw : raise `JobError` where no plan identifies all parameters; False: return the last one, value -inf
+
+    Ctrl-C returns the best plan so far, status `interrupted`. Raises `InputError` for too few runs, an unknown name.
+    """
+    began = perf_counter()
+    chosen = chosen_solver(problem, solver)
+    check_runs(problem, runs)
+    if throw:
+        check_parameters(problem)
+    random_postures(problem, 1, np.random.default_rng(seed))  # says so where the constraints exclude everything
+    with single_thread():
+        known = bound or best_known_bound(problem, runs)
+        result = from_theory(problem, runs, known, seed) if solver is None else None
+        used: Solver = chosen if result is None else Analytic()
+        if result is None:
+            limit = time_limit(runs, starts, seconds)
+            deadline = None if limit is None else began + limit
+            budget = Budget(starts or chosen.starts_for(problem), deadline, may_agree=starts is None)
+            offers = offers_of(problem, runs, chosen, budget, seed, begin_from_theory=solver is None)
+            result = run_search(problem, offers, budget, known, progress)
+        design = design_of(problem, result, used, known, began, seed)
+        holds = known if bound is not None else bound_that_holds(problem, known, design.plan.postures, design.value)
+    if holds is not known:
+        design = replace(design, bound=holds)
+    if throw:
+        require_solved(design)
+    return design if identifies_all(design) else replace(design, status=Status.not_identifiable)
+
+
+def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver:
+    """The solver asked for, or the best for the problem. Raises `InputError` where it does not fit the problem."""
+    if isinstance(solver, str):
+        solver = solver_named(solver)
+    if solver is None:
+        return SOLVERS["exchange_ipopt" if problem.choices is None else "fedorov"]
+    if problem.choices is not None and not isinstance(solver, Fedorov):
+        raise InputError(f"solver: {solver.name} cannot choose from a list of postures, allowed: fedorov")
+    return solver
+
+
+def from_theory(problem: DesignProblem, runs: int, known: Bound | None, seed: int) -> SearchResult | None:
+    """A plan from theory that attains the bound, None without one."""
+    if known is None or problem.choices is not None:
+        return None
+    budget = Budget(1, may_agree=False)
+    offers = Analytic().offers(problem, runs, np.random.default_rng(seed), budget)
+    result = run_search(problem, offers, budget, known, silent)
+    return result if result.status is Status.bound_reached else None
+
+
+def offers_of(
+    problem: DesignProblem, runs: int, solver: Solver, budget: Budget, seed: int, *, begin_from_theory: bool
+) -> Iterator[Offer]:
+    """The solver's plans; those of many runs after a plan that is nearly one of theory, where that is asked for."""
+    generator = np.random.default_rng(seed)
+    offers = solver.offers(problem, runs, generator, budget)
+    if begin_from_theory and runs > LONG_PLAN and problem.choices is None:
+        return chain(NearlyAnalytic().offers(problem, runs, generator, budget), offers)
+    return offers
