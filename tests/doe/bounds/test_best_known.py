@@ -36,6 +36,17 @@ def test_a_bound_that_holds_is_kept() -> None:
 
 
 def test_with_a_fast_ripple_no_design_is_better_than_its_bound() -> None:
-    arm = BOX.with_effects(EffectSpec("transmission_ripple", 2, {"k": 23.0}))
-    design = solve(DesignProblem.of(Model(arm)), 12, seed=1, starts=10, seconds=20)
-    assert design.efficiency is None or design.efficiency <= 1.0 + 1e-8
+    """Nor is an approximate one: the multiplicative algorithm on 2,000 random postures, w <- w d / p in plain numpy."""
+    problem = DesignProblem.of(Model(BOX.with_effects(EffectSpec("transmission_ripple", 2, {"k": 23.0}))))
+    design = solve(problem, 12, seed=1, starts=10)
+    assert design.bound is not None
+    assert design.bound.source == "continuous"
+    assert design.value <= design.bound.value
+    blocks = problem.blocks(np.random.default_rng(0).uniform(BOX.lower, BOX.upper, (2000, 3)))
+    weights = np.full(2000, 1.0 / 2000.0)
+    for _ in range(200):
+        information = np.einsum("k,kda,kdb->ab", weights, blocks, blocks, optimize=True)
+        weights *= np.einsum("kda,ab,kdb->k", blocks, np.linalg.inv(information), blocks, optimize=True) / 8.0
+    assert np.sum(weights) == pytest.approx(1.0)
+    # the algorithm ends below the best weights, and random postures miss the best angles: 4 % of D-efficiency at most
+    assert design.bound.value - 0.32 <= np.linalg.slogdet(information)[1] <= design.bound.value

@@ -156,12 +156,63 @@ def test_same_seed_same_diagnosis() -> None:
     assert again.to_json() == diagnosed("backlash").to_json()
 
 
+def eccentric(m: int, seed: int) -> tuple[Measurements, float]:
+    """A session of m rows of an arm whose encoder 2 is off centre by 5e-4 rad, and the RMS [mm] of its noise."""
+    rng = np.random.default_rng(seed)
+    truth = replace(TRUTH, effects=[("encoder_eccentricity", 2, {"a": 4e-4, "b": -3e-4})])
+    run = simulator.session(truth, rng.uniform(-np.pi, np.pi, (m, 3)), rng)
+    error = simulator.noise(truth, run, rng)
+    return simulator.recorded(truth, run, error), float(np.sqrt(np.mean(np.abs(error) ** 2)))
+
+
+class PlainFit:
+    """p = sum_k u_k exp(i theta_k), theta_2 and theta_3 with a cos q_2 + b sin q_2, by Gauss-Newton in plain numpy.
+
+    Six or eight real numbers: real and imaginary parts of u, then a and b.
+    """
+
+    def __init__(self, data: Measurements, eccentric: bool) -> None:
+        self.values, self.free = np.concatenate([TRUTH.lengths, np.zeros(5)]), 8 if eccentric else 6
+        for _ in range(5):
+            columns, left = self.columns(data), self.left(data)
+            self.values[: self.free] += np.linalg.lstsq(columns, left, rcond=None)[0]
+        self.variance = float(np.sum(self.left(data) ** 2)) / (2 * len(data) - self.free)
+        self.covariance = self.variance * np.linalg.inv(columns.T @ columns)
+
+    def links(self, data: Measurements) -> np.ndarray:
+        """(m, 3) complex exp(i theta_k)."""
+        q = data.postures.copy()
+        q[:, 1] += self.values[6] * np.cos(q[:, 1]) + self.values[7] * np.sin(q[:, 1])
+        return np.exp(1j * np.cumsum(q, axis=1))
+
+    def left(self, data: Measurements) -> np.ndarray:
+        """(2m,) real, then imaginary parts of what the fit leaves."""
+        missing = data.positions @ [1.0, 1.0j] - self.links(data) @ (self.values[:3] + 1j * self.values[3:6])
+        return np.concatenate([missing.real, missing.imag])
+
+    def columns(self, data: Measurements) -> np.ndarray:
+        e, q = self.links(data), data.postures[:, 1]
+        lever = 1j * e[:, 1:] @ (self.values[1:3] + 1j * self.values[4:6])
+        every = np.column_stack([e, 1j * e, lever * np.cos(q), lever * np.sin(q)])[:, : self.free]
+        return np.concatenate([every.real, every.imag])
+
+    def rms(self, data: Measurements) -> float:
+        return float(np.sqrt(np.sum(self.left(data) ** 2) / len(data)))
+
+
 def test_held_out_gap_shrinks_to_the_noise() -> None:
-    found = diagnose(ARM, measured("encoder_eccentricity"), measured("encoder_eccentricity", seed=2, m=200), draws=399)
-    # the two sets have effects of the same lambda, not of the same size: only the base and noise figures are exact
-    assert found.gap.held_out_before is not None
-    assert found.gap.noise_floor == pytest.approx(0.05 * np.sqrt(2.0), rel=0.3)
-    assert found.gap.predicted > found.gap.noise_floor
+    data, (fresh, noise) = eccentric(60, 1)[0], eccentric(200, 2)
+    gap = diagnose(ARM, data, fresh, draws=399).gap
+    before, after = PlainFit(data, eccentric=False), PlainFit(data, eccentric=True)
+    assert gap.held_out_before == pytest.approx(before.rms(fresh), rel=1e-6)
+    assert gap.held_out_after == pytest.approx(after.rms(fresh), rel=1e-6)
+    assert gap.noise_floor == pytest.approx(np.sqrt(2.0 * after.variance), rel=1e-6)
+    columns = after.columns(fresh)
+    added = np.sum((columns @ after.covariance) * columns) / len(fresh)
+    assert gap.predicted == pytest.approx(np.sqrt(2.0 * after.variance + added), rel=1e-4)
+    # 8 parameters from 120 numbers add 8/120 of the noise's square, give or take twice that: 3 to 10 % of its RMS
+    assert noise * 0.97 < gap.held_out_after < noise * 1.10
+    assert gap.held_out_before > 1.5 * noise
 
 
 def test_order_of_rows_does_not_matter_when_conditions_are_given() -> None:
