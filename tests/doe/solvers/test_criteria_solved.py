@@ -10,6 +10,7 @@ from doe.solvers import solve
 from identification.arm import Arm
 from tests.doe.arms import FOUR, problem
 
+SEARCHED = 1e-7  # plans whose values differ by less are the same to the solver (`AGREES` in doe/solvers/driver.py)
 POSES = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (20, 4))
 CASES = {
     "A": A(), "I": I(problem(FOUR).scaled_jacobians(POSES)), "Ds": Ds((0, 1, 2, 3)),
@@ -21,22 +22,22 @@ CASES = {
 def test_twenty_runs_are_near_the_bound(criterion: Criterion) -> None:
     """With m = 20 >> p exact plans are within a percent of the approximate optimum, and above a D-optimal plan."""
     case = problem(FOUR, criterion=criterion)
-    design = solve(case, 20, starts=50)
+    design = solve(case, 20, starts=25)
     assert design.bound is not None
     assert design.bound.source == "continuous"
     assert design.value <= design.bound.value + 1e-8
     assert design.efficiency is not None
     assert design.efficiency >= 0.99
-    other = solve(problem(FOUR), 20, starts=50)  # D-optimal
-    assert design.value >= case.objective(other.plan.postures) - 1e-9
+    other = solve(problem(FOUR), 20)  # D-optimal, by theory
+    assert design.value >= case.objective(other.plan.postures) - SEARCHED
 
 
 def test_e_is_better_than_plans_for_other_criteria() -> None:
     case = problem(FOUR, criterion=E())
-    design = solve(case, 10)
+    design = solve(case, 10, starts=20)
     for rival in (problem(FOUR), problem(FOUR, criterion=A())):
-        other = solve(rival, 10, starts=50).plan.postures
-        assert design.value >= case.objective(other) - 1e-9
+        other = solve(rival, 10, starts=20).plan.postures
+        assert design.value >= case.objective(other) - SEARCHED
     generator = np.random.default_rng(1)
     rows = design.plan.postures
     for _ in range(500):  # no small change of any posture helps
@@ -54,6 +55,6 @@ def test_single_link() -> None:
 def test_the_papers_criterion_leaves_accuracy_behind() -> None:
     """D* is reached (its bound is zero) by plans that are poor for D: the length-angle block S' is not looked at."""
     case = problem(FOUR, criterion=DStar(((0, 1, 2, 3), (4, 5, 6, 7))))
-    design = solve(case, 12, starts=50)
+    design = solve(case, 12, starts=25)
     assert design.value == pytest.approx(0.0, abs=1e-6)
     assert design.log_det < -0.5  # against -0.0612 that the D-optimal plan has
