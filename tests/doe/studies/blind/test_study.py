@@ -1,8 +1,9 @@
 """The blind study: scoring by hand, the tasks' bookkeeping, and a reduced form of the study itself.
 
-A cell of COUNT data sets has a standard error of sqrt(p (1 - p) / COUNT); the fail threshold lies about four of them
-beyond what the full study measured, so that chance alone fails less than once in ten thousand runs; the seeds are
-fixed anyway. The full study: armcal study blind.
+The bars are the targets of the study, where a Bayes classifier (tests/benchmarks/test_blind_ceiling.py) misses them its
+figures less 0.03: a share p of the sets or more is right. Of n sets a rule as good as its bar has a binomial number right; fewer than the limits below happen
+once in 50 (alert: a warning) and once in 10,000 cases (fail). By default ten sets of three cells, a hundred of every
+cell by `pytest -m slow tests/doe/studies/blind`; the full study is `armcal study blind`.
 """
 
 from __future__ import annotations
@@ -14,74 +15,101 @@ from pathlib import Path
 import numpy as np
 import polars
 import pytest
+from scipy.stats import binom
 
 from doe.jobs.row_table import frame_of
 from doe.report.blind import blind_tables, matrix
 from doe.studies.blind import cells
 from doe.studies.blind import study as blind
 from doe.studies.blind.rivals import gaussian_process, has_processes
-from doe.studies.blind.score import Bar, BlindStudy, score
+from doe.studies.blind.score import FURTHER, Bar, BlindStudy, score
 from doe.studies.blind.study import blind_study
 from identification.errors import InputError
 
-COUNT = 20
+ALERT, FAIL = 0.02, 1e-4
+BARS = {
+    ("none m=50", "alarm"): 0.05,
+    ("none, joint noise", "alarm"): 0.07,
+    ("none, reach noise", "alarm"): 0.07,
+    ("one, lambda 8, m=50", "exact"): 0.93,
+    ("one, lambda 8, m=50", "class"): 0.985,
+    ("one, lambda 8, m=50", "in the set"): 0.95,
+    ("two, lambda 8, no family", "exact"): 0.86,
+    ("two, lambda 8, no family", "class"): 0.92,
+    ("outside, lambda 7", "located"): 0.95,
+    ("three outliers, lambda 8", "exact"): 0.92,
+    ("three outliers, lambda 8", "outliers listed"): 1.0,
+    (blind.AMBIGUOUS, "next_2 right"): 0.75,
+    (blind.AMBIGUOUS, "next_8 right"): 0.86,
+}
+CELLS = list(dict.fromkeys(cell for cell, _ in BARS if cell != blind.AMBIGUOUS))
+IN_EVERY_RUN = ("none m=50", "one, lambda 8, m=50", "outside, lambda 7")
 
 
-def check(what: str, value: float, alert: float, fail: float) -> None:
-    """Fail below `fail`, warn below `alert` (a warning is not an error here: it is for people)."""
-    assert value >= fail, f"{what}: {value:.3f}, at least {fail} asked"
-    if value < alert:
+def fewest(count: int, bar: float, chance: float) -> int:
+    """The smallest number right that a rule with `bar` right falls short of with at most this chance."""
+    return int(binom.ppf(chance, count, bar))
+
+
+def check(found: BlindStudy, cell: str, measure: str) -> None:
+    """Fails or warns where fewer sets are right than a rule as good as the bar would get (alarms: wrong)."""
+    (row,) = found.cells.filter(cell=cell, measure=measure).iter_rows(named=True)
+    share, bar = row["value"], BARS[cell, measure]
+    if measure == "alarm":
+        share, bar = 1.0 - share, 1.0 - bar
+    right = round(share * row["count"])
+    said = f"{cell}, {measure}: {right} of {row['count']} right, bar {bar:g}"
+    assert right >= fewest(row["count"], bar, FAIL), said
+    if right < fewest(row["count"], bar, ALERT):
         with warnings.catch_warnings():
-            warnings.simplefilter("always")
-            warnings.warn(f"{what}: {value:.3f} is below {alert}", stacklevel=2)
+            warnings.simplefilter("always")  # not an error here: it is for people
+            warnings.warn(said, stacklevel=2)
 
 
-def run(cell: str, count: int = COUNT) -> BlindStudy:
+def run(cell: str, count: int) -> BlindStudy:
     return blind_study([cell], count, draws=399)
 
 
+def test_limits_are_those_of_the_binomial_distribution() -> None:
+    """Of 10 sets with bar 0.95: P(5 or fewer) = 6.4e-5 fails, P(6) = 1e-3 does not; P(7 or fewer) = 0.0115 warns."""
+    assert (fewest(10, 0.95, FAIL), fewest(10, 0.95, ALERT)) == (6, 8)
+    assert fewest(10, 1.0, FAIL) == 10
+
+
 # -- the study in reduced form -----------------------------------------------------------------------------------------
-@pytest.mark.parametrize("cell", ["none m=50", "none, joint noise", "none, reach noise"])
-def test_false_alarms_are_rare(cell: str) -> None:
-    check(cell, 1.0 - run(cell).value(cell, "alarm"), alert=0.84, fail=0.70)
+@pytest.mark.parametrize(
+    ("cell", "count"),
+    [(cell, 10) for cell in IN_EVERY_RUN] + [pytest.param(cell, 100, marks=pytest.mark.slow) for cell in CELLS],
+)
+def test_the_bars_of_a_cell(cell: str, count: int) -> None:
+    found = run(cell, count)
+    for place, measure in BARS:
+        if place == cell:
+            check(found, cell, measure)
+    if cell in blind.COMPARED:
+        rivals = {"gap / true": 1.05, "gap / library": 1.0} | ({"gap / process": 1.0} if has_processes() else {})
+        for measure, most in rivals.items():
+            (row,) = found.cells.filter(cell=cell, measure=measure).iter_rows(named=True)
+            assert row["value"] <= most + 4.0 * row["standard_error"], measure
 
 
-def test_single_effects_are_named_and_close_the_gap_better_than_the_rivals() -> None:
-    cell = "one, lambda 8, m=50"
-    found = run(cell, 30)
-    check("exact", found.value(cell, "exact"), alert=0.84, fail=0.68)
-    check("class", found.value(cell, "class"), alert=0.90, fail=0.80)
-    check("in the set", found.value(cell, "in the set"), alert=0.90, fail=0.78)
-    assert found.value(cell, "gap / true") <= 1.05
-    assert found.value(cell, "gap / library") < 1.0
-    if has_processes():
-        assert found.value(cell, "gap / process") < 1.0
-
-
-def test_two_effects_are_named() -> None:
-    cell = "two, lambda 8, no family"
-    found = run(cell)
-    check("exact", found.value(cell, "exact"), alert=0.75, fail=0.50)
-    check("class", found.value(cell, "class"), alert=0.84, fail=0.65)
-
-
-def test_effects_outside_the_library_are_flagged_and_located() -> None:
-    cell = "outside, lambda 7"
-    check("located", run(cell).value(cell, "located"), alert=0.89, fail=0.75)
-
-
-def test_outliers_do_not_fool_the_naming_and_are_listed() -> None:
-    cell = "three outliers, lambda 8"
-    found = run(cell)
-    check("class", found.value(cell, "class"), alert=0.89, fail=0.75)
-    check("listed", found.value(cell, "outliers listed"), alert=0.95, fail=0.80)
-
-
+@pytest.mark.slow
 def test_further_postures_settle_ambiguous_sets() -> None:
-    cell = blind.AMBIGUOUS
-    found = run(cell)
-    assert 0.0 < found.value(cell, "next_8 class") <= 1.0
-    assert found.value(cell, "next_8 predicted") > found.value(cell, "next_2 predicted")
+    """About a third of the sets are ambiguous: of a hundred, some thirty are measured further."""
+    found = run(blind.AMBIGUOUS, 100)
+    check(found, blind.AMBIGUOUS, "next_2 right")
+    check(found, blind.AMBIGUOUS, "next_8 right")
+    assert found.value(blind.AMBIGUOUS, "next_8 predicted") > found.value(blind.AMBIGUOUS, "next_2 predicted")
+
+
+def test_an_ambiguous_set_is_measured_further() -> None:
+    """The first one from set 5 on: a third of them are. More postures tell its candidates apart better."""
+    key = {"cell": blind.AMBIGUOUS, "sets": 1, "seed": 0, "draws": 399}
+    rows = (blind.examine({**key, "first": number}, np.random.SeedSequence(0))[0] for number in range(5, 25))
+    row = next(row for row in rows if row["verdict"] == "ambiguous")
+    assert {f"{way}_verdict" for way in FURTHER} | {f"{way}_named" for way in FURTHER} <= row.keys()
+    assert 0.0 <= row["next_2_chance"] <= row["next_8_chance"] <= 1.0
+    assert row["random_8_chance"] is None  # nobody chose them
 
 
 # -- bookkeeping -------------------------------------------------------------------------------------------------------
@@ -182,14 +210,15 @@ def test_the_diagnoses_table_knows_nothing_of_the_truth(tmp_path: Path) -> None:
     assert truth["place"].null_count() == 0
 
 
-def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path) -> None:
+def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(blind, "BLOCK", 2)
     folder = tmp_path / "study"
-    first = blind_study(["none m=20"], 10, folder, draws=399)
+    first = blind_study(["none m=20"], 2, folder, draws=399)
     before = polars.read_parquet(folder / blind.DIAGNOSES)
-    more = blind_study(["none m=20"], 20, folder, draws=399, resume=True)
+    more = blind_study(["none m=20"], 4, folder, draws=399, resume=True)
     after = polars.read_parquet(folder / blind.DIAGNOSES)
-    assert (len(first.sets), len(more.sets)) == (10, 20)
-    assert after.head(10)["seconds"].to_list() == before["seconds"].to_list()  # not done again
+    assert (len(first.sets), len(more.sets)) == (2, 4)
+    assert after.head(2)["seconds"].to_list() == before["seconds"].to_list()  # not done again
 
 
 def test_the_seed_moves_the_data_and_nothing_else_does() -> None:
