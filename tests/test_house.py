@@ -81,9 +81,58 @@ def modules() -> list[Path]:
     return sorted([*ROOT.glob("doe/**/*.py"), *ROOT.glob("identification/**/*.py")])
 
 
+def name_of(path: Path) -> str:
+    """Dotted name of a module or package."""
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def unit(module: str) -> str:
+    """The entry of `LAYERS` that a module belongs to: a package, or a module that stands by itself."""
+    return max((name for name in LAYERS if f"{module}.".startswith(f"{name}.")), key=len, default=module)
+
+
+def graph() -> dict[str, set[str]]:
+    """Module -> our modules that it imports, deferred imports too; a package stands for its `__init__`.
+
+    Imports for the type checker alone are none. `from package import module` imports the module, not the package, whose
+    `__init__` may import many.
+    """
+    sources = {name_of(path): path.read_text() for path in modules()}
+    return {name: at_run_time(source, set(sources)) - {name} for name, source in sources.items()}
+
+
+def at_run_time(source: str, ours: set[str]) -> set[str]:
+    """Those of `ours` that a source imports when it runs."""
+    names, todo = set[str](), list[ast.AST](ast.parse(source).body)
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            todo += node.orelse
+            continue
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, "relative imports are not used here"
+            whole = {alias.name: f"{node.module}.{alias.name}" for alias in node.names}
+            names |= {name if name in ours else str(node.module) for name in whole.values()}
+        todo += ast.iter_child_nodes(node)
+    return names & ours
+
+
+def cycles(edges: dict[str, set[str]]) -> list[list[str]]:
+    """Groups of nodes that can reach each other: what cannot be put in an order."""
+    reach = {node: set(targets) for node, targets in edges.items()}
+    for via in reach:
+        for targets in reach.values():
+            if via in targets:
+                targets |= reach[via]
+    groups = {frozenset(b for b in reach if b in reach[a] and a in reach[b]) for a in reach if a in reach[a]}
+    return sorted(sorted(group) for group in groups)
+
+
 @pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(ROOT)))
 def test_imports_go_down_only(path: Path) -> None:
-    name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    name = name_of(path)
     own = layer(name)
     for target in imported(path.read_text(), name):
         other = layer(target)
@@ -93,6 +142,42 @@ def test_imports_go_down_only(path: Path) -> None:
 def test_layer_test_sees_an_upward_import() -> None:
     source = "def f():\n    from doe.solvers import solve\n"
     assert {layer(name) for name in imported(source, "identification.model")} == {14}
+
+
+def test_no_two_modules_import_each_other() -> None:
+    """Neither directly nor by way of others, in whatever layer; an import inside a function is an import."""
+    assert cycles(graph()) == []
+
+
+def test_no_two_packages_import_each_other() -> None:
+    """Within a layer too: all of one package stands below all of the other."""
+    edges: dict[str, set[str]] = {}
+    for module, targets in graph().items():
+        edges.setdefault(unit(module), set()).update({unit(target) for target in targets} - {unit(module)})
+    assert cycles(edges) == []
+
+
+def test_cycle_test_sees_a_deferred_import_and_no_type() -> None:
+    ours = {"doe.a", "doe.b", "doe.c", "doe"}
+    deferred = "def f():\n    from doe import b\n"
+    types = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from doe.c import C\n"
+    edges = {"doe.a": at_run_time(deferred + types, ours), "doe.b": {"doe.a"}, "doe.c": {"doe.a"}, "doe": set()}
+    assert edges["doe.a"] == {"doe.b"}
+    assert cycles(edges) == [["doe.a", "doe.b"]]
+
+
+def test_every_layer_has_a_module() -> None:
+    assert {unit(name_of(path)) for path in modules()} - {"doe", "identification"} == set(LAYERS)
+
+
+def test_bounds_import_no_solver() -> None:
+    """A certificate trusts nothing that searches for plans: not even by way of another module."""
+    edges, seen = graph(), set[str]()
+    todo = [name for name in edges if name.startswith("doe.bounds")]
+    while todo:
+        seen.add(name := todo.pop())
+        todo += edges[name] - seen
+    assert not {name for name in seen if name.startswith("doe.solvers")}
 
 
 def test_no_other_visible_name_at_the_top() -> None:
