@@ -203,13 +203,13 @@ class Model:
 
     @cached_property
     def position_function(self) -> ca.Function:
-        """CasADi (q, c, p) -> position (2) [mm]."""
+        """CasADi (q, c, p) -> position (d) [mm]."""
         q, c, p, position = self.symbols
         return ca.Function("position", [q, c, p], [position], ["q", "c", "p"], ["position"])
 
     @cached_property
     def jacobian_function(self) -> ca.Function:
-        """CasADi (q, c, p) -> position (2) [mm] and its exact derivative by the parameters (2, p)."""
+        """CasADi (q, c, p) -> position (d) [mm] and its exact derivative by the parameters (d, p)."""
         q, c, p, position = self.symbols
         outputs = ca.cse([position, ca.jacobian(position, p)])
         return ca.Function("jacobian", [q, c, p], outputs, ["q", "c", "p"], ["position", "jacobian"])
@@ -236,7 +236,7 @@ class Model:
     def position(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
     ) -> Array:
-        """(m, 2) tip positions [mm] at (m, n) postures [rad]; (K, m, 2) for (K, p) parameter sets.
+        """(m, d) tip positions [mm] at (m, n) postures [rad]; (K, m, d) for (K, p) parameter sets.
 
         Postures (K, m, n), with conditions (K, m), are K plans, each with its own parameter set or all with one.
         """
@@ -245,13 +245,13 @@ class Model:
     def jacobian(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
     ) -> Array:
-        """(m, 2, p) exact derivative of the positions by the parameters; (K, m, 2, p) for (K, p) parameter sets."""
+        """(m, d, p) exact derivative of the positions by the parameters; (K, m, d, p) for (K, p) parameter sets."""
         return self.linearize(postures, parameters, conditions)[1]
 
     def linearize(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
     ) -> tuple[Array, Array]:
-        """Positions (..., m, 2) and Jacobians (..., m, 2, p) in one pass."""
+        """Positions (..., m, d) and Jacobians (..., m, d, p) in one pass."""
         position, jacobian = self._jacobian(*self._arguments(postures, parameters, conditions))
         return position[..., 0], jacobian
 

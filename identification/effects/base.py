@@ -27,7 +27,7 @@ from identification.kinematics.planar import symbolic_points
 
 @dataclass(frozen=True)
 class Chain:
-    """The symbols that effects may use, for one posture. All CasADi SX; lengths in mm, angles in rad."""
+    """The symbols of a planar arm at one posture, for effects to use. All CasADi SX; lengths in mm, angles in rad."""
 
     lengths: Array  # (n,) nominal link lengths [mm]
     gravity: Gravity | None
@@ -65,7 +65,7 @@ class Chain:
         return [*masses, (self.payload, self.links - 1, 1.0)]
 
     def load_moment(self, link: int, fraction: float, beyond: int) -> ca.SX:
-        """Moment [N m] of all loads on links >= `beyond` about the point at `fraction` of `link`, nominal pose."""
+        """Moment [N m], out of the plane, of the loads on links >= `beyond` about a point of `link`, nominal pose."""
         ax, ay = (float(a) for a in self.required_gravity.acceleration)
         pivot = self._point(link, fraction)
         moment = ca.SX(0)

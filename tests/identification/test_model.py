@@ -341,3 +341,12 @@ def test_points_are_the_best_known_chain_in_the_frame_of_the_base() -> None:
     symbolic = ca.Function("points", [posture], [ca.horzcat(*model.symbolic_points(posture))])
     np.testing.assert_allclose(np.array(symbolic(q[0])).T, points[0], rtol=1e-13, atol=1e-12)
     assert (model.joints, model.dimension) == (3, 2)
+
+
+def test_expressions_of_the_chain_on_batches() -> None:
+    """Gravity torques: minus the derivative of the energy by each joint. Differences err by h^2 / 6 = 2e-9."""
+    q = np.random.default_rng(8).uniform(-np.pi, np.pi, (4, 3))
+    payloads = np.array([0.0, 1.0, 2.0, 5.0])
+    found = Model(LEVER_ARM).on_chain(lambda chain: chain.torques)(q, Conditions(payload=payloads))
+    expected = [torques(LEVER_ARM, posture, payload) for posture, payload in zip(q, payloads, strict=True)]
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
