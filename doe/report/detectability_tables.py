@@ -21,11 +21,11 @@ def preflight_tables(sees: Detectability) -> list[Any]:
     for heading in ("visible share", "smallest size found (90 %)", "looks like"):
         table.add_column(Text(heading), justify="right")
     pairs = sees.pairs()
-    for name, share in zip(sees.names, sees.shares, strict=True):
+    for name, left in zip(sees.names, sees.norm_fractions, strict=True):
         alike = [f"{other} ({likeness:.2f})" for one, other, likeness in pairs if one == name]
         more = f" and {len(alike) - 2} more" if len(alike) > 2 else ""
         size = sees.detectable[name]
-        table.add_row(name, f"{share:.2f}", str(size), Text(", ".join(alike[:2]) + more))
+        table.add_row(name, f"{left:.2f}", str(size), Text(", ".join(alike[:2]) + more))
     skipped = [Text(f"not judged: {key}: {why}") for key, why in sees.skipped.items()]
     never = [Text(f"never visible: {key}: the same as {why}") for key, why in sees.aliases.items()]
     return [table, Text(f"{sees.freedom} degrees of freedom to spare"), *skipped, *never]
@@ -64,4 +64,6 @@ def discriminating_data(found: DiscriminationDesign) -> dict[str, Any]:
 
 def hidden(sees: Detectability | None) -> list[str]:
     """Effects of which less than a hundredth of a column's norm is left for the tests to see."""
-    return [] if sees is None else [name for name, share in zip(sees.names, sees.shares, strict=True) if share < HIDDEN]
+    if sees is None:
+        return []
+    return [name for name, left in zip(sees.names, sees.norm_fractions, strict=True) if left < HIDDEN]

@@ -43,14 +43,14 @@ class Size:
 class Detectability:
     """What a plan can show of each effect.
 
-    names : (H) effects, unscanned;  shares : (H,) share of the columns' norm that survives projection (worst direction)
-    likeness : (H, H) root mean square share of effect h (row) that effect g (column) explains after projection
+    names : (H) effects, unscanned;  norm_fractions : (H,) of the columns' norm left after projection (worst direction)
+    likeness : (H, H) root mean square fraction of effect h (row) that effect g (column) explains after projection
     detectable : effect -> smallest size (of its least visible combination) found with 90 % power
     freedom : degrees of freedom the base model leaves
     """
 
     names: tuple[str, ...]
-    shares: Array
+    norm_fractions: Array
     likeness: Array
     detectable: Mapping[str, Size]
     freedom: int
@@ -69,11 +69,11 @@ class Detectability:
             "effects": [
                 {
                     "effect": name,
-                    "share": float(share),
+                    "share": float(fraction),
                     "detectable": self.detectable[name].value,
                     "unit": self.detectable[name].unit,
                 }
-                for name, share in zip(self.names, self.shares, strict=True)
+                for name, fraction in zip(self.names, self.norm_fractions, strict=True)
             ],
             "alias_pairs": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.pairs()],
             "degrees_of_freedom": self.freedom,
@@ -82,9 +82,9 @@ class Detectability:
         }
 
     def __str__(self) -> str:
-        lines = [f"{self.freedom} degrees of freedom to spare", f"{'effect':32} share  smallest size found (90 %)"]
-        for name, share in zip(self.names, self.shares, strict=True):
-            lines.append(f"{name:32} {share:5.2f}  {self.detectable[name]}")
+        lines = [f"{self.freedom} degrees of freedom to spare", f"{'effect':32} fraction  smallest size found (90 %)"]
+        for name, fraction in zip(self.names, self.norm_fractions, strict=True):
+            lines.append(f"{name:32} {fraction:8.2f}  {self.detectable[name]}")
         return "\n".join(lines)
 
 
@@ -133,7 +133,7 @@ def assess(
     sigma: float,
     level: float | None = None,
 ) -> Detectability:
-    """The pre-flight figures at given base parameters; level : weighted p-value the gate asks for."""
+    """The pre-flight figures at given base parameters; level : weighted p-value the omnibus test asks for."""
     white = rows.whiten(jacobian)
     model_basis = column_space(white, library.base.scales)
     freedom = len(white) - model_basis.shape[1]
@@ -154,7 +154,7 @@ def assess(
         detectable[hypothesis.key] = size if before is None else _larger(before, size)
     return Detectability(
         tuple(members[k].key for k in plain),
-        readonly(tested.shares[plain]),
+        readonly(tested.norm_fractions[plain]),
         readonly(likeness(tested, plain)),
         MappingProxyType(detectable),
         freedom,
@@ -170,7 +170,7 @@ def _larger(one: Size, other: Size) -> Size:
 
 
 def likeness(tested: Dictionary, members: list[int]) -> Array:
-    """(H, H) root mean square share of each member's visible space that each other member's space holds."""
+    """(H, H) root mean square fraction of each member's visible space that each other member's space holds."""
     blocks = [tested.block(k) for k in members]
     matrix = np.zeros((len(blocks), len(blocks)))
     for i, one in enumerate(blocks):

@@ -17,7 +17,7 @@ from identification.gap.holdout import Gap, check_holdout, check_same_arm, confi
 from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses
 from identification.gap.noise import repeat_finding
 from identification.gap.result import Candidate, Diagnosis, Estimate, Residuals, Trial
-from identification.gap.selection import ALPHA_NEXT, STRICTER, Choice, Search, trial_of
+from identification.gap.selection import ALPHA_NEXT, LEVEL_FACTOR, Choice, HypothesisSearch, trial_of
 from identification.gap.whitening import Rows
 from identification.gap.workflow import Findings, investigate
 from identification.measurements import Measurements
@@ -26,7 +26,7 @@ from identification.progress import Progress, silent
 
 STEPS = 8  # of the progress bar
 # the strictest level must be within reach: p >= 1 / (draws + 1) (identification/README.md, "Constants")
-FEWEST_DRAWS = round(1.0 / (ALPHA_NEXT * STRICTER)) - 1
+FEWEST_DRAWS = round(1.0 / (ALPHA_NEXT * LEVEL_FACTOR)) - 1
 
 
 def diagnose(
@@ -52,7 +52,7 @@ def diagnose(
     check_input(arm, measurements, holdout)
     library = hypotheses(arm, varying(measurements))
     rows = Rows.of(measurements)
-    first = Search(library, rows).fit(())
+    first = HypothesisSearch(library, rows).fit(())
     require_spare(first.freedom, len(rows))
     if holdout is not None:
         check_same_arm(first, measurements, holdout)
@@ -70,7 +70,7 @@ def diagnose(
     gap = confirm(found.search.fit(()), found.search.fit(chosen), measurements, ~found.outlier, holdout)
     result = Diagnosis(
         arm=arm,
-        verdict=verdict(found),
+        verdict=verdict_of(found),
         candidates=candidates,
         named=named,
         classes=named.classes,
@@ -120,7 +120,7 @@ def varying(measurements: Measurements) -> frozenset[str]:
     return frozenset(name for name, values in given.items() if np.ptp(values) > 0.0)
 
 
-def verdict(found: Findings) -> str:
+def verdict_of(found: Findings) -> str:
     """`none`, `named`, `ambiguous` or `unknown`."""
     if found.unknown.place is not None:
         return "unknown"
@@ -149,7 +149,7 @@ def candidate_list(found: Findings, draws: int, generator: np.random.Generator) 
     )
 
 
-def describe(search: Search, chosen: Choice, delta: float, trial: tuple[float, float]) -> Candidate:
+def describe(search: HypothesisSearch, chosen: Choice, delta: float, trial: tuple[float, float]) -> Candidate:
     """A set of effects with its estimates."""
     found = search.fit(chosen)
     covariance = found.covariance(bounded=False)
@@ -184,7 +184,7 @@ def alias_list(before: Detectability, candidates: tuple[Candidate, ...]) -> tupl
     return (*pairs, *((name, like, 1.0) for name, like in before.aliases.items()))
 
 
-def hidden_orders(search: Search, named: Mapping[str, Hypothesis]) -> tuple[tuple[str, str, float], ...]:
+def hidden_orders(search: HypothesisSearch, named: Mapping[str, Hypothesis]) -> tuple[tuple[str, str, float], ...]:
     """Gear ripples that these postures cannot tell from a named effect of the same joint: effect, ripple, likeness.
 
     On a grid of angles a ripple of 15 periods per turn may be the very column of an eccentric encoder, and the
@@ -200,10 +200,10 @@ def hidden_orders(search: Search, named: Mapping[str, Hypothesis]) -> tuple[tupl
         for label, i in places.items():
             other = members[i]
             if label != member.label and other.spec.values and other.spec.joint == member.spec.joint:
-                alike = float(np.linalg.norm(against.block(i).T @ mine) / np.sqrt(mine.shape[1]))
-                if alike >= NEAR:
+                likeness = float(np.linalg.norm(against.block(i).T @ mine) / np.sqrt(mine.shape[1]))
+                if likeness >= NEAR:
                     settings = ", ".join(f"{name} = {value:g}" for name, value in other.spec.values.items())
-                    listed.append((name, f"{other.key} ({settings})", min(alike, 1.0)))
+                    listed.append((name, f"{other.key} ({settings})", min(likeness, 1.0)))
     return tuple(sorted(listed, key=lambda row: -round(row[2], 4)))
 
 
@@ -211,7 +211,7 @@ def order_notes(hidden: tuple[tuple[str, str, float], ...]) -> list[str]:
     """One line per named effect that a ripple imitates on these postures."""
     said = []
     for key in dict.fromkeys(key for key, _, _ in hidden):
-        likes = [(other, alike) for own, other, alike in hidden if own == key]
+        likes = [(other, likeness) for own, other, likeness in hidden if own == key]
         word = "is the same as" if likes[0][1] >= EXACT else "is much like"
         more = f" and {len(likes) - 3} more" if len(likes) > 3 else ""
         listed = ", ".join(other for other, _ in likes[:3])

@@ -26,7 +26,7 @@ class Dictionary:
     """Hypotheses projected off a fitted model.
 
     bases : (N, C) the orthonormal bases side by side;  starts, sizes : (H,) where each begins, how wide it is
-    shares : (H,) share of the columns' norm that survives projection
+    norm_fractions : (H,) of the columns' norm left after projection off the model
     one_sided : (H,) physics allows one sign only;  weights : (H,) prior weights
     """
 
@@ -34,7 +34,7 @@ class Dictionary:
     bases: Array
     starts: NDArray[np.int64]
     sizes: NDArray[np.int64]
-    shares: Array
+    norm_fractions: Array
     one_sided: NDArray[np.bool_]
     weights: Array
 
@@ -56,7 +56,7 @@ class Dictionary:
             self.bases if columns.all() else self.bases[:, columns],
             np.cumsum(widths) - widths,
             widths,
-            self.shares[keep],
+            self.norm_fractions[keep],
             self.one_sided[keep],
             self.weights[keep],
         )
@@ -66,48 +66,48 @@ class Dictionary:
         return self.bases[:, self.starts[k] : self.starts[k] + self.sizes[k]]
 
     def reductions(self, residuals: Array) -> Array:
-        """(H, B) fall of the sum of squares for residuals (N, B) orthogonal to the model; 0 for the forbidden sign."""
+        """(H, B) reduction of the sum of squares of residuals (N, B) off the model; 0 for the forbidden sign."""
         if len(self) == 0:
             return np.zeros((0, residuals.shape[1]))
         scores = self.bases.T @ residuals
         squares = np.square(scores)
-        falls = np.add.reduceat(squares, self.starts, axis=0) if self.sizes.max() > 1 else squares[self.starts]
+        reductions = np.add.reduceat(squares, self.starts, axis=0) if self.sizes.max() > 1 else squares[self.starts]
         first = scores[self.starts[self.one_sided]]
-        falls[self.one_sided] = np.where(first > 0.0, falls[self.one_sided], 0.0)
-        return falls
+        reductions[self.one_sided] = np.where(first > 0.0, reductions[self.one_sided], 0.0)
+        return reductions
 
     @cached_property
     def groups(self) -> list[tuple[int, bool, float, NDArray[np.int64]]]:
-        """Hypotheses that share (size, one_sided, weight): within a group the largest fall has the smallest p-value."""
+        """Hypotheses of one (size, one_sided, weight): in a group the largest reduction has the smallest p-value."""
         keys = list(zip(self.sizes.tolist(), self.one_sided.tolist(), self.weights.tolist(), strict=True))
         return [(*key, np.flatnonzero([k == key for k in keys])) for key in sorted(set(keys))]
 
-    def p_values(self, falls: Array, squares: Array) -> Array:
+    def p_values(self, reductions: Array, squares: Array) -> Array:
         """(H, B) p-value of each hypothesis on its own, from the falls (H, B) and the sums of squares (B)."""
-        result = np.ones_like(falls)
+        result = np.ones_like(reductions)
         for size, one_sided, _, members in self.groups:
-            result[members] = self._p(size, one_sided, falls[members], squares)
+            result[members] = self._p(size, one_sided, reductions[members], squares)
         return result
 
-    def smallest_weighted(self, falls: Array, squares: Array) -> Array:
+    def smallest_weighted(self, reductions: Array, squares: Array) -> Array:
         """(B,) smallest p-value divided by prior weight over all hypotheses."""
-        best = np.full(falls.shape[1], np.inf)
+        best = np.full(reductions.shape[1], np.inf)
         for size, one_sided, weight, members in self.groups:
-            best = np.minimum(best, self._p(size, one_sided, falls[members].max(axis=0), squares) / weight)
+            best = np.minimum(best, self._p(size, one_sided, reductions[members].max(axis=0), squares) / weight)
         return best
 
-    def _p(self, size: int, one_sided: bool, falls: Array, squares: Array) -> Array:
+    def _p(self, size: int, one_sided: bool, reductions: Array, squares: Array) -> Array:
         rest = self.freedom - size
-        variance = np.maximum(squares - falls, 1e-12 * squares) / rest
+        variance = np.maximum(squares - reductions, 1e-12 * squares) / rest
         if one_sided:
-            return np.where(falls > 0.0, np.maximum(stdtr(rest, -np.sqrt(falls / variance)), TINY), 1.0)
-        return np.maximum(fdtrc(size, rest, falls / size / variance), TINY)
+            return np.where(reductions > 0.0, np.maximum(stdtr(rest, -np.sqrt(reductions / variance)), TINY), 1.0)
+        return np.maximum(fdtrc(size, rest, reductions / size / variance), TINY)
 
-    def f_values(self, falls: Array, squares: Array) -> Array:
+    def f_values(self, reductions: Array, squares: Array) -> Array:
         """(H, B) F statistics."""
         sizes = self.sizes[:, None]
-        variance = np.maximum(squares - falls, 1e-12 * squares) / (self.freedom - sizes)
-        return falls / sizes / variance
+        variance = np.maximum(squares - reductions, 1e-12 * squares) / (self.freedom - sizes)
+        return reductions / sizes / variance
 
 
 def dictionary(model_basis: Array, columns: list[Array], one_sided: NDArray[np.bool_], weights: Array) -> Dictionary:
@@ -127,7 +127,7 @@ def dictionary(model_basis: Array, columns: list[Array], one_sided: NDArray[np.b
     for _ in range(2):  # the second pass takes away what rounding left
         stacked -= (stacked @ q) @ q.T
     starts = np.cumsum(sizes) - sizes
-    shares, widths = np.zeros(len(sizes)), np.zeros(len(sizes), dtype=np.int64)
+    norm_fractions, widths = np.zeros(len(sizes)), np.zeros(len(sizes), dtype=np.int64)
     seen = np.zeros(len(stacked), dtype=bool)
     for size in np.unique(sizes):
         members = np.flatnonzero(sizes == size)
@@ -137,9 +137,9 @@ def dictionary(model_basis: Array, columns: list[Array], one_sided: NDArray[np.b
         lengths = np.sqrt(np.maximum(squares, 0.0))
         if size == 1:
             turn = np.ones_like(turn)  # a positive score is a positive parameter
-        shares[members] = lengths[:, 0]
+        norm_fractions[members] = lengths[:, 0]
         widths[members] = np.sum(lengths > VISIBLE, axis=1)
         seen[index] = lengths > VISIBLE
         stacked[index] = (turn / np.maximum(lengths, VISIBLE)[:, None, :]).transpose(0, 2, 1) @ blocks
     bases = stacked.T if seen.all() else stacked[seen].T
-    return Dictionary(q, bases, np.cumsum(widths) - widths, widths, shares, one_sided, weights)
+    return Dictionary(q, bases, np.cumsum(widths) - widths, widths, norm_fractions, one_sided, weights)

@@ -51,11 +51,11 @@ class Hypothesis:
     @property
     def label(self) -> str:
         """The key with the scanned setting: `transmission_ripple:2[k=6]`."""
-        return f"{self.key}[alike]" if self.tied else self.effect.label
+        return f"{self.key}[equal]" if self.tied else self.effect.label
 
     @property
     def family(self) -> str:
-        """The class in which it is merged with its look-alikes."""
+        """The class in which it is merged with those that look alike."""
         return self.effect.family or self.effect.name
 
     @property
@@ -172,9 +172,9 @@ def hypotheses(arm: Arm, given: frozenset[str]) -> HypothesisSet:
             continue
         for joint in _joints(cls, arm.links):
             spec = EffectSpec(name, joint)
-            share = 1.0 if joint is None else 1.0 / np.sqrt(arm.links)
+            prior = 1.0 if joint is None else 1.0 / np.sqrt(arm.links)
             found = [h for h in _with_settings(cls, spec, arm) if h.effect.label not in own]
-            members += [replace(h, weight=share * h.weight) for h in found]
+            members += [replace(h, weight=prior * h.weight) for h in found]
             if not found:
                 skipped[spec.key] = "already in the arm's model"
     return HypothesisSet(arm, tuple(members), skipped, aliases)
@@ -189,8 +189,8 @@ def _joints(cls: type[Effect], links: int) -> list[int | None]:
 def _with_settings(cls: type[Effect], spec: EffectSpec, arm: Arm) -> list[Hypothesis]:
     if not cls.settings:
         effect = build(spec, arm.links, arm.lengths)
-        alike = len(effect.parameters) > 1 and all(p.lower == 0.0 for p in effect.parameters)
-        tied = [Hypothesis(effect, spec, tied=True)] if alike else []
+        tie = len(effect.parameters) > 1 and all(p.lower == 0.0 for p in effect.parameters)
+        tied = [Hypothesis(effect, spec, tied=True)] if tie else []
         return [Hypothesis(effect, spec), *tied]
     ranges = [range(low, high + 1) for low, high in cls.settings.values()]
     found = []

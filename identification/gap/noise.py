@@ -1,7 +1,7 @@
 """What the scatter does: outliers, noise that is larger at some postures, noise that remembers the row before.
 
 Effects of the mean are `select`'s business. Here the residuals of a fitted model are screened, and a noise model is
-returned under which they are white, so that the tests of the mean can be repeated without being fooled.
+returned under which they are white, so that the tests of the mean can be repeated at their nominal level.
 """
 
 from __future__ import annotations

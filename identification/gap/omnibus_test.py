@@ -1,4 +1,4 @@
-"""The gate: is anything missing at all?
+"""The omnibus test: is anything missing at all?
 
 A posture-wise wild bootstrap of the smallest weighted p-value over all hypotheses. The residuals of each posture keep
 their size and direction and change only their common sign, so noise that is larger at some postures (joint noise,
@@ -27,7 +27,7 @@ class OmnibusTest:
 
     p: Array
     adjusted: Array
-    falls: Array
+    reductions: Array
     f: Array
     threshold: float
 
@@ -81,12 +81,12 @@ def omnibus_test(
     """
     observed = residual[:, None] - hypotheses.model_basis @ (hypotheses.model_basis.T @ residual[:, None])
     squares = np.square(observed).sum(axis=0)
-    falls = hypotheses.reductions(observed)
-    p = hypotheses.p_values(falls, squares)[:, 0]
+    reductions = hypotheses.reductions(observed)
+    p = hypotheses.p_values(reductions, squares)[:, 0]
     left, own = scatter or (observed[:, 0], hypotheses.model_basis)
     drawn = wild_draws(left, own, hypotheses.model_basis, dimension, draws, generator)
     smallest = np.sort(hypotheses.smallest_weighted(hypotheses.reductions(drawn), np.square(drawn).sum(axis=0)))
     ranks = np.searchsorted(smallest, p / hypotheses.weights, side="right")
-    f = hypotheses.f_values(falls, squares)[:, 0]
+    f = hypotheses.f_values(reductions, squares)[:, 0]
     adjusted = np.asarray((1.0 + ranks) / (draws + 1.0))
-    return OmnibusTest(p, adjusted, falls[:, 0], f, float(smallest[int(0.05 * draws)]))
+    return OmnibusTest(p, adjusted, reductions[:, 0], f, float(smallest[int(0.05 * draws)]))

@@ -1,4 +1,4 @@
-"""Which effects: BIC inside the gate, forward, swap and backward, with nonlinear refits."""
+"""Which effects: BIC after the omnibus test, forward, swap and backward, with nonlinear refits."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from identification.model import Model
 # reasons: identification/README.md, "Constants"
 MOST = 4  # effects at once; more are the series of something else
 ALPHA_FIRST, ALPHA_NEXT = 0.035, 0.005  # of 0.05 in all, screening and the test for unknown shapes need a part
-# two effects can hide each other from the gate; both at once must then be far beyond chance, and one alone not absurd
+# two effects can hide each other from single tests; both at once must be far beyond chance, and one alone not absurd
 ALPHA_PAIR, PAIR_HINT = 1e-5, 0.35
 PAIR_STARTS = 3  # effort: single effects that a pair is built on
-STRICTER = 0.5  # tuned: factor on the levels where the noise model was estimated from the same data
+LEVEL_FACTOR = 0.5  # tuned: factor on the levels where the noise model was estimated from the same data
 MARGIN, REFITS = 8.0, 6  # effort: rivals within this linear BIC, and as many at most, are refitted
 WINDOW = 6.0  # Delta BIC of the ambiguity set: odds of 20 to 1
 Choice = tuple[Hypothesis, ...]
 
 
 @dataclass(frozen=True)
-class Test:
-    """One pass of the gate over all hypotheses that could be added to a set."""
+class HypothesisTest:
+    """One omnibus test of all hypotheses that could be added to a set."""
 
     members: list[Hypothesis]
     omnibus_test: OmnibusTest
@@ -38,22 +38,27 @@ class Test:
 
 
 @dataclass
-class Search:
+class HypothesisSearch:
     """Fits of sets of effects to the same rows, kept so that none is made twice.
 
-    careful : the noise model of the rows was estimated from the same data, so every level is made stricter
+    noise_estimated : the noise model of the rows comes from the same data, so all levels are multiplied by LEVEL_FACTOR
     """
 
     hypotheses: HypothesisSet
     rows: Rows
-    strict_levels: bool = False
+    noise_estimated: bool = False
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
-    tests: dict[frozenset[str], Test] = field(default_factory=dict)
+    tests: dict[frozenset[str], HypothesisTest] = field(default_factory=dict)
 
     @cached_property
     def slopes(self) -> np.ndarray:
         """What the scanned hypotheses add to the joint angles, see `HypothesisSet.slopes`."""
         return self.hypotheses.slopes(self.rows)
+
+    @property
+    def level_factor(self) -> float:
+        """On all levels of significance."""
+        return LEVEL_FACTOR if self.noise_estimated else 1.0
 
     def fit(self, chosen: Choice) -> Fit:
         """The base model with these effects added, refitted."""
@@ -67,11 +72,11 @@ class Search:
         return self.fits[key]
 
     def bic(self, chosen: Choice) -> float:
-        """BIC of a set; of a family whose parameters may be alike, the better of the two forms."""
+        """BIC of a set; of a family whose parameters may be equal, the better of the two forms."""
         forms = [self._bic(chosen)]
-        alike = {h.key: h for h in self.hypotheses.members if h.tied}
-        if any(h.key in alike and not h.tied for h in chosen):
-            forms.append(self._bic(tuple(alike.get(h.key, h) for h in chosen)))
+        equal = {h.key: h for h in self.hypotheses.members if h.tied}
+        if any(h.key in equal and not h.tied for h in chosen):
+            forms.append(self._bic(tuple(equal.get(h.key, h) for h in chosen)))
         return min(forms)
 
     def _bic(self, chosen: Choice) -> float:
@@ -81,7 +86,7 @@ class Search:
         prior = -2.0 * sum(np.log(h.weight) for h in chosen)
         return float(n * np.log(max(found.squares, 1e-300) / n) + found.count * np.log(n) + prior)
 
-    def tested(self, chosen: Choice, draws: int, generator: np.random.Generator) -> Test:
+    def tested(self, chosen: Choice, draws: int, generator: np.random.Generator) -> HypothesisTest:
         """Gate and linear BIC of every hypothesis that could be added to a set."""
         key = frozenset(h.label for h in chosen)
         if key not in self.tests:
@@ -89,8 +94,8 @@ class Search:
             members, against = self.rivals(chosen)
             scatter = self.scatter(chosen, members, against, generator)
             result = omnibus_test(found.residual, against, self.rows.dimension, draws, generator, scatter)
-            self.tests[key] = Test(
-                members, result, bic_change(result.falls, against, len(found.residual), found.squares)
+            self.tests[key] = HypothesisTest(
+                members, result, bic_change(result.reductions, against, len(found.residual), found.squares)
             )
         return self.tests[key]
 
@@ -102,11 +107,11 @@ class Search:
         An effect that is there makes the residuals larger where it is strong, and a bootstrap of them expects just
         that of chance. Where the noise itself may be larger at some postures, that caution is right.
         """
-        if self.strict_levels or not members:
+        if self.noise_estimated or not members:
             return None
         found = self.fit(chosen)
-        falls = against.reductions(found.residual[:, None])
-        p = against.p_values(falls, np.array([found.squares]))[:, 0] / against.weights
+        reductions = against.reductions(found.residual[:, None])
+        p = against.p_values(reductions, np.array([found.squares]))[:, 0] / against.weights
         best = self.fit((*chosen, members[int(np.argmin(p))]))
         return (best.residual, best.basis) if homoscedastic(best, self.rows, generator) else None
 
@@ -136,25 +141,28 @@ def visible(members: list[Hypothesis], full: Dictionary) -> tuple[list[Hypothesi
     return [members[k] for k in keep], full.subset(keep)
 
 
-def bic_change(falls: np.ndarray, against: Dictionary, n: int, squares: float) -> np.ndarray:
+def bic_change(reductions: np.ndarray, against: Dictionary, n: int, squares: float) -> np.ndarray:
     """(H,) change of BIC when each hypothesis is added, from the linear fit's falls of the sum of squares (H,)."""
-    left = np.maximum(1.0 - falls / squares, 1e-12)
+    left = np.maximum(1.0 - reductions / squares, 1e-12)
     return n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights)
 
 
 @dataclass(frozen=True)
 class Selection:
-    """chosen : the best set, empty if the gate stayed shut;  rivals : all sets within `window` of its BIC, best first
-    first : the gate's test of the base model;  last : that of the chosen set
+    """chosen : the best set, empty if the omnibus test found nothing
+    rivals : all sets within `WINDOW` of its BIC, best first
+    first : the omnibus test of the base model;  last : that of the chosen set
     """
 
     chosen: Choice
     rivals: tuple[tuple[Choice, float], ...]
-    first: Test
-    last: Test
+    first: HypothesisTest
+    last: HypothesisTest
 
 
-def trial_of(search: Search, chosen: Choice, draws: int, generator: np.random.Generator) -> tuple[float, float]:
+def trial_of(
+    search: HypothesisSearch, chosen: Choice, draws: int, generator: np.random.Generator
+) -> tuple[float, float]:
     """F and adjusted p-value of the member of a set that enters last, the weakest if the order is not clear."""
     found = []
     for k, member in enumerate(chosen):
@@ -166,19 +174,19 @@ def trial_of(search: Search, chosen: Choice, draws: int, generator: np.random.Ge
     return max(found, key=lambda trial: (trial[1], -trial[0]), default=(0.0, 1.0))
 
 
-def best_of(search: Search, chosen: Choice, members: list[Hypothesis], change: np.ndarray) -> Choice | None:
+def best_of(search: HypothesisSearch, chosen: Choice, members: list[Hypothesis], change: np.ndarray) -> Choice | None:
     """The set with the one hypothesis added that has the lowest BIC; the best few by linear BIC are refitted."""
     order = np.argsort(change, kind="stable")[:REFITS]
     near = [k for k in order if np.isfinite(change[k]) and change[k] <= change[order[0]] + MARGIN]
     return min(((*chosen, members[k].free) for k in near), key=search.bic, default=None)
 
 
-def select(search: Search, draws: int, generator: np.random.Generator) -> Selection:
-    """Forward inside the gate, swap after every addition, backward at the end."""
+def select(search: HypothesisSearch, draws: int, generator: np.random.Generator) -> Selection:
+    """Forward while the omnibus test finds something, swap after every addition, backward at the end."""
     chosen: Choice = ()
     first = tested = search.tested(chosen, draws, generator)
     while len(chosen) < MOST:
-        level = (ALPHA_NEXT if chosen else ALPHA_FIRST) * (STRICTER if search.strict_levels else 1.0)
+        level = (ALPHA_NEXT if chosen else ALPHA_FIRST) * search.level_factor
         longer = best_of(
             search, chosen, tested.members, np.where(tested.omnibus_test.adjusted <= level, tested.change, np.inf)
         )
@@ -194,12 +202,12 @@ def select(search: Search, draws: int, generator: np.random.Generator) -> Select
     return Selection(chosen, neighbours(search, chosen), first, tested)
 
 
-def pair(search: Search, tested: Test, generator: np.random.Generator) -> Choice | None:
+def pair(search: HypothesisSearch, tested: HypothesisTest, generator: np.random.Generator) -> Choice | None:
     """The best two effects at once, if together they are significant under noise that is the same everywhere.
 
     F test of both against neither, times the weighted number of pairs (Bonferroni).
     """
-    if search.strict_levels:
+    if search.noise_estimated:
         return None
     starts = [tested.members[k].free for k in np.argsort(tested.change, kind="stable")[:PAIR_STARTS]]
     best = min((two for one in starts if (two := _with_second(search, one)) is not None), key=search.bic, default=None)
@@ -214,7 +222,7 @@ def pair(search: Search, tested: Test, generator: np.random.Generator) -> Choice
     return best
 
 
-def _with_second(search: Search, one: Hypothesis) -> Choice | None:
+def _with_second(search: HypothesisSearch, one: Hypothesis) -> Choice | None:
     """A hypothesis and the one that lowers the linear BIC most beside it.
 
     Two settings of one effect are no pair: they do not hide each other, and joint noise makes ripples of any order.
@@ -223,29 +231,29 @@ def _with_second(search: Search, one: Hypothesis) -> Choice | None:
     members, against = search.rivals((one,))
     if not members:
         return None
-    falls = against.reductions(found.residual[:, None])[:, 0]
-    change = bic_change(falls, against, len(found.residual), found.squares)
+    reductions = against.reductions(found.residual[:, None])[:, 0]
+    change = bic_change(reductions, against, len(found.residual), found.squares)
     change = np.where([h.key == one.key for h in members], np.inf, change)
     return (one, members[int(np.argmin(change))].free)
 
 
-def exchanges(search: Search, chosen: Choice) -> list[Choice]:
+def exchanges(search: HypothesisSearch, chosen: Choice) -> list[Choice]:
     """Sets in which one member is replaced by one of its best rivals."""
     found = []
     for k in range(len(chosen)):
         rest = chosen[:k] + chosen[k + 1 :]
         members, against = search.rivals(rest)
         without = search.fit(rest)
-        falls = against.reductions(without.residual[:, None])[:, 0]
-        change = bic_change(falls, against, len(without.residual), without.squares)
+        reductions = against.reductions(without.residual[:, None])[:, 0]
+        change = bic_change(reductions, against, len(without.residual), without.squares)
         for index in np.argsort(change, kind="stable")[:REFITS]:
             if change[index] <= change.min() + MARGIN + WINDOW:
                 found.append((*rest, members[index].free))
     return found
 
 
-def swapped(search: Search, chosen: Choice) -> Choice:
-    """The best set that single exchanges lead to: the gate says that something is missing, BIC says what."""
+def swapped(search: HypothesisSearch, chosen: Choice) -> Choice:
+    """The best set that single exchanges lead to: the omnibus test says that something is missing, BIC says what."""
     for _ in range(MOST):
         best = min(exchanges(search, chosen), key=search.bic, default=chosen)
         if search.bic(best) >= search.bic(chosen) - 1e-9:
@@ -254,7 +262,7 @@ def swapped(search: Search, chosen: Choice) -> Choice:
     return chosen
 
 
-def backward(search: Search, chosen: Choice) -> Choice:
+def backward(search: HypothesisSearch, chosen: Choice) -> Choice:
     """Drop members as long as BIC falls."""
     while len(chosen) > 1:
         best = min((chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))), key=search.bic)
@@ -264,7 +272,7 @@ def backward(search: Search, chosen: Choice) -> Choice:
     return chosen
 
 
-def neighbours(search: Search, chosen: Choice) -> tuple[tuple[Choice, float], ...]:
+def neighbours(search: HypothesisSearch, chosen: Choice) -> tuple[tuple[Choice, float], ...]:
     """Sets of the same length within `WINDOW` of the best BIC, one per set of names, best first."""
     if not chosen:
         return ()

@@ -9,14 +9,14 @@ import numpy as np
 from identification.arrays import Array
 from identification.gap.f_tests import Dictionary, dictionary
 from identification.gap.omnibus_test import wild_draws
-from identification.gap.selection import STRICTER, Choice, Search
+from identification.gap.selection import Choice, HypothesisSearch
 from identification.gap.unmodelled_shapes import GeneralShape, general_shapes
 
 # reasons: identification/README.md, "Constants"
 LEVEL = 0.001  # tuned: `unknown` takes names back
-WILD = 0.05  # tuned: the wild bootstrap has a veto only
+BOOTSTRAP_LEVEL = 0.05  # tuned: the wild bootstrap has a veto only
 DRAWS = (399, 1999)  # 1 / 2000 is the strictest level; the second number only where the first shows nothing as strange
-CROWD = 3  # effects at one joint that are the series of one unknown function
+SERIES_TERMS = 3  # effects at one joint that are the series of one unknown function
 # BIC that an unknown shape must gain on k effects that it would replace, 6 (2 - k): one effect is believed, two have no
 # credit left, three or four at once are the series expansion of something else
 ODDS = {1: 6.0, 2: 0.0, 3: -6.0, 4: -12.0}
@@ -43,12 +43,12 @@ class _Shapes:
 
     listed: list[GeneralShape]
     against: Dictionary
-    falls: Array
+    reductions: Array
     bic: Array  # (shapes,) of the fit with the shape added
     smallest: float  # weighted p-value
 
 
-def find_unmodelled(search: Search, chosen: Choice, generator: np.random.Generator) -> Unknown:
+def find_unmodelled(search: HypothesisSearch, chosen: Choice, generator: np.random.Generator) -> Unknown:
     """General block test after the last accepted effect, then the place by BIC."""
     after = _shapes(search, chosen)
     p = _adjusted(after, search, chosen, generator) if after.listed else 1.0
@@ -56,11 +56,11 @@ def find_unmodelled(search: Search, chosen: Choice, generator: np.random.Generat
     options = [
         (float(s.bic[k]), chosen_without, s.listed[k]) for chosen_without, s, k in _options(search, chosen, after)
     ]
-    crowd = _crowded(chosen)
-    if crowd is not None and options:
-        options = [o for o in options if place_of_all(o[1], crowd) == 0] or options
-        return _named(p, min(options, key=lambda option: option[0]), place=crowd)
-    if p <= LEVEL * (STRICTER if search.strict_levels else 1.0):
+    joint = _joint_with_series(chosen)
+    if joint is not None and options:
+        options = [o for o in options if effects_at(o[1], joint) == 0] or options
+        return _named(p, min(options, key=lambda option: option[0]), place=joint)
+    if p <= LEVEL * search.level_factor:
         return _named(p, min(options, key=lambda option: option[0]))
     replacing = [o for o in options if len(o[1]) < len(chosen) and o[0] < best - ODDS[len(chosen) - len(o[1])]]
     if replacing:
@@ -74,20 +74,20 @@ def _named(p: float, option: tuple[float, Choice, GeneralShape], place: str | No
     return Unknown(p, place or best.place, best.shape if same else None, kept, value)
 
 
-def place_of_all(chosen: Choice, place: str) -> int:
+def effects_at(chosen: Choice, place: str) -> int:
     """How many effects of a set sit at a place."""
     return sum(place_of(h.key) == place for h in chosen)
 
 
-def _crowded(chosen: Choice) -> str | None:
-    """A joint with `CROWD` effects or more: no joint has that many, they are the series of one unknown function."""
+def _joint_with_series(chosen: Choice) -> str | None:
+    """A joint with `SERIES_TERMS` effects or more: they are the series of one unknown function."""
     for place in (place_of(h.key) for h in chosen):
-        if place.startswith("joint:") and place_of_all(chosen, place) >= CROWD:
+        if place.startswith("joint:") and effects_at(chosen, place) >= SERIES_TERMS:
             return place
     return None
 
 
-def _options(search: Search, chosen: Choice, after: _Shapes) -> list[tuple[Choice, _Shapes, int]]:
+def _options(search: HypothesisSearch, chosen: Choice, after: _Shapes) -> list[tuple[Choice, _Shapes, int]]:
     """A shape added to the chosen set, or put in the place of some of its members; few rows may leave none."""
     sets = [(chosen, after), *((rest, _shapes(search, rest)) for rest in _reduced(chosen))]
     return [(rest, shapes, int(np.argmin(shapes.bic))) for rest, shapes in sets if shapes.listed]
@@ -108,7 +108,7 @@ def place_of(key: str) -> str:
     return f"joint:{joint}" if joint else PLACES.get(name, name)
 
 
-def _shapes(search: Search, chosen: Choice) -> _Shapes:
+def _shapes(search: HypothesisSearch, chosen: Choice) -> _Shapes:
     found = search.fit(chosen)
     listed = general_shapes(found, search.rows)
     listed = [a for a in listed if a.columns.shape[2] < found.freedom - 1]
@@ -117,25 +117,26 @@ def _shapes(search: Search, chosen: Choice) -> _Shapes:
     weights = np.array([1.0 / (counts[place] * len(counts)) for place in places])
     columns = [search.rows.whiten(a.columns) for a in listed]
     full = dictionary(found.basis, columns, np.zeros(len(listed), dtype=bool), weights)
-    keep = np.flatnonzero((full.sizes > 0) & (full.shares > 0.02))
+    keep = np.flatnonzero((full.sizes > 0) & (full.norm_fractions > 0.02))
     against = full.subset(keep)
     residual = found.residual[:, None] - against.model_basis @ (against.model_basis.T @ found.residual[:, None])
-    falls, n = against.reductions(residual)[:, 0], len(residual)
-    left = np.maximum(1.0 - falls / found.squares, 1e-12)
+    reductions, n = against.reductions(residual)[:, 0], len(residual)
+    left = np.maximum(1.0 - reductions / found.squares, 1e-12)
     bic = search.bic(chosen) + n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights)
-    smallest = against.smallest_weighted(falls[:, None], np.square(residual).sum(axis=0))[0]
-    return _Shapes([listed[k] for k in keep], against, falls, bic, float(smallest))
+    smallest = against.smallest_weighted(reductions[:, None], np.square(residual).sum(axis=0))[0]
+    return _Shapes([listed[k] for k in keep], against, reductions, bic, float(smallest))
 
 
-def _adjusted(shapes: _Shapes, search: Search, chosen: Choice, generator: np.random.Generator) -> float:
+def _adjusted(shapes: _Shapes, search: HypothesisSearch, chosen: Choice, generator: np.random.Generator) -> float:
     """Adjusted p-value of the best shape under white Gaussian noise, if the wild bootstrap does not object.
 
     The wild bootstrap alone would have no power against a shape that moves a few postures only (their signs come out
-    alike too often), Gaussian noise alone would take scatter for waves; so the bootstrap is asked at `WILD` only.
+    alike too often), Gaussian noise alone would take scatter for waves; so the bootstrap is asked at `BOOTSTRAP_LEVEL`
+    only.
     """
     q, residual = shapes.against.model_basis, search.fit(chosen).residual
     drawn = wild_draws(residual, q, q, search.rows.dimension, DRAWS[0], generator)
-    scatter = _tail(shapes, drawn) * LEVEL / WILD
+    scatter = _tail(shapes, drawn) * LEVEL / BOOTSTRAP_LEVEL
     white = 1.0
     for draws in DRAWS:
         drawn = generator.standard_normal((len(q), draws))

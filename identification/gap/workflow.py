@@ -1,4 +1,4 @@
-"""Steps 2 to 6: screen, gate, rank, ambiguity, unknown; repeated until screening and naming agree."""
+"""Steps 2 to 6: screen, omnibus test, rank, ambiguity, unknown; repeated until screening and naming agree."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from identification.gap.fit import Fit
 from identification.gap.hypotheses import HypothesisSet
 from identification.gap.noise import Finding, outliers, screen, whitened
-from identification.gap.selection import Search, Selection, select
+from identification.gap.selection import HypothesisSearch, Selection, select
 from identification.gap.unmodelled import Unknown, find_unmodelled
 from identification.gap.whitening import Rows
 
@@ -27,7 +27,7 @@ class Findings:
     search : the fits, to the rows that were kept, with their noise model;  outlier : (m,) rows left out
     """
 
-    search: Search
+    search: HypothesisSearch
     selection: Selection
     unknown: Unknown
     scatter: tuple[Finding, ...]
@@ -49,15 +49,15 @@ def investigate(
     tell("fitting the base model")
     noisy = rows
     scatter: tuple[Finding, ...] = ()
-    outlier = outliers(Search(hypotheses, rows).fit(()), rows)
+    outlier = outliers(HypothesisSearch(hypotheses, rows).fit(()), rows)
     seen: list[tuple[object, ...]] = []
     for number in range(PASSES):
         tell(f"testing the effects, pass {number + 1}")
-        search = Search(hypotheses, noisy.pick(~outlier), strict_levels=bool(scatter))
+        search = HypothesisSearch(hypotheses, noisy.pick(~outlier), noise_estimated=bool(scatter))
         selection = select(search, draws, generator)
         again = outliers(search.fit(selection.chosen), noisy)
         plain = rows.pick(~again)
-        named = Search(hypotheses, plain).fit(selection.chosen)
+        named = HypothesisSearch(hypotheses, plain).fit(selection.chosen)
         new = screen(named, plain, generator)
         state = (*(f.name for f in new), *np.flatnonzero(again))
         if state == (*(f.name for f in scatter), *np.flatnonzero(outlier)) or state in seen:
@@ -99,7 +99,7 @@ def _explained(
     draws: int,
     generator: np.random.Generator,
 ) -> Findings:
-    search = Search(hypotheses, rows.pick(~outlier), strict_levels=bool(scatter))
+    search = HypothesisSearch(hypotheses, rows.pick(~outlier), noise_estimated=bool(scatter))
     selection = select(search, draws, generator)
     return Findings(search, selection, find_unmodelled(search, selection.chosen, generator), scatter, outlier)
 

@@ -39,7 +39,7 @@ def test_share_and_size_of_one_effect_from_its_own_model() -> None:
     added = columns[:, -1]
     left = added - columns[:, :-1] @ np.linalg.lstsq(columns[:, :-1], added, rcond=None)[0]
     k = result.names.index("gear_ratio:2")
-    assert result.shares[k] == pytest.approx(np.linalg.norm(left) / np.linalg.norm(added), rel=1e-8)
+    assert result.norm_fractions[k] == pytest.approx(np.linalg.norm(left) / np.linalg.norm(added), rel=1e-8)
     size = result.detectable["gear_ratio:2"]
     assert size.unit == "1"
     # the size is a length lambda between 3.5 and 6 standard deviations: 90 % power at 0.05 / (about 30 effects)

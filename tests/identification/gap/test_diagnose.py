@@ -17,7 +17,7 @@ from identification.errors import InputError
 from identification.gap.diagnose import describe, diagnose
 from identification.gap.hypotheses import hypotheses
 from identification.gap.result import Diagnosis
-from identification.gap.selection import Search
+from identification.gap.selection import HypothesisSearch
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 
@@ -308,7 +308,7 @@ def test_an_estimate_at_its_bound_has_an_interval() -> None:
     q = rng.uniform(-3.0, 3.0, (60, 1))
     tau = -9.81 * (10.0 * 0.15 + 5.0 * 0.3) * np.cos(q[:, 0])
     p = 300.0 * np.exp(1j * (q[:, 0] - 2e-5 * tau)) + 0.02 * rng.normal(size=(60, 2)) @ [1, 1j]
-    search = Search(hypotheses(arm, frozenset()), Rows.of(Measurements(q, np.column_stack([p.real, p.imag]))))
+    search = HypothesisSearch(hypotheses(arm, frozenset()), Rows.of(Measurements(q, np.column_stack([p.real, p.imag]))))
     chosen = tuple(h for h in search.hypotheses.members if h.key == "joint_compliance:1")
     (estimate,) = describe(search, chosen, 0.0, (1.0, 1.0)).parameters
     std = search.fit(chosen).sigma / (300.0 * np.sqrt(np.sum((tau - tau.mean()) ** 2)))

@@ -30,7 +30,7 @@ def test_f_and_p_are_those_of_two_nested_fits(seed: int, sizes: list[int]) -> No
     tested = dictionary(basis(jacobian), columns, np.zeros(len(sizes), dtype=bool), np.ones(len(sizes)))
     q = basis(jacobian)
     residual = (y - q @ (q.T @ y))[:, None]
-    falls = tested.reductions(residual)
+    reductions = tested.reductions(residual)
     squares = np.square(residual).sum(axis=0)
     for k, added in enumerate(columns):
         scaled = jacobian / np.linalg.norm(jacobian, axis=0)
@@ -39,8 +39,8 @@ def test_f_and_p_are_those_of_two_nested_fits(seed: int, sizes: list[int]) -> No
         with_it = np.linalg.lstsq(both, y, rcond=None)[1][0]
         d, rest = added.shape[1], 40 - 6 - added.shape[1]
         f = (without - with_it) / d / (with_it / rest)
-        assert tested.f_values(falls, squares)[k, 0] == pytest.approx(f, rel=1e-6)
-        assert tested.p_values(falls, squares)[k, 0] == pytest.approx(stats.f.sf(f, d, rest), rel=1e-5)
+        assert tested.f_values(reductions, squares)[k, 0] == pytest.approx(f, rel=1e-6)
+        assert tested.p_values(reductions, squares)[k, 0] == pytest.approx(stats.f.sf(f, d, rest), rel=1e-5)
 
 
 def test_forbidden_sign_is_no_evidence_and_the_allowed_one_is_a_one_sided_t_test() -> None:
@@ -77,9 +77,9 @@ def test_smallest_weighted_p_value_is_the_smallest_over_all() -> None:
     q = basis(jacobian)
     drawn = np.random.default_rng(8).normal(size=(40, 30))
     drawn -= q @ (q.T @ drawn)
-    falls, squares = tested.reductions(drawn), np.square(drawn).sum(axis=0)
-    expected = (tested.p_values(falls, squares) / weights[:, None]).min(axis=0)
-    np.testing.assert_allclose(tested.smallest_weighted(falls, squares), expected)
+    reductions, squares = tested.reductions(drawn), np.square(drawn).sum(axis=0)
+    expected = (tested.p_values(reductions, squares) / weights[:, None]).min(axis=0)
+    np.testing.assert_allclose(tested.smallest_weighted(reductions, squares), expected)
 
 
 def test_subset_keeps_the_columns_of_its_members() -> None:

@@ -43,7 +43,7 @@ def test_draws_are_orthogonal_to_the_model_and_keep_each_postures_direction() ->
 
 
 def _rejections(scale: np.ndarray, sets: int) -> float:
-    """Share of null data sets that the gate opens for at 5 %, with noise of the given size per posture."""
+    """Fraction of null data sets that the test rejects at 5 %, with noise of the given size per posture."""
     rng = np.random.default_rng(3)
     count = 0
     for _ in range(sets):
@@ -63,7 +63,7 @@ def test_level_holds_for_equal_and_for_unequal_noise() -> None:
     assert _rejections(np.linspace(0.5, 2.0, 30), 400) < 0.10
 
 
-def test_a_clear_effect_opens_the_gate() -> None:
+def test_a_clear_effect_is_significant() -> None:
     rng = np.random.default_rng(4)
     jacobian, columns = rng.normal(size=(60, 6)), [rng.normal(size=(60, 1)) for _ in range(8)]
     tested = dictionary(basis(jacobian), columns, np.zeros(8, dtype=bool), np.ones(8))
