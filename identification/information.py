@@ -102,7 +102,7 @@ def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE) 
 
 
 def covariance(jacobian: Array, scales: Array, sigma: float = 1.0, tolerance: float = RANK_TOLERANCE) -> Array:
-    """(p, p) sigma^2 (sum J^T J)^-1 (eq. 17) on the estimable directions: see `Spectrum.covariance`."""
+    """(p, p) sigma^2 (sum J^T J)^-1 (eq. 16) on the estimable directions: see `Spectrum.covariance`."""
     return sigma**2 * spectrum(jacobian, scales, tolerance).covariance
 
 

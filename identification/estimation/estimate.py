@@ -35,7 +35,7 @@ def estimate(
     sigma: ArrayLike | Literal["estimated"] | None = None,
     weights: ArrayLike | None = None,
 ) -> Identification:
-    """Least-squares estimates of the model's parameters (eq. 3), with covariance (eq. 17) and 95 % intervals.
+    """Least-squares estimates of the model's parameters (eq. 3), with covariance (eq. 16) and 95 % intervals.
 
     method : `linear` (closed form, the default where the model is linear in its links), `gauss_newton` (the default
         for every other model) or `paper_steps`

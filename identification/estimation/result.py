@@ -27,7 +27,7 @@ class Identification:
 
     parameters : (p,) estimates; along what is not estimable, values of the size of the others (from the nominal arm and
         the model without effects), good for computing positions and for nothing else
-    covariance : (p, p) sigma^2 (sum J^T W J)^-1 (eq. 17), zero along what is not estimable; NaN if sigma is unknown and
+    covariance : (p, p) sigma^2 (sum J^T W J)^-1 (eq. 16), zero along what is not estimable; NaN if sigma is unknown and
         no equation is left over to estimate it
     identifiable : (p,) True where the parameter itself is estimable from the data
     not_identifiable : combinations of parameters that cannot be told apart, in words

@@ -45,7 +45,7 @@ def test_certificate_of_any_weights() -> None:
     assert found.bound is not None
     assert found.bound.value == pytest.approx(found.log_det + 8.0 * np.log(d.max() / 8.0), abs=1e-10)
     assert found.bound.source == "grid"
-    assert found.bound.value >= 4.0 * np.log(np.sin(np.radians(80.0)))  # the optimum (section 4) is on this grid
+    assert found.bound.value >= 4.0 * np.log(np.sin(np.radians(80.0)))  # the optimum is on this grid
 
 
 @pytest.mark.parametrize("status", [s for s in Status if s is not Status.converged])
