@@ -8,7 +8,8 @@ takes its derivatives by finite differences.
 The error of a revolute joint's axis is a translation and a rotation along the two directions across it, that of a
 prismatic joint's a rotation across it, that of the tip a translation. Four, two and three parameters are all that
 positions of the tip can tell: the others only move a frame along, or turn it about, its own axis (Everett, Driels and
-Mooring 1987: 4 R + 2 P + 3 for positions). A scale error of the prismatic joint comes beside them.
+Mooring 1987: 4 R + 2 P + 3 for positions). Effects are a scale error and an eccentric encoder of a joint: q becomes
+q + scale q + encoder_cos cos q + encoder_sin sin q.
 """
 
 from __future__ import annotations
@@ -99,7 +100,9 @@ class SpatialModel:
         if word.startswith("rotation"):
             return Parameter(name, "rad", scale=300.0, kind="rotation_error", joint=joint)
         if word == "scale":
-            return Parameter(name, "1", scale=200.0, kind="effect", joint=joint)
+            return Parameter(name, "1", scale=200.0, joint=joint)
+        if word.startswith("encoder"):
+            return Parameter(name, "rad", scale=300.0, joint=joint)
         return Parameter(name, "mm", kind="translation_error", joint=joint)
 
     @property
@@ -160,8 +163,8 @@ class SpatialModel:
     def jacobian(self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Any = None) -> Array:
         return self.linearize(postures, parameters)[1]
 
-    def points(self, postures: Array) -> Array:
-        return np.array([chain_points(self, posture, self.values) for posture in postures])
+    def points(self, postures: ArrayLike) -> Array:
+        return chain_points(self, np.asarray(postures), self.values)
 
     # -- the chain in CasADi -----------------------------------------------------------------------------------------
     def _symbolic(self, q: ca.SX, p: ca.SX) -> list[ca.SX]:
@@ -173,11 +176,14 @@ class SpatialModel:
             place = place + frame @ (ca.DM(joint.offset) + ca.vertcat(*shift))
             for axis in AXES:
                 frame = frame @ symbolic_turn(axis, error.get(f"rotation_{axis}:{j + 1}", 0.0))
+            scale, cosine, sine = (
+                error.get(f"{name}:{j + 1}", 0.0) for name in ("scale", "encoder_cos", "encoder_sin")
+            )
+            motion = q[j] * (1.0 + scale) + cosine * ca.cos(q[j]) + sine * ca.sin(q[j])
             if joint.type == "revolute":
-                frame = frame @ symbolic_turn(joint.axis, q[j])
+                frame = frame @ symbolic_turn(joint.axis, motion)
             else:
-                stroke = q[j] * (1.0 + error.get(f"scale:{j + 1}", 0.0))
-                place = place + stroke * frame[:, AXES.index(joint.axis)]
+                place = place + motion * frame[:, AXES.index(joint.axis)]
             points.append(place)
         shift = [error.get(f"tool.{axis}", 0.0) for axis in AXES]
         return [*points, place + frame @ (ca.DM(self.tip) + ca.vertcat(*shift))]
@@ -196,28 +202,29 @@ def symbolic_turn(axis: str, angle: Any) -> ca.SX:
 
 
 # -- the oracle: the same chain in numpy, derivatives by finite differences ------------------------------------------
-def chain_points(model: SpatialModel, posture: Array, values: Array) -> Array:
-    """(n + 2, 3) base, places of the joints, tip [mm] of one posture."""
+def chain_points(model: SpatialModel, postures: Array, values: Array) -> Array:
+    """(m, n + 2, 3) base, places of the joints, tip [mm] of postures (m, n)."""
     error = dict(zip(model.names, np.asarray(values).tolist(), strict=True))
-    place, frame, points = np.zeros(3), Rotation.identity(), [np.zeros(3)]
-    for j, (joint, q) in enumerate(zip(model.chain, posture, strict=True)):
+    place, frame = np.zeros((len(postures), 3)), Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (len(postures), 1)))
+    points = [place]
+    for j, (joint, q) in enumerate(zip(model.chain, postures.T, strict=True)):
         place = place + frame.apply(np.array(joint.offset) + [error.get(f"translation_{a}:{j + 1}", 0.0) for a in AXES])
         for axis in AXES:
             frame = frame * Rotation.from_euler(axis, error.get(f"rotation_{axis}:{j + 1}", 0.0))
+        scale, cosine, sine = (error.get(f"{name}:{j + 1}", 0.0) for name in ("scale", "encoder_cos", "encoder_sin"))
+        motion = q + scale * q + cosine * np.cos(q) + sine * np.sin(q)
         if joint.type == "revolute":
-            frame = frame * Rotation.from_euler(joint.axis, q)
+            frame = frame * Rotation.from_euler(joint.axis, motion[:, None])
         else:
-            direction = np.eye(3)[AXES.index(joint.axis)]
-            place = place + frame.apply(direction) * q * (1.0 + error.get(f"scale:{j + 1}", 0.0))
+            place = place + motion[:, None] * frame.apply(np.eye(3)[AXES.index(joint.axis)])
         points.append(place)
     tip = np.array(model.tip) + [error.get(f"tool.{a}", 0.0) for a in AXES]
-    return np.array([*points, place + frame.apply(tip)])
+    return np.stack([*points, place + frame.apply(tip)], axis=1)
 
 
 def tip_positions(model: SpatialModel, postures: Array, values: Array | None = None) -> Array:
     """(m, 3) positions of the tip [mm]."""
-    chosen = model.values if values is None else values
-    return np.array([chain_points(model, posture, chosen)[-1] for posture in postures])
+    return chain_points(model, postures, model.values if values is None else values)[:, -1]
 
 
 def difference_jacobian(model: SpatialModel, postures: Array, values: Array | None = None) -> Array:
