@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -137,7 +137,7 @@ class Design:
             "certified_optimal": self.certified_optimal,
             "not_identifiable": [] if self.identifies_all else list(self.not_identifiable),
             "outside_limits": list(self.outside),
-            "postures_deg": np.degrees(self.plan.postures).tolist(),
+            **postures_json(self.plan),
             "table_1_max_residual": _number(self.table_1_max_residual),
             "std": _deviations_json(self.deviations),
             **({} if worst is None else {"std_worst_draw": _deviations_json(over_draws(worst, np.max))}),
@@ -158,10 +158,10 @@ class Design:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        head = "".join(f"<th>q{j + 1} [deg]</th>" for j in range(self.plan.links))
+        head = "".join(f"<th>q{j} [{unit}]</th>" for j, unit in enumerate(self.plan.units, start=1))
         rows = "".join(
             f"<tr><td>{run}</td>" + "".join(f"<td>{angle:.2f}</td>" for angle in posture) + "</tr>"
-            for run, posture in enumerate(np.degrees(self.plan.postures), start=1)
+            for run, posture in enumerate(self.plan.displayed, start=1)
         )
         return f"<pre>{self}</pre><table><tr><th>run</th>{head}</tr>{rows}</table>"
 
@@ -181,6 +181,7 @@ def given_plan(problem: DesignProblem, plan: Plan | ArrayLike) -> Plan:
     """The plan itself, or of its postures (m, n) [rad]. Raises `InputError` for what is no plan of this arm."""
     try:
         given = plan if isinstance(plan, Plan) else Plan(np.asarray(plan, dtype=float))
+        given = replace(given, joint_types=problem.model.joint_types)
     except (TypeError, ValueError):
         raise InputError(f"plan: {plan!r:.40}, allowed: an array (m, {problem.joints}) of joint angles [rad]") from None
     if given.postures.ndim != 2 or given.links != problem.joints:
@@ -192,6 +193,13 @@ def given_plan(problem: DesignProblem, plan: Plan | ArrayLike) -> Plan:
 
 def _number(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)
+
+
+def postures_json(plan: Plan) -> dict[str, Any]:
+    """`postures_deg`, or `postures` with `joint_units` where a joint is prismatic."""
+    if not plan.joint_types:
+        return {"postures_deg": plan.displayed.tolist()}
+    return {"postures": plan.displayed.tolist(), "joint_units": list(plan.units)}
 
 
 def _deviations_json(deviations: ExpectedDeviations | None) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.effects import Chain, Effect, build_all, known_values
 from identification.errors import InputError
-from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, ParameterSet, chain_parameters
+from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, ParameterSet, chain_parameters
 from identification.kinematics.planar import (
     DIMENSION,
     joint_points,
@@ -110,7 +110,7 @@ class Model:
     @property
     def joint_types(self) -> tuple[str, ...]:
         """(n) `revolute`, every one."""
-        return ("revolute",) * self.joints
+        return (REVOLUTE,) * self.joints
 
     @property
     def sigma(self) -> float | None:

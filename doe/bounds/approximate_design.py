@@ -46,7 +46,11 @@ class ApproximateDesign:
     seconds: float
 
     def to_json(self) -> dict[str, Any]:
-        """Keys of `relax` (identification/files/README.md, "JSON keys"); angles in degrees."""
+        """Keys of `relax` (identification/files/README.md, "JSON keys"); angles in degrees.
+
+        Where a joint is prismatic, `posture` and `joint_units` stand for `posture_deg`.
+        """
+        key = "posture" if self.plan.joint_types else "posture_deg"
         return {
             "candidates": self.candidates,
             "criterion": self.criterion,
@@ -56,9 +60,10 @@ class ApproximateDesign:
             "gap": _finite(self.gap),
             "efficiency_lower_bound": _finite(self.efficiency_lower_bound),
             "support": [
-                {"posture_deg": np.degrees(posture).tolist(), "weight": float(weight)}
-                for posture, weight in zip(self.plan.postures, self.plan.shares, strict=True)
+                {key: posture.tolist(), "weight": float(weight)}
+                for posture, weight in zip(self.plan.displayed, self.plan.shares, strict=True)
             ],
+            **({"joint_units": list(self.plan.units)} if self.plan.joint_types else {}),
             "solver": self.solver,
             "status": self.status.name,
             "solver_status": self.solver_status,
@@ -75,10 +80,10 @@ class ApproximateDesign:
 
     def _repr_html_(self) -> str:
         rows = "".join(
-            f"<tr><td>{w:.4f}</td>" + "".join(f"<td>{a:.2f}</td>" for a in np.degrees(q)) + "</tr>"
-            for q, w in zip(self.plan.postures, self.plan.shares, strict=True)
+            f"<tr><td>{w:.4f}</td>" + "".join(f"<td>{a:.2f}</td>" for a in q) + "</tr>"
+            for q, w in zip(self.plan.displayed, self.plan.shares, strict=True)
         )
-        head = "".join(f"<th>q{j + 1} [deg]</th>" for j in range(self.plan.links))
+        head = "".join(f"<th>q{j} [{unit}]</th>" for j, unit in enumerate(self.plan.units, start=1))
         return f"<pre>{self}</pre><table><tr><th>weight</th>{head}</tr>{rows}</table>"
 
 

@@ -144,7 +144,7 @@ def continuous_price(everything: ContinuousSet, generator: np.random.Generator |
     def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
         postures, values = everything.best(gradient, near, generator)
         # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
-        apart = distinct(postures, NEAR * np.sqrt(max(values[0] / level - 1.0, 0.0)))
+        apart = distinct(everything.problem.comparable(postures), NEAR * np.sqrt(max(values[0] / level - 1.0, 0.0)))
         postures, values = postures[apart], values[apart]
         return _worth_adding(postures, values, level, 10 * everything.problem.parameters, 0.0)
 

@@ -128,7 +128,7 @@ class ContinuousSet:
         postures = self.climb(np.concatenate([near, top]), gradient)
         values = self.sensitivities(postures, gradient)
         order = np.argsort(-values)
-        order = order[distinct(postures[order])]
+        order = order[distinct(self.problem.comparable(postures[order]))]
         return postures[order], values[order]
 
     def climb(self, postures: Array, gradient: Array) -> Array:
@@ -142,23 +142,23 @@ class ContinuousSet:
             some = q[first :: len(BARRIERS)]
             for barrier in barriers:
                 some = self._ascend(some, gradient, barrier * scale)
-                some = some[distinct(some, ALIKE)]  # most starts share a maximum
+                some = some[distinct(self.problem.comparable(some), ALIKE)]  # most starts share a maximum
             ends.append(some)
         return np.concatenate(ends)
 
     def _ascend(self, q: Array, gradient: Array, barrier: float) -> Array:
         """Newton steps with a reach per posture, which grows with success and shrinks with failure."""
-        q, values = q.copy(), self._height(q, gradient, barrier)
+        units, q, values = self.problem.joint_units, q.copy(), self._height(q, gradient, barrier)
         reach = np.full(len(q), LONGEST)
         moving = np.flatnonzero(np.isfinite(values))
         for _ in range(STEPS):
             if not len(moving):
                 break
             slope, hessian = self._slopes(q[moving], gradient, barrier)
-            step = self._newton_step(q[moving], slope, hessian)
+            step = self._newton_step(q[moving], slope * units, hessian * units[:, None] * units)
             length = np.abs(step).max(axis=1)
             step *= np.minimum(1.0, reach[moving] / np.maximum(length, 1e-300))[:, None]
-            trial = self.problem.clip(q[moving] + step)
+            trial = self.problem.clip(q[moving] + step * units)
             heights = self._height(trial, gradient, barrier)
             gain = heights - values[moving]
             better = gain > 0.0
@@ -191,7 +191,7 @@ class ContinuousSet:
         return slope, hessian + barrier * (bend.sum(axis=1) - np.swapaxes(relative, 1, 2) @ relative)
 
     def _newton_step(self, q: Array, slope: Array, hessian: Array) -> Array:
-        """(m, n) ascent directions: |eigenvalues| of the Hessian, joints held at a limit left out."""
+        """(m, n) ascent directions: |eigenvalues| of the Hessian, joints held at a limit left out; in joint units."""
         span = self.problem.upper - self.problem.lower
         held = ((q >= self.problem.upper - 1e-12 * span) & (slope > 0)) | (
             (q <= self.problem.lower + 1e-12 * span) & (slope < 0)

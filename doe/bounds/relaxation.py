@@ -88,7 +88,7 @@ def _one_program(
     weights = proper_weights(answer.weights)
     support = np.flatnonzero(weights > CARRIED)
     support = support[np.argsort(-weights[support], kind="stable")]
-    plan = Plan(candidates.take(support), proper_weights(weights[support]))
+    plan = Plan(candidates.take(support), proper_weights(weights[support]), problem.model.joint_types)
     gradient = answer.gradient
     if gradient is None:
         gradient = problem.criterion.gradient(prior.mixture(problem.scaled_jacobians(plan.postures), plan.shares))

@@ -138,7 +138,7 @@ def _extend(
     carrying = np.flatnonzero(working.sparse > 0.0) if purge else np.arange(len(working.postures))
     postures = np.concatenate([working.postures[carrying], offers])
     jacobians = np.concatenate([working.jacobians[carrying], problem.scaled_jacobians(offers)])
-    once = np.sort(distinct(postures))
+    once = np.sort(distinct(problem.comparable(postures)))
     return _solve(problem, prior, postures[once], jacobians[once], accuracy)
 
 
@@ -155,7 +155,7 @@ def sparse_design(problem: DesignProblem, prior: PriorInformation, working: Work
     """The plan that is reported; what is proven is proven of it, not of the weights that the loop ended with."""
     weights = working.sparse
     order = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
-    plan = Plan(working.postures[order], weights[order])
+    plan = Plan(working.postures[order], weights[order], problem.model.joint_types)
     information = prior.mixture(problem.scaled_jacobians(plan.postures), plan.shares)
     dual = problem.criterion.name == "E"  # any gradient of unit trace bounds it; that of the dual program is the best
     gradient = working.solution.gradient if dual else problem.criterion.gradient(information)

@@ -80,7 +80,7 @@ def command(
         design = _ordered(design, search.order, session.seed, data, extra)
     extra += output.write(plan_text(design.plan), "plan")
     output.draw_plan(loaded, design.plan.postures)
-    return Answer(design.to_json() | data, [*design_tables(loaded, design), *extra])
+    return Answer(design.to_json() | data, [*design_tables(design), *extra])
 
 
 def _searched(

@@ -39,7 +39,7 @@ def command(session: Session, arm: Path, plan: Path, aliases: Path | None, outpu
     output.draw_plan(loaded, given.postures)
     indices = observability(design.problem, given.postures)
     data = design.to_json() | {"observability": indices.to_json(), "preflight": preflight}
-    return Answer(data, [*design_tables(loaded, design), observability_line(indices), *tables])
+    return Answer(data, [*design_tables(design), observability_line(indices), *tables])
 
 
 def _scored(arm: Arm, given: Plan, path: Path) -> Design:

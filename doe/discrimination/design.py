@@ -21,7 +21,6 @@ from doe.criteria import D
 from doe.design import Design
 from doe.discrimination.effect_library import EffectLibrary, effect_library
 from doe.discrimination.swaps import ExtendedProblem, extended_problem, improving_swaps, pool_of, repeats
-from doe.plan.plan import Plan
 from doe.plan.replicate_spacing import spread_free_joints
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, solve
@@ -104,7 +103,7 @@ def discrimination_design(
     generator = np.random.default_rng(seed)
     wide = extended_problem(problem, library)
     chosen, status = search(problem, wide, best, loss, generator, budget, progress)
-    plan = Plan(best_order(library, chosen, generator))
+    plan = replace(best.plan, postures=best_order(library, chosen, generator))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
     bounds = wide.wrong(chosen), wide.wrong(best.plan.postures), wide.at_random(runs)
     sees = seen(problem, library, plan.postures)

@@ -51,7 +51,15 @@ class ExpectedDeviations:
     @property
     def largest_length(self) -> float:
         """Largest of a length of the arm's geometry [mm]; zero where none is estimated."""
-        chosen = [p.unit == "mm" and p.kind != EFFECT for p in self.parameters]
+        return self._largest("mm")
+
+    @property
+    def largest_angle(self) -> float:
+        """Largest of an angle of the arm's geometry [rad]: of a joint offset, of a planar chain."""
+        return self._largest("rad")
+
+    def _largest(self, unit: str) -> float:
+        chosen = [p.unit == unit and p.kind != EFFECT for p in self.parameters]
         return float(np.max(self.values[chosen], initial=0.0))
 
     def _by_joint(self, kind: str) -> Array:

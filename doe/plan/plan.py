@@ -7,20 +7,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.arrays import Array, ByValue, readonly
+from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, REVOLUTE
 
 
 @dataclass(frozen=True, eq=False)
 class Plan(ByValue):
     """m postures of an n-link arm.
 
-    postures : (m, n) joint angles [rad]
+    postures : (m, n) joint angles [rad], of prismatic joints positions [mm]
     weights : (m,) shares of the measurements, summing to one, None: an exact plan, every row is one measurement
+    joint_types : (n) `revolute` or `prismatic`, empty: all revolute
     """
 
     postures: Array
     weights: Array | None = None
+    joint_types: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        if set(self.joint_types) == {REVOLUTE}:
+            object.__setattr__(self, "joint_types", ())
         object.__setattr__(self, "postures", readonly(np.atleast_2d(self.postures)))
         if self.weights is not None:
             object.__setattr__(self, "weights", readonly(self.weights))
@@ -32,6 +37,20 @@ class Plan(ByValue):
     def links(self) -> int:
         """n, the number of joints."""
         return int(self.postures.shape[1])
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """(n) units in which people read the joints: deg, or mm."""
+        return tuple(FILE_UNITS[unit][0] for unit in self._units)
+
+    @property
+    def displayed(self) -> Array:
+        """(m, n) postures in `units`."""
+        return readonly(self.postures * [FILE_UNITS[unit][1] for unit in self._units])
+
+    @property
+    def _units(self) -> list[str]:
+        return [JOINT_UNITS[joint_type] for joint_type in self.joint_types or (REVOLUTE,) * self.links]
 
     @property
     def shares(self) -> Array:

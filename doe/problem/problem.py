@@ -20,12 +20,11 @@ from doe.problem.prior import PriorInformation
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.information import information_matrix
-from identification.kinematics.parameters import ParameterSet
+from identification.kinematics.parameters import PRISMATIC, ParameterSet
 from identification.model import Model
 from identification.vectorize import vectorize
 
 ONE_DEGREE = float(np.radians(1.0))
-PRISMATIC = "prismatic"
 
 
 class InformationModel(Protocol):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 from rich.text import Text
@@ -36,18 +37,18 @@ def advice_figure(advice: Advice) -> Figure:
 def advice_tables(advice: Advice) -> list[Any]:
     """The answer in one sentence, then a row per number of runs."""
     table = Table()
-    for heading in ("runs", "efficiency", "at the bound", "largest std of a length [mm]", "of a joint offset [deg]"):
+    for heading in ("runs", "efficiency", "at the bound", "largest std of a length [mm]", "of an angle [deg]"):
         table.add_column(Text(heading), justify="right")
     good = set(advice.efficient_runs())
     for design in advice.designs:
-        offsets = design.to_json()["std"]["joint_offset_deg"]
+        angle = None if design.deviations is None else float(np.degrees(design.deviations.largest_angle))
         m = len(design.plan)
         table.add_row(
             str(m),
             number(design.efficiency, 5),
             "yes" if m in good else "",
             number(advice.accuracy(design), 5),
-            number(max(offsets) if offsets else None, 5),
+            number(angle, 5),
         )
     return [Text(sentence(advice), style="bold"), table]
 

@@ -32,13 +32,11 @@ def relax_tables(design: ApproximateDesign) -> list[Any]:
 def support_table(design: ApproximateDesign) -> Table:
     """Postures and weights, heaviest first."""
     table = Table(title="Support", title_justify="left")
-    for heading in ("weight", *(f"q{j + 1} [deg]" for j in range(design.plan.links))):
+    for heading in ("weight", *(f"q{j} [{unit}]" for j, unit in enumerate(design.plan.units, start=1))):
         table.add_column(Text(heading), justify="right")
     order = np.argsort(-design.plan.shares, kind="stable")
     for k in order[:MOST]:
-        table.add_row(
-            f"{design.plan.shares[k]:.5f}", *(f"{angle:.2f}" for angle in np.degrees(design.plan.postures[k]))
-        )
+        table.add_row(f"{design.plan.shares[k]:.5f}", *(f"{angle:.2f}" for angle in design.plan.displayed[k]))
     if len(order) > MOST:
         table.caption = f"heaviest {MOST} of {len(order)}; --out writes all"
     return table

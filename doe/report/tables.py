@@ -9,10 +9,11 @@ from rich.table import Table
 from rich.text import Text
 
 from doe.design import Design
+from doe.plan.expected_accuracy import ExpectedDeviations, over_draws
 from doe.plan.observability import Observability
 from doe.plan.order import Ordered
 from doe.plan.replicate_spacing import distance_to_keep
-from identification.arm import Arm
+from identification.arrays import Array
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -24,35 +25,45 @@ def plan_table(design: Design, most: int = 24) -> Table:
     """The postures in degrees, one row per run; long plans are cut, the file has them all."""
     table = Table(title="Plan", title_justify="left")
     table.add_column("run", justify="right")
-    for joint in range(design.plan.links):
-        table.add_column(Text(f"q{joint + 1} [deg]"), justify="right")
-    for run, posture in enumerate(np.degrees(design.plan.postures[:most]), start=1):
+    for joint, unit in enumerate(design.plan.units, start=1):
+        table.add_column(Text(f"q{joint} [{unit}]"), justify="right")
+    for run, posture in enumerate(design.plan.displayed[:most], start=1):
         table.add_row(str(run), *(f"{angle:.3f}" for angle in posture))
     if len(design.plan) > most:
         table.caption = f"first {most} of {len(design.plan)} runs; --out writes all"
     return table
 
 
-def accuracy_table(arm: Arm, data: dict[str, Any]) -> Table | str:
-    """Expected standard deviations per link, or a sentence that says why there are none."""
-    deviations = [data["std"][key] for key in ("length_mm", "orientation_deg", "joint_offset_deg")]
-    if arm.sigma is None:
+def accuracy_table(design: Design) -> Table | str:
+    """Expected standard deviations per link of a planar arm, else per parameter; or why there are none."""
+    sigma, mean = design.problem.model.sigma, design.deviations
+    if sigma is None:
         return "No expected standard deviations: the arm file has no sigma_mm."
-    if any(d is None for d in deviations):
+    if mean is None:
         return "No expected standard deviations: not every parameter is estimable from the plan."
-    worst = data.get("std_worst_draw")
-    over = "" if worst is None else ", mean over the draws of the arm and worst of them"
-    table = Table(title=f"Expected standard deviations (sigma = {arm.sigma:g} mm{over})", title_justify="left")
-    table.add_column("link", justify="right")
-    headings = ["length [mm]", "orientation [deg]", "joint offset [deg]"]
-    if worst is not None:
-        headings += [f"worst {heading}" for heading in headings]
-        deviations += list(worst.values())
-    for heading in headings:
+    each = design.deviations_per_draw
+    over = "" if each is None else ", mean over the draws of the arm and worst of them"
+    table = Table(title=f"Expected standard deviations (sigma = {sigma:g} mm{over})", title_justify="left")
+    found = [deviation_columns(one) for one in ([mean] if each is None else [mean, over_draws(each, np.max)])]
+    headings = [*found[0], *(f"worst {heading}" for columns in found[1:] for heading in columns)]
+    for heading in ("link" if mean.planar else "parameter", *headings):
         table.add_column(Text(heading), justify="right")
-    for j, row in enumerate(zip(*deviations, strict=True), start=1):
-        table.add_row(str(j), *(number(v, 5) for v in row))
+    values = zip(*(column for columns in found for column in columns.values()), strict=True)
+    rows = range(1, mean.length.size + 1) if mean.planar else [f"{p.name} [{p.file_unit}]" for p in mean.parameters]
+    for row, figures in zip(rows, values, strict=True):
+        table.add_row(Text(str(row)), *(number(v, 5) for v in figures))
     return table
+
+
+def deviation_columns(deviations: ExpectedDeviations) -> dict[str, Array]:
+    """Heading -> figures in the units of files, (n,) per link of a planar arm, else (p,) per parameter."""
+    if not deviations.planar:
+        return {"std": deviations.values * [p.to_file for p in deviations.parameters]}
+    return {
+        "length [mm]": deviations.length,
+        "orientation [deg]": np.degrees(deviations.orientation),
+        "joint offset [deg]": np.degrees(deviations.joint_offset),
+    }
 
 
 def summary_table(data: dict[str, Any], sentence: str) -> Table:
@@ -108,7 +119,7 @@ def certified(data: dict[str, Any], most: int = 10) -> str:
     return "yes" if data["certified_optimal"] else "not proven"
 
 
-def design_tables(arm: Arm, design: Design) -> list[Any]:
+def design_tables(design: Design) -> list[Any]:
     """Everything about a plan, the summary first."""
     data = design.to_json()
     return [
@@ -116,7 +127,7 @@ def design_tables(arm: Arm, design: Design) -> list[Any]:
         *not_estimable_line(design),
         *repeats_line(design),
         plan_table(design),
-        accuracy_table(arm, data),
+        accuracy_table(design),
     ]
 
 

@@ -97,5 +97,6 @@ def design_of(
             f"design: no plan that identifies all {problem.parameters} parameters was found by {solver.name}"
         )
     generator = np.random.default_rng([seed, len(result.postures)])
-    plan = Plan(problem.clip(spread_free_joints(problem, result.postures, generator)))
+    postures = problem.clip(spread_free_joints(problem, result.postures, generator))
+    plan = Plan(postures, joint_types=problem.model.joint_types)
     return Design(problem, plan, bound, result.status, solver.name, result.starts, perf_counter() - began)

@@ -27,6 +27,9 @@ FILE_UNITS: Mapping[str, tuple[str, float, str]] = MappingProxyType(
         "rad/session": ("deg/session", 180.0 / np.pi, "_deg"),
     }
 )
+# types of joints -> unit of their positions in the API
+REVOLUTE, PRISMATIC = "revolute", "prismatic"
+JOINT_UNITS: Mapping[str, str] = MappingProxyType({REVOLUTE: "rad", PRISMATIC: "mm"})
 # kinds of parameters; those of the chain belong to a joint, those of the effects may
 LENGTH_ERROR, JOINT_OFFSET, EFFECT = "length_error", "joint_offset", "effect"
 

@@ -12,6 +12,7 @@ from itertools import combinations, permutations
 import casadi as ca
 import numpy as np
 import pytest
+from rich.table import Table
 from scipy.stats import norm
 
 from doe.advise import advise
@@ -27,6 +28,7 @@ from doe.plan.order import ordered, travel
 from doe.plan.replicate_spacing import too_near
 from doe.problem.bayesian import deviated_draws, ensemble_problem
 from doe.problem.constraints import Expression, InsideBox, OutsideSphere
+from doe.report.tables import accuracy_table, design_tables
 from doe.solvers import score_plan, solve
 from doe.studies.comparison import judged
 from identification.arrays import Array
@@ -264,6 +266,14 @@ def test_postures_in_the_units_of_their_joints() -> None:
     assert data["joint_units"] == ["deg", "deg", "mm", "deg"]
     assert "postures_deg" not in data
     assert "q3 [mm]" in design._repr_html_()
+    shown = accuracy_table(design)
+    assert isinstance(shown, Table)
+    names = [str(cell) for cell in shown.columns[0].cells]
+    assert names[:3] == ["translation_x:2 [mm]", "translation_z:2 [mm]", "rotation_x:2 [deg]"]
+    assert design_tables(design)
+    weighted = relax(spatial(), candidates()[:8])
+    row = weighted.to_json()["support"][0]
+    np.testing.assert_allclose(row["posture"], weighted.plan.postures[0] * [180 / np.pi, 180 / np.pi, 1, 180 / np.pi])
 
 
 def test_the_shortest_travel() -> None:

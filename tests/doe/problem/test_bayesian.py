@@ -128,7 +128,7 @@ def test_expected_deviations_are_those_of_every_arm_by_itself() -> None:
         np.testing.assert_allclose(data[key]["length_mm"], length, rtol=1e-8)
         np.testing.assert_allclose(data[key]["orientation_deg"], np.degrees(turn), rtol=1e-8)
         np.testing.assert_allclose(data[key]["joint_offset_deg"], np.degrees(joint), rtol=1e-8)
-    table = accuracy_table(ARM, data)
+    table = accuracy_table(design)
     assert isinstance(table, Table)
     assert len(table.columns) == 7
     assert "std_worst_draw" not in score(DesignProblem.of(MODEL), plan).to_json()
