@@ -30,7 +30,7 @@ from doe.problem.bayesian import deviated_draws, ensemble_problem
 from doe.problem.constraints import Expression, InsideBox, OutsideSphere
 from doe.report.tables import accuracy_table, design_tables
 from doe.solvers import score_plan, solve
-from doe.studies.comparison import judged
+from doe.studies.comparison import evaluated
 from identification.arrays import Array
 from tests.doe.spatial import (
     LARGE_MODEL,
@@ -252,7 +252,7 @@ def test_a_plan_is_scored_and_compared_as_the_oracle_does() -> None:
     assert scored.value == pytest.approx(log_det(difference_information(SpatialModel(), plan)), abs=1e-5)
     assert scored.efficiency is not None
     assert 0.0 < scored.efficiency < 1.0
-    row = judged(problem, 6, scored)
+    row = evaluated(problem, 6, scored)
     assert row["correct"]
     assert row["violation"] == 0.0
     assert row["efficiency"] == scored.efficiency
