@@ -20,6 +20,7 @@ from doe.bounds.approximate_design import ApproximateDesign
 from doe.bounds.column_generation import continuous_design
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.bounds.relaxation import relax
+from doe.design import score_plan
 from doe.discrimination.design import discrimination_design
 from doe.discrimination.effect_library import EffectLibrary
 from doe.discrimination.swaps import CLOUD, pool_of
@@ -29,7 +30,7 @@ from doe.plan.replicate_spacing import too_near
 from doe.problem.bayesian import deviated_draws, ensemble_problem
 from doe.problem.constraints import Expression, InsideBox, OutsideSphere
 from doe.report.tables import accuracy_table, design_tables
-from doe.solvers import score_plan, solve
+from doe.solvers import solve
 from doe.studies.comparison import evaluated
 from identification.arrays import Array
 from tests.doe.spatial import (
