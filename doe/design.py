@@ -1,4 +1,4 @@
-"""A plan and what it is worth, recomputed from the stored problem: no number of a solver is passed on."""
+"""A plan with its certificate, recomputed from the stored problem: no number of a solver is passed on."""
 
 from __future__ import annotations
 
@@ -63,12 +63,12 @@ class Design:
 
     @cached_property
     def identifies_all(self) -> bool:
-        """True if the plan tells every parameter, decided by rank as in `identify`: rounding can hide det M = 0."""
+        """True if every parameter is estimable, decided by rank as in `identify`: rounding can hide det M = 0."""
         return plan_spectrum(self.problem, self.plan.postures, self.plan.weights).rank == self.problem.parameters
 
     @cached_property
     def not_identifiable(self) -> tuple[str, ...]:
-        """Combinations of parameters that the plan does not tell; effects at neutral conditions tell nothing."""
+        """Combinations of parameters that are not estimable with the plan; effects at neutral conditions never are."""
         jacobians = plan_jacobians(self.problem, self.plan.postures, self.plan.weights)
         return identifiability(
             jacobians, self.problem.model.parameters.names, np.ones(self.problem.parameters)

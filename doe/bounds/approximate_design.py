@@ -105,7 +105,7 @@ def assess(
     solver_status: str,
     seconds: float,
 ) -> ApproximateDesign:
-    """What a weighted plan is worth, given `largest` >= max tr(G F) over the design space, G = `gradient`.
+    """A weighted plan with its certificate, given `largest` >= max tr(G F) over the design space, G = `gradient`.
 
     gradient : (p, p), default the criterion's at the plan; E-optimality needs the one of its dual problem
     A status other than `converged` gives no bound: the optimum was not reached, and the gap says by how much. The gap

@@ -22,7 +22,7 @@ import numpy as np
 from doe.bounds.trigonometric import TrigonometricPolynomial
 from identification.arrays import Array
 
-BATCH = 2048  # boxes looked at together
+BATCH = 2048  # boxes examined together
 UNIT = float(np.finfo(float).eps)
 
 
@@ -31,7 +31,7 @@ class Maximum:
     """max v over the box lies in [value, upper]; `value` is attained at `posture` (n,).
 
     proven : True if `upper` is within the tolerance asked for; else `upper` still holds but is loose
-    boxes : how many were looked at
+    boxes : how many were examined
     """
 
     value: float

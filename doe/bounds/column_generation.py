@@ -106,7 +106,7 @@ def continuous_bound(
 ) -> Bound:
     """No design within limits and constraints is better: a theorem where `rigorous` is True, else numerical.
 
-    also : (k, n) postures that the search must look at
+    also : (k, n) postures that the search must start from
     Raises JobError where the optimum was not reached.
     """
     design = continuous_design(problem, runs=runs, tolerance=tolerance, proof=tolerance, also=also)
@@ -122,7 +122,7 @@ def _attainable(problem: DesignProblem, tolerance: float) -> float:
 
 # -- pricing -----------------------------------------------------------------------------------------------------------
 def candidate_price(problem: DesignProblem, candidates: Candidates, prior: PriorInformation) -> Price:
-    """Every candidate is looked at; each part of them offers its best."""
+    """Every candidate is visited; each part of them offers its best."""
     part = max(16, -(-len(candidates) // PARTS))
     jacobians = CandidateJacobians(problem, candidates)
 
@@ -133,7 +133,7 @@ def candidate_price(problem: DesignProblem, candidates: Candidates, prior: Prior
             top = np.array([edge + int(np.argmax(g[edge : edge + part])) for edge in edges])
             offers.append(postures[top])
             values.append(g[top])
-        return _worth_adding(np.concatenate(offers), np.concatenate(values), level, 3 * problem.parameters)
+        return _best_offers(np.concatenate(offers), np.concatenate(values), level, 3 * problem.parameters)
 
     return price
 
@@ -146,15 +146,17 @@ def continuous_price(everything: ContinuousSet, generator: np.random.Generator |
         # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
         apart = distinct(everything.problem.comparable(postures), NEAR * np.sqrt(max(values[0] / level - 1.0, 0.0)))
         postures, values = postures[apart], values[apart]
-        return _worth_adding(postures, values, level, 10 * everything.problem.parameters, 0.0)
+        return _best_offers(postures, values, level, 10 * everything.problem.parameters, 0.0)
 
     return price
 
 
-def _worth_adding(postures: Array, values: Array, level: float, count: int, share: float = 0.1) -> tuple[Array, float]:
+def _best_offers(
+    postures: Array, values: Array, level: float, count: int, fraction: float = 0.1
+) -> tuple[Array, float]:
     largest = float(values.max())
     order = np.argsort(-values)[:count]
-    order = order[values[order] > level + share * max(largest - level, 0.0)]
+    order = order[values[order] > level + fraction * max(largest - level, 0.0)]
     return postures[order], largest
 
 
@@ -175,7 +177,7 @@ def prove(
     problem, prior = everything.problem, everything.prior
     for _ in range(PROOFS):
         constant = float(prior.mixed(np.zeros(()), ended.gradient))
-        polynomial = jacobians.sensitivity(ended.gradient, prior.share, constant)
+        polynomial = jacobians.sensitivity(ended.gradient, prior.new_fraction, constant)
         close, known = tolerance * abs(ended.level), ended.plan.postures
         found = maximum(polynomial, problem.lower, problem.upper, known=known, tolerance=close, most_boxes=most_boxes)
         largest = max(largest, found.value)

@@ -31,7 +31,7 @@ THOROUGH = 20_000  # random postures of a thorough search
 # heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls, where
 # the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
 BARRIERS = ((1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9))
-ALIKE = 1e-6  # [rad] of postures nearer than this below a barrier, one climbs on
+MERGED = 1e-6  # [rad] of postures nearer than this under a barrier, only one climbs on
 SAME = 1e-7  # [rad] postures nearer than this are one
 
 
@@ -82,7 +82,7 @@ class ContinuousSet:
         turned = np.einsum("ab,mdbi->mdai", gradient, first, optimize=True).reshape(m, d * p, n)
         hessian = np.swapaxes(first.reshape(m, d * p, n), 1, 2) @ turned
         hessian += np.einsum("ma,maij->mij", weighted.reshape(m, -1), second.reshape(m, d * p, n, n), optimize=True)
-        return self.prior.share * slope, 2.0 * self.prior.share * hessian
+        return self.prior.new_fraction * slope, 2.0 * self.prior.new_fraction * hessian
 
     # -- where to start ----------------------------------------------------------------------------------------------
     @cached_property
@@ -116,7 +116,7 @@ class ContinuousSet:
         """Local maxima (k, n) of tr(G F(q)) and their values (k,), best first.
 
         Starts are `near` (j, n) and the best of the landmarks; with a generator, a search as thorough as is affordable:
-        the best of many fresh random postures, and others whatever they are worth, for a high maximum may be narrow.
+        the best of many fresh random postures, and others whatever their value, for a high maximum may be narrow.
         """
         if generator is None:
             values = self.sensitivities(self.starts, gradient)
@@ -142,7 +142,7 @@ class ContinuousSet:
             some = q[first :: len(BARRIERS)]
             for barrier in barriers:
                 some = self._ascend(some, gradient, barrier * scale)
-                some = some[distinct(self.problem.comparable(some), ALIKE)]  # most starts share a maximum
+                some = some[distinct(self.problem.comparable(some), MERGED)]  # most starts share a maximum
             ends.append(some)
         return np.concatenate(ends)
 

@@ -31,7 +31,7 @@ CROWD = 30  # postures per parameter
 ROUGH = 1e-4  # gap of the weights relative to that of the postures, until the end
 EXACT = 1e-14  # the same at the end: rounding
 NEGLIGIBLE = 1e-10  # weight below which a posture is dropped
-RANK = 1e-13  # reciprocal condition number of a matrix that has lost a rank
+RANK = 1e-13  # reciprocal condition number of a matrix that is one rank short
 
 # price(gradient, level, working postures) -> postures worth adding (k, n), largest g over its whole set
 Price = Callable[[Array, float, Array], tuple[Array, float]]

@@ -56,10 +56,10 @@ class TrigonometricJacobian:
     frequencies: NDArray[np.int64]
     coefficients: NDArray[np.complex128]
 
-    def sensitivity(self, gradient: Array, share: float = 1.0, constant: float = 0.0) -> TrigonometricPolynomial:
-        """share * tr(G B^T B) + constant as a polynomial, G = `gradient` (p, p)."""
+    def sensitivity(self, gradient: Array, factor: float = 1.0, constant: float = 0.0) -> TrigonometricPolynomial:
+        """factor * tr(G B^T B) + constant as a polynomial, G = `gradient` (p, p)."""
         count, n = self.frequencies.shape
-        pairs = np.einsum("fda,ab,gdb->fg", self.coefficients, share * gradient, self.coefficients, optimize=True)
+        pairs = np.einsum("fda,ab,gdb->fg", self.coefficients, factor * gradient, self.coefficients, optimize=True)
         sums = (self.frequencies[:, None] + self.frequencies[None]).reshape(count * count, n)
         unique, place = np.unique(sums, axis=0, return_inverse=True)
         values = np.zeros(len(unique), dtype=np.complex128)
@@ -67,7 +67,7 @@ class TrigonometricJacobian:
         first = np.array([row[np.flatnonzero(row)[0]] if row.any() else 0 for row in unique])
         constant += float(values[first == 0].real.sum())
         size = np.abs(self.coefficients).sum(axis=0)  # (d, p)
-        magnitude = abs(share) * float(np.sum((size @ np.abs(gradient)) * size)) + abs(constant)
+        magnitude = abs(factor) * float(np.sum((size @ np.abs(gradient)) * size)) + abs(constant)
         operations = 4 * len(gradient) + 2 * self.coefficients.shape[1] + 2 * count + 16  # lengths of the sums, nested
         return TrigonometricPolynomial(
             constant, unique[first > 0], np.asarray(2.0 * values[first > 0]), magnitude, operations

@@ -1,4 +1,4 @@
-"""The paper's D*: lengths and angles looked at separately (eq. 20, corrected)."""
+"""The paper's D*: lengths and angles taken separately (eq. 20, corrected)."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ import numpy as np
 from identification.arrays import Array
 
 RIDGE = 1e-9  # see `principal_submatrices.RIDGE`
-SINGULAR = 1e-13  # reciprocal condition number below which a matrix has no inverse worth the name
+SINGULAR = 1e-13  # reciprocal condition number below which a matrix has no usable inverse
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ class ExpectedDeviations:
 
 
 def plan_spectrum(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Spectrum:
-    """What m runs tell, measured postures (`kept`) included: decomposition of their scaled Jacobians.
+    """What is estimable from m runs and the measured postures (`kept`): decomposition of their scaled Jacobians.
 
     weights : (m,) shares of the m runs, None: one each. Its rank is right where det M is nothing but rounding.
     """
@@ -94,10 +94,10 @@ def expected_deviations(
     """
     if sigma is None:
         return None
-    told = plan_spectrum(problem, postures, weights)
-    if told.rank < problem.parameters:
+    decomposed = plan_spectrum(problem, postures, weights)
+    if decomposed.rank < problem.parameters:
         return None
-    return _deviations(told, problem.model, problem.joints, sigma)
+    return _deviations(decomposed, problem.model, problem.joints, sigma)
 
 
 def deviations_per_draw(
@@ -112,10 +112,10 @@ def deviations_per_draw(
     stacked = plan_jacobians(problem, postures, weights)
     d, p = model.model.dimension, len(model.model.parameters)
     each = range(len(model.draws))
-    told = [spectrum(stacked[:, k * d : (k + 1) * d, k * p : (k + 1) * p], np.ones(p)) for k in each]
-    if any(one.rank < p for one in told):
+    decomposed = [spectrum(stacked[:, k * d : (k + 1) * d, k * p : (k + 1) * p], np.ones(p)) for k in each]
+    if any(one.rank < p for one in decomposed):
         return None
-    return tuple(_deviations(one, model.model, problem.joints, sigma) for one in told)
+    return tuple(_deviations(one, model.model, problem.joints, sigma) for one in decomposed)
 
 
 def over_draws(found: Sequence[ExpectedDeviations], judge: Callable[..., Array]) -> ExpectedDeviations:
@@ -124,10 +124,10 @@ def over_draws(found: Sequence[ExpectedDeviations], judge: Callable[..., Array])
     return replace(found[0], values=values, orientation=orientation)
 
 
-def _deviations(told: Spectrum, model: InformationModel, joints: int, sigma: float) -> ExpectedDeviations:
+def _deviations(decomposed: Spectrum, model: InformationModel, joints: int, sigma: float) -> ExpectedDeviations:
     parameters = model.parameters
     per_scale = sigma / parameters.scales
-    matrix = per_scale[:, None] * told.covariance * per_scale  # sigma^2 (sum J^T J)^-1, own units
+    matrix = per_scale[:, None] * decomposed.covariance * per_scale  # sigma^2 (sum J^T J)^-1, own units
     orientation = np.zeros(joints)
     offsets = [(parameters[k].joint or 0) - 1 for k in parameters.indices(JOINT_OFFSET).tolist()]
     transform = orientation_transform(parameters)

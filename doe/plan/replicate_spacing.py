@@ -63,22 +63,22 @@ def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
 
     Without a free joint that is within the minimum distance of a single one. In very long plans later rows count too.
     """
-    room = replicates_allowed(problem)
-    if room >= len(postures):
+    capacity = replicates_allowed(problem)
+    if capacity >= len(postures):
         return np.empty(0, dtype=np.intp)
     searched, distance = searched_part(problem, postures), problem.minimum_distance / ROUNDING
     near = np.zeros(len(postures))
-    blocked = 1 if room == 1.0 else 2  # places on a free joint within the distance of a measured posture
+    blocked = 1 if capacity == 1.0 else 2  # places on a free joint within the distance of a measured posture
     near += blocked * (gaps(searched, searched_part(problem, problem.kept)) < distance).sum(axis=1)
-    if room > 1.0:
+    if capacity > 1.0:
         most = near + neighbours(searched, distance)
-        if most.max() < room or len(postures) > MANY:
-            return np.flatnonzero(most >= room)
+        if most.max() < capacity or len(postures) > MANY:
+            return np.flatnonzero(most >= capacity)
     rows = max(1, CHUNK // max(1, searched.size))
     for start in range(0, len(searched), rows):
         chunk = gaps(searched[start : start + rows], searched[: start + rows]) < distance
         near[start : start + rows] += np.tril(chunk, k=start - 1).sum(axis=1)
-    return np.flatnonzero(near >= room)
+    return np.flatnonzero(near >= capacity)
 
 
 def neighbours(points: Array, distance: float) -> NDArray[np.intp]:

@@ -1,6 +1,6 @@
 """Finite sets of allowed postures: a grid over the joint limits or a list, made chunk by chunk.
 
-A grid of a million postures is three short axes, not an array: postures exist only while a chunk is looked at.
+A grid of a million postures is three short axes, not an array: postures exist only while a chunk is visited.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class PriorInformation:
         return self.runs == 0.0 and not self.total.any()
 
     @property
-    def share(self) -> float:
+    def new_fraction(self) -> float:
         """1 / (1 + k), of a mean over new runs, with the prior per new run."""
         return 1.0 / (1.0 + self.runs)
 

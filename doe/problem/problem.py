@@ -183,7 +183,7 @@ class DesignProblem:
 
     @cached_property
     def prior(self) -> PriorInformation:
-        """What the postures measured already tell."""
+        """The information of the postures measured already."""
         if not len(self.kept):
             return PriorInformation()
         return PriorInformation(information_matrix(self.scaled_jacobians(self.kept)), len(self.kept))

@@ -84,13 +84,13 @@ class PlanFunction:
 
     def _jacobians(self, postures: Array) -> tuple[Array, Array, Array]:
         """B (m, d, p), dB (m, a, d, p), d2B (m, a, a, d p) at every posture."""
-        jacobian, first, second = self._tape(postures)
+        jacobian, first, second = self._compiled(postures)
         m, d, p = jacobian.shape
         a = len(self.joints)
         return jacobian, np.moveaxis(first.reshape(m, d, p, a), 3, 1), np.moveaxis(second.reshape(m, a, d * p, a), 2, 3)
 
     @cached_property
-    def _tape(self) -> Callable[..., tuple[Array, ...]]:
+    def _compiled(self) -> Callable[..., tuple[Array, ...]]:
         q = ca.SX.sym("q", self.problem.joints)
         active = q[list(self.joints)]
         jacobian = self.problem.scaled_jacobian_function(q)
@@ -123,24 +123,24 @@ class ConstraintFunction:
 
     def values(self, postures: Array) -> Array:
         """(m k,) constraint expressions."""
-        return self._tape(postures)[0].ravel()
+        return self._compiled(postures)[0].ravel()
 
     def jacobian(self, postures: Array) -> Array:
         """(m a k,) derivatives, in the order of CasADi's columns: run, joint, constraint."""
-        return np.swapaxes(self._tape(postures)[1], 1, 2).ravel()
+        return np.swapaxes(self._compiled(postures)[1], 1, 2).ravel()
 
     def hessian(self, postures: Array, multipliers: Array) -> Array:
         """(m a, m a) second derivative of sum multipliers * constraints; zero between runs."""
         m, a = len(postures), len(self.joints)
         full = np.zeros((m, a, m, a))
         if self.rows:
-            second = self._tape(postures)[2].reshape(m, a, self.rows, a)
+            second = self._compiled(postures)[2].reshape(m, a, self.rows, a)
             runs = np.arange(m)
             full[runs, :, runs, :] = np.einsum("mk,makb->mab", multipliers.reshape(m, -1), second)
         return full.reshape(m * a, m * a)
 
     @cached_property
-    def _tape(self) -> Callable[..., tuple[Array, ...]]:
+    def _compiled(self) -> Callable[..., tuple[Array, ...]]:
         q, values = self.expressions
         active = q[list(self.joints)]
         first = ca.jacobian(values, active)

@@ -23,7 +23,7 @@ from identification.information import information_matrix
 
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
 SWEEPS = 60
-TOGETHER = 20_000  # runs of all starts of a batch, at most: what stays small in memory and quick in time
+TOGETHER = 20_000  # runs of all starts of a batch, at most: keeps memory and time of a batch small
 WIDE = 16  # parameters from which starts are saved
 
 
@@ -51,9 +51,9 @@ class Exchange:
         while True:
             count = max(1, min(self.batch, left, TOGETHER // runs))
             left -= count
-            begun = self.begin(problem, count, runs, generator)
-            yield Offer(begun[0])  # something to return if the user stops during the first batch
-            for plan in self.improve(problem, begun, generator, budget)[0]:
+            first = self.begin(problem, count, runs, generator)
+            yield Offer(first[0])  # something to return if the user stops during the first batch
+            for plan in self.improve(problem, first, generator, budget)[0]:
                 yield Offer(plan, 1, independent=True)
 
     def improve(
@@ -80,7 +80,7 @@ class Exchange:
 class ExchangeState:
     """The state of a batch of starts.
 
-    plans : (s, m, n);  values : (s,) criterion, or its quick stand-in;  running : starts that still improve
+    plans : (s, m, n);  values : (s,) criterion, or its surrogate;  running : starts that still improve
     """
 
     def __init__(self, problem: DesignProblem, grid: Array, plans: Array) -> None:

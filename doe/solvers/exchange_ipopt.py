@@ -21,10 +21,10 @@ SAME = 1e-7  # exchange plans of the same value are taken for the same plan up t
 class ExchangeIpopt:
     """Exchange in batches; the best plans of each batch are polished by IPOPT.
 
-    Every second batch starts from the best plans so far with some runs thrown anew: near a good plan there are better
+    Every second batch starts from the best plans so far with some runs drawn anew: near a good plan there are better
     ones more often than at random.
 
-    polished : plans per batch;  elite : how many of the best plans are varied;  thrown : share of their runs
+    polished : plans per batch;  elite : how many of the best plans are varied;  redrawn : fraction of their runs
     """
 
     exchange: Exchange = field(default_factory=Exchange)
@@ -51,11 +51,11 @@ class ExchangeIpopt:
         left, vary = budget.starts, False
         while True:
             count = max(1, min(self.exchange.batch, left, TOGETHER // runs))
-            begun = self.exchange.begin(problem, count, runs, generator)
-            yield Offer(begun[0])  # something to return if the user stops during the first batch
+            started = self.exchange.begin(problem, count, runs, generator)
+            yield Offer(started[0])  # something to return if the user stops during the first batch
             if vary:
-                begun = self._varied(begun, [plan for _, plan in best], generator)
-            plans, values = self.exchange.improve(problem, begun, generator, budget)
+                started = self._varied(started, [plan for _, plan in best], generator)
+            plans, values = self.exchange.improve(problem, started, generator, budget)
             yield Offer(plans[0], 1)
             for k in self._new(values, seen):
                 polished = climb(plans[k])
@@ -66,7 +66,7 @@ class ExchangeIpopt:
             left, vary = left - count, not vary and bool(best)
 
     def _varied(self, plans: Array, best: list[Array], generator: np.random.Generator) -> Array:
-        """(s, m, n) best plans, a random one each, with a share of their runs replaced by those of `plans`."""
+        """(s, m, n) best plans, a random one each, with a fraction of their runs replaced by those of `plans`."""
         kept = generator.random(plans.shape[:2]) > self.redrawn
         return np.where(kept[..., None], np.array(best)[generator.integers(len(best), size=len(plans))], plans)
 

@@ -77,7 +77,7 @@ def initial(
 class FedorovState:
     """A batch of choices.
 
-    chosen : (s, m) rows of the list;  values : (s,) criterion, or its quick stand-in;  running : starts still improving
+    chosen : (s, m) rows of the list;  values : (s,) criterion, or its surrogate;  running : starts still improving
     """
 
     def __init__(self, problem: DesignProblem, jacobians: Array, chosen: NDArray[np.intp]) -> None:

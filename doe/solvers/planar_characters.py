@@ -34,11 +34,11 @@ class CharacterPlan:
     """Runs that attain the bound. angles : (b, J) above the lower limits [rad];  room : (J,) free phase [rad]."""
 
     angles: Array
-    room: Array
+    free_phase: Array
 
     def placed(self, lower: Array, upper: Array, generator: np.random.Generator) -> Array:
         """(b, J) joint angles with random phases."""
-        placed: Array = np.minimum(lower + self.angles + generator.uniform(0.0, self.room), upper)
+        placed: Array = np.minimum(lower + self.angles + generator.uniform(0.0, self.free_phase), upper)
         return placed
 
 
@@ -76,7 +76,7 @@ class Construction:
         self.moduli = np.array(moduli)
         self.elements = np.indices(moduli).reshape(len(moduli), -1).T
         self.angles = np.empty((len(self.elements), len(widths)))
-        self.room = np.zeros(len(widths))
+        self.free_phase = np.zeros(len(widths))
 
     def run(self) -> CharacterPlan | None:
         """The plan, None in a dead end."""
@@ -90,7 +90,7 @@ class Construction:
                 return None
             columns = np.column_stack([columns, new] if to_right else [new, columns])
             left, right = (left, right + 1) if to_right else (left - 1, right)
-        return CharacterPlan(self.angles, self.room)
+        return CharacterPlan(self.angles, self.free_phase)
 
     def _next(self, columns: Columns, joint: int, *, to_right: bool) -> Columns | None:
         """The column beyond a joint, whose angles are noted."""
@@ -103,7 +103,7 @@ class Construction:
             angles, needed = arc(np.angle(new / neighbour if to_right else neighbour / new))
             if needed <= self.widths[joint] + ROUNDING:
                 self.angles[:, joint] = angles
-                self.room[joint] = max(self.widths[joint] - needed, 0.0)
+                self.free_phase[joint] = max(self.widths[joint] - needed, 0.0)
                 return np.asarray(new)
         return None
 

@@ -17,9 +17,9 @@ from identification.arrays import Array
 
 @dataclass(frozen=True)
 class RelaxRound:
-    """Start 1 is the rounded optimum of the relaxation, the others have some runs thrown anew; exchange, then IPOPT.
+    """Start 1 is the rounded optimum of the relaxation, the others have some runs drawn anew; exchange, then IPOPT.
 
-    count : starts;  thrown : share of the runs
+    count : starts;  redrawn : fraction of the runs
     """
 
     count: int = 20
@@ -41,8 +41,8 @@ class RelaxRound:
         first = rounded(continuous_design(problem, runs=runs, proof=0.0).plan, runs)
         yield Offer(first)
         climb = Climber(problem, runs, self.ipopt, budget)
-        begun = self._begin(problem, first, budget.starts, generator)
-        for plan in self.exchange.improve(problem, begun, generator, budget)[0]:
+        started = self._begin(problem, first, budget.starts, generator)
+        for plan in self.exchange.improve(problem, started, generator, budget)[0]:
             yield Offer(climb(plan), 1)
             climb.pass_on_interrupt()
 

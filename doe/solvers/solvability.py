@@ -25,9 +25,9 @@ def check_runs(problem: DesignProblem, runs: int) -> None:
             f"runs: {runs} with {problem.parameters} parameters to identify, allowed: at least {problem.fewest_runs}"
         )
     kept = len(problem.kept)
-    if runs + kept > (room := most_postures(problem, runs)):
+    if runs + kept > (capacity := most_postures(problem, runs)):
         found = f"{runs + kept} postures {problem.spacing} apart"
-        raise InputError(f"runs: {found}, allowed: at most {room:.0f} in the limits")
+        raise InputError(f"runs: {found}, allowed: at most {capacity:.0f} in the limits")
 
 
 def most_postures(problem: DesignProblem, runs: int) -> float:
