@@ -20,16 +20,10 @@ from numpy.typing import ArrayLike
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.effects import Chain, Effect, build_all, known_values
+from identification.effects import Chain, Effect, build_all, known_values, measured_position
 from identification.errors import InputError
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, ParameterSet, chain_parameters
-from identification.kinematics.planar import (
-    DIMENSION,
-    joint_points,
-    rotate,
-    symbolic_chain,
-    symbolic_points,
-)
+from identification.kinematics.planar import DIMENSION, joint_points, symbolic_points
 from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.measurements import Conditions
 from identification.vectorize import vectorize
@@ -173,22 +167,7 @@ class Model:
         return ca.vertcat(*(slot.get(name, self.fixed.get(name, 0.0)) for name in self.all_parameters.names))
 
     def _measured(self, q: ca.SX, c: ca.SX, values: ca.SX) -> ca.SX:
-        """Joint -> link -> mounting -> instrument, each with its effects (identification/README.md, "Effects")."""
-        chain = Chain.of(self.arm, q, c)
-        n, parts, start = chain.links, [], 2 * chain.links
-        for effect in self.effects:
-            parts.append((effect, values[start : start + len(effect.parameters)]))
-            start += len(effect.parameters)
-        angles = chain.q + values[n : 2 * n] + sum(e.joint_angles(chain, v) for e, v in parts)
-        lengths: ca.SX = ca.SX(ca.DM(chain.lengths)) + values[:n]
-        lengths += sum((e.extensions(chain, v, lengths) for e, v in parts), ca.SX.zeros(n))
-        bent = [e.bending(chain, v) for e, v in parts]
-        deflections, slopes = (ca.SX.zeros(n) + sum(b[k] for b in bent) for k in range(2))
-        points, theta = symbolic_chain(lengths, angles, deflections, slopes)
-        tip = points[-1] + rotate(theta, ca.SX.zeros(DIMENSION) + sum(e.tool(chain, v) for e, v in parts))
-        turn = sum(e.base_rotation(chain, v) for e, v in parts)
-        tip = rotate(turn, tip) + sum(e.base_translation(chain, v) for e, v in parts)
-        return tip + sum(e.instrument(tip, v) for e, v in parts)
+        return measured_position(Chain.of(self.arm, q, c), self.effects, values)
 
     def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
         """n + 1 points (d,) of base, joints and tip [mm] at a posture (n,) [rad], as `points` gives them."""

@@ -17,11 +17,22 @@ import numpy as np
 from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.effects import aliases, instrument, joint, link, mounting, noise  # noqa: F401  (they register themselves)
-from identification.effects.base import _LIBRARY, Chain, Effect, known_values, register
+from identification.effects.base import _LIBRARY, Effect, known_values, measured_position, register
+from identification.effects.chain import Chain
 from identification.errors import InputError, nearest
 from identification.kinematics.parameters import Parameter
 
-__all__ = ["Chain", "Effect", "Parameter", "build", "build_all", "known_values", "library", "register"]
+__all__ = [
+    "Chain",
+    "Effect",
+    "Parameter",
+    "build",
+    "build_all",
+    "known_values",
+    "library",
+    "measured_position",
+    "register",
+]
 
 
 @cache

@@ -2,15 +2,13 @@
 
     commanded joint angle -> real joint angle -> links -> position in the base -> measured position
 
-An effect overrides the hook of its place; the model adds up what the hooks return (`identification.model`).
+An effect overrides the hook of its place; `measured_position` adds up what the hooks return.
 A new effect is one class: see `register`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Mapping, Sequence
 from math import inf
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -18,84 +16,12 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from identification.arm import Arm, EffectSpec, Gravity
+from identification.arm import EffectSpec
 from identification.arrays import Array
+from identification.effects.chain import Chain
 from identification.errors import InputError
 from identification.kinematics.parameters import Parameter
-from identification.kinematics.planar import symbolic_points
-
-
-@dataclass(frozen=True)
-class Chain:
-    """The symbols of a planar arm at one posture, for effects to use. All CasADi SX; lengths in mm, angles in rad."""
-
-    lengths: Array  # (n,) nominal link lengths [mm]
-    gravity: Gravity | None
-    q: ca.SX  # (n,) commanded joint angles [rad]
-    payload: ca.SX  # [kg]
-    temperature: ca.SX  # [K] above the mean
-    time: ca.SX  # -0.5..0.5 over the session
-    directions: ca.SX  # (n,) +1 or -1
-
-    @classmethod
-    def of(cls, arm: Arm, q: ca.SX, c: ca.SX) -> Chain:
-        """An arm at a posture q (n) under conditions c (3 + n, the columns of `Conditions.table`)."""
-        return cls(arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3:])
-
-    @property
-    def links(self) -> int:
-        """n, the number of links."""
-        return int(self.lengths.size)
-
-    @cached_property
-    def orientations(self) -> ca.SX:
-        """(n,) nominal absolute link orientations theta_j = q_1 + ... + q_j [rad]."""
-        return ca.cumsum(self.q)
-
-    @cached_property
-    def _points(self) -> list[ca.SX]:
-        """n + 1 points (2,) of base, joints and tip [m], nominal pose."""
-        return symbolic_points(self.lengths / 1000.0, self.q)
-
-    @cached_property
-    def loads(self) -> list[tuple[ca.SX, int, float | None]]:
-        """(mass [kg], link index, fraction along that link) of every mass; the payload sits at the tip."""
-        gravity = self.required_gravity
-        masses = [(ca.SX(m), k, float(gravity.center_of_mass[k])) for k, m in enumerate(gravity.link_masses)]
-        return [*masses, (self.payload, self.links - 1, 1.0)]
-
-    def load_moment(self, link: int, fraction: float, beyond: int) -> ca.SX:
-        """Moment [N m], out of the plane, of the loads on links >= `beyond` about a point of `link`, nominal pose."""
-        ax, ay = (float(a) for a in self.required_gravity.acceleration)
-        pivot = self._point(link, fraction)
-        moment = ca.SX(0)
-        for mass, k, at in self.loads:
-            if k >= beyond:
-                arm = self._point(k, at or 0.0) - pivot
-                moment += mass * (arm[0] * ay - arm[1] * ax)
-        return moment
-
-    def load_force(self, beyond: int) -> ca.SX:
-        """(2,) force [N] of all loads on links >= `beyond`."""
-        total = sum((mass for mass, k, _ in self.loads if k >= beyond), ca.SX(0))
-        return total * ca.DM(self.required_gravity.acceleration)
-
-    @cached_property
-    def torques(self) -> ca.SX:
-        """(n,) gravity torques tau_j about joints j [N m] at the posture (identification/README.md, "Effects")."""
-        return ca.vertcat(*(self.load_moment(j, 0.0, beyond=j) for j in range(self.links)))
-
-    @property
-    def required_gravity(self) -> Gravity:
-        """The arm's gravity data; raises `InputError` where there are none."""
-        if self.gravity is None:
-            raise InputError("gravity: this effect needs gravity torques, add a [gravity] table to the arm file")
-        return self.gravity
-
-    def _point(self, link: int, fraction: float) -> ca.SX:
-        """(2,) point at `fraction` of a link [m], nominal pose."""
-        start, end = self._points[link : link + 2]
-        return start + fraction * (end - start)
+from identification.kinematics.planar import rotate, symbolic_chain
 
 
 class Effect:
@@ -202,6 +128,27 @@ class Effect:
     def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX | float:
         """(2,) what the instrument adds to the true position [mm]."""
         return 0.0
+
+
+def measured_position(chain: Chain, effects: Sequence[Effect], values: ca.SX) -> ca.SX:
+    """(2,) measured position [mm]: joints -> links -> mounting -> instrument (identification/README.md, "Effects").
+
+    values : length errors (n), joint offsets (n), then the parameters of the effects in order
+    """
+    n, parts, start = chain.links, [], 2 * chain.links
+    for effect in effects:
+        parts.append((effect, values[start : start + len(effect.parameters)]))
+        start += len(effect.parameters)
+    angles = chain.q + values[n : 2 * n] + sum(e.joint_angles(chain, v) for e, v in parts)
+    lengths: ca.SX = ca.SX(ca.DM(chain.lengths)) + values[:n]
+    lengths += sum((e.extensions(chain, v, lengths) for e, v in parts), ca.SX.zeros(n))
+    bent = [e.bending(chain, v) for e, v in parts]
+    deflections, slopes = (ca.SX.zeros(n) + sum(b[k] for b in bent) for k in range(2))
+    points, theta = symbolic_chain(lengths, angles, deflections, slopes)
+    tip = points[-1] + rotate(theta, ca.SX.zeros(2) + sum(e.tool(chain, v) for e, v in parts))
+    turn = sum(e.base_rotation(chain, v) for e, v in parts)
+    tip = rotate(turn, tip) + sum(e.base_translation(chain, v) for e, v in parts)
+    return tip + sum(e.instrument(tip, v) for e, v in parts)
 
 
 _LIBRARY: dict[str, type[Effect]] = {}

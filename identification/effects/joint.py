@@ -6,7 +6,8 @@ from types import MappingProxyType
 
 import casadi as ca
 
-from identification.effects.base import Chain, Effect, register
+from identification.effects.base import Effect, register
+from identification.effects.chain import Chain
 from identification.kinematics.parameters import Parameter
 
 NOMINAL_TORQUE = 100.0  # [N m] order of magnitude, for the scale of compliance parameters only

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
-from identification.effects.base import Chain, Effect, register
+from identification.effects.base import Effect, register
+from identification.effects.chain import Chain
 from identification.kinematics.parameters import Parameter
 
 
