@@ -68,11 +68,6 @@ class Hypothesis:
         """True for one parameter that physics keeps from being negative."""
         return self.size == 1 and self.effect.parameters[0].lower == 0.0
 
-    @property
-    def bounded(self) -> bool:
-        """True if physics bounds a parameter."""
-        return any(np.isfinite(p.lower) or np.isfinite(p.upper) for p in self.effect.parameters)
-
 
 @dataclass(frozen=True)
 class HypothesisSet:
