@@ -67,7 +67,7 @@ def command(
     from doe.cli.problems import design_problem
     from doe.plan.file import plan_text
     from doe.plan.order import check_order
-    from doe.report.tables import design_tables
+    from doe.report.design_tables import design_tables
     from identification.files.arm import load_arm
 
     check_used(click.get_current_context())
@@ -108,7 +108,7 @@ def _searched(
 def _ordered(design: Design, order: str, seed: int, data: dict[str, Any], extra: list[Any]) -> Design:
     """The same runs in the order asked for; its travel is added to `data` and `extra`."""
     from doe.plan.order import ordered
-    from doe.report.tables import order_line
+    from doe.report.design_tables import order_line
 
     sequence = ordered(design.plan, order, seed=seed)
     data["travel_deg"] = sequence.to_json()

@@ -26,7 +26,7 @@ def command(session: Session, arm: Path, plan: Path, aliases: Path | None, outpu
     """Score a PLAN of your own: efficiency against the bound, expected deviations, and which effects it could show."""
     from doe.plan.file import load_plan
     from doe.plan.observability import observability
-    from doe.report.tables import design_tables, observability_line
+    from doe.report.design_tables import design_tables, observability_line
     from identification.files.arm import load_arm
     from identification.files.io import check_writable
 

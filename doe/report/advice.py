@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.table import Table
 from rich.text import Text
 
 from doe.advise import Advice
+from doe.design import Design
 from doe.report.pictures import AFTER, BEFORE
-from doe.report.tables import number
+from doe.report.terminal import number, table
 
 
 def advice_figure(advice: Advice) -> Figure:
@@ -36,21 +36,15 @@ def advice_figure(advice: Advice) -> Figure:
 
 def advice_tables(advice: Advice) -> list[Any]:
     """The answer in one sentence, then a row per number of runs."""
-    table = Table()
-    for heading in ("runs", "efficiency", "at the bound", "largest std of a length [mm]", "of an angle [deg]"):
-        table.add_column(Text(heading), justify="right")
     good = set(advice.efficient_runs())
-    for design in advice.designs:
+
+    def row(design: Design) -> list[str]:
         angle = None if design.deviations is None else float(np.degrees(design.deviations.largest_angle))
-        m = len(design.plan)
-        table.add_row(
-            str(m),
-            number(design.efficiency, 5),
-            "yes" if m in good else "",
-            number(advice.accuracy(design), 5),
-            number(angle, 5),
-        )
-    return [Text(sentence(advice), style="bold"), table]
+        m, figures = len(design.plan), (advice.accuracy(design), angle)
+        return [str(m), number(design.efficiency, 5), "yes" if m in good else "", *(number(v, 5) for v in figures)]
+
+    headings = ("runs", "efficiency", "at the bound", "largest std of a length [mm]", "of an angle [deg]")
+    return [Text(sentence(advice), style="bold"), table(headings, map(row, advice.designs))]
 
 
 def sentence(advice: Advice) -> str:

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from rich.text import Text
 
 from doe.report.pictures import save
+from doe.report.terminal import table
 from identification.arrays import Array
 
 if TYPE_CHECKING:
@@ -39,18 +41,18 @@ def blind_tables(found: BlindStudy) -> list[Any]:
 
 def cell_table(cells: polars.DataFrame) -> Table:
     """One row per cell, with the largest standard error of its rates; each figure's own is in the file."""
-    table = Table(title="Blind study", title_justify="left", box=SIMPLE_HEAD, padding=(0, 0, 0, 1))
-    table.add_column("hidden", no_wrap=True)
-    table.add_column("sets", justify="right", no_wrap=True)
-    for heading in COLUMNS.values():
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("+-", justify="right", no_wrap=True)
-    for part in cells.partition_by("cell", maintain_order=True):
-        figures = {row["measure"]: row for row in part.iter_rows(named=True)}
-        shown = ("" if name not in figures else f"{figures[name]['value']:.3f}" for name in COLUMNS)
-        error = max(row["standard_error"] for name, row in figures.items() if name in RATES)
-        table.add_row(part["cell"][0], str(figures["alarm"]["count"]), *shown, f"{error:.3f}")
-    return table
+    headings = ["hidden", "sets", *COLUMNS.values(), "+-"]
+    rows = map(_cell_row, cells.partition_by("cell", maintain_order=True))
+    return table(
+        headings, rows, "Blind study", left=("hidden",), no_wrap=headings, box=SIMPLE_HEAD, padding=(0, 0, 0, 1)
+    )
+
+
+def _cell_row(part: polars.DataFrame) -> list[str]:
+    figures = {row["measure"]: row for row in part.iter_rows(named=True)}
+    shown = ("" if name not in figures else f"{figures[name]['value']:.3f}" for name in COLUMNS)
+    error = max(row["standard_error"] for name, row in figures.items() if name in RATES)
+    return [part["cell"][0], str(figures["alarm"]["count"]), *shown, f"{error:.3f}"]
 
 
 def with_error(row: dict[str, Any]) -> str:
@@ -66,14 +68,13 @@ def further_tables(cells: polars.DataFrame) -> list[Table]:
     if not rows:
         return []
     count = next(iter(rows.values()))["count"]
-    table = Table(title=f"{count} ambiguous sets after further postures", title_justify="left")
-    for heading in ("postures", "right", "gravity", "others", "right and alone", "right class", "predicted"):
-        table.add_column(heading, justify="left" if heading == "postures" else "right")
+    shown = []
     for way, label in WAYS.items():
         names = [f"{way} {measure}" for measure in FURTHER_MEASURES]
         if names[0] in rows:
-            table.add_row(label, *(with_error(rows[name]) if name in rows else "" for name in names))
-    return [table]
+            shown.append([label, *(with_error(rows[name]) if name in rows else "" for name in names)])
+    headings = ("postures", "right", "gravity", "others", "right and alone", "right class", "predicted")
+    return [table(headings, shown, f"{count} ambiguous sets after further postures", left=("postures",))]
 
 
 FURTHER_MEASURES = ("right", "right, gravity", "right, others", "right, alone", "class", "predicted")
@@ -89,27 +90,22 @@ WAYS = {
 
 def bar_table(bars: polars.DataFrame) -> Table:
     """What is asked and how it came out."""
-    table = Table(title="Bars", title_justify="left")
-    for heading in ("cell", "measure", "asked", "measured", "outcome"):
-        table.add_column(heading, justify="right" if heading in ("asked", "measured") else "left")
-    for row in bars.iter_rows(named=True):
-        outcome = f"[{COLORS[row['outcome']]}]{row['outcome']}[/]"
-        table.add_row(row["cell"], row["measure"], row["asked"], with_error(row), outcome)
-    return table
+    rows = (
+        [row["cell"], row["measure"], row["asked"], with_error(row), Text(row["outcome"], COLORS[row["outcome"]])]
+        for row in bars.iter_rows(named=True)
+    )
+    headings = ("cell", "measure", "asked", "measured", "outcome")
+    return table(headings, rows, "Bars", left=("cell", "measure", "outcome"))
 
 
 def mistakes(found: BlindStudy, most: int = 12) -> list[Table]:
     """The most frequent wrong names, joints left out."""
     pairs = found.confusion.iter_rows(named=True)
     wrong = [row for row in pairs if row["hidden"] != row["named"] and not _flagged(row)]
-    if not wrong:
-        return []
-    table = Table(title="Most frequent mistakes between classes", title_justify="left")
-    for heading in ("hidden", "named", "sets"):
-        table.add_column(heading, justify="right" if heading == "sets" else "left")
-    for row in wrong[:most]:
-        table.add_row(row["hidden"], row["named"], str(row["count"]))
-    return [table]
+    rows = ([row["hidden"], row["named"], str(row["count"])] for row in wrong)
+    title = "Most frequent mistakes between classes"
+    shown = table(("hidden", "named", "sets"), rows, title, left=("hidden", "named"), most=most)
+    return [shown] if wrong else []
 
 
 def _flagged(row: dict[str, Any]) -> bool:

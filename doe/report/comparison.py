@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.table import Table
 
+from doe.report.terminal import table
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from identification.arrays import Array
 
@@ -50,24 +51,21 @@ def _failures(rows: polars.DataFrame) -> list[str]:
 
 
 def _table(title: str, found: polars.DataFrame) -> Table:
-    table = Table(title=title, title_justify="left")
-    table.add_column("solver", no_wrap=True)
-    for heading in (
-        "starts", "best", "median", "efficiency", "hits", "time [s]", "to a hit [s]", "[MB]", "wrong"
-    ):  # fmt: skip
-        table.add_column(heading, justify="right")
-    for row in found.iter_rows(named=True):
-        table.add_row(
-            row["solver"],
-            str(row["starts"] or "own"),
-            *(_figure(row[name], ".6f") for name in ("best", "median", "efficiency")),
-            f"{round(row['hit_rate'] * row['repeats'])}/{row['repeats']}",
-            _figure(row["seconds"], ".3g"),
-            _figure(row["seconds_to_hit"], ".3g"),
-            _figure(row["peak_memory_mb"], ".0f"),
-            str(row["not_correct"]) if row["not_correct"] else "-",
-        )
-    return table
+    headings = ("solver", "starts", "best", "median", "efficiency", "hits", "time [s]", "to a hit [s]", "[MB]", "wrong")
+    rows = map(_row, found.iter_rows(named=True))
+    return table(headings, rows, title, left=("solver",), no_wrap=("solver",))
+
+
+def _row(row: dict[str, Any]) -> list[str]:
+    return [
+        row["solver"],
+        str(row["starts"] or "own"),
+        *(_figure(row[name], ".6f") for name in ("best", "median", "efficiency")),
+        f"{round(row['hit_rate'] * row['repeats'])}/{row['repeats']}",
+        *(_figure(row[name], ".3g") for name in ("seconds", "seconds_to_hit")),
+        _figure(row["peak_memory_mb"], ".0f"),
+        str(row["not_correct"] or "-"),
+    ]
 
 
 def _figure(value: float | None, kind: str) -> str:

@@ -11,7 +11,7 @@ from doe.demo import Demo
 from doe.report.gap_page import as_table, candidate_sheet, gap_sections
 from doe.report.page import Section, Sheet, page
 from doe.report.pictures import certificate_figure, plan_figure, residual_figure
-from doe.report.tables import number, significant
+from doe.report.terminal import number, significant
 
 
 def gap_sheet(demo: Demo) -> Sheet:

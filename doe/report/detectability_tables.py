@@ -4,31 +4,31 @@ from __future__ import annotations
 
 from typing import Any
 
-from rich.table import Table
 from rich.text import Text
 
 from doe.discrimination.design import DiscriminationDesign
 from doe.discrimination.misidentification import LAMBDA
+from doe.report.terminal import table
 from identification.gap.detectability import Detectability
 
 HIDDEN = 0.01
 
 
 def preflight_tables(sees: Detectability) -> list[Any]:
-    """Share, smallest size and look-alikes of every effect."""
-    table = Table(title="What this plan can show of missing effects", title_justify="left")
-    table.add_column("effect")
-    for heading in ("visible share", "smallest size found (90 %)", "looks like"):
-        table.add_column(Text(heading), justify="right")
+    """Visible fraction, smallest size and look-alikes of every effect."""
     pairs = sees.pairs()
-    for name, left in zip(sees.names, sees.norm_fractions, strict=True):
+
+    def row(name: str, visible: float) -> list[str]:
         alike = [f"{other} ({likeness:.2f})" for one, other, likeness in pairs if one == name]
         more = f" and {len(alike) - 2} more" if len(alike) > 2 else ""
-        size = sees.detectable[name]
-        table.add_row(name, f"{left:.2f}", str(size), Text(", ".join(alike[:2]) + more))
+        return [name, f"{visible:.2f}", str(sees.detectable[name]), ", ".join(alike[:2]) + more]
+
+    headings = ("effect", "visible fraction", "smallest size found (90 %)", "looks like")
+    title = "What this plan can show of missing effects"
+    shown = table(headings, map(row, sees.names, sees.norm_fractions), title, left=("effect",))
     skipped = [Text(f"not judged: {key}: {why}") for key, why in sees.skipped.items()]
     never = [Text(f"never visible: {key}: the same as {why}") for key, why in sees.aliases.items()]
-    return [table, Text(f"{sees.freedom} degrees of freedom to spare"), *skipped, *never]
+    return [shown, Text(f"{sees.freedom} degrees of freedom to spare"), *skipped, *never]
 
 
 def discriminating_tables(found: DiscriminationDesign) -> list[Any]:

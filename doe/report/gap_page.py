@@ -10,7 +10,7 @@ from rich.text import Text
 
 from doe.report.gap_figures import against_figure, alias_figure, workspace_figure
 from doe.report.page import Section, Sheet, page
-from doe.report.tables import number
+from doe.report.terminal import number, table
 from identification.gap.result import Candidate, Diagnosis, Estimate
 
 MOST_TRIALS = 12
@@ -88,12 +88,7 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
 
 def as_table(sheet: Sheet) -> Table:
     """The same sheet for a terminal."""
-    table = Table()
-    for k, heading in enumerate(sheet.headings):
-        table.add_column(Text(heading), justify="left" if k == 0 else "right", overflow="fold")
-    for row in sheet.rows:
-        table.add_row(*(Text(cell) for cell in row))
-    return table
+    return table(sheet.headings, sheet.rows, left=sheet.headings[:1])
 
 
 def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:

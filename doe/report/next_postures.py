@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
 from rich.text import Text
 
 from doe.discrimination.t_optimal import NextPostures
+from doe.report.terminal import table
 from identification.arm import Arm
 from identification.files.measurement import csv_text, posture_columns
 from identification.gap.result import Diagnosis
@@ -55,9 +55,5 @@ def next_data(diagnosis: Diagnosis, found: NextPostures) -> dict[str, Any]:
 def next_tables(diagnosis: Diagnosis, found: NextPostures) -> list[Any]:
     """The rivals, the chance, the postures."""
     columns = next_columns(found)
-    table = Table(title="Next postures", title_justify="left")
-    for name in columns:
-        table.add_column(Text(name), justify="right")
-    for row in zip(*columns.values(), strict=True):
-        table.add_row(*(f"{value:g}" for value in row))
-    return [Text(diagnosis.sentence), Text(str(found), style="bold"), table]
+    rows = ([f"{value:g}" for value in row] for row in zip(*columns.values(), strict=True))
+    return [Text(diagnosis.sentence), Text(str(found), style="bold"), table(list(columns), rows, "Next postures")]

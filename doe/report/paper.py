@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
-from doe.report.tables import number
+from doe.report.terminal import number, table
 
 if TYPE_CHECKING:
     import polars
@@ -39,42 +38,25 @@ WORDS = {"agrees": "agree", "erratum": "are errata", "not identifiable": "cannot
 
 def _figures_table(title: str, rows: polars.DataFrame) -> Table:
     """Printed, theory and simulation side by side."""
-    table = Table(title=title, title_justify="left")
-    for heading in ("place", "links", "runs", "item"):
-        table.add_column(heading, no_wrap=heading == "item", overflow="fold")
-    for heading in ("printed", "theory", "simulated"):
-        table.add_column(heading, justify="right")
-    table.add_column("unit")
-    table.add_column("verdict")
-    for row in rows.iter_rows(named=True):
-        table.add_row(
-            row["place"],
-            str(row["links"]),
-            str(row["runs"]),
-            row["item"],
-            number(row["printed"], 3),
-            number(row["theory"], 5),
-            number(row.get("simulated"), 5),
-            row["unit"],
-            row["verdict"],
-        )
-    return table
+    texts = ("place", "links", "runs", "item", "unit", "verdict")
+    figures = {"printed": 3, "theory": 5, "simulated": 5}
+    headings = [*texts[:4], *figures, *texts[4:]]
+    shown = (
+        [number(row.get(name), figures[name]) if name in figures else str(row[name]) for name in headings]
+        for row in rows.iter_rows(named=True)
+    )
+    return table(headings, shown, title, left=texts, no_wrap=("item",))
 
 
 def errata_table(rows: polars.DataFrame) -> Table:
     """What is printed, what is correct, and how wrong each is."""
-    table = Table(title="Errata, each checked by numbers", title_justify="left", show_lines=True)
-    for heading in ("place", "printed", "correct"):
-        table.add_column(heading)
-    for heading in ("error of printed", "error of correct"):
-        table.add_column(heading, justify="right")
-    table.add_column("shown")
+    texts = ("place", "printed", "correct")
+    shown = []
     for row in rows.iter_rows(named=True):
         errors = f"{row['printed_error']:.2g}", f"{row['correct_error']:.1g}"
-        table.add_row(
-            row["place"], escape(row["printed"]), escape(row["correct"]), *errors, "yes" if row["confirmed"] else "NO"
-        )
-    return table
+        shown.append([*(row[name] for name in texts), *errors, "yes" if row["confirmed"] else "NO"])
+    headings = (*texts, "error of printed", "error of correct", "shown")
+    return table(headings, shown, "Errata, each checked by numbers", left=(*texts, "shown"), show_lines=True)
 
 
 TICKS = [digit * 10.0**power for power in range(-4, 1) for digit in (1, 2, 5)]

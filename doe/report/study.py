@@ -6,6 +6,7 @@ from typing import Any
 
 from rich.table import Table
 
+from doe.report.terminal import table
 from doe.studies.monte_carlo.specification import CELL
 from doe.studies.monte_carlo.study import StudyResult
 
@@ -33,15 +34,12 @@ def study_tables(result: StudyResult) -> list[Any]:
 
 def _cell_table(title: str, rows: list[dict[str, Any]]) -> Table:
     failed = f", {rows[0]['failed']} failed" if rows[0]["failed"] else ""
-    table = Table(
-        title=f"{title}: {rows[0]['fits']} fits{failed}, RMS {rows[0]['rms_mm']:.4g} mm", title_justify="left"
-    )
-    table.add_column("parameter", no_wrap=True)
-    for heading in ("mean error", "std", "expected std", "95 % intervals hold"):
-        table.add_column(heading, justify="right")
-    table.add_column("unit")
-    for row in rows:
-        coverage = "-" if row["coverage"] is None else f"{row['coverage']:.2%}"
-        figures = ("-" if row[name] is None else f"{row[name]:.4g}" for name in ("mean_error", "std", "expected_std"))
-        table.add_row(row["parameter"], *figures, coverage, row["unit"])
-    return table
+    title = f"{title}: {rows[0]['fits']} fits{failed}, RMS {rows[0]['rms_mm']:.4g} mm"
+    headings = ("parameter", "mean error", "std", "expected std", "95 % intervals hold", "unit")
+    return table(headings, map(_row, rows), title, left=("parameter", "unit"), no_wrap=("parameter",))
+
+
+def _row(row: dict[str, Any]) -> list[str]:
+    figures = ("-" if row[name] is None else f"{row[name]:.4g}" for name in ("mean_error", "std", "expected_std"))
+    coverage = "-" if row["coverage"] is None else f"{row['coverage']:.2%}"
+    return [row["parameter"], *figures, coverage, row["unit"]]

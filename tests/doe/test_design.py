@@ -11,7 +11,7 @@ import pytest
 from doe.bounds.bound import Bound
 from doe.design import score, score_plan
 from doe.plan.plan import Plan
-from doe.report.tables import not_estimable_line
+from doe.report.design_tables import not_estimable_line
 from identification.arm import Arm, EffectSpec
 from tests.doe.arms import ECCENTRICITY, FOUR, SIX, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det

@@ -29,7 +29,7 @@ from doe.plan.order import ordered, travel
 from doe.plan.replicate_spacing import too_near
 from doe.problem.bayesian import deviated_draws, ensemble_problem
 from doe.problem.constraints import Expression, InsideBox, OutsideSphere
-from doe.report.tables import accuracy_table, design_tables
+from doe.report.design_tables import accuracy_table, design_tables
 from doe.solvers import solve
 from doe.studies.comparison import evaluated
 from identification.arrays import Array

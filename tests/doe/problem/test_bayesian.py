@@ -10,7 +10,7 @@ from doe.criteria.bayesian import Average, SoftWorst, Worst
 from doe.design import score
 from doe.problem.bayesian import ensemble_problem, prior_draws
 from doe.problem.problem import DesignProblem
-from doe.report.tables import accuracy_table
+from doe.report.design_tables import accuracy_table
 from doe.solvers import solve
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.errors import InputError

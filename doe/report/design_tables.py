@@ -1,4 +1,4 @@
-"""Results as tables for a terminal (rich)."""
+"""A design as tables for a terminal."""
 
 from __future__ import annotations
 
@@ -13,25 +13,17 @@ from doe.plan.expected_accuracy import ExpectedDeviations, over_draws
 from doe.plan.observability import Observability
 from doe.plan.order import Ordered
 from doe.plan.replicate_spacing import distance_to_keep
+from doe.report.terminal import facts, number, table
 from identification.arrays import Array
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """A figure for a table; a dash for what cannot be given."""
-    return "-" if value is None or not np.isfinite(value) else f"{value:.{digits}f}"
 
 
 def plan_table(design: Design, most: int = 24) -> Table:
     """The postures in degrees, one row per run; long plans are cut, the file has them all."""
-    table = Table(title="Plan", title_justify="left")
-    table.add_column("run", justify="right")
-    for joint, unit in enumerate(design.plan.units, start=1):
-        table.add_column(Text(f"q{joint} [{unit}]"), justify="right")
-    for run, posture in enumerate(design.plan.displayed[:most], start=1):
-        table.add_row(str(run), *(f"{angle:.3f}" for angle in posture))
-    if len(design.plan) > most:
-        table.caption = f"first {most} of {len(design.plan)} runs; --out writes all"
-    return table
+    headings = ["run", *(f"q{joint} [{unit}]" for joint, unit in enumerate(design.plan.units, start=1))]
+    postures = enumerate(design.plan.displayed, start=1)
+    rows = ([str(run), *(f"{angle:.3f}" for angle in posture)] for run, posture in postures)
+    caption = f"first {most} of {len(design.plan)} runs; --out writes all"
+    return table(headings, rows, "Plan", most=most, caption=caption)
 
 
 def accuracy_table(design: Design) -> Table | str:
@@ -43,16 +35,14 @@ def accuracy_table(design: Design) -> Table | str:
         return "No expected standard deviations: not every parameter is estimable from the plan."
     each = design.deviations_per_draw
     over = "" if each is None else ", mean over the draws of the arm and worst of them"
-    table = Table(title=f"Expected standard deviations (sigma = {sigma:g} mm{over})", title_justify="left")
     found = [deviation_columns(one) for one in ([mean] if each is None else [mean, over_draws(each, np.max)])]
     headings = [*found[0], *(f"worst {heading}" for columns in found[1:] for heading in columns)]
-    for heading in ("link" if mean.planar else "parameter", *headings):
-        table.add_column(Text(heading), justify="right")
     values = zip(*(column for columns in found for column in columns.values()), strict=True)
-    rows = range(1, mean.length.size + 1) if mean.planar else [f"{p.name} [{p.file_unit}]" for p in mean.parameters]
-    for row, figures in zip(rows, values, strict=True):
-        table.add_row(Text(str(row)), *(number(v, 5) for v in figures))
-    return table
+    links = map(str, range(1, mean.length.size + 1))
+    names = links if mean.planar else [f"{p.name} [{p.file_unit}]" for p in mean.parameters]
+    rows = ([name, *(number(v, 5) for v in figures)] for name, figures in zip(names, values, strict=True))
+    first = "link" if mean.planar else "parameter"
+    return table([first, *headings], rows, f"Expected standard deviations (sigma = {sigma:g} mm{over})")
 
 
 def deviation_columns(deviations: ExpectedDeviations) -> dict[str, Array]:
@@ -68,20 +58,19 @@ def deviation_columns(deviations: ExpectedDeviations) -> dict[str, Array]:
 
 def summary_table(data: dict[str, Any], sentence: str) -> Table:
     """Value, bound, efficiency: what a person reads first."""
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    bound = data["bound"]
-    table.add_row("criterion", f"{data['criterion']}, {data['runs']} runs, {data['links']} links")
-    if data["criterion"] != "D":
-        table.add_row(f"value of {data['criterion']}", number(data["value"], 7))
-    table.add_row("log det M'", number(data["log_det"], 7))
-    table.add_row("upper bound", f"{number(bound['value'], 7)} ({bound['source']})" if bound else "-")
-    table.add_row("efficiency", number(data["efficiency"], 6))
-    table.add_row("certified optimal", certified(data))
-    table.add_row("Table I residual", number(data["table_1_max_residual"], 6))
-    if data["solver"]:
-        table.add_row("solver", f"{data['solver']}, {data['starts']} starts, {data['seconds']:.2f} s")
-    table.add_row("status", sentence)
-    return table
+    bound, kind = data["bound"], data["criterion"]
+    rows = {
+        "criterion": f"{kind}, {data['runs']} runs, {data['links']} links",
+        f"value of {kind}": None if kind == "D" else number(data["value"], 7),
+        "log det M'": number(data["log_det"], 7),
+        "upper bound": f"{number(bound['value'], 7)} ({bound['source']})" if bound else "-",
+        "efficiency": number(data["efficiency"], 6),
+        "certified optimal": certified(data),
+        "Table I residual": number(data["table_1_max_residual"], 6),
+        "solver": f"{data['solver']}, {data['starts']} starts, {data['seconds']:.2f} s" if data["solver"] else None,
+        "status": sentence,
+    }
+    return facts((name, text) for name, text in rows.items() if text is not None)
 
 
 def repeats_line(design: Design) -> list[Text]:
@@ -129,16 +118,6 @@ def design_tables(design: Design) -> list[Any]:
         plan_table(design),
         accuracy_table(design),
     ]
-
-
-def significant(value: float | None, std: float | None) -> str:
-    """As many digits as the standard deviation deserves (three of its own)."""
-    if value is None:
-        return "-"
-    if not std:
-        return f"{value:.5g}"
-    digits = int(np.clip(2 - np.floor(np.log10(abs(std))), 0, 12))
-    return f"{value:.{digits}f}" if abs(value) < 1e6 else f"{value:.5g}"
 
 
 def order_line(found: Ordered) -> Text:

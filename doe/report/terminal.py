@@ -1,0 +1,64 @@
+"""Numbers and tables for a terminal (rich): every table is made here."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A figure for a table; a dash for what cannot be given."""
+    return "-" if value is None or not np.isfinite(value) else f"{value:.{digits}f}"
+
+
+def significant(value: float | None, std: float | None) -> str:
+    """As many digits as the standard deviation deserves (three of its own)."""
+    if value is None:
+        return "-"
+    if not std:
+        return f"{value:.5g}"
+    digits = int(np.clip(2 - np.floor(np.log10(abs(std))), 0, 12))
+    return f"{value:.{digits}f}" if abs(value) < 1e6 else f"{value:.5g}"
+
+
+def table(
+    headings: Sequence[str],
+    rows: Iterable[Iterable[str | Text]],
+    title: str | None = None,
+    *,
+    left: Collection[str] = (),
+    no_wrap: Collection[str] = (),
+    most: int | None = None,
+    caption: str | None = None,
+    **style: Any,
+) -> Table:
+    """Headings and rows of ready text, taken to the letter ([mm] is no markup); `Text` cells keep their style.
+
+    left : headings of the columns that start at the left; the others are figures and end at the right
+    no_wrap : headings of columns that are never broken
+    most : number of rows shown;  caption : what stands below when there are more
+    style : as `rich.table.Table` takes it
+    """
+    found = Table(title=title, title_justify="left", **style)
+    for heading in headings:
+        justify: Any = "left" if heading in left else "right"
+        found.add_column(Text(heading), justify=justify, overflow="fold", no_wrap=heading in no_wrap)
+    remaining = iter(rows)
+    for row in islice(remaining, most):
+        found.add_row(*(cell if isinstance(cell, Text) else Text(cell) for cell in row))
+    if most is not None and next(remaining, None) is not None:
+        found.caption = caption
+    return found
+
+
+def facts(rows: Iterable[tuple[str, str]]) -> Table:
+    """Names and values, one below the other, without lines."""
+    found = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for row in rows:
+        found.add_row(*map(Text, row))
+    return found
