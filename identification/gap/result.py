@@ -107,21 +107,18 @@ class Diagnosis:
     """Whether model and data disagree, where, which effect is missing, and what is left with it in the model.
 
     verdict : `none`, `named`, `ambiguous` or `unknown`;  where : place of an unknown effect, with the shape seen there
-    trials : every effect against the base model;  preflight : what the plan could show
+    trials : every effect against the base model;  detectability : what the plan could show
     """
 
     arm: Arm
     verdict: str
     candidates: tuple[Candidate, ...]
     named: Candidate
-    classes: tuple[str, ...]
     aliases: tuple[tuple[str, str, float], ...]
     where: str | None
     shape: str | None
-    p_unknown: float
     scatter: tuple[Finding, ...]
     outlier_rows: tuple[int, ...]
-    excluded: Mapping[str, Size]
     gap: Gap
     trials: tuple[Trial, ...]
     detectability: Detectability
@@ -133,6 +130,16 @@ class Diagnosis:
     def effects(self) -> tuple[str, ...]:
         """Names of the best set; empty if nothing is named."""
         return self.named.effects
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Classes of the best set."""
+        return self.named.classes
+
+    @property
+    def excluded(self) -> Mapping[str, Size]:
+        """Effect -> smallest size that these data would have shown."""
+        return self.detectability.detectable
 
     @property
     def sentence(self) -> str:

@@ -14,7 +14,8 @@ from doe.studies.blind import hidden_effects, simulator
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import library
 from identification.errors import InputError
-from identification.gap.diagnose import describe, diagnose
+from identification.gap.candidates import describe
+from identification.gap.diagnose import diagnose
 from identification.gap.hypotheses import hypotheses
 from identification.gap.result import Diagnosis
 from identification.gap.selection import HypothesisSearch

@@ -1,0 +1,65 @@
+"""The explanations of a diagnosis as results: sets of effects with their estimates, and every effect that was tried."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+import numpy as np
+
+from identification.arm import Calibration
+from identification.estimation.intervals import limits_95
+from identification.gap.result import Candidate, Estimate, Trial
+from identification.gap.selection import Choice, HypothesisSearch, trial_of
+from identification.gap.workflow import Findings
+
+
+def candidate_list(found: Findings, draws: int, generator: np.random.Generator) -> tuple[Candidate, ...]:
+    """The ambiguity set as results; with an unknown effect, only what stays named beside it."""
+    rivals = found.selection.rivals
+    if found.unknown.place is not None:
+        rivals = ((found.unknown.chosen, 0.0),) if found.unknown.chosen else ()
+    return tuple(
+        describe(found.search, chosen, delta, trial_of(found.search, chosen, draws, generator))
+        for chosen, delta in rivals
+    )
+
+
+def describe(search: HypothesisSearch, chosen: Choice, delta: float, trial: tuple[float, float]) -> Candidate:
+    """A set of effects with its estimates."""
+    found = search.fit(chosen)
+    covariance = found.covariance(bounded=False)
+    deviations = np.sqrt(np.diag(covariance))
+    limits = limits_95(found.model.parameters, found.values, deviations, found.freedom)
+    effects = found.model.effects[len(found.model.effects) - len(chosen) :]  # their names depend on the others
+    added = {p.name for effect in effects for p in effect.parameters}
+    estimates = []
+    for k, p in enumerate(found.model.parameters):
+        if p.name in added:
+            figures = np.array([found.values[k], deviations[k], *limits[k]]) * p.to_file
+            estimates.append(Estimate(p.name, p.file_unit, *figures.tolist()))
+    return Candidate(
+        tuple(effect.key for effect in effects),
+        tuple(h.spec for h in chosen),
+        tuple(sorted({h.family for h in chosen})),
+        delta,
+        *trial,
+        tuple(estimates),
+        Calibration(found.by_name, found.model.names, covariance, MappingProxyType({"source": "armcal diagnose"})),
+    )
+
+
+def trial_list(found: Findings) -> tuple[Trial, ...]:
+    """Every effect against the base model, strongest first; of a scanned setting the best."""
+    test = found.selection.first
+    best: dict[str, Trial] = {}
+    for k, h in enumerate(test.members):
+        trial = Trial(
+            h.key,
+            float(test.omnibus_test.f[k]),
+            float(test.omnibus_test.p[k]),
+            float(test.omnibus_test.adjusted[k]),
+            float(test.change[k]),
+        )
+        if h.key not in best or trial.delta_bic < best[h.key].delta_bic:
+            best[h.key] = trial
+    return tuple(sorted(best.values(), key=lambda t: t.delta_bic))

@@ -1,0 +1,81 @@
+"""What a person should know before trusting a verdict: look-alikes on these data, and remarks about the data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from identification.arm import Arm
+from identification.gap.detectability import EXACT, NEAR, Detectability
+from identification.gap.holdout import Gap
+from identification.gap.hypotheses import Hypothesis
+from identification.gap.result import Candidate
+from identification.gap.selection import HypothesisSearch
+from identification.gap.workflow import Findings
+from identification.measurements import Measurements
+
+
+def alias_list(before: Detectability, candidates: tuple[Candidate, ...]) -> tuple[tuple[str, str, float], ...]:
+    """Near and exact aliases of the candidates' effects on these data, and the effects that can never be seen."""
+    named = {key for c in candidates for key in c.effects}
+    pairs = [pair for pair in before.pairs(NEAR) if pair[0] in named]
+    return (*pairs, *((name, like, 1.0) for name, like in before.aliases.items()))
+
+
+def hidden_orders(search: HypothesisSearch, named: Mapping[str, Hypothesis]) -> tuple[tuple[str, str, float], ...]:
+    """Gear ripples that these postures cannot tell from a named effect of the same joint: effect, ripple, likeness.
+
+    On a grid of angles a ripple of 15 periods per turn may be the very column of an eccentric encoder, and the
+    diagnosis names the likelier one.
+    """
+    listed = []
+    for name, member in named.items():
+        members, against = search.rivals(tuple(h for h in named.values() if h is not member))
+        places = {h.label: i for i, h in enumerate(members)}
+        if member.label not in places or member.spec.joint is None:
+            continue
+        mine = against.block(places[member.label])
+        for label, i in places.items():
+            other = members[i]
+            if label != member.label and other.spec.values and other.spec.joint == member.spec.joint:
+                likeness = float(np.linalg.norm(against.block(i).T @ mine) / np.sqrt(mine.shape[1]))
+                if likeness >= NEAR:
+                    settings = ", ".join(f"{name} = {value:g}" for name, value in other.spec.values.items())
+                    listed.append((name, f"{other.key} ({settings})", min(likeness, 1.0)))
+    return tuple(sorted(listed, key=lambda row: -round(row[2], 4)))
+
+
+def order_notes(hidden: tuple[tuple[str, str, float], ...]) -> list[str]:
+    """One line per named effect that a ripple imitates on these postures."""
+    said = []
+    for key in dict.fromkeys(key for key, _, _ in hidden):
+        likes = [(other, likeness) for own, other, likeness in hidden if own == key]
+        word = "is the same as" if likes[0][1] >= EXACT else "is much like"
+        more = f" and {len(likes) - 3} more" if len(likes) > 3 else ""
+        listed = ", ".join(other for other, _ in likes[:3])
+        said.append(f"on these postures {key} {word} {listed}{more}: measure at other angles to tell")
+    return said
+
+
+def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measurements | None, gap: Gap) -> list[str]:
+    """What a person should know before trusting the verdict."""
+    said = [f"{key} was not tried: {why}" for key, why in found.search.hypotheses.skipped.items()]
+    if measurements.directions is None:
+        said.append("directions of approach follow from the order of measurement")
+    said += [
+        f"joint {j + 1} never moves: its link cannot be told from the one before"
+        for j in range(arm.links)
+        if np.ptp(measurements.postures[:, j]) == 0.0
+    ]
+    if arm.sigma is not None:
+        ratio = found.search.fit(found.unknown.chosen).sigma / arm.sigma
+        if measurements.sigma is None and not 0.67 < ratio < 1.5:
+            said.append(f"the scatter is {ratio:.2f} times the sigma_mm of the arm file; the tests use the scatter")
+    if gap.held_out_after is not None and gap.predicted is not None and gap.held_out_after > 3.0 * gap.predicted:
+        times = gap.held_out_after / gap.predicted
+        said.append(f"the held-out rows are {times:.2g} times farther off than predicted: another range or set-up?")
+    drifts = any("drift" in effect for effect in (h.key for h in found.unknown.chosen))
+    if drifts and holdout is not None:
+        said.append("a drift of one session says nothing of another: judge it by a hold-out from the same session")
+    return said
