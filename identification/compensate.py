@@ -1,13 +1,12 @@
 """Compensation: joint commands that bring the tip of the real arm to where the nominal arm would have been.
 
-The real arm is the calibrated model. Its inverse kinematics are solved by damped least squares on exact derivatives,
-all targets at once; steps are the shortest that close the gap, so a redundant arm stays near where it started.
-The arm file's `[[constraints]]` are not looked at: commands stay near the nominal postures, which should satisfy them.
+The real arm is the calibrated model. Its inverse kinematics are solved by Levenberg-Marquardt on exact derivatives, all
+targets at once; steps are the shortest that close the gap, so a redundant arm stays near where it started.
+The arm file's `[[constraints]]` do not enter: commands stay near the nominal postures, which should satisfy them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
+from identification.estimation.levenberg_marquardt import Index, LeastSquares, Linearize, levenberg_marquardt
 from identification.measurements import Conditions, directions_from_order
 from identification.model import Model
 from identification.vectorize import vectorize
@@ -33,7 +33,7 @@ POLISHED = 12  # of the seeds, for a target out of reach: there damped least squ
 class Compensation:
     """Joint commands for k targets.
 
-    targets : (k, 2) [mm]
+    targets : (k, d) [mm]
     nominal : (k, n) postures [rad] that would reach them on the nominal arm
     commands : (k, n) postures [rad] for the real arm, within the joint limits; the nearest found where unreachable
     errors : (k,) distance of the real arm's tip from the target [mm], by the calibrated model
@@ -77,7 +77,7 @@ def compensate(
     """Joint commands within the limits whose tip, on the calibrated arm, is at the targets.
 
     arm : with a calibration, or with known effect values
-    targets : (k, 2) tip positions [mm]; left out: where the nominal arm has its tip at `postures`
+    targets : (k, d) tip positions [mm]; left out: where the nominal arm has its tip at `postures`
     postures : (k, n) nominal joint commands [rad]; left out: found, the nearest to the middle of the limits
     conditions : payload, temperature and the like of every row; directions follow from the order of the rows
 
@@ -92,7 +92,7 @@ def compensate(
             raise InputError("targets: none given, allowed: positions (k, 2) or postures (k, n)")
         goals = nominal_arm.position(given)
     else:
-        goals = _checked("targets", targets, 2)
+        goals = _checked("targets", targets, nominal_arm.dimension)
     if given is not None and len(given) != len(goals):
         raise InputError(f"postures: {len(given)} rows for {len(goals)} targets, allowed: as many")
     nominal = given if given is not None else _nominal_postures(nominal_arm, goals)
@@ -160,7 +160,7 @@ def _polished(model: Model, goal: Array, starts: Array, conditions: Conditions, 
     """(n,) posture and error: the closest to a goal out of reach, from starts (s, n), within the limits."""
     from scipy.optimize import Bounds, minimize  # only such targets pay for its import
 
-    linearize, rows = _linearisation(model, conditions), np.array([row])
+    linearize, rows = _linearization(model, conditions), np.array([row])
 
     def squared(q: Array) -> tuple[float, Array]:
         position, jacobian = linearize(q[None], rows)
@@ -175,58 +175,33 @@ def _polished(model: Model, goal: Array, starts: Array, conditions: Conditions, 
 
 
 def inverse_kinematics(model: Model, goals: Array, starts: Array, conditions: Conditions) -> tuple[Array, Array]:
-    """Postures (k, n) within the limits and errors (k,) [mm], by damped least squares from starts (k, n).
+    """Postures (k, n) within the limits and errors (k,) [mm], by Levenberg-Marquardt from starts (k, n).
 
-    Shortest steps dq = J^T (J J^T + damping)^-1 error with each row's own damping; joints on a limit that the step
-    would leave are held.
+    Steps are the shortest in joint angles, so that a redundant arm stays near where it started.
     """
-    lower, upper = model.arm.lower, model.arm.upper
-    linearize = _linearisation(model, conditions)
-    q = np.clip(starts, lower, upper)
-    errors = np.linalg.norm(goals - model.position(q, conditions=conditions), axis=1)
-    damping, active = np.zeros(len(q)), np.arange(len(q))
-    for _ in range(MAX_ITERATIONS):
-        active = active[(errors[active] > 1e-3 * TOLERANCE) & (damping[active] < 1e6)]
-        if active.size == 0:
-            break
-        position, jacobian = linearize(q[active], active)
-        blocked = (q[active] >= upper) * 1 - (q[active] <= lower)
-        step = _step(jacobian, goals[active] - position, damping[active], blocked)
-        trial = np.clip(q[active] + step, lower, upper)
-        after = np.linalg.norm(goals[active] - linearize(trial, active)[0], axis=1)
-        better = after < errors[active]
-        q[active[better]], errors[active[better]] = trial[better], after[better]
-        relaxed = np.where(damping[active] > 1e-6, damping[active] / 10.0, 0.0)
-        damping[active] = np.where(better, relaxed, np.maximum(10.0 * damping[active], 1e-3))
-    return q, errors
+    linearize = _linearization(model, conditions)
+
+    def distances(postures: Array, rows: Index) -> tuple[Array, Array]:
+        position, jacobian = linearize(postures, rows)
+        return goals[rows] - position, jacobian
+
+    reach = np.full(model.joints, np.sum(model.arm.lengths))
+    negligible = np.full(len(goals), 1e-5 * TOLERANCE)
+    limits = model.arm.lower, model.arm.upper
+    problem = LeastSquares(distances, *limits, reach, negligible, metric=reach, iterations=MAX_ITERATIONS)
+    found = levenberg_marquardt(problem, starts)
+    return found.parameters, np.sqrt(found.squares)
 
 
-def _linearisation(model: Model, conditions: Conditions) -> Callable[[Array, Array], tuple[Array, Array]]:
-    """Function of postures (k, n) and their row numbers -> positions (k, 2), derivatives by the posture (k, 2, n)."""
+def _linearization(model: Model, conditions: Conditions) -> Linearize:
+    """Function of postures (k, n) and their row numbers -> positions (k, d), derivatives by the posture (k, d, n)."""
     q, c, p, position = model.symbols
     outputs = ca.cse([position, ca.jacobian(position, q)])
-    tape = vectorize(ca.Function("kinematics", [q, c, p], outputs))
-    payload = 0.0 if model.arm.gravity is None else model.arm.gravity.payload
+    evaluate = vectorize(ca.Function("kinematics", [q, c, p], outputs))
 
-    def linearize(postures: Array, rows: Array) -> tuple[Array, Array]:
-        table = conditions.rows(rows).table(len(postures), model.arm.links, payload)
-        found, jacobian = tape(postures, table, np.broadcast_to(model.values, (len(postures), len(model.values))))
+    def linearize(postures: Array, rows: Index) -> tuple[Array, Array]:
+        table = conditions.rows(rows).table(len(postures), model.joints, model.neutral_conditions[0])
+        found, jacobian = evaluate(postures, table, np.broadcast_to(model.values, (len(postures), len(model.values))))
         return found[..., 0], jacobian
 
     return linearize
-
-
-def _step(jacobian: Array, error: Array, damping: Array, blocked: Array) -> Array:
-    """(k, n) shortest damped steps; `blocked` is +1 on an upper limit, -1 on a lower one."""
-    free = np.ones(blocked.shape)
-    while True:
-        rows = jacobian * free[:, None, :]
-        square = rows @ np.swapaxes(rows, 1, 2)
-        size = np.trace(square, axis1=1, axis2=2)[:, None, None]
-        # 1e-6 mm^2/rad^2 keeps rows alive whose joints are all held
-        square = square + ((damping[:, None, None] + 1e-12) * size + 1e-6) * np.eye(2)
-        step = (np.swapaxes(rows, 1, 2) @ np.linalg.solve(square, error[:, :, None]))[:, :, 0]
-        out = (step * blocked > 0.0) & (free > 0.0)
-        if not out.any():
-            return step
-        free[out] = 0.0
