@@ -17,7 +17,7 @@ from identification.arrays import Array
 from identification.estimation import Identification, estimate
 from identification.files.arm import load_arm, with_calibration, with_effects
 from identification.files.io import write_whole
-from identification.files.measurement import measurement_text
+from identification.files.measurement import load_measurements, measurement_text
 from identification.gap.diagnose import diagnose
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
@@ -119,10 +119,9 @@ def run_demo(directory: Path, seed: int = 0, progress: Progress = silent) -> Dem
     write_whole(directory / "plan.csv", plan_text(design.plan), force=True)
     step(2)
     generator = np.random.default_rng(seed)
-    data = simulate(truth, design.plan.postures, generator)
-    fresh = simulate(truth, generator.uniform(arm.lower, arm.upper, (200, arm.links)), generator)
-    write_whole(directory / "data.csv", measurement_text(data), force=True)
-    write_whole(directory / "fresh.csv", measurement_text(fresh), force=True)
+    data = _measured(directory / "data.csv", truth, design.plan.postures, generator)
+    elsewhere = generator.uniform(arm.lower, arm.upper, (200, arm.links))
+    fresh = _measured(directory / "fresh.csv", truth, elsewhere, generator)
     step(3)
     base = estimate(Model(arm), data)
     step(4)
@@ -134,3 +133,9 @@ def run_demo(directory: Path, seed: int = 0, progress: Progress = silent) -> Dem
     write_whole(directory / "extended.toml", with_calibration(with_effect, extended.calibration()), force=True)
     step(6)
     return Demo(arm, true_values(truth), problem, design, data, fresh, base, diagnosis, extended)
+
+
+def _measured(path: Path, truth: Arm, postures: Array, generator: np.random.Generator) -> Measurements:
+    """Simulated measurements as the commands read them from the file, rounding included."""
+    write_whole(path, measurement_text(simulate(truth, postures, generator)), force=True)
+    return load_measurements(path, truth.links)

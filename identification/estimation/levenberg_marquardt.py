@@ -25,6 +25,8 @@ from identification.status import Status
 GRADIENT_TOLERANCE = 1e-9  # stationary: no column of the Jacobian has a cosine with the residuals above this
 ITERATIONS = 200
 MAX_DAMPING = 1e12
+ROUNDING = 1e-14  # of a sum of squares, relative
+SMALL_FALL = 1e-8  # of a sum of squares, relative
 FLAT = 1e-4  # share of the residuals that the last step would still explain: 1e-4 sqrt(N) deviations
 Index = NDArray[np.intp]
 Linearize = Callable[[Array, Index], tuple[Array, Array]]
@@ -220,23 +222,37 @@ def truncated_steps(columns: Array, residuals: Array, damping: Array, tolerance:
 
 
 def _moved(problem: LeastSquares, points: Points, steps: Array) -> Points:
-    """The points after their steps, where those descend; elsewhere as before with more damping."""
+    """The points after their steps, where those descend; elsewhere as before."""
     trial = np.clip(points.parameters + steps, problem.lower, problem.upper)
     residuals, jacobians = problem.linearize(trial, points.problems)
     squares = _squares(residuals)
-    # rounding may hide the descent of the last steps
-    allowance = 2.0 * np.sqrt(points.squares) * problem.rounding[points.problems]
+    # rounding of residuals and of their sum may hide the descent of the last steps
+    allowance = 2.0 * np.sqrt(points.squares) * problem.rounding[points.problems] + ROUNDING * points.squares
     better = squares <= points.squares + allowance
-    relaxed = np.where(points.damping > 1e-6, points.damping / 10.0, 0.0)
-    damping = np.where(better, relaxed, np.maximum(10.0 * points.damping, 1e-4))
+    moved = Points(points.problems, trial, residuals, jacobians, squares, points.damping)
+    damping = np.where(better, _next_damping(points, moved), _raised(points.damping))
+    moved = moved._replace(damping=damping)
     if better.all():
-        return Points(points.problems, trial, residuals, jacobians, squares, damping)
-    row = better[:, None]
-    return Points(
-        points.problems,
-        np.where(row, trial, points.parameters),
-        np.where(row, residuals, points.residuals),
-        np.where(row[:, :, None], jacobians, points.jacobians),
-        np.where(better, squares, points.squares),
-        damping,
+        return moved
+    before = points._replace(damping=damping)
+    return Points._make(
+        np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(moved, before, strict=True)
     )
+
+
+def _next_damping(before: Points, after: Points) -> Array:
+    """Less where the sum of squares falls nearly as the linear model predicts, more where it falls by less than a
+    quarter of that (More 1978)."""
+    step = (after.parameters - before.parameters)[:, :, None]
+    change, change_after = ((points.jacobians @ step)[:, :, 0] for points in (before, after))
+    predicted = before.squares - _squares(before.residuals - change)
+    # a small fall drowns in rounding; the slopes at both ends of the step do not (trapezoidal rule)
+    slopes = np.einsum("kn,kn->k", change, before.residuals) + np.einsum("kn,kn->k", change_after, after.residuals)
+    fall = np.where(predicted > SMALL_FALL * before.squares, before.squares - after.squares, slopes)
+    relaxed = np.where(before.damping > 1e-6, before.damping / 10.0, 0.0)
+    unless_poor = np.where(fall >= 0.75 * predicted, relaxed, before.damping)
+    return np.where(fall < 0.25 * predicted, _raised(before.damping), unless_poor)
+
+
+def _raised(damping: Array) -> Array:
+    return np.maximum(10.0 * damping, 1e-4)

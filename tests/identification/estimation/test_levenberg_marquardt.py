@@ -1,0 +1,223 @@
+"""The one least-squares engine against scipy, brute force, and one problem at a time; on functions of our own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from identification.estimation.levenberg_marquardt import (
+    GRADIENT_TOLERANCE,
+    LeastSquares,
+    Linearize,
+    damped_steps,
+    levenberg_marquardt,
+)
+from identification.status import Status
+
+INF = np.inf
+TIMES = np.linspace(0.0, 3.0, 12)
+
+
+def problem(linearize: Linearize, p: int, count: int, **changes: object) -> LeastSquares:
+    bounds = {"lower": np.full(p, -INF), "upper": np.full(p, INF)}
+    return LeastSquares(linearize, **{**bounds, "scales": np.ones(p), "rounding": np.zeros(count), **changes})
+
+
+def decays(measured: np.ndarray) -> Linearize:
+    """y = a exp(-b t) + c for data (K, 12); measured less computed, and the derivative of what is computed."""
+
+    def linearize(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        a, b, c = (x[:, k, None] for k in range(3))
+        fall = np.exp(-b * TIMES)
+        jacobian = np.stack([fall, -a * TIMES * fall, np.ones_like(fall)], axis=-1)
+        return measured[index] - a * fall - c, jacobian
+
+    return linearize
+
+
+def measured_decays(count: int, seed: int = 0) -> np.ndarray:
+    generator = np.random.default_rng(seed)
+    a, b, c = generator.uniform([1.0, 0.3, -1.0], [5.0, 2.0, 1.0], (count, 3)).T[:, :, None]
+    return a * np.exp(-b * TIMES) + c + 0.05 * generator.standard_normal((count, len(TIMES)))
+
+
+def scipy_end(linearize: Linearize, start: np.ndarray, k: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """scipy's trust region with bounds on problem k."""
+    which = np.array([k])
+    found = least_squares(
+        lambda x: linearize(x[None], which)[0][0],
+        np.clip(start, lower + 1e-6, upper - 1e-6),
+        lambda x: -linearize(x[None], which)[1][0],
+        bounds=(lower, upper),
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-12,
+        max_nfev=2000,
+    )
+    return np.asarray(found.x)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper"),
+    [((-INF, -INF, -INF), (INF, INF, INF)), ((0.0, 0.0, 0.0), (4.0, 1.0, INF)), ((2.0, -INF, -0.2), (3.0, INF, 0.2))],
+)
+def test_ends_where_scipy_ends(lower: tuple[float, ...], upper: tuple[float, ...]) -> None:
+    low, high = np.array(lower), np.array(upper)
+    linearize = decays(measured_decays(40))
+    others = np.array([scipy_end(linearize, np.array([2.5, 0.8, 0.1]), k, low, high) for k in range(40)])
+    # with bounds there may be two minima: from near the one that scipy ends at
+    found = levenberg_marquardt(problem(linearize, 3, 40, lower=low, upper=high), 1.05 * others)
+    assert set(found.status) == {Status.converged}
+    assert np.all((found.parameters >= low) & (found.parameters <= high))
+    assert np.all(found.squares <= np.sum(linearize(others, np.arange(40))[0] ** 2, axis=1) * (1.0 + 1e-9))
+    # scipy keeps a little inside the bounds: 1e-6 of values of order one
+    np.testing.assert_allclose(found.parameters, others, rtol=0, atol=2e-5)
+    far = levenberg_marquardt(problem(linearize, 3, 40, lower=low, upper=high), np.tile([2.5, 0.8, 0.1], (40, 1)))
+    assert set(far.status) == {Status.converged}
+
+
+def test_ends_satisfy_karush_kuhn_tucker() -> None:
+    low, high = np.array([2.0, 0.5, -0.2]), np.array([3.0, 1.0, 0.2])
+    linearize = decays(measured_decays(60, seed=1))
+    found = levenberg_marquardt(problem(linearize, 3, 60, lower=low, upper=high), np.tile([2.5, 0.8, 0.1], (60, 1)))
+    residual, jacobian = linearize(found.parameters, np.arange(60))
+    cosines = np.einsum("knp,kn->kp", jacobian, residual)
+    cosines /= np.linalg.norm(jacobian, axis=1) * np.linalg.norm(residual, axis=1)[:, None]
+    np.testing.assert_array_less(np.abs(cosines[~found.active]), 2.0 * GRADIENT_TOLERANCE)
+    assert np.any(found.active)
+    assert np.all(cosines[found.active & (found.parameters == low)] < 0.0)
+    assert np.all(cosines[found.active & (found.parameters == high)] > 0.0)
+    assert np.all((found.parameters == low) | (found.parameters == high) | ~found.active)
+
+
+def test_many_at_once_are_those_one_by_one() -> None:
+    data, low = measured_decays(30, seed=2), np.array([0.0, 0.0, 0.0])
+    data[7] = np.nan
+    together = levenberg_marquardt(problem(decays(data), 3, 30, lower=low), np.ones((30, 3)))
+    for k in range(30):
+        alone = levenberg_marquardt(problem(decays(data[k : k + 1]), 3, 1, lower=low), np.ones((1, 3)))
+        assert alone.status[0] is together.status[k]
+        assert alone.iterations[0] == together.iterations[k]
+        np.testing.assert_allclose(alone.parameters[0], together.parameters[k], rtol=1e-12)
+    assert together.status[7] is Status.solver_failed
+
+
+def test_the_global_minimum_of_two_parameters_by_brute_force() -> None:
+    """Circle through noisy points by its center, on a grid; a box cuts off the free minimum."""
+    generator = np.random.default_rng(4)
+    angle = generator.uniform(0.0, 2.0, 15)
+    points = np.column_stack([np.cos(angle), np.sin(angle)]) + [0.4, -0.3] + 0.02 * generator.standard_normal((15, 2))
+
+    def linearize(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        away = points[None] - x[:, None, :]
+        distance = np.linalg.norm(away, axis=2)
+        return 1.0 - distance, -away / distance[:, :, None]
+
+    low, high = np.array([-0.5, -0.25]), np.array([0.9, 0.9])
+    found = levenberg_marquardt(problem(linearize, 2, 1, lower=low, upper=high), np.array([[0.0, 0.0]]))
+    grid = np.stack(np.meshgrid(*(np.linspace(a, b, 701) for a, b in zip(low, high, strict=True))), axis=-1)
+    cost = np.sum((1.0 - np.linalg.norm(points[:, None, None] - grid, axis=3)) ** 2, axis=0)
+    best = grid[np.unravel_index(np.argmin(cost), cost.shape)]
+    np.testing.assert_allclose(found.parameters[0], best, rtol=0, atol=0.002)  # the spacing of the grid
+    assert found.squares[0] <= cost.min()
+    assert found.active[0].tolist() == [False, True]
+
+
+def linear(matrix: np.ndarray, right: np.ndarray) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
+    """(N, p) x = (K, N)."""
+
+    def linearize(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return right[index] - x @ matrix.T, np.broadcast_to(matrix, (len(index), *matrix.shape)).copy()
+
+    return linearize
+
+
+def test_equal_values_are_those_of_summed_columns() -> None:
+    generator = np.random.default_rng(5)
+    matrix, right = generator.standard_normal((20, 5)), generator.standard_normal((3, 20))
+    tied, spread = problem(linear(matrix, right), 5, 3).tied([[1, 3], [4, 0]])
+    found = levenberg_marquardt(tied, np.zeros((3, spread.shape[1])))
+    values = found.parameters @ spread.T
+    np.testing.assert_array_equal(values[:, 1], values[:, 3])
+    np.testing.assert_array_equal(values[:, 0], values[:, 4])
+    summed = np.column_stack([matrix[:, 0] + matrix[:, 4], matrix[:, 1] + matrix[:, 3], matrix[:, 2]])
+    expected = np.linalg.lstsq(summed, right.T, rcond=None)[0].T
+    np.testing.assert_allclose(values[:, [0, 1, 2]], expected, rtol=0, atol=1e-9)
+
+
+def test_what_is_not_determined_stays_where_it_was() -> None:
+    """Two equal columns: only their sum moves, by the shortest step; and a column of zeros."""
+    generator = np.random.default_rng(6)
+    matrix, right = generator.standard_normal((20, 4)), generator.standard_normal((1, 20))
+    matrix[:, 2], matrix[:, 3] = matrix[:, 1], 0.0
+    found = levenberg_marquardt(problem(linear(matrix, right), 4, 1), np.array([[0.0, 0.3, 0.1, 7.0]]))
+    expected = np.linalg.lstsq(matrix[:, :2], right[0], rcond=None)[0]
+    assert found.status[0] is Status.converged
+    x = found.parameters[0]
+    np.testing.assert_allclose([x[0], x[1] + x[2], x[1] - x[2], x[3]], [*expected, 0.2, 7.0], rtol=0, atol=1e-8)
+
+
+def test_the_metric_decides_which_step_is_the_shortest() -> None:
+    """One equation, three unknowns: with weights w the shortest solution is W^-2 a (a' W^-2 a)^-1 b."""
+    a, weights = np.array([[1.0, 2.0, -1.0]]), np.array([1.0, 3.0, 0.5])
+    found = levenberg_marquardt(
+        problem(linear(a, np.array([[4.0]])), 3, 1, metric=weights, rounding=np.array([1e-12])), np.zeros((1, 3))
+    )
+    expected = a[0] / weights**2 / np.sum(a[0] ** 2 / weights**2) * 4.0
+    np.testing.assert_allclose(found.parameters[0], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(12, 4), (3, 4)], ids=["tall", "wide"])
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+def test_damped_steps_by_either_route(shape: tuple[int, int], damping: float) -> None:
+    """Normal matrix for a good condition, singular values for a bad one: both minimise |E s - r|^2 + damping |s|^2."""
+    generator = np.random.default_rng(7)
+    good = generator.standard_normal((2, *shape))
+    bad = good.copy()
+    bad[1, :, 3] = bad[1, :, 0] + 1e-6 * bad[1, :, 3]  # condition 1e6: a normal matrix would lose twelve digits
+    residuals, held = generator.standard_normal((2, shape[0])), np.zeros((2, 4), dtype=bool)
+    held[:, 1] = True
+    for columns in (good, bad):
+        steps, gradient = damped_steps(columns, residuals, held, np.full(2, damping), 1e-9)
+        for k in range(2):
+            free = columns[k] * ~held[k]
+            tall = np.vstack([free, np.sqrt(damping) * np.eye(4)])
+            expected = np.linalg.lstsq(tall, np.r_[residuals[k], np.zeros(4)], rcond=1e-12)[0]
+            np.testing.assert_allclose(steps[k], expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max())
+            np.testing.assert_allclose(gradient[k], free.T @ residuals[k], rtol=0, atol=1e-9)
+        assert np.all(steps[:, 1] == 0.0)
+
+
+def test_statuses_say_how_it_ended() -> None:
+    def rosenbrock(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        residual = np.stack([-10.0 * (x[:, 1] - x[:, 0] ** 2), x[:, 0] - 1.0 + 0.0 * x[:, 1]], axis=1)
+        jacobian = np.zeros((len(x), 2, 2))
+        jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 1, 0] = -20.0 * x[:, 0], 10.0, -1.0
+        return residual, jacobian
+
+    start, rounding = np.array([[-1.2, 1.0]]), np.array([1e-12])
+    found = levenberg_marquardt(problem(rosenbrock, 2, 1, rounding=rounding), start)
+    assert found.status[0] is Status.converged
+    np.testing.assert_allclose(found.parameters, 1.0, rtol=1e-9)
+    cut = levenberg_marquardt(problem(rosenbrock, 2, 1, rounding=rounding, iterations=2), start)
+    assert cut.status[0] is Status.iteration_limit
+    assert cut.iterations[0] == 2
+    nowhere = levenberg_marquardt(problem(rosenbrock, 2, 1), np.array([[np.inf, 1.0]]))
+    assert nowhere.status[0] is Status.solver_failed
+
+
+def test_a_wrong_derivative_ends_unconverged() -> None:
+    """With a Jacobian of the wrong sign a small step always ascends: damping runs to its limit, nothing is claimed."""
+    right = decays(measured_decays(3))
+
+    def wrong(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        residual, jacobian = right(x, index)
+        return residual, -jacobian
+
+    found = levenberg_marquardt(problem(wrong, 3, 3), np.ones((3, 3)))
+    assert not np.any(found.status == Status.converged)
+    begun = np.sum(right(np.ones((3, 3)), np.arange(3))[0] ** 2, axis=1)
+    assert np.all(found.squares <= begun * (1.0 + 1e-12))

@@ -1,0 +1,98 @@
+"""`diagnose` and `estimate` state the same numbers for the same model and rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.arm import EffectSpec
+from identification.estimation import Identification, estimate
+from identification.gap.hypotheses import hypotheses
+from identification.gap.result import Diagnosis
+from identification.gap.selection import Search
+from identification.gap.whitening import Rows
+from identification.measurements import Measurements
+from identification.model import Model
+from tests.identification.estimation.cases import arm, data, plan
+from tests.identification.gap.test_diagnose import ARM, diagnosed, measured
+
+# Both end where no column of the Jacobian has a cosine above 1e-9 with the residuals: within 1e-9 sqrt(N) of a standard
+# deviation of each other. Figures that do not depend on the estimates in first order agree to rounding.
+DEVIATIONS = 1e-7
+SAME = {"rel": 1e-9}
+
+
+def compared(found: Diagnosis, other: Identification) -> None:
+    """Everything that both state."""
+    calibration = found.named.calibration
+    assert calibration.parameter_names == other.names
+    values = other.model.parameters.vector(dict(calibration.values))
+    np.testing.assert_allclose((values - other.parameters) / other.std, 0.0, atol=DEVIATIONS)
+    correlations = other.covariance / np.outer(other.std, other.std)
+    np.testing.assert_allclose(calibration.covariance / np.outer(other.std, other.std), correlations, atol=1e-7)
+    assert found.sigma == pytest.approx(other.sigma, **SAME)
+    assert found.gap.rms_after == pytest.approx(other.rms_after, **SAME)
+    np.testing.assert_allclose(found.residuals.after, other.residuals_after, rtol=0, atol=DEVIATIONS)
+    rows = {row["name"]: row for row in other.to_json()["parameters"]}
+    for shown in found.named.parameters:
+        row = rows[shown.name]
+        for key in ("value", "low_95", "high_95"):
+            assert abs(getattr(shown, key) - row[key]) <= DEVIATIONS * row["std"]
+        assert shown.std == pytest.approx(row["std"], rel=1e-7)
+        assert shown.unit == row["unit"]
+
+
+def test_nothing_missing() -> None:
+    found, other = diagnosed(None), estimate(Model(ARM), measured(None), sigma="estimated")
+    assert found.verdict == "none"
+    assert found.outlier_rows == ()
+    assert found.scatter == ()
+    compared(found, other)
+    assert found.gap.rms_before == pytest.approx(other.rms_after, **SAME)
+    assert found.detectability.freedom == other.dof
+
+
+@pytest.mark.parametrize("name", ["encoder_eccentricity", "backlash", "link_bending", "transmission_ripple"])
+def test_one_effect_named(name: str) -> None:
+    found = diagnosed(name)
+    assert found.outlier_rows == ()
+    assert found.scatter == ()
+    without = replace(found.extended_arm(), calibration=None)
+    other = estimate(Model(without), measured(name), sigma="estimated")
+    compared(found, other)
+    # and from the calibration that the extended arm carries
+    again = estimate(Model(found.extended_arm()), measured(name), sigma="estimated")
+    compared(found, again)
+    assert again.rms_before == pytest.approx(again.rms_after, **SAME)
+
+
+def test_sigma_per_row_is_a_relative_weight() -> None:
+    """Weights 1 / relative sigma^2, relative to the geometric mean, and one scale estimated from the residuals."""
+    sigma = np.random.default_rng(3).uniform(0.05, 0.3, 40)
+    rows = replace(data(Model(arm()), plan(40)), sigma=sigma)
+    relative = sigma / np.exp(np.mean(np.log(sigma)))
+    other = estimate(Model(arm()), rows, sigma="estimated", weights=relative**-2.0)
+    found = Search(hypotheses(arm(), frozenset()), Rows.of(rows)).fit(())
+    np.testing.assert_allclose((found.values - other.parameters) / other.std, 0.0, atol=DEVIATIONS)
+    assert (found.sigma, found.freedom) == (pytest.approx(other.sigma, **SAME), other.dof)
+    deviations = np.sqrt(np.diag(found.covariance(bounded=False)))
+    np.testing.assert_allclose(deviations, other.std, rtol=1e-7)
+
+
+def test_an_active_bound() -> None:
+    """Links that rise under their load: the flexibility ends at its bound, in both with the interval behind it."""
+    model = Model(arm(EffectSpec("link_bending")))
+    true = np.zeros(9)
+    true[-1] = -2e-5
+    exact = model.position(plan(40), true)
+    noise = 0.1 * np.random.default_rng(8).standard_normal(exact.shape)
+    rows = Measurements(plan(40), exact + noise)
+    other = estimate(model, rows, sigma="estimated")
+    found = Search(hypotheses(model.arm, frozenset()), Rows.of(rows)).fit(())
+    assert other.parameters[-1] == found.values[-1] == 0.0
+    np.testing.assert_array_equal(found.free, np.r_[np.ones(8, dtype=bool), False])
+    np.testing.assert_allclose((found.values - other.parameters) / other.std, 0.0, atol=DEVIATIONS)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance(bounded=False))), other.std, rtol=1e-7)
+    assert np.all(found.covariance()[-1] == 0.0)
