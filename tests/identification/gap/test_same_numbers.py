@@ -11,7 +11,7 @@ from identification.arm import EffectSpec
 from identification.estimation import Identification, estimate
 from identification.gap.hypotheses import hypotheses
 from identification.gap.result import Diagnosis
-from identification.gap.selection import Search
+from identification.gap.selection import HypothesisSearch
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from identification.model import Model
@@ -74,7 +74,7 @@ def test_sigma_per_row_is_a_relative_weight() -> None:
     rows = replace(data(Model(arm()), plan(40)), sigma=sigma)
     relative = sigma / np.exp(np.mean(np.log(sigma)))
     other = estimate(Model(arm()), rows, sigma="estimated", weights=relative**-2.0)
-    found = Search(hypotheses(arm(), frozenset()), Rows.of(rows)).fit(())
+    found = HypothesisSearch(hypotheses(arm(), frozenset()), Rows.of(rows)).fit(())
     np.testing.assert_allclose((found.values - other.parameters) / other.std, 0.0, atol=DEVIATIONS)
     assert (found.sigma, found.freedom) == (pytest.approx(other.sigma, **SAME), other.dof)
     deviations = np.sqrt(np.diag(found.covariance(bounded=False)))
@@ -90,7 +90,7 @@ def test_an_active_bound() -> None:
     noise = 0.1 * np.random.default_rng(8).standard_normal(exact.shape)
     rows = Measurements(plan(40), exact + noise)
     other = estimate(model, rows, sigma="estimated")
-    found = Search(hypotheses(model.arm, frozenset()), Rows.of(rows)).fit(())
+    found = HypothesisSearch(hypotheses(model.arm, frozenset()), Rows.of(rows)).fit(())
     assert other.parameters[-1] == found.values[-1] == 0.0
     np.testing.assert_array_equal(found.free, np.r_[np.ones(8, dtype=bool), False])
     np.testing.assert_allclose((found.values - other.parameters) / other.std, 0.0, atol=DEVIATIONS)
