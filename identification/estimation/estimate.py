@@ -37,6 +37,8 @@ def estimate(
 ) -> Identification:
     """Least-squares estimates of the model's parameters (eq. 3), with covariance (eq. 16) and 95 % intervals.
 
+    model : a `Model`, or another, of any dimension, with the same parameters, values, joints, effects, sigma, reach,
+        closed_form, position and linearize
     method : `linear` (closed form, the default where the model is linear in its links), `gauss_newton` (the default
         for every other model) or `paper_steps`
     sigma : standard deviation of one coordinate [mm], one number or (m,); "estimated": from the residuals, whatever
@@ -63,9 +65,9 @@ def estimate(
 
 def check(model: Model, measurements: Measurements) -> None:
     """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations."""
-    _check_kind("model", model, Model, "a Model, as in Model(arm)")
-    _check_kind("measurements", measurements, Measurements, "Measurements, as load_measurements(path) gives")
-    n, m, p = model.arm.links, len(measurements), len(model.parameters)
+    _check_kind("model", model, "linearize", "a Model, as in Model(arm)")
+    _check_kind("measurements", measurements, "positions", "Measurements, as load_measurements(path) gives")
+    n, m, p = model.joints, len(measurements), len(model.parameters)
     if measurements.links != n:
         raise InputError(f"measurements: {measurements.links} joints for an arm of {n} links, allowed: {n}")
     if measurements.dimension != model.dimension:
@@ -85,8 +87,8 @@ def check(model: Model, measurements: Measurements) -> None:
         raise InputError(f"measurements: fewer equations than unknowns: {found}, allowed: m >= {-(-p // d)}")
 
 
-def _check_kind(name: str, value: object, kind: type, allowed: str) -> None:
-    if not isinstance(value, kind):
+def _check_kind(name: str, value: object, needed: str, allowed: str) -> None:
+    if not hasattr(value, needed):
         raise InputError(f"{name}: found {type(value).__name__}, allowed: {allowed}")
 
 
@@ -102,7 +104,7 @@ def weighting(
         if sigma != "estimated":
             raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm] or 'estimated'")
         return Noise(relative, None)
-    given = next((s for s in (sigma, measurements.sigma, model.arm.sigma) if s is not None), None)
+    given = next((s for s in (sigma, measurements.sigma, model.sigma) if s is not None), None)
     if given is None:
         return Noise(relative, None)
     deviations = np.asarray(given, dtype=float)
@@ -117,7 +119,7 @@ def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spect
     residuals, jacobian = problem.linearize_at(solution.parameters[0])
     decomposed = spectrum(jacobian, problem.model.scales, problem.tolerance)
     sigma = noise.sigma or _estimated(residuals, decomposed.rank) or 0.0
-    reach = float(np.sum(problem.model.arm.lengths))
+    reach = problem.model.reach
     useful = max(RANK_TOLERANCE, sigma / (np.sqrt(len(problem.weights)) * LARGEST_SHARE * reach))
     if decomposed.truncated(min(useful, 0.1)).rank == decomposed.rank:
         return solution, decomposed, problem

@@ -28,7 +28,7 @@ def paper_steps(problem: Problem) -> Solution:
             found = f"{parameter.name} is bounded to [{parameter.lower:g}, {parameter.upper:g}]"
             raise InputError(f"method: paper_steps knows no bounds, {found}; allowed: gauss_newton")
     errors = np.zeros(len(model.parameters))  # Step 1
-    enough = STEP_TOLERANCE * float(np.sum(model.arm.lengths))
+    enough = STEP_TOLERANCE * model.reach
     for iteration in range(1, MAX_ITERATIONS + 1):
         residuals, jacobian = problem.linearize_at(errors)  # Step 2
         correction = _correction(residuals, jacobian, model.scales, problem.tolerance)  # Step 3, eq. 11

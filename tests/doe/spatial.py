@@ -84,6 +84,7 @@ class SpatialModel:
     known: tuple[float, ...] = ()
     dimension: int = 3
     closed_form: None = None
+    effects: tuple[()] = ()
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
@@ -124,6 +125,10 @@ class SpatialModel:
     @property
     def reach(self) -> float:
         return float(sum(np.linalg.norm(j.offset) for j in self.chain) + np.linalg.norm(self.tip))
+
+    @property
+    def scales(self) -> Array:
+        return self.parameters.scales
 
     @property
     def values(self) -> Array:

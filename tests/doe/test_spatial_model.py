@@ -33,12 +33,14 @@ from doe.report.design_tables import accuracy_table, design_tables
 from doe.solvers import solve
 from doe.studies.comparison import evaluated
 from identification.arrays import Array
+from identification.estimation import estimate
 from tests.doe.spatial import (
     LARGE_MODEL,
     SMALL,
     SpatialModel,
     difference_information,
     difference_jacobian,
+    measured,
     random_postures,
     spatial,
     tip_positions,
@@ -296,6 +298,47 @@ def test_kept_postures_count() -> None:
     assert design.value == pytest.approx(log_det(difference_information(model, together)), abs=1e-5)
     beside = [np.vstack([random_postures(model, 5, seed), kept]) for seed in range(50)]
     assert design.value > max(log_det(difference_information(model, plan)) for plan in beside)
+
+
+# -- identification --------------------------------------------------------------------------------------------------
+def truth(model: SpatialModel, seed: int) -> Array:
+    """(p,) errors of about a millimetre and a third of a degree."""
+    return deviated_draws(model, 1, np.random.default_rng(seed), 1.0, np.radians(0.3), 200.0)[0]
+
+
+@pytest.mark.parametrize("model", [SpatialModel(), LARGE_MODEL], ids=["p = 12", "p = 30"])
+def test_the_measured_plan_gives_the_true_parameters(model: SpatialModel) -> None:
+    """Without noise to rounding; with it inside the errors that the oracle's covariance predicts."""
+    postures, true = random_postures(model, 40, 6), truth(model, 7)
+    exact = estimate(model, measured(model, true, postures, 0.0, 1), sigma=0.1)  # type: ignore[arg-type]
+    assert exact.status.succeeded
+    np.testing.assert_allclose(exact.parameters * model.scales, true * model.scales, atol=1e-6)  # mm at the tip
+    noisy = estimate(model, measured(model, true, postures, 0.1, 1))  # type: ignore[arg-type]
+    jacobian = difference_jacobian(model, postures, true).reshape(120, -1)
+    covariance = 0.1**2 * np.linalg.inv(jacobian.T @ jacobian)
+    size = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    np.testing.assert_allclose(noisy.covariance / size, covariance / size, atol=0.01)  # that at the estimate
+    error = noisy.parameters - true
+    # chi2 of p degrees of freedom: fails 5 standard deviations sqrt(2 p) above its mean p
+    assert error @ np.linalg.solve(covariance, error) < len(true) + 5.0 * np.sqrt(2.0 * len(true))
+    assert noisy.dof == 120 - len(true)
+    assert noisy.residuals_after.shape == (40, 3)
+    assert noisy.rms_after < 0.1 * np.sqrt(3.0) * 1.3 < noisy.rms_before
+
+
+def test_what_is_not_estimable_in_space_is_named() -> None:
+    """A first joint that never moves: where its frame and its encoder are off, the second joint's frame is off."""
+    model = replace(SpatialModel(), names=(*SMALL, "rotation_z:1", "rotation_x:1", "encoder_cos:1", "encoder_sin:1"))
+    still = random_postures(model, 40, 2)
+    still[:, 0] = 0.4
+    found = estimate(model, measured(model, np.zeros(16), still, 0.1, 3))  # type: ignore[arg-type]
+    columns = difference_jacobian(model, still).reshape(120, 16) / model.scales
+    assert len(found.not_identifiable) == 16 - np.linalg.matrix_rank(columns, tol=1e-5) == 4
+    named = " ".join(found.not_identifiable)
+    assert all(name in named for name in ("rotation_z:1", "rotation_x:1", "encoder_cos:1", "encoder_sin:1"))
+    null = np.linalg.svd(columns)[2][12:]
+    lost = np.abs(null).max(axis=0) > 1e-3
+    np.testing.assert_array_equal(found.identifiable, ~lost)
 
 
 # -- an arm that is not known well, effects that may be missing --------------------------------------------------------
