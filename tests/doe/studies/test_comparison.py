@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +18,7 @@ from doe.jobs.row_table import RowTable, frame_of
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from doe.report.comparison import comparison_tables, performance_profile, profile_figure, time_figure
-from doe.solvers import Offer, Random, solver_named
-from doe.solvers.registry import installed_solvers
+from doe.solvers import Offer, Random
 from doe.studies.comparison import Comparison, compare, evaluated, summary, with_hits
 from identification.arm import Arm
 from identification.errors import InputError
@@ -174,32 +172,6 @@ def test_criterion_and_own_solver_are_settings() -> None:
     )
     assert len(summary(rows)) == 4
     assert len(comparison_tables(rows)) == 2
-
-
-def test_solver_of_an_installed_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint("fourier", f"{__name__}:Fourier", "armcal.solvers")
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == "armcal.solvers" else [])
-    installed_solvers.cache_clear()
-    try:
-        assert solver_named("fourier") == Fourier()
-        Comparison([ARM], [4], ["fourier"])
-    finally:
-        installed_solvers.cache_clear()
-
-
-@pytest.mark.parametrize(
-    ("value", "expected"),
-    [("no_such_package_at_all:Mine", "No module named"), ("math:pi", "a solver with offers"), ("math:tau2", "tau2")],
-)
-def test_a_broken_solver_of_a_package_is_named(monkeypatch: pytest.MonkeyPatch, value: str, expected: str) -> None:
-    point = EntryPoint("mine", value, "armcal.solvers")
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
-    installed_solvers.cache_clear()
-    try:
-        with pytest.raises(InputError, match=f"mine = {value}.*{expected}"):
-            solver_named("mine")
-    finally:
-        installed_solvers.cache_clear()
 
 
 def test_verb(tmp_path: Path) -> None:

@@ -10,14 +10,11 @@ import numpy as np
 import pytest
 
 from doe.bounds.bound import Bound
-from doe.design import score_plan
-from doe.problem.problem import DesignProblem
 from doe.solvers import Offer, solve
 from doe.solvers.driver import AGREEMENT
-from identification.arm import Arm, EffectSpec
-from identification.errors import InputError, JobError
+from identification.errors import JobError
 from identification.status import Status
-from tests.doe.arms import FIVE, FOUR, OFFSET, problem
+from tests.doe.arms import FOUR, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det, factorial
 
 GOOD = factorial(FOUR, offset=False)
@@ -121,75 +118,3 @@ def test_progress_is_told() -> None:
     solve(problem(FOUR), 8, Scripted([Offer(POOR, 1)] * 3), starts=3, progress=lambda *a: told.append(a))
     assert [(done, total) for done, total, _ in told] == [(1, 3), (2, 3), (3, 3)]
     assert all("best" in message for *_, message in told)
-
-
-@pytest.mark.parametrize("solver", [None, "exchange", "ipopt", "exchange_ipopt", "random", "analytic"])
-def test_same_seed_same_plan(solver: str | None) -> None:
-    runs = 8 if solver == "analytic" else 6
-    plans = [solve(problem(FOUR), runs, solver, seed=s, starts=4).plan.postures for s in (3, 3, 4)]
-    np.testing.assert_array_equal(plans[0], plans[1])
-    assert not np.array_equal(plans[0], plans[2])
-
-
-def test_bad_input() -> None:
-    with pytest.raises(InputError, match=r"runs: 3 with 8 parameters.*at least 4"):
-        solve(problem(FOUR), 3)
-    with pytest.raises(InputError, match="at least 5"):
-        solve(problem(FOUR, OFFSET), 4)
-    with pytest.raises(InputError, match="did you mean 'ipopt'"):
-        solve(problem(FIVE), 8, "ipot")
-
-
-def test_what_no_posture_tells_apart_is_named() -> None:
-    lost = {
-        "base_rotation": r"joint_offset:1 \+ base_rotation.angle",
-        "base_drift": "base_drift.vx; base_drift.vy",
-    }
-    for name, combination in lost.items():
-        with pytest.raises(JobError, match=f"no posture tells apart: {combination}"):
-            solve(problem(FOUR, EffectSpec(name)), 12, "random")
-
-
-def test_candidates_that_cannot_identify_are_no_plan() -> None:
-    """One posture gives two equations; det M is 0 but for rounding, whatever the angles."""
-    for posture in ([0.0, 0.0, 0.0, 0.0], [0.3, 0.7, -0.5, 0.2], [0.0, 1.5, 0.0, 0.0], [0.1, 0.2, 0.4, 0.8]):
-        case = problem(FOUR, choices=np.array([posture]), minimum_distance=0.0)
-        with pytest.raises(JobError, match="1 candidates cannot identify all 8 parameters"):
-            solve(case, 8, starts=5)
-        assert solve(case, 8, starts=5, throw=False).status is Status.not_identifiable
-
-
-def test_no_information_is_never_a_bound_reached() -> None:
-    """Links of a metre's millionth between links of a kilometre: their offsets drown in rounding."""
-    case = problem(Arm([1e6, 1e-3, 1e6, 1e-3]))
-    with pytest.raises(JobError, match="no plan that identifies all 8 parameters"):
-        solve(case, 8)
-    design = solve(case, 8, throw=False)
-    assert (design.value, design.status) == (-np.inf, Status.not_identifiable)
-
-
-@pytest.mark.parametrize("runs", [8.0, "8", None, True, np.float64(8.0)])
-def test_runs_are_a_whole_number(runs: Any) -> None:
-    with pytest.raises(InputError, match=r"runs: .*allowed: a whole number"):
-        solve(problem(FOUR), runs)
-
-
-def test_models_and_criteria_are_objects() -> None:
-    with pytest.raises(InputError, match=r"model: Arm, allowed: .*Model\(arm\)"):
-        DesignProblem.of(FOUR)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="criterion: 'A', allowed"):
-        problem(FOUR, criterion="A")
-
-
-@pytest.mark.parametrize(
-    ("plan", "expected"),
-    [
-        (np.where(np.arange(32).reshape(8, 4) == 9, np.nan, 1.0), "run 3 is not finite"),
-        (np.ones((8, 3)), r"shape \(8, 3\), allowed: \(m, 4\)"),
-        ([[1.0, 2.0], [3.0]], "allowed: an array"),
-        ("plan.csv", "'plan.csv', allowed: an array"),
-    ],
-)
-def test_what_is_no_plan_is_not_scored(plan: Any, expected: str) -> None:
-    with pytest.raises(InputError, match=f"plan: .*{expected}"):
-        score_plan(problem(FOUR), plan)

@@ -1,0 +1,48 @@
+"""The convex program alone, on a regression whose optimal weights are in the textbook."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from doe.bounds.convex_program import SETTINGS, smallest_eigenvalue_weights, solve_program
+from doe.criteria import A, Criterion, D, E
+from doe.problem.prior import PriorInformation
+from identification.errors import JobError
+
+POINTS = np.linspace(-1.0, 1.0, 21)
+QUADRATIC = np.power.outer(POINTS, np.arange(3))[:, None, :]  # (21, 1, 3)
+UPPER = np.triu_indices(3)
+ROWS = (np.swapaxes(QUADRATIC, 1, 2) @ QUADRATIC)[:, UPPER[0], UPPER[1]]
+
+
+@pytest.mark.parametrize("solver", SETTINGS)
+@pytest.mark.parametrize(
+    ("criterion", "ends", "middle"),
+    # F. Pukelsheim, Optimal Design of Experiments (2006), section 9.12 and exhibit 9.9: support -1, 0, 1
+    [(D(), 1 / 3, 1 / 3), (A(), 1 / 4, 1 / 2), (E(), 1 / 5, 3 / 5)],
+    ids=["D", "A", "E"],
+)
+def test_quadratic_regression(solver: str, criterion: Criterion, ends: float, middle: float) -> None:
+    answer = solve_program(ROWS, criterion, solver)
+    assert answer.status == "optimal"
+    assert answer.weights is not None
+    value = float(criterion.value(np.einsum("k,kda,kdb->ab", answer.weights, QUADRATIC, QUADRATIC)))
+    best = np.zeros(21)
+    best[[0, 10, 20]] = ends, middle, ends
+    optimum = float(criterion.value(np.einsum("k,kda,kdb->ab", best, QUADRATIC, QUADRATIC)))
+    assert value == pytest.approx(optimum, rel=1e-4, abs=1e-5)  # solvers stop at 1e-8 of a scaled program
+
+
+def test_dual_of_the_smallest_eigenvalue_is_a_bound() -> None:
+    """G >= 0 with unit trace, and max tr(G F_i) is not below the optimum 1/5 (Pukelsheim)."""
+    found = smallest_eigenvalue_weights(QUADRATIC, PriorInformation())
+    assert np.linalg.eigvalsh(found.gradient)[0] >= -1e-12
+    assert np.trace(found.gradient) == pytest.approx(1.0, abs=1e-12)
+    largest = max(float(row @ found.gradient @ row) for row in QUADRATIC[:, 0])
+    assert 0.2 - 1e-12 <= largest <= 0.2 + 1e-5
+
+
+def test_postures_that_do_not_identify() -> None:
+    with pytest.raises(JobError, match="identify"):
+        solve_program(ROWS[:2], D(), "scs")

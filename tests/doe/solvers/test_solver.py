@@ -1,0 +1,32 @@
+"""The budget of a search."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import pytest
+
+from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget, time_limit
+
+
+def test_without_a_deadline_there_is_all_the_time() -> None:
+    assert Budget(3).remaining == float("inf")
+    assert not Budget(3).out_of_time
+    assert Budget(3, perf_counter() - 1.0).out_of_time
+    assert 9.0 < Budget(3, perf_counter() + 10.0).remaining <= 10.0
+
+
+@pytest.mark.parametrize(
+    ("runs", "starts", "seconds", "expected"),
+    [
+        (LONG_PLAN, None, None, None),
+        (LONG_PLAN + 1, None, None, LONG_PLAN_SECONDS),
+        (LONG_PLAN + 1, 5, None, None),
+        (LONG_PLAN + 1, None, 2.0, 2.0),
+        (8, None, 2.0, 2.0),
+    ],
+)
+def test_long_plans_alone_have_a_limit_of_their_own(
+    runs: int, starts: int | None, seconds: float | None, expected: float | None
+) -> None:
+    assert time_limit(runs, starts, seconds) == expected
