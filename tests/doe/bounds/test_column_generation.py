@@ -89,15 +89,15 @@ EFFECTS = {
 }
 
 
-@pytest.mark.parametrize("effects", EFFECTS.values(), ids=EFFECTS)
-def test_effects_in_the_model(effects: tuple[EffectSpec, ...]) -> None:
+@pytest.mark.parametrize("name", ["gear ratio", pytest.param("two harmonics", marks=pytest.mark.slow)])
+def test_effects_in_the_model(name: str) -> None:
     """No random posture violates the equivalence theorem, and a fine grid has nothing better."""
-    case = problem(FOUR, *effects)
+    case = problem(FOUR, *EFFECTS[name])
     design = continuous_design(case, tolerance=1e-8, proof=0.0)
     assert design.gap <= 1e-6
     assert design.bound is not None
     information = case.information(design.plan.postures, design.plan.shares)
-    q = np.random.default_rng(9).uniform(case.lower, case.upper, (200_000, 4))
+    q = np.random.default_rng(9).uniform(case.lower, case.upper, (50_000, 4))
     d = np.einsum(
         "kda,ab,kdb->k", case.scaled_jacobians(q), np.linalg.inv(information), case.scaled_jacobians(q), optimize=True
     )
@@ -108,20 +108,21 @@ def test_effects_in_the_model(effects: tuple[EffectSpec, ...]) -> None:
 
 
 def test_what_the_multistart_misses_the_proof_finds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a search blind to large q_4 the loop ends early; branch and bound returns the posture that was missed."""
-    case = problem(FOUR)
+    """With a search blind to large q_3 the loop ends early; branch and bound returns the posture that was missed."""
+    arm = Arm(FOUR.lengths[:3], FOUR.lower[:3], FOUR.upper[:3])
+    case = problem(arm)
     real = module.ContinuousSet.best
 
     def blind(self, gradient, near, generator=None):  # type: ignore[no-untyped-def]
-        postures = np.clip(real(self, gradient, near, generator)[0], -0.5, 0.5, where=np.eye(4, dtype=bool)[3])
+        postures = np.clip(real(self, gradient, near, generator)[0], -0.5, 0.5, where=np.eye(3, dtype=bool)[2])
         values = self.sensitivities(postures, gradient)
         return postures[np.argsort(-values)], -np.sort(-values)
 
-    starts = np.random.default_rng(0).uniform(case.lower, case.upper, (500, 4)) * [1.0, 1.0, 1.0, 0.3]
+    starts = np.random.default_rng(0).uniform(case.lower, case.upper, (500, 3)) * [1.0, 1.0, 0.3]
     monkeypatch.setattr(module.ContinuousSet, "starts", starts)
     monkeypatch.setattr(module.ContinuousSet, "best", blind)
     design = continuous_design(case, tolerance=1e-8)
-    expected = closed_form(FOUR.lower, FOUR.upper)
+    expected = closed_form(arm.lower, arm.upper)
     if design.bound is None:  # it may give up, but it must not claim
         assert design.status is Status.almost_solved
     else:
@@ -139,7 +140,7 @@ def test_walls() -> None:
     assert design.bound is not None
     assert not design.bound.rigorous
     assert design.value <= closed_form(FOUR.lower, FOUR.upper)
-    assert column_generation(case, grid(case, 25)).value <= design.bound.value + 1e-9
+    assert column_generation(case, grid(case, 15)).value <= design.bound.value + 1e-9
 
 
 # -- finite sets -------------------------------------------------------------------------------------------------------

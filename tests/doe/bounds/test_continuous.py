@@ -65,13 +65,13 @@ def test_climbs_within_the_set(case) -> None:  # type: ignore[no-untyped-def]
 
 
 def test_nothing_higher_within_limits_by_scipy() -> None:
-    """L-BFGS-B from 300 random starts does not find a higher sensitivity."""
+    """L-BFGS-B from 100 random starts does not find a higher sensitivity."""
     case = problem(FOUR, OFFSET, ECCENTRICITY)
     generator = np.random.default_rng(2)
     everything, gradient = ContinuousSet(case, PriorInformation()), some_gradient(case, generator)
     best = everything.best(gradient, np.empty((0, 4)))[1][0]
     limits = list(zip(case.lower, case.upper, strict=True))
-    for start in generator.uniform(case.lower, case.upper, (300, 4)):
+    for start in generator.uniform(case.lower, case.upper, (100, 4)):
         found = minimize(
             lambda q: -everything.sensitivities(q[None], gradient)[0],
             start, jac=lambda q: -everything.slopes(q[None], gradient)[0][0], method="L-BFGS-B", bounds=limits,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
-from tests.doe.cli.conftest import Folder
+from tests.doe.cli.conftest import Folder, Outcome
 
 
 class Outline(HTMLParser):
@@ -30,9 +31,19 @@ class Outline(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_demo_runs_the_whole_loop(folder: Folder) -> None:
-    done = folder.armcal("demo", "--out", "d", "--json")
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Folder, Outcome]]:
+    """A folder with a demo in d, and what the command said."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = Folder(tmp_path_factory.mktemp("demo"))
+        patch.chdir(folder.path)
+        yield folder, folder.armcal("demo", "--out", "d", "--json")
+
+
+def test_demo_runs_the_whole_loop(demo: tuple[Folder, Outcome]) -> None:
+    folder, done = demo
     assert done.code == 0, done.err
+    assert done.data["directory"] == "d"
     for name in ("arm.toml", "plan.csv", "data.csv", "calibrated.toml", "extended.toml", "report.html", "overview.png"):
         assert (folder.path / "d" / name).stat().st_size > 0
     assert done.data["design"]["certified_optimal"] is True
@@ -52,8 +63,8 @@ def test_demo_runs_the_whole_loop(folder: Folder) -> None:
     assert 'href="http' not in folder.read("d/report.html")
 
 
-def test_the_demo_files_feed_the_other_commands(folder: Folder) -> None:
-    assert folder.armcal("demo", "--out", "d", "--quiet").code == 0
+def test_the_demo_files_feed_the_other_commands(demo: tuple[Folder, Outcome]) -> None:
+    folder, _ = demo
     again = folder.armcal("diagnose", "d/extended.toml", "d/data.csv", "--json")
     assert again.data["verdict"] == "none"
     found = folder.armcal("identify", "d/extended.toml", "d/data.csv", "--json")
@@ -63,10 +74,14 @@ def test_the_demo_files_feed_the_other_commands(folder: Folder) -> None:
         assert abs(parameter["value"] - truth) < 5 * parameter["std"]
 
 
-def test_a_second_demo_takes_another_directory(folder: Folder) -> None:
+def test_a_second_demo_takes_another_directory(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("doe.demo.diagnose", stopped)  # spares the second half
     (folder.path / "armcal-demo").mkdir()
-    done = folder.armcal("demo", "--json")
-    assert done.data["directory"] == "armcal-demo-2"
+    assert "the files in armcal-demo-2" in folder.armcal("demo", "--json").err
+    assert (folder.path / "armcal-demo-2" / "data.csv").exists()
     refused = folder.armcal("demo", "--out", "armcal-demo-2")
     assert refused.code == 2
     assert "--force" in refused.err

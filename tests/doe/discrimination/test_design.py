@@ -59,7 +59,7 @@ def visible_share(postures: np.ndarray, joint: int, order: int) -> float:
 
 
 def test_without_limits_everything_is_seen_and_nothing_looks_like_another() -> None:
-    for seed in range(3):
+    for seed in range(2):
         found = designed([-180] * 4, [180] * 4, 24, seed=seed)
         assert 0.0 >= log_det(found.design.plan.postures) >= 8.0 * np.log(0.95)  # 0 is the bound
         for joint in range(4):

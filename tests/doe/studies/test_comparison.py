@@ -116,8 +116,8 @@ def test_solvers_run_in_their_own_processes_and_failures_are_rows(tmp_path: Path
     assert rows["status"].to_list() == ["done"] * 4
     assert rows["correct"].all()
     assert (rows["peak_memory_mb"] > 20.0).all()
-    again = compare(comparison)  # the same seeds: the same plans
-    assert again["value"].to_list() == rows["value"].to_list()
+    again = compare(replace(comparison, solvers=["random"]))  # the same seeds: the same plans
+    assert again["value"].to_list() == rows.filter(solver="random")["value"].to_list()
     assert len(set(rows.filter(solver="random")["value"])) == 2
     with RowTable.open(path, resume=True) as table:
         assert compare(comparison, table).equals(rows)

@@ -120,10 +120,11 @@ def test_quantiles_of_the_intervals() -> None:
         np.testing.assert_allclose(found.intervals.mean(axis=1), found.parameters, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("count", [500, pytest.param(2000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("m", [10, 20])
-def test_intervals_cover_95_percent(m: int) -> None:
-    """2,000 data sets, sigma known and estimated; lengths, joint offsets and orientations."""
-    model, count = Model(arm()), 2000
+def test_intervals_cover_95_percent(m: int, count: int) -> None:
+    """Many data sets, sigma known and estimated; lengths and joint offsets."""
+    model, deviation = Model(arm()), np.sqrt(0.95 * 0.05 / count)  # 0.0049 of one parameter's share at 2,000
     exact = model.position(plan(m), TRUTH)
     generator = np.random.default_rng(2024 + m)
     covered = {"known": np.zeros(8), "estimated": np.zeros(8)}
@@ -135,11 +136,11 @@ def test_intervals_cover_95_percent(m: int) -> None:
     for name, hits in covered.items():
         share = hits / count
         print(f"sigma {name}: {share.mean():.4f}, single {share.min():.4f}..{share.max():.4f}")  # noqa: T201
-        assert 0.94 <= share.mean() <= 0.96  # 95 % asked
-        # one parameter's share scatters by 0.0049; beyond 0.0122 (2.5 deviations) is an alert, beyond 4 a failure
-        if np.max(np.abs(share - 0.95)) > 0.0122:
+        assert abs(share.mean() - 0.95) <= 2.0 * deviation  # of 8 parameters: at least 4 deviations of their mean
+        # one parameter: beyond 2.5 deviations is an alert, beyond 4 a failure
+        if np.max(np.abs(share - 0.95)) > 2.5 * deviation:
             print(f"ALERT: a single coverage is {share[np.argmax(np.abs(share - 0.95))]:.4f}")  # noqa: T201
-        assert np.max(np.abs(share - 0.95)) < 0.0196
+        assert np.max(np.abs(share - 0.95)) < 4.0 * deviation
 
 
 # -- what is not told ------------------------------------------------------------------------------------------------
