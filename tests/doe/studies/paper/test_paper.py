@@ -179,7 +179,7 @@ def test_verb(tmp_path: Path) -> None:
     tables = {f"{name}.parquet" for name in ("table_1", "table_2", "table_3", "text", "errata", "figure_1", "figure_2")}
     assert names == {*tables, "parts.parquet", "figure_1.svg", "figure_2.svg"}
     assert CliRunner().invoke(command, options).exit_code == 2
-    assert "4 links" in CliRunner().invoke(command, [*options, "--force"]).output
+    assert "4 links" in CliRunner().invoke(command, [*options, "--resume"]).output
     for number in ("3", "1000000000"):
         few = CliRunner().invoke(command, ["paper", "--out", str(tmp_path / "few"), "--replications", number])
         assert few.exit_code == 2
