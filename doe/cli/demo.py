@@ -16,8 +16,8 @@ from doe.cli.options import FILE, force_option
 def command(session: Session, out: Path | None, force: bool) -> Answer:
     """The whole loop on the paper's 4-link arm, from a plan to the missing effect, and a report.html."""
     from doe.demo import run_demo
+    from doe.report.demo_overview import overview_figure
     from doe.report.demo_page import demo_data, demo_page, demo_tables
-    from doe.report.overview import overview_figure
     from doe.report.pictures import save
     from identification.errors import JobError
     from identification.files.io import write_whole

@@ -68,7 +68,7 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
     """A Monte Carlo study that a file describes."""
     from dataclasses import replace
 
-    from doe.report.study import study_tables
+    from doe.report.monte_carlo import study_tables
     from doe.studies.monte_carlo import load_study, run_study
     from doe.studies.monte_carlo.study import CELLS, require_some
 

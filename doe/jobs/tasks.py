@@ -58,7 +58,8 @@ def run(
     Raises `JobError` if all workers are lost and cannot be opened again.
     """
     todo = {canonical(key): key for key in keys if key not in table}
-    state = _Drive(function, payload, table, seed, deque(todo.values()), progress, len(keys) - len(todo), len(keys))
+    done = len(keys) - len(todo)
+    state = _Dispatcher(function, payload, table, seed, deque(todo.values()), progress, done, len(keys))
     workers = workers or serial()
     ahead = workers.count * AHEAD if workers.count > 1 or workers.reopens else 1
     try:
@@ -90,7 +91,7 @@ class Job:
             return run(function, keys, table, self.workers, seed=self.seed, payload=payload, progress=self.progress)
 
 
-def _work(state: _Drive, workers: Workers, ahead: int) -> None:
+def _work(state: _Dispatcher, workers: Workers, ahead: int) -> None:
     """Opens executors until the queue is empty."""
     before = state.done
     for opened in count(1):
@@ -105,7 +106,7 @@ def _work(state: _Drive, workers: Workers, ahead: int) -> None:
 
 
 @dataclass
-class _Drive:
+class _Dispatcher:
     """The loop over one executor: hands out, collects, and notes what a broken one left undone."""
 
     function: Function

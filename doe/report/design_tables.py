@@ -38,8 +38,8 @@ def accuracy_table(design: Design) -> Table | str:
     found = [deviation_columns(one) for one in ([mean] if each is None else [mean, over_draws(each, np.max)])]
     headings = [*found[0], *(f"worst {heading}" for columns in found[1:] for heading in columns)]
     values = zip(*(column for columns in found for column in columns.values()), strict=True)
-    links = map(str, range(1, mean.length.size + 1))
-    names = links if mean.planar else [f"{p.name} [{p.file_unit}]" for p in mean.parameters]
+    each_parameter = (f"{p.name} [{p.file_unit}]" for p in mean.parameters)
+    names = map(str, range(1, mean.length.size + 1)) if mean.planar else each_parameter
     rows = ([name, *(number(v, 5) for v in figures)] for name, figures in zip(names, values, strict=True))
     first = "link" if mean.planar else "parameter"
     return table([first, *headings], rows, f"Expected standard deviations (sigma = {sigma:g} mm{over})")

@@ -27,7 +27,7 @@ class BlindStudy:
 
     cells : cell, measure, value, standard_error, count;  bars : the same rows with what is asked and how it came out
     confusion : hidden, named (classes of effects, joints left out), count
-    sets : one row per data set, hidden and named side by side;  failures : blocks that could not be done
+    sets : one row per data set, hidden and named side by side;  failures : batches that could not be done
     """
 
     cells: polars.DataFrame
@@ -56,7 +56,7 @@ class BlindStudy:
     def __str__(self) -> str:
         counts = Counter(self.bars["outcome"]) if len(self.bars) else Counter[str]()
         outcomes = ", ".join(f"{counts[word]} {word}" for word in OUTCOMES if counts[word])
-        failed = f"; {self.failures} blocks failed" if self.failures else ""
+        failed = f"; {self.failures} batches failed" if self.failures else ""
         return f"{len(self.sets)} blind data sets; bars: {outcomes or 'none'}{failed}"
 
     __repr__ = __str__

@@ -4,7 +4,7 @@ A simulator that shares no code with the models (plain numpy) draws arm, plan, n
 hands over what a user has: arm file and measurements. What it hid goes to a table of its own, written by other tasks;
 the diagnoses are made and stored without it, and both meet when they are scored.
 
-Blocks of sets are the tasks: keyed, resumable and on any workers as every study is.
+Batches of sets are the tasks: keyed, resumable and on any workers as every study is.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from identification.gap.diagnose import diagnose
 from identification.gap.result import Diagnosis
 from identification.progress import Progress, silent
 
-BLOCK = 10  # sets per task
+BATCH = 10  # sets per task
 DRAWS = 499  # of the bootstrap
 NULL_SETS, SETS = 1000, 400  # data sets per cell, without and with a hidden effect
 AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured further
@@ -93,13 +93,13 @@ def _checked(cells: Sequence[str] | None) -> list[str]:
 def _keys(cell: str, count: int | None, seed: int) -> Iterator[Key]:
     many = cell == AMBIGUOUS or simulated.CELLS[cell].designed
     total = count or (MANY_SETS if many else NULL_SETS if cell in NULLS else SETS)
-    for first in range(0, total, BLOCK):
-        yield {"cell": cell, "first": first, "sets": min(BLOCK, total - first), "seed": seed}
+    for first in range(0, total, BATCH):
+        yield {"cell": cell, "first": first, "sets": min(BATCH, total - first), "seed": seed}
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------
 def plan(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
-    """The postures that `armcal design --discriminating` gives for the arm of a block."""
+    """The postures that `armcal design --discriminating` gives for the arm of a batch."""
     from doe.discrimination.design import discrimination_design
     from doe.problem.problem import DesignProblem
     from identification.model import Model
@@ -112,7 +112,7 @@ def plan(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
 
 
 def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[float]] | None = None) -> list[Row]:
-    """What is hidden in each set of a block, and the held-out gap that knowing it would leave."""
+    """What is hidden in each set of a batch, and the held-out gap that knowing it would leave."""
     rows = []
     for number, data in _data_sets(key, planned):
         wrong = list(data.wrong_rows)
@@ -123,7 +123,7 @@ def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[floa
 
 
 def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[float]] | None = None) -> list[Row]:
-    """What the diagnosis says of each set of a block."""
+    """What the diagnosis says of each set of a batch."""
     rows = []
     for number, data in _data_sets(key, planned):
         found = diagnose(data.arm, data.measurements, data.holdout, seed=number, draws=key["draws"])
@@ -177,12 +177,12 @@ def _appended(
 
 # -- data sets ---------------------------------------------------------------------------------------------------------
 def _data_sets(key: dict[str, Any], planned: list[list[float]] | None) -> Iterator[tuple[int, DataSet]]:
-    """Number and data of every set of a block."""
+    """Number and data of every set of a batch."""
     postures = None if planned is None else np.radians(planned)
     for k in range(key["sets"]):
         yield key["first"] + k, simulated.data_set(key["cell"], _number(key) + k, postures)
 
 
 def _number(key: Key) -> int:
-    """The simulator's number of a block's first set; the user's seed moves all of them."""
+    """The simulator's number of a batch's first set; the user's seed moves all of them."""
     return int(key["seed"]) * 1_000_000 + int(key["first"])

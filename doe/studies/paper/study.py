@@ -16,7 +16,7 @@ from doe.jobs.tasks import run
 from doe.jobs.workers import Workers
 from doe.studies.paper.errata import CHECKS, errata
 from doe.studies.paper.figures import RUNS, figure_1, figure_2
-from doe.studies.paper.tables import CASES, REPLICATIONS, consistent, table_1, table_2, table_3, text_figures
+from doe.studies.paper.tables import ARM_NAMES, REPLICATIONS, consistent, table_1, table_2, table_3, text_figures
 from identification.errors import InputError, JobError
 from identification.files.io import check_writable, write_together
 from identification.progress import Progress, silent
@@ -76,7 +76,7 @@ def paper_study(
 def parts(replications: int, seed: int) -> Iterator[Key]:
     """One key per part: what takes long comes in pieces."""
     common = {"replications": replications, "seed": seed}
-    pieces: dict[str, Any] = {"table_3": CASES, "errata": range(len(CHECKS)), "figure_2": RUNS}
+    pieces: dict[str, Any] = {"table_3": ARM_NAMES, "errata": range(len(CHECKS)), "figure_2": RUNS}
     for name in NAMES:
         for piece in pieces.get(name, (None,)):
             yield {"table": name, "piece": piece, **common}

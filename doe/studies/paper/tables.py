@@ -39,7 +39,7 @@ SIGMA = 0.1  # [mm]
 REPLICATIONS = 10_000
 LIMITED = "4 links within joint limits"
 LIMITS_DEG = ((-180.0, 180.0), (-120.0, 120.0), (-100.0, 60.0), (-90.0, 90.0))  # doe/README.md, "Planar theorem"
-CASES = ("2 links", "3 links", "4 links", LIMITED)  # names of the arms of `table_3`
+ARM_NAMES = ("2 links", "3 links", "4 links", LIMITED)  # names of the arms of `table_3`
 LAST_DIGIT = 0.001  # Table III and the text print three decimals
 ALERT = 4.5  # standard errors between simulation and theory; 100 rows from one fixed seed: 1 in 1,500 by chance
 
@@ -133,17 +133,17 @@ def table_2(runs: int = 20) -> polars.DataFrame:
 
 
 # -- Table III and the text --------------------------------------------------------------------------------------------
-def table_3(replications: int = REPLICATIONS, seed: int = 0, cases: Sequence[str] = CASES) -> polars.DataFrame:
+def table_3(replications: int = REPLICATIONS, seed: int = 0, arm_names: Sequence[str] = ARM_NAMES) -> polars.DataFrame:
     """Table III by simulation, and what it leaves out: joint offsets, 4 links with 4 runs, joint limits.
 
     Theory is eq. 25 with the TRUE lengths l_j + dl_j, which simulation follows: a difference of 0.6 % at most.
     """
-    return frame_of([row for case in cases for row in _simulated(case, replications, seed)])
+    return frame_of([row for arm_name in arm_names for row in _simulated(arm_name, replications, seed)])
 
 
-def _simulated(case: str, replications: int, seed: int) -> Iterator[dict[str, Any]]:
-    """Rows of the arm named `case`."""
-    limited, links = case == LIMITED, int(case[0])
+def _simulated(arm_name: str, replications: int, seed: int) -> Iterator[dict[str, Any]]:
+    """Rows of the arm named `arm_name`."""
+    limited, links = arm_name == LIMITED, int(arm_name[0])
     plan, runs = ("exchange_ipopt", [4, 20]) if limited else ("dft", [3, 4, 20])
     arm, truth = paper_arm(links, limited), paper_truth(links)
     found = run_study(Study([arm], [plan], runs, truths=[truth], replications=replications), seed=seed).cells
