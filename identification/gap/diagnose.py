@@ -9,6 +9,7 @@ import numpy as np
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
+from identification.estimation.estimate import check
 from identification.gap.candidates import candidate_list, describe, trial_list
 from identification.gap.detectability import Detectability, assess, require_spare
 from identification.gap.fit import Fit
@@ -67,21 +68,10 @@ def diagnose(
 
 def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | None) -> None:
     """Raise `InputError` for data that do not belong to the arm or lack what its effects need."""
-    if measurements.links != arm.links:
-        raise InputError(f"measurements: {measurements.links} joints, allowed: {arm.links} as in the arm file")
-    model = Model(arm)
-    if measurements.dimension != model.dimension:
-        found = f"positions of {measurements.dimension} coordinates"
-        raise InputError(f"measurements: {found}, allowed: {model.dimension} as the model has")
+    check(Model(arm), measurements)
     for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
         if np.all(np.ptp(table, axis=0) == 0.0):
             raise InputError(f"measurements: the same {name} in all {len(table)} rows, allowed: several {name}s")
-    if "temperature" in model.needs and measurements.temperature is None:
-        raise InputError("temperature_C: an effect in the arm file needs it, the measurements have no such column")
-    if "gravity" in model.needs and arm.gravity is None:
-        raise InputError(
-            "gravity: an effect in the arm file needs gravity torques, the arm file has no [gravity] table"
-        )
     if holdout is not None:
         check_holdout(measurements, holdout)
 
@@ -155,7 +145,7 @@ def show_residuals(arm: Arm, measurements: Measurements, base: Fit, named: Fit) 
     against: dict[str, Array] = {f"joint {j + 1} [rad]": measurements.postures[:, j] for j in range(arm.links)}
     against["time"] = np.zeros(len(measurements)) if conditions.time is None else conditions.time
     if arm.gravity is not None:
-        tau = torques(arm, measurements)
+        tau = Model(arm).on_chain(lambda chain: chain.torques)(measurements.postures, conditions)
         against |= {f"torque {j + 1} [N m]": tau[:, j] for j in range(arm.links)}
     if measurements.temperature is not None:
         against["temperature [C]"] = measurements.temperature
@@ -165,8 +155,3 @@ def show_residuals(arm: Arm, measurements: Measurements, base: Fit, named: Fit) 
         MappingProxyType({name: readonly(values) for name, values in against.items()}),
         measurements.positions,
     )
-
-
-def torques(arm: Arm, measurements: Measurements) -> Array:
-    """(m, n) gravity torques [N m] at the nominal pose."""
-    return Model(arm).on_chain(lambda chain: chain.torques)(measurements.postures, measurements.conditions)

@@ -250,7 +250,7 @@ def test_many_far_rows_are_structure_not_outliers() -> None:
 
 def test_bad_input() -> None:
     data = measured(None)
-    with pytest.raises(InputError, match="3 joints, allowed: 2"):
+    with pytest.raises(InputError, match="3 joints for an arm of 2 links, allowed: 2"):
         diagnose(Arm([200.0, 100.0]), data)
     with pytest.raises(InputError, match="degrees of freedom"):
         diagnose(ARM, data.rows(slice(0, 4)))
