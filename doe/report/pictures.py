@@ -16,7 +16,8 @@ from identification.arm import Arm, KeepOutCircle, LineOfSight, WorkspaceBox
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.io import write_whole
-from identification.kinematics.planar import joint_points
+from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS
+from identification.model import Model
 
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 
@@ -32,7 +33,7 @@ def save(figure: Figure, path: Path, force: bool = False) -> None:
 
 
 def plan_figure(arm: Arm, postures: Array) -> Figure:
-    """The postures as stick figures in the plane, and every joint's angles within its limits."""
+    """The postures of a planar arm as stick figures, and every joint's angles within its limits."""
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
     plane, joints = figure.subplots(1, 2, width_ratios=[1.0, 1.1])
     draw_arm(plane, arm, postures)
@@ -56,8 +57,8 @@ def run_colors(m: int) -> Array:
 
 
 def draw_arm(axes: Axes, arm: Arm, postures: Array) -> None:
-    """Stick figures of the nominal arm."""
-    for line, color in zip(joint_points(arm.lengths, postures), run_colors(len(postures)), strict=True):
+    """Stick figures of the arm as it is best known; in a plane, for an arm in one."""
+    for line, color in zip(Model(arm).points(postures), run_colors(len(postures)), strict=True):
         axes.plot(line[:, 0], line[:, 1], color=color, lw=1.2, alpha=0.75)
         axes.plot(*line[-1], "o", color=color, ms=4)
     axes.plot(0, 0, "ks", ms=6)
@@ -86,9 +87,9 @@ def draw_constraints(axes: Axes, arm: Arm) -> None:
 
 
 def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4096) -> Figure:
-    """The equivalence theorem seen along each joint: the largest d(q) at each angle, which must not exceed p.
+    """The equivalence theorem seen along each joint: the largest d(q) at each value, which must not exceed p.
 
-    For every active joint the angle is held at 61 values while the other joints take `samples` quasi-random values and
+    For every active joint the value is held at 61 values while the other joints take `samples` quasi-random values and
     their limits; the line is the largest d found. A plan is optimal where the line touches p and never crosses it.
     """
     active = problem.active_joints
@@ -98,11 +99,12 @@ def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4
     others = spread(problem, samples)
     at_plan = sensitivity(problem, information, postures)
     for axis, joint in zip(axes, active, strict=True):
-        angles = np.linspace(problem.lower[joint], problem.upper[joint], 61)
-        axis.plot(np.degrees(angles), [_largest(problem, information, others, joint, a) for a in angles], color=AFTER)
-        axis.plot(np.degrees(postures[:, joint]), at_plan, ".", color="k", ms=5)
+        unit, factor, _ = FILE_UNITS[JOINT_UNITS[problem.model.joint_types[joint]]]
+        values = np.linspace(problem.lower[joint], problem.upper[joint], 61)
+        axis.plot(factor * values, [_largest(problem, information, others, joint, q) for q in values], color=AFTER)
+        axis.plot(factor * postures[:, joint], at_plan, ".", color="k", ms=5)
         axis.axhline(problem.parameters, color=BEFORE, lw=1, ls="--")
-        axis.set(xlabel=f"$q_{joint + 1}$ [deg]")
+        axis.set(xlabel=f"$q_{joint + 1}$ [{unit}]")
         axis.margins(y=0.12)
     axes[0].set_ylabel("largest d(q), dashed: p")
     return figure
@@ -116,25 +118,25 @@ def spread(problem: DesignProblem, samples: int) -> Array:
     return np.concatenate([cloud, np.where(choices == 1, problem.upper, problem.lower)])
 
 
-def _largest(problem: DesignProblem, information: Array, others: Array, joint: int, angle: float) -> float:
+def _largest(problem: DesignProblem, information: Array, others: Array, joint: int, value: float) -> float:
     held = others.copy()
-    held[:, joint] = angle
+    held[:, joint] = value
     return float(sensitivity(problem, information, held).max())
 
 
 def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, after: Array) -> Figure:
-    """Residuals (m, 2) before and after, over the workspace (arrows, enlarged) and against each joint."""
+    """Residuals (m, 2) of a planar arm before and after, over the plane (arrows, enlarged) and against each joint."""
     figure = Figure(figsize=(10.0, 6.2), layout="constrained")
     top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.3, 1.0]))
     pairs = ((before, BEFORE, "before"), (after, AFTER, "after"))
     for axis, (residuals, color, name) in zip(top.subplots(1, 2, sharex=True, sharey=True), pairs, strict=True):
-        size = float(np.hypot(*residuals.T).max()) or 1.0
+        size = float(np.linalg.norm(residuals, axis=1).max()) or 1.0
         scale = 0.12 * float(arm.lengths.sum()) / size  # the largest arrow is an eighth of the reach
         draw_residual_arrows(axis, positions, residuals, color, name, scale)
     strips = np.atleast_1d(bottom.subplots(1, arm.links, sharey=True))
     for j, axis in enumerate(strips):
         for residuals, color in ((before, BEFORE), (after, AFTER)):
-            axis.plot(np.degrees(postures[:, j]), np.hypot(*residuals.T), ".", color=color, ms=4, alpha=0.7)
+            axis.plot(np.degrees(postures[:, j]), np.linalg.norm(residuals, axis=1), ".", color=color, ms=4, alpha=0.7)
         axis.set(xlabel=f"$q_{j + 1}$ [deg]", yscale="log")
     strips[0].set_ylabel("residual [mm]")
     return figure

@@ -63,7 +63,7 @@ def _missed(data: DataSet, model: Model) -> tuple[Array, Array]:
 
 
 def gaussian_process(postures: Array, residual: Array, fresh: Array) -> Array:
-    """(k, 2) mean prediction at fresh postures (k, n) from residuals (m, 2) at postures (m, n).
+    """(k, d) mean prediction at fresh postures (k, n) from residuals (m, d) at postures (m, n) of revolute joints.
 
     Squared exponential kernel on (cos q, sin q) and white noise, their sizes and length by the likelihood.
     """

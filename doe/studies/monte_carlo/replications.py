@@ -19,6 +19,7 @@ from identification.estimation import estimate_batch, estimate_each
 from identification.estimation.batch import sessions
 from identification.files.arm import arm_from_tables
 from identification.information import covariance, covariances
+from identification.kinematics.parameters import JOINT_OFFSET
 from identification.kinematics.planar import orientation_transform
 from identification.measurements import Measurements
 from identification.model import Model
@@ -61,11 +62,11 @@ class Cell:
     def plan(self) -> Measurements:
         """The plan as measurements without positions: postures and the conditions of their order."""
         assert self.postures_deg is not None
-        return as_plan(np.radians(self.postures_deg))
+        return as_plan(np.radians(self.postures_deg), self.model.dimension)
 
     @cached_property
     def exact(self) -> Array:
-        """(m, 2) true positions at the plan [mm]."""
+        """(m, d) true positions at the plan [mm]."""
         return self.true_model.position(self.plan.postures, conditions=self.plan.conditions)
 
     @cached_property
@@ -104,9 +105,9 @@ def prepared(cell: Cell) -> Cell:
     return cell
 
 
-def as_plan(postures: Array) -> Measurements:
-    """Postures [rad] in the order of measurement, nothing measured yet."""
-    return Measurements(postures, np.zeros((len(postures), 2)))
+def as_plan(postures: Array, dimension: int) -> Measurements:
+    """Postures [rad] in the order of measurement, nothing measured yet of the d coordinates."""
+    return Measurements(postures, np.zeros((len(postures), dimension)))
 
 
 def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | str) -> list[Row]:
@@ -118,8 +119,8 @@ def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | st
         raise JobError(cell)
     cell = prepared(cell)
     unknowns = len(cell.model.names)
-    if 2 * cell.runs < unknowns:
-        raise JobError(f"{cell.runs} runs are {2 * cell.runs} equations, allowed: at least {unknowns}, one per unknown")
+    if (equations := cell.model.dimension * cell.runs) < unknowns:
+        raise JobError(f"{cell.runs} runs are {equations} equations, allowed: at least {unknowns}, one per unknown")
     generator = np.random.default_rng(seed)
     shared = cell.postures_deg is not None
     fit, count = _one_plan if shared else _new_plans, key["replications"]
@@ -153,7 +154,7 @@ def joined(parts: Sequence[Fits], shared: bool) -> Fits:
 
 def _one_plan(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
     """Data sets on the cell's plan."""
-    positions = cell.sigma * generator.standard_normal((count, cell.runs, 2))
+    positions = cell.sigma * generator.standard_normal((count, cell.runs, cell.model.dimension))
     positions += cell.exact
     found = estimate_batch(cell.model, cell.plan, positions)
     parameters = np.where(found.converged[:, None], found.parameters, np.nan)
@@ -164,7 +165,7 @@ def _new_plans(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
     """A plan of its own for each data set, uniform over the allowed postures."""
     model = cell.model
     postures = random_postures(cell.problem, count * cell.runs, generator).reshape(count, cell.runs, -1)
-    noise = cell.sigma * generator.standard_normal((count, cell.runs, 2))
+    noise = cell.sigma * generator.standard_normal((count, cell.runs, cell.model.dimension))
     conditions = sessions(postures)
     found = estimate_each(model, postures, cell.true_model.position(postures, conditions=conditions) + noise)
     jacobians = model.jacobian(postures, cell.true_values, conditions)
@@ -176,7 +177,8 @@ def _rows(cell: Cell, fits: Fits) -> list[Row]:
     good = np.isfinite(np.c_[fits.parameters, fits.rss]).all(axis=1)
     good &= np.isfinite(fits.expected_std).all(axis=1)
     errors = (fits.parameters[good] - cell.true_values) @ cell.transform.T
-    turns = [k for k, (name, _, _) in enumerate(cell.reported) if name.startswith(("joint_", "orientation_"))]
+    parameters = cell.model.parameters
+    turns = [*parameters.indices(JOINT_OFFSET).tolist(), *range(len(parameters), len(cell.transform))]
     errors[:, turns] = (errors[:, turns] + np.pi) % (2.0 * np.pi) - np.pi  # known up to a whole turn
     stds = fits.expected_std if len(fits.expected_std) == 1 else fits.expected_std[good]
     rms = float(np.sqrt(np.mean(fits.rss[good]) / cell.runs)) if len(errors) else None
