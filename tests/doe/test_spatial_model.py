@@ -30,6 +30,7 @@ from doe.plan.replicate_spacing import too_near
 from doe.problem.bayesian import deviated_draws, ensemble_problem
 from doe.problem.constraints import Expression, InsideBox, OutsideSphere
 from doe.report.design_tables import accuracy_table, design_tables
+from doe.report.pictures import certificate_figure
 from doe.solvers import solve
 from doe.studies.comparison import evaluated
 from identification.arrays import Array
@@ -223,6 +224,13 @@ def test_continuous_optimum_and_bound() -> None:
     assert not found.bound.rigorous  # a prismatic joint's positions are no trigonometric polynomial of its angle
     assert found.bound.value == pytest.approx(found.value, abs=1e-6)
     assert relax(spatial(), 3).value < found.value
+
+
+def test_the_picture_of_a_certificate() -> None:
+    """A panel for each joint that plays a part, in its unit and over its range."""
+    figure = certificate_figure(spatial(), continuous().plan.postures, samples=64)
+    assert [axes.get_xlabel() for axes in figure.axes] == ["$q_2$ [deg]", "$q_3$ [mm]", "$q_4$ [deg]"]
+    np.testing.assert_allclose(figure.axes[1].lines[0].get_xdata()[[0, -1]], [0.0, 400.0], atol=1e-9)
 
 
 # -- what to measure, and how often ------------------------------------------------------------------------------------
