@@ -28,7 +28,7 @@ def against_figure(diagnosis: Diagnosis) -> Figure:
     for axis, (name, values) in zip(axes, shown.against.items(), strict=False):
         x, label = (np.degrees(values), name.replace("[rad]", "[deg]")) if "[rad]" in name else (values, name)
         for residuals, color, when in ((shown.before, BEFORE, "before"), (shown.after, AFTER, "after")):
-            distance = np.hypot(*residuals[kept].T)
+            distance = np.linalg.norm(residuals[kept], axis=1)
             style = {"ms": 3, "alpha": 0.5} if len(distance) <= MANY else {"ms": 1, "alpha": 0.2, "rasterized": True}
             axis.plot(x[kept], distance, ".", color=color, **style)
             axis.plot(*binned_rms(x[kept], distance), color=color, lw=1.8, label=when)
@@ -62,7 +62,7 @@ def workspace_figure(diagnosis: Diagnosis) -> Figure:
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     pairs = ((shown.before, BEFORE, "before"), (shown.after, AFTER, "after"))
     for axis, (residuals, color, name) in zip(axes, pairs, strict=True):
-        scale = 0.12 * diagnosis.arm.lengths.sum() / (float(np.hypot(*shown.before[kept].T).max()) or 1.0)
+        scale = 0.12 * diagnosis.arm.lengths.sum() / (float(np.linalg.norm(shown.before[kept], axis=1).max()) or 1.0)
         draw_residual_arrows(axis, shown.positions[kept], residuals[kept], color, name, float(scale))
     return figure
 
