@@ -1,8 +1,8 @@
 """Column generation: optimal weights on few postures, priced against very many, or against all of the joint box.
 
-The loop is in `restricted_master`. Here is what it is fed with: all of a million candidates, chunk by chunk, or the
-climbs of `doe.bounds.continuous` over every posture there is; and the certificate at the end, on the plan that is
-reported, proven by `doe.bounds.branch_and_bound` where the model allows.
+The loop is in `doe.bounds.restricted_master`, the searches for postures in `doe.bounds.pricing`. Here they are put
+together, with the certificate at the end: on the plan that is reported, proven by `doe.bounds.branch_and_bound` where
+the model allows.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ import numpy as np
 from doe.bounds.approximate_design import ApproximateDesign, assess
 from doe.bounds.bound import Bound
 from doe.bounds.branch_and_bound import maximum
-from doe.bounds.continuous import ContinuousSet, distinct
-from doe.bounds.equivalence import CandidateJacobians, candidate_sensitivities, largest_sensitivity
-from doe.bounds.restricted_master import Price, SparseDesign, Stage, generate_columns, sparse_design
+from doe.bounds.continuous import ContinuousSet
+from doe.bounds.equivalence import largest_sensitivity
+from doe.bounds.pricing import candidate_price, continuous_price
+from doe.bounds.restricted_master import SparseDesign, Stage, generate_columns
 from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobian
 from doe.problem.candidates import Candidates, PostureList, spread
 from doe.problem.prior import PriorInformation
@@ -26,8 +27,6 @@ from identification.arrays import Array
 from identification.errors import JobError
 from identification.status import Status
 
-NEAR = 0.2  # [rad] times the root of the relative gap
-PARTS = 256  # of the candidates, of which each may offer one posture per round: keeps new postures apart
 SAMPLE = 20_000  # of very many candidates, which are priced first
 COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
 FINE = 1e-6  # the same, before the first thorough search
@@ -53,8 +52,7 @@ def column_generation(
         sample = PostureList(spread(candidates, SAMPLE))
         stages.insert(0, Stage(candidate_price(problem, sample, prior), max(COARSE, tolerance)))
     start = spread(candidates, 6 * problem.parameters)
-    working, _ = generate_columns(problem, prior, start, stages)
-    ended = sparse_design(problem, prior, working)
+    ended, _ = generate_columns(problem, prior, start, stages)
     largest = largest_sensitivity(problem, candidates, ended.gradient, prior)
     return certified(problem, prior, ended, largest, len(candidates), tolerance, began, rigorous=True)
 
@@ -80,25 +78,26 @@ def continuous_design(
     tolerance = _attainable(problem, tolerance)
     everything = ContinuousSet(problem, prior, also)
     starts = PostureList(everything.starts)
-    climb = continuous_price(everything)
-    thorough = continuous_price(everything, np.random.default_rng(0))
-    stages = [
-        Stage(candidate_price(problem, starts, prior), COARSE),
-        Stage(climb, max(FINE, tolerance)),
-        Stage(thorough, max(COARSE, tolerance), back=1),
-        Stage(climb, tolerance),
-        Stage(thorough, tolerance, back=1),
-    ]
-    start = spread(starts, 6 * problem.parameters)
-    working, gap = generate_columns(problem, prior, start, stages)
-    ended = sparse_design(problem, prior, working)
+    stages = [Stage(candidate_price(problem, starts, prior), COARSE), *ascents(everything, tolerance)]
+    ended, gap = generate_columns(problem, prior, spread(starts, 6 * problem.parameters), stages)
     largest = max(ended.level + gap, float(everything.best(ended.gradient, ended.plan.postures)[1][0]))
     jacobians = trigonometric_jacobian(problem) if proof > 0.0 and not problem.constraints else None
     rigorous = False
     if jacobians is not None:
         proof = max(tolerance, proof)
-        ended, largest, rigorous = prove(everything, jacobians, ended, largest, stages, proof, most_boxes)
+        ended, largest, rigorous = prove(everything, jacobians, ended, largest, stages[1:], proof, most_boxes)
     return certified(problem, prior, ended, largest, None, max(tolerance, proof), began, rigorous=rigorous)
+
+
+def ascents(everything: ContinuousSet, tolerance: float) -> list[Stage]:
+    """Cheap climbs and thorough ones in turn, to a relative gap of `tolerance`."""
+    climb, thorough = continuous_price(everything), continuous_price(everything, np.random.default_rng(0))
+    return [
+        Stage(climb, max(FINE, tolerance)),
+        Stage(thorough, max(COARSE, tolerance), back=1),
+        Stage(climb, tolerance),
+        Stage(thorough, tolerance, back=1),
+    ]
 
 
 def continuous_bound(
@@ -120,47 +119,6 @@ def _attainable(problem: DesignProblem, tolerance: float) -> float:
     return max(tolerance, SEMIDEFINITE) if problem.criterion.name == "E" else tolerance
 
 
-# -- pricing -----------------------------------------------------------------------------------------------------------
-def candidate_price(problem: DesignProblem, candidates: Candidates, prior: PriorInformation) -> Price:
-    """Every candidate is visited; each part of them offers its best."""
-    part = max(16, -(-len(candidates) // PARTS))
-    jacobians = CandidateJacobians(problem, candidates)
-
-    def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
-        offers, values = [near[:0]], [np.empty(0)]
-        for postures, g in candidate_sensitivities(jacobians, gradient, prior):
-            edges = np.arange(0, len(g), part)
-            top = np.array([edge + int(np.argmax(g[edge : edge + part])) for edge in edges])
-            offers.append(postures[top])
-            values.append(g[top])
-        return _best_offers(np.concatenate(offers), np.concatenate(values), level, 3 * problem.parameters)
-
-    return price
-
-
-def continuous_price(everything: ContinuousSet, generator: np.random.Generator | None = None) -> Price:
-    """The local maxima that a multistart ascent finds; a thorough one with fresh starts where a generator is given."""
-
-    def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
-        postures, values = everything.best(gradient, near, generator)
-        # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
-        apart = distinct(everything.problem.comparable(postures), NEAR * np.sqrt(max(values[0] / level - 1.0, 0.0)))
-        postures, values = postures[apart], values[apart]
-        return _best_offers(postures, values, level, 10 * everything.problem.parameters, 0.0)
-
-    return price
-
-
-def _best_offers(
-    postures: Array, values: Array, level: float, count: int, fraction: float = 0.1
-) -> tuple[Array, float]:
-    largest = float(values.max())
-    order = np.argsort(-values)[:count]
-    order = order[values[order] > level + fraction * max(largest - level, 0.0)]
-    return postures[order], largest
-
-
-# -- the end -----------------------------------------------------------------------------------------------------------
 def prove(
     everything: ContinuousSet,
     jacobians: TrigonometricJacobian,
@@ -186,8 +144,7 @@ def prove(
         if found.value <= ended.level + close:
             return ended, found.upper, True
         start = np.concatenate([known, found.posture[None]])
-        working, gap = generate_columns(problem, prior, start, stages[1:])
-        ended = sparse_design(problem, prior, working)
+        ended, gap = generate_columns(problem, prior, start, stages)
         largest = ended.level + gap
     return ended, found.upper, True
 

@@ -69,8 +69,8 @@ class WorkingSet:
 
 def generate_columns(
     problem: DesignProblem, prior: PriorInformation, start: Array, stages: Sequence[Stage]
-) -> tuple[WorkingSet, float]:
-    """The working set with its solution, and the gap (absolute) that the last pricing of the last stage found."""
+) -> tuple[SparseDesign, float]:
+    """Optimal weights, and the gap (absolute) that the last pricing of the last stage found."""
     accuracy = EXACT  # of the weights; later, far from the end, exact ones would be wasted
     working = _solve(problem, prior, start, problem.scaled_jacobians(start), accuracy)
     current, gap, smallest = 0, np.inf, np.inf
@@ -92,7 +92,7 @@ def generate_columns(
             break
         else:
             current, smallest = current + 1, np.inf
-    return working, gap
+    return sparse_design(problem, prior, working), gap
 
 
 def _solve(

@@ -41,6 +41,11 @@ class Budget:
     deadline: float | None = None
     may_agree: bool = True
 
+    @classmethod
+    def of(cls, starts: int | None, usual: int, limit: float | None, began: float) -> Budget:
+        """So many starts, or the `usual` number, fewer if they agree; `limit` [s] from `began` on, None: no limit."""
+        return cls(starts or usual, None if limit is None else began + limit, may_agree=starts is None)
+
     @property
     def remaining(self) -> float:
         """Seconds left; infinite without a time limit."""

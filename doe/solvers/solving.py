@@ -60,15 +60,13 @@ def solve(
         result = from_theory(problem, runs, known, seed) if solver is None else None
         used: Solver = chosen if result is None else Analytic()
         if result is None:
-            limit = time_limit(runs, starts, seconds)
-            deadline = None if limit is None else began + limit
-            budget = Budget(starts or chosen.starts_for(problem), deadline, may_agree=starts is None)
+            budget = Budget.of(starts, chosen.starts_for(problem), time_limit(runs, starts, seconds), began)
             offers = offers_of(problem, runs, chosen, budget, seed, begin_from_theory=solver is None)
             result = run_search(problem, offers, budget, known, progress)
         design = design_of(problem, result, used, known, began, seed)
-        holds = known if bound is not None else bound_that_holds(problem, known, design.plan.postures, design.value)
-    if holds is not known:
-        design = replace(design, bound=holds)
+        if bound is None:
+            holds = bound_that_holds(problem, known, design.plan.postures, design.value)
+            design = design if holds is known else replace(design, bound=holds)
     if throw:
         require_solved(design)
     return design if identifies_all(design) else replace(design, status=Status.not_identifiable)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.bounds.restricted_master import Stage, generate_columns, sparse_design
+from doe.bounds.restricted_master import Stage, generate_columns
 from doe.criteria import A, Criterion, D
 from doe.problem.prior import PriorInformation
 from identification.arrays import Array
@@ -25,8 +25,7 @@ def test_ends_at_the_optimum_of_a_list(criterion: Criterion) -> None:
         g = np.array([np.trace(gradient @ b.T @ b) for b in jacobians])
         return POSTURES[[int(g.argmax())]], float(g.max())
 
-    working, gap = generate_columns(case, prior, POSTURES[:40], [Stage(price, 1e-9)])
-    found = sparse_design(case, prior, working)
+    found, gap = generate_columns(case, prior, POSTURES[:40], [Stage(price, 1e-9)])
     carried = zip(found.plan.shares, case.scaled_jacobians(found.plan.postures), strict=True)
     information = sum(w * b.T @ b for w, b in carried)
     gradient = criterion.gradient(information)

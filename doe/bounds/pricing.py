@@ -1,0 +1,55 @@
+"""Pricing: which postures column generation should add to its working set, out of a list or of all there are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from doe.bounds.continuous import ContinuousSet, distinct
+from doe.bounds.equivalence import CandidateJacobians, candidate_sensitivities
+from doe.bounds.restricted_master import Price
+from doe.problem.candidates import Candidates
+from doe.problem.prior import PriorInformation
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
+
+NEAR = 0.2  # [rad] times the root of the relative gap
+PARTS = 256  # of the candidates, of which each may offer one posture per round: keeps new postures apart
+
+
+def candidate_price(problem: DesignProblem, candidates: Candidates, prior: PriorInformation) -> Price:
+    """Every candidate is visited; each part of them offers its best."""
+    part = max(16, -(-len(candidates) // PARTS))
+    jacobians = CandidateJacobians(problem, candidates)
+
+    def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
+        offers, values = [near[:0]], [np.empty(0)]
+        for postures, g in candidate_sensitivities(jacobians, gradient, prior):
+            edges = np.arange(0, len(g), part)
+            top = np.array([edge + int(np.argmax(g[edge : edge + part])) for edge in edges])
+            offers.append(postures[top])
+            values.append(g[top])
+        return _best_offers(np.concatenate(offers), np.concatenate(values), level, 3 * problem.parameters)
+
+    return price
+
+
+def continuous_price(everything: ContinuousSet, generator: np.random.Generator | None = None) -> Price:
+    """The local maxima that a multistart ascent finds; a thorough one with fresh starts where a generator is given."""
+
+    def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
+        postures, values = everything.best(gradient, near, generator)
+        # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
+        apart = distinct(everything.problem.comparable(postures), NEAR * np.sqrt(max(values[0] / level - 1.0, 0.0)))
+        postures, values = postures[apart], values[apart]
+        return _best_offers(postures, values, level, 10 * everything.problem.parameters, 0.0)
+
+    return price
+
+
+def _best_offers(
+    postures: Array, values: Array, level: float, count: int, fraction: float = 0.1
+) -> tuple[Array, float]:
+    largest = float(values.max())
+    order = np.argsort(-values)[:count]
+    order = order[values[order] > level + fraction * max(largest - level, 0.0)]
+    return postures[order], largest
