@@ -27,6 +27,7 @@ ITERATIONS = 200
 MAX_DAMPING = 1e12
 ROUNDING = 1e-14  # of a sum of squares, relative
 SMALL_FALL = 1e-8  # of a sum of squares, relative
+RIDGE = 1e-14  # of a normal matrix of unit columns: keeps its inverse alive where it is singular and not used
 FLAT = 1e-4  # share of the residuals that the last step would still explain: 1e-4 sqrt(N) deviations
 Index = NDArray[np.intp]
 Linearize = Callable[[Array, Index], tuple[Array, Array]]
@@ -163,7 +164,7 @@ def _steps(problem: LeastSquares, points: Points) -> Steps:
     if problem.metric is not None:
         lengths = np.broadcast_to(problem.metric, lengths.shape)
     columns = points.jacobians / lengths[:, None, :]
-    gradient = np.einsum("knp,kn->kp", columns, points.residuals)
+    gradient = (np.swapaxes(columns, 1, 2) @ points.residuals[:, :, None])[:, :, 0]
     low, high = x <= problem.lower, x >= problem.upper
     held = (low & (gradient < 0.0)) | (high & (gradient > 0.0))
     steps, gradient = damped_steps(columns, points.residuals, held | zero, damping, problem.tolerance)
@@ -187,23 +188,25 @@ def damped_steps(
     By the smaller of the normal matrices E^T E and E E^T, which square the condition, where that costs no digits that
     matter; elsewhere by singular values, of which those below `tolerance` are zero, in step and gradient.
     """
-    columns = np.where(held[:, None, :], 0.0, columns)
+    columns = np.where(held[:, None, :], 0.0, columns) if held.any() else columns
     across = np.swapaxes(columns, 1, 2)
     gradient = (across @ residuals[:, :, None])[:, :, 0]
     wide = columns.shape[1] < columns.shape[2]
     normal = columns @ across if wide else across @ columns
-    if not wide:
-        diagonal = np.arange(normal.shape[1])
-        normal[:, diagonal, diagonal] += held
-    values, vectors = np.linalg.eigh(normal)
-    turned = np.swapaxes(vectors, 1, 2) @ (residuals if wide else gradient)[:, :, None]
-    clear = values[:, 0] > max(CLEAR, tolerance**2) * values[:, -1]
-    steps = vectors @ (turned / np.where(clear[:, None], values + damping[:, None], 1.0)[:, :, None])
+    diagonal = np.arange(normal.shape[1])
+    normal[:, diagonal, diagonal] += RIDGE if wide else RIDGE + held
+    right = (residuals if wide else gradient)[:, :, None]
+    inverse = np.linalg.inv(normal)
+    # in the 1-norm, which is never less than the ratio of the eigenvalues
+    condition = np.linalg.norm(normal, 1, axis=(1, 2)) * np.linalg.norm(inverse, 1, axis=(1, 2))
+    steps = inverse @ right
+    if (more := damping > 0.0).any():
+        steps[more] = np.linalg.solve(normal[more] + damping[more, None, None] * np.eye(len(diagonal)), right[more])
     steps = (across @ steps if wide else steps)[:, :, 0]
-    if not clear.all():
-        steps[~clear], gradient[~clear] = truncated_steps(
-            columns[~clear], residuals[~clear], damping[~clear], tolerance
-        )
+    rest = ~(condition < min(1.0 / CLEAR, tolerance**-2))
+    if rest.any():
+        found = truncated_steps(columns[rest], residuals[rest], damping[rest], tolerance)
+        steps[rest], gradient[rest] = found
     return np.where(held, 0.0, steps), gradient
 
 
