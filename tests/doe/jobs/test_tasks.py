@@ -15,9 +15,10 @@ import polars as pl
 import pytest
 
 from doe.jobs.row_table import RowTable, read_rows
-from doe.jobs.tasks import Function, run
+from doe.jobs.tasks import Function, Job, run
 from doe.jobs.workers import Workers, processes, serial
-from identification.errors import JobError
+from identification.errors import InputError, JobError
+from identification.progress import silent
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
 import work
@@ -93,7 +94,7 @@ def test_a_task_that_kills_its_worker_each_time_is_a_row() -> None:
 def test_killed_study_leaves_no_process_behind_and_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "rows.parquet"
     code = (
-        "import os, signal, work\nfrom doe.jobs.tasks import run\nfrom doe.jobs.workers import processes\n"
+        "import os, signal, work\nfrom doe.jobs.tasks import Job, run\nfrom doe.jobs.workers import processes\n"
         "from doe.jobs.row_table import RowTable\n"
         "def kill(done, total, message):\n    if done == 6: os.kill(os.getpid(), signal.SIGKILL)\n"
         f"with RowTable.open({str(path)!r}) as table:\n"
@@ -110,3 +111,19 @@ def test_killed_study_leaves_no_process_behind_and_goes_on(tmp_path: Path) -> No
     with RowTable.open(path, resume=True) as table:
         frame = run(work.draw, keys, table)
     assert frame["value"].to_list() == work.drawn(keys)
+
+
+def test_a_job_keeps_its_tables_in_one_folder_and_resumes_each(tmp_path: Path) -> None:
+    first = Job(tmp_path / "job", None, 5, False, False, silent).run(work.draw, KEYS[:2], "a.parquet")
+    asked: list[Any] = []
+
+    def payload(key: Any) -> None:
+        asked.append(key)
+
+    again = Job(tmp_path / "job", None, 5, True, False, silent)
+    more = again.run(work.draw_with_payload, KEYS[:3], "a.parquet", payload)
+    assert more.head(len(first)).equals(first.select(more.columns))
+    assert asked == [KEYS[2]]
+    assert more["value"].to_list() == work.drawn(KEYS[:3], seed=5)
+    with pytest.raises(InputError, match="exists"):
+        Job(tmp_path / "job", None, 5, False, False, silent).run(work.draw, KEYS, "a.parquet")

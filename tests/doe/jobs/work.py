@@ -20,6 +20,11 @@ def draw(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, An
     return [{"part": part, "value": float(np.random.default_rng(seed).standard_normal() + part)} for part in range(2)]
 
 
+def draw_with_payload(key: dict[str, Any], seed: np.random.SeedSequence, _: Any) -> list[dict[str, Any]]:
+    """As `draw`, for a caller who sends something along."""
+    return draw(key, seed)
+
+
 def slow_draw(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
     """As `draw`, with the worker's process number, slowly enough to be killed in the middle."""
     time.sleep(0.05)

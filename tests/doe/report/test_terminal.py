@@ -1,0 +1,70 @@
+"""Numbers and tables for a terminal: nothing is lost, nothing is taken for markup."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import pytest
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from doe.report.terminal import facts, number, significant, table
+
+
+def shown(renderable: Table, width: int = 80) -> str:
+    console = Console(width=width, file=io.StringIO())
+    with console.capture() as capture:
+        console.print(renderable)
+    return capture.get()
+
+
+@pytest.mark.parametrize(("value", "text"), [(None, "-"), (math.nan, "-"), (math.inf, "-"), (1.23456, "1.2346")])
+def test_number(value: float | None, text: str) -> None:
+    assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [
+        (1.23456789, 0.0123, "1.2346"),
+        (1.23456789, 12.3, "1.2"),
+        (None, 1.0, "-"),
+        (2e7, 1.0, "2e+07"),
+        (0.5, None, "0.5"),
+    ],
+)
+def test_significant_digits_are_three_of_the_standard_deviation(
+    value: float | None, std: float | None, text: str
+) -> None:
+    assert significant(value, std) == text
+
+
+def test_brackets_are_no_markup() -> None:
+    text = shown(table(["x [mm]", "effect"], [["1", "ripple[k=4]"], ["2", "[red]"]]))
+    assert all(part in text for part in ("x [mm]", "ripple[k=4]", "[red]"))
+    assert "[mm]" in shown(facts([("length [mm]", "260 [mm]")]))
+
+
+def test_long_tables_are_cut_and_say_so() -> None:
+    rows = [[str(k)] for k in range(5)]
+    cut = table(["run"], rows, most=3, caption="first 3 of 5")
+    assert (cut.row_count, cut.caption) == (3, "first 3 of 5")
+    whole = table(["run"], rows, most=5, caption="first 5 of 5")
+    assert (whole.row_count, whole.caption) == (5, None)
+
+
+def test_columns_are_aligned_as_asked_and_long_words_folded() -> None:
+    found = table(["name", "value"], [["length", "1"]], left=("name",), no_wrap=("value",))
+    assert [column.justify for column in found.columns] == ["left", "right"]
+    assert [column.no_wrap for column in found.columns] == [False, True]
+    narrow = shown(table(["name"], [["abcdefghijklmnopqrstuvwxyz"]]), width=12)
+    assert "".join(character for character in narrow if character.islower()) == "name" + "abcdefghijklmnopqrstuvwxyz"
+
+
+def test_styled_cells_keep_their_style() -> None:
+    found = table(["outcome"], [[Text("met", "green")]])
+    (cell,) = found.columns[0].cells
+    assert isinstance(cell, Text)
+    assert cell.style == "green"
