@@ -28,6 +28,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Notebooks first: the longest tests must not be the last that one core works on while the others wait."""
+    items.sort(key=lambda item: "notebooks" not in item.path.parts)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     if size := config.getoption("--disturb"):
         disturb(size)
