@@ -53,14 +53,14 @@ def disturb(size: float) -> None:
         def standard_normal(self, *arguments: Any, **named: Any) -> Any:
             return super().standard_normal(*arguments, **named) * below_one
 
-    below_one, usual, blocks = 1.0 - size, np.random.default_rng, DesignProblem.blocks
+    below_one, usual, jacobians = 1.0 - size, np.random.default_rng, DesignProblem.scaled_jacobians
 
     def default_rng(seed: Any = None) -> np.random.Generator:
         return seed if isinstance(seed, np.random.Generator) else Disturbed(usual(seed).bit_generator)
 
     def rippled(problem: DesignProblem, postures: Any) -> np.ndarray:
-        found = blocks(problem, postures)
+        found = jacobians(problem, postures)
         return found * (1.0 + max(0.01 * size, 2.2e-16) * np.sin(1e9 * found))
 
     np.random.default_rng = default_rng
-    DesignProblem.blocks = rippled  # type: ignore[method-assign, assignment]
+    DesignProblem.scaled_jacobians = rippled  # type: ignore[method-assign, assignment]
