@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from doe.design import Design
     from doe.solvers import Solver
 
-Task = tuple[str, "str | Solver"]  # arm file's text, solver
+Subject = str | DesignProblem  # text of an arm file, or the problem of another model
+Task = tuple[Subject, "str | Solver"]
 FEASIBLE = 1e-9  # [rad] outside the joint limits, or below zero in a constraint's margin
 AGREES = 1e-9  # between the solver's value and ours
 HIT = 1e-6  # a run has found the best known plan if it loses less than this of the efficiency
@@ -65,6 +66,7 @@ class Comparison:
     repeats : runs of each, with seeds of their own
     seconds : time limit of one run [s]: given to the solver, and the run is killed if it does not keep it
     criteria : names as in `armcal design --criterion`, of those in `CRITERIA`
+    problems : name -> problem of another model, compared with each of the criteria beside the arms
     """
 
     arms: Sequence[Arm]
@@ -74,6 +76,7 @@ class Comparison:
     repeats: int = 5
     seconds: float = 60.0
     criteria: Sequence[str] = ("D",)
+    problems: Mapping[str, DesignProblem] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         from doe.solvers import available_solvers
@@ -94,19 +97,19 @@ class Comparison:
         return {solver if isinstance(solver, str) else solver.name: solver for solver in self.solvers}
 
     @property
-    def texts(self) -> dict[str, str]:
-        """Hash -> text of the arm files."""
-        texts = [dump_arm(arm) for arm in self.arms]
-        return {hashlib.sha256(text.encode()).hexdigest()[:12]: text for text in texts}
+    def subjects(self) -> dict[str, tuple[str, Subject]]:
+        """Hash -> name, and the arm file's text or the problem."""
+        texts = [(arm.name, dump_arm(arm)) for arm in self.arms]
+        arms: dict[str, tuple[str, Subject]] = {short_hash(text.encode()): (name, text) for name, text in texts}
+        return arms | {fingerprint(problem): (name, problem) for name, problem in self.problems.items()}
 
     @property
     def keys(self) -> list[Key]:
         """One key per run of a solver."""
-        hashes = list(self.texts)
         return [
             {
-                "arm": self.arms[k].name,
-                "arm_hash": hashes[k],
+                "arm": subject,
+                "arm_hash": digest,
                 "criterion": criterion,
                 "runs": runs,
                 "solver": name,
@@ -115,10 +118,27 @@ class Comparison:
                 "limit_s": self.seconds,
                 "repeat": repeat,
             }
-            for k, criterion, runs, (name, solver), starts, repeat in product(
-                range(len(hashes)), self.criteria, self.runs, self.by_name.items(), self.starts, range(self.repeats)
+            for (digest, (subject, _)), criterion, runs, (name, solver), starts, repeat in product(
+                self.subjects.items(),
+                self.criteria,
+                self.runs,
+                self.by_name.items(),
+                self.starts,
+                range(self.repeats),
             )
         ]
+
+
+def short_hash(content: bytes) -> str:
+    """Twelve digits that tell contents apart."""
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
+def fingerprint(problem: DesignProblem) -> str:
+    """The hash of a problem: names of its parameters, and the information of a few postures to six decimals."""
+    postures = np.linspace(problem.lower, problem.upper, 7)
+    content = [",".join(problem.model.parameters.names).encode(), postures.tobytes()]
+    return short_hash(b"".join([*content, np.round(problem.information(postures), 6).tobytes()]))
 
 
 def compare(
@@ -135,17 +155,17 @@ def compare(
     Runs that fail, crash or hang are rows too. Rows depend on the seed, not on the workers (times do, of course: for
     times that can be compared use one process less than there are cores).
     """
-    texts, solvers = comparison.texts, comparison.by_name
+    subjects, solvers = comparison.subjects, comparison.by_name
     rows = RowTable(Path()) if table is None else table
 
     def payload(key: Key) -> Task:
-        return texts[key["arm_hash"]], solvers[key["solver"]]
+        return subjects[key["arm_hash"]][1], solvers[key["solver"]]
 
     return run(run_of, comparison.keys, rows, workers, seed=seed, payload=payload, progress=progress)
 
 
 def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: Task) -> list[Row]:
-    """The row of one run, which happens in a new process; the task is the arm file's text and the solver."""
+    """The row of one run, which happens in a new process."""
     number = int(seed.generate_state(1)[0])
     limit = key["limit_s"] * KILL_FACTOR + KILL_EXTRA
     outcome = call(solve_and_evaluate, task, key, number, seconds=limit)
@@ -157,17 +177,17 @@ def solve_and_evaluate(task: Task, key: dict[str, Any], seed: int) -> Row:
     """Runs the solver in this process; `seconds` is the search alone."""
     from doe.solvers import solve
 
-    text, solver = task
-    problem = compared_problem(arm_from_tables(tomllib.loads(text)), key["criterion"])
+    subject, solver = task
+    given = arm_from_tables(tomllib.loads(subject)) if isinstance(subject, str) else subject
+    problem = compared_problem(given, key["criterion"])
     design = solve(problem, key["runs"], solver, seed=seed, starts=key["starts"] or None, seconds=key["limit_s"])
     return evaluated(problem, key["runs"], design)
 
 
-def compared_problem(arm: Arm, name: str) -> DesignProblem:
-    """What is compared: an arm and a criterion of `CRITERIA`."""
-    model = Model(arm)
-    units = [parameter.unit for parameter in model.parameters]
-    return DesignProblem.of(model, criterion=criterion(name, units=units))
+def compared_problem(subject: Arm | DesignProblem, name: str) -> DesignProblem:
+    """What is compared: an arm or another problem, and a criterion of `CRITERIA`."""
+    problem = subject if isinstance(subject, DesignProblem) else DesignProblem.of(Model(subject))
+    return replace(problem, criterion=criterion(name, units=problem.model.parameters.units))
 
 
 def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:

@@ -32,7 +32,7 @@ from doe.problem.constraints import Expression, InsideBox, OutsideSphere
 from doe.report.design_tables import accuracy_table, design_tables
 from doe.report.pictures import certificate_figure
 from doe.solvers import solve
-from doe.studies.comparison import evaluated
+from doe.studies.comparison import Comparison, compare, evaluated
 from identification.arrays import Array
 from identification.estimation import estimate
 from tests.doe.spatial import (
@@ -267,6 +267,15 @@ def test_a_plan_is_scored_and_compared_as_the_oracle_does() -> None:
     assert row["correct"]
     assert row["violation"] == 0.0
     assert row["efficiency"] == scored.efficiency
+
+
+def test_solvers_compared_in_processes_of_their_own() -> None:
+    problem = spatial(choices=candidates()[:10])
+    rows = compare(Comparison((), [5], ["fedorov"], repeats=2, seconds=30.0, problems={"spatial": problem}))
+    best = solve(problem, 5, "fedorov").value
+    assert rows["arm"].to_list() == ["spatial"] * 2
+    assert rows["correct"].to_list() == [True] * 2
+    np.testing.assert_allclose(rows["value"].to_numpy(), best)
 
 
 def test_postures_in_the_units_of_their_joints() -> None:
