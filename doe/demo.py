@@ -92,7 +92,7 @@ class Demo:
 def true_values(truth: Arm) -> dict[str, float]:
     """Every parameter of the truth in file units; effects it does not have are zero."""
     model = Model(truth)
-    values = dict(zip(model.names, model.values.tolist(), strict=True)) | dict(model.fixed)
+    values = model.best_known
     known = {p.name: values[p.name] * p.to_file for p in model.all_parameters}
     return defaultdict(float, known)
 

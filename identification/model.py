@@ -126,6 +126,11 @@ class Model:
         """(p,) best known values: the calibration's where the arm has one, else zero."""
         return self.parameters.vector(self._calibrated())
 
+    @property
+    def best_known(self) -> dict[str, float]:
+        """Name -> best known value of every parameter, estimated or known."""
+        return self.parameters.mapping(self.values) | dict(self.fixed)
+
     def _calibrated(self) -> dict[str, float]:
         return {} if self.arm.calibration is None else dict(self.arm.calibration.values)
 
@@ -176,7 +181,7 @@ class Model:
     @cached_property
     def _chain_values(self) -> tuple[Array, Array]:
         """(n,) best known lengths [mm] and (n,) joint offsets [rad]."""
-        best = self.all_parameters.vector(self._calibrated() | dict(self.fixed))
+        best = self.all_parameters.vector(self.best_known)
         errors, offsets = (best[self.all_parameters.indices(kind)] for kind in (LENGTH_ERROR, JOINT_OFFSET))
         return self.arm.lengths + errors, offsets
 

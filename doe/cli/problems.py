@@ -110,7 +110,7 @@ def _criterion(wanted: CriterionOptions, model: Model, problem: DesignProblem) -
     poses = None if wanted.test_poses is None else load_plan(wanted.test_poses, problem.joints).postures
     return criterion(
         wanted.criterion,
-        units=[parameter.unit for parameter in model.parameters],
+        units=list(model.parameters.units),
         subset=None if wanted.subset is None else indices(wanted.subset, model.names),
         test_jacobians=None if poses is None else problem.scaled_jacobians(poses),
     )

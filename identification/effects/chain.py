@@ -46,7 +46,7 @@ class Chain:
         return symbolic_points(self.lengths / 1000.0, self.q)
 
     @cached_property
-    def loads(self) -> list[tuple[ca.SX, int, float | None]]:
+    def loads(self) -> list[tuple[ca.SX, int, float]]:
         """(mass [kg], link index, fraction along that link) of every mass; the payload sits at the tip."""
         gravity = self.required_gravity
         masses = [(ca.SX(m), k, float(gravity.center_of_mass[k])) for k, m in enumerate(gravity.link_masses)]
@@ -59,7 +59,7 @@ class Chain:
         moment = ca.SX(0)
         for mass, k, at in self.loads:
             if k >= beyond:
-                arm = self._point(k, at or 0.0) - pivot
+                arm = self._point(k, at) - pivot
                 moment += mass * (arm[0] * ay - arm[1] * ax)
         return moment
 

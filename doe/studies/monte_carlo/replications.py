@@ -72,9 +72,7 @@ class Cell:
     @cached_property
     def true_values(self) -> Array:
         """(p,) true values of the fitted parameters, zero for those that the truth does not have."""
-        model = self.true_model
-        known = dict(model.fixed) | dict(zip(model.names, model.values.tolist(), strict=True))
-        return np.array([known.get(name, 0.0) for name in self.model.names])
+        return self.model.parameters.vector(self.true_model.best_known)
 
     @cached_property
     def transform(self) -> Array:
