@@ -101,18 +101,18 @@ def discrimination_design(
     best = solve(problem, runs, solver, seed=seed, starts=starts, seconds=half, progress=progress)
     best_sees = seen(problem, library, best.plan.postures)
     generator = np.random.default_rng(seed)
-    wide = extended_problem(problem, library)
-    chosen, status = search(problem, wide, best, loss, generator, budget, progress)
+    extended = extended_problem(problem, library)
+    chosen, status = search(problem, extended, best, loss, generator, budget, progress)
     plan = replace(best.plan, postures=best_order(library, chosen, generator))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
-    bounds = wide.wrong(chosen), wide.wrong(best.plan.postures), wide.at_random(runs)
+    bounds = extended.wrong(chosen), extended.wrong(best.plan.postures), extended.at_random(runs)
     sees = seen(problem, library, plan.postures)
     return DiscriminationDesign(design, best, sees, best_sees, *(min(1.0, bound) for bound in bounds))
 
 
 def search(
     problem: DesignProblem,
-    wide: ExtendedProblem,
+    extended: ExtendedProblem,
     best: Design,
     loss: float,
     generator: np.random.Generator,
@@ -126,10 +126,10 @@ def search(
     allowed = problem.parameters * float(-np.log1p(-loss))
     status, bound = Status.local_optimum, np.inf
     try:
-        for postures, stop in beginnings(problem, wide, best, allowed, generator, budget):
-            swaps = improving_swaps(problem, wide, postures, best.value - allowed, generator, stop, progress)
+        for postures, stop in beginnings(problem, extended, best, allowed, generator, budget):
+            swaps = improving_swaps(problem, extended, postures, best.value - allowed, generator, stop, progress)
             for plan in chain([postures], swaps):
-                if (wrong := wide.wrong(plan)) < bound:
+                if (wrong := extended.wrong(plan)) < bound:
                     chosen, bound = plan, wrong
             status = Status.time_limit if stop.out_of_time else status
     except KeyboardInterrupt:
@@ -139,22 +139,22 @@ def search(
 
 def beginnings(
     problem: DesignProblem,
-    wide: ExtendedProblem,
+    extended: ExtendedProblem,
     best: Design,
     allowed: float,
     generator: np.random.Generator,
     budget: Budget,
 ) -> Iterator[tuple[Array, Budget]]:
-    """Plans from which swaps start, each with its share of the time.
+    """Plans from which swaps start, each with its part of the time.
 
     Under joint limits a D-optimal plan stands in the corners, far from plans that tell effects apart: there is a second
     beginning with as many random postures as three quarters of the loss allow.
     """
     part = budget.remaining / 2.0 if narrow(problem) else budget.remaining
     stop = budget.deadline if budget.deadline is None else budget.deadline - budget.remaining + part
-    yield start(problem, wide, best, best.value - allowed / 2.0, generator), Budget(1, stop)
+    yield start(problem, extended, best, best.value - allowed / 2.0, generator), Budget(1, stop)
     if narrow(problem):
-        corners = start(problem, wide, best, best.value - allowed / 8.0, generator)
+        corners = start(problem, extended, best, best.value - allowed / 8.0, generator)
         yield mixed(problem, corners, best.value - 0.75 * allowed, generator), budget
 
 
@@ -175,13 +175,13 @@ def seen(problem: DesignProblem, library: EffectLibrary, postures: Array) -> Det
 
 
 def start(
-    problem: DesignProblem, wide: ExtendedProblem, best: Design, least: float, generator: np.random.Generator
+    problem: DesignProblem, extended: ExtendedProblem, best: Design, least: float, generator: np.random.Generator
 ) -> Array:
     """(m, n) the best plan or one from theory, whichever tells effects apart best, off the limits down to `least`."""
     runs = len(best.plan.postures)
     plans = [np.array(best.plan.postures)]
     plans += [plan for plan in theory_plans(problem, runs, generator) if feasible_value(problem, plan) >= least]
-    chosen = min(plans, key=wide.wrong)
+    chosen = min(plans, key=extended.wrong)
     moved = off_the_limits(problem, chosen, least, generator) if narrow(problem) else chosen
     if any(repeats(problem, posture, moved[:row]) for row, posture in enumerate(moved)):
         return spread_free_joints(problem, moved, generator)

@@ -61,11 +61,11 @@ class MisidentificationBound:
         schur = self._off_base(np.where(usable[..., None, None], information, self.reference))[0]
         seen = self.directions @ schur
         lengths = np.sum(seen * self.directions, axis=-1)
-        total = np.sum(self._shares * ndtr(-0.5 * np.sqrt(np.maximum(lengths, 0.0))), axis=-1)
+        total = np.sum(self._probabilities * ndtr(-0.5 * np.sqrt(np.maximum(lengths, 0.0))), axis=-1)
         for group in self._groups:
             explained = np.sum(np.multiply(*group.fit(schur, seen)), axis=-1)
             d = np.sqrt(np.maximum(lengths[..., None] - explained, 0.0))
-            total = total + np.sum(self._shares[:, None] * group.others * ndtr(-0.5 * d), axis=(-2, -1))
+            total = total + np.sum(self._probabilities[:, None] * group.others * ndtr(-0.5 * d), axis=(-2, -1))
         return np.where(usable, total, np.inf)
 
     def gradient(self, information: Array) -> Array:
@@ -77,9 +77,11 @@ class MisidentificationBound:
             beside = self.directions[:, None] - np.einsum("dgs,kgs->dgk", fitted, group.columns)
             left.append((beside.reshape(-1, beside.shape[-1]), group.others.astype(float).ravel()))
         u = np.vstack([rows for rows, _ in left])
-        shares = np.concatenate([(self._shares[:, None] * o.reshape(len(self._shares), -1)).ravel() for _, o in left])
+        probabilities = np.concatenate(
+            [(self._probabilities[:, None] * o.reshape(len(self._probabilities), -1)).ravel() for _, o in left]
+        )
         d = np.maximum(np.sqrt(np.maximum(np.sum((u @ schur) * u, axis=1), 0.0)), NEAR)
-        slopes = shares * np.exp(-(d**2) / 8.0) / (4.0 * d * np.sqrt(2.0 * np.pi))
+        slopes = probabilities * np.exp(-(d**2) / 8.0) / (4.0 * d * np.sqrt(2.0 * np.pi))
         lift = np.vstack([base, np.eye(len(schur))])
         return np.asarray(lift @ ((u * slopes[:, None]).T @ u) @ lift.T / self.wrong(information))
 
@@ -92,10 +94,10 @@ class MisidentificationBound:
 
     @cached_property
     def _drawn(self) -> tuple[Array, NDArray[np.intp], Array]:
-        """(D, K) directions, (D,) the effect of each and (D,) its share."""
+        """(D, K) directions, (D,) the effect of each and (D,) its probability."""
         schur = self._off_base(self.reference)[0]
         whole = np.diag(self.reference)[self.own :]
-        rows, owners, shares = [], [], []
+        rows, owners, probabilities = [], [], []
         for number, basis in enumerate(self.bases):
             found = []
             for mix in mixes(basis.shape[1]):
@@ -105,9 +107,9 @@ class MisidentificationBound:
                     found.append(v * (LAMBDA / np.sqrt(length)))
             rows += found
             owners += [number] * len(found)
-            shares += [float(self.weights[number]) / len(found) for _ in found]
-        share = np.array(shares)
-        return np.array(rows), np.array(owners, dtype=np.intp), share / share.sum()
+            probabilities += [float(self.weights[number]) / len(found) for _ in found]
+        weights = np.array(probabilities)
+        return np.array(rows), np.array(owners, dtype=np.intp), weights / weights.sum()
 
     @property
     def directions(self) -> Array:
@@ -115,7 +117,7 @@ class MisidentificationBound:
         return self._drawn[0]
 
     @property
-    def _shares(self) -> Array:
+    def _probabilities(self) -> Array:
         return self._drawn[2]
 
     @cached_property

@@ -1,7 +1,7 @@
 """Swaps that make a plan tell missing effects apart, at a D-efficiency that is kept.
 
 Runs are exchanged for postures of a pool: random ones of the design space and neighbours of the plan's own. The first
-derivative of the criterion says which swaps are worth trying, the criterion itself which is best; near the least
+derivative of the criterion says which swaps to try, the criterion itself which is best; near the least
 D-efficiency the derivative is mixed with that of the base model's log det. The pool is drawn again as long as that
 helps. Every plan that is taken keeps the constraints and the least value, recomputed from the base problem.
 """
@@ -27,11 +27,11 @@ from identification.information import information_matrix
 from identification.progress import Progress, silent
 
 # reasons: doe/README.md, "Misidentification"
-CLOUD, POOL, NEARBY = 512, 1500, 0.15  # postures; neighbours differ by this share of a joint's range
+CLOUD, POOL, NEARBY = 512, 1500, 0.15  # postures; neighbours differ by this fraction of a joint's range
 OUTS, INS, MORE_OUTS = 4, 8, 50  # runs and postures that are tried per derivative; runs where those bring nothing
 MULTIPLIERS = (2.0, 10.0)  # of the derivative of log det where little of it is left to lose
 TIGHT = 0.1  # log det above the least that counts as little
-WORTH_IT, ROUNDS = 1e-3, 5  # gain of the criterion that makes a swap, and ten of it a new pool, worth while
+LEAST_GAIN, ROUNDS = 1e-3, 5  # of the criterion: smaller ones end the swaps, and less than ten of it the pools
 RANDOM_PLANS = 25  # whose median bound is shown beside a plan's
 
 
@@ -59,10 +59,10 @@ class ExtendedProblem:
 
 def extended_problem(problem: DesignProblem, library: EffectLibrary) -> ExtendedProblem:
     """The same design space for the model with the effects that postures show."""
-    wide = replace(problem, model=library.shown_by_postures)
+    extended = replace(problem, model=library.shown_by_postures)
     cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
-    reference = information_matrix(wide.scaled_jacobians(cloud)) / len(cloud)
-    return ExtendedProblem(wide, MisidentificationBound(library.own, library.bases, library.weights, reference))
+    reference = information_matrix(extended.scaled_jacobians(cloud)) / len(cloud)
+    return ExtendedProblem(extended, MisidentificationBound(library.own, library.bases, library.weights, reference))
 
 
 def pool_of(problem: DesignProblem, count: int, generator: np.random.Generator) -> Array:
@@ -89,7 +89,7 @@ def repeats(problem: DesignProblem, posture: Array, others: Array) -> bool:
 
 def improving_swaps(
     problem: DesignProblem,
-    wide: ExtendedProblem,
+    extended: ExtendedProblem,
     postures: Array,
     least: float,
     generator: np.random.Generator,
@@ -100,14 +100,14 @@ def improving_swaps(
 
     least : of the base problem's criterion
     """
-    state = Swaps(problem, wide, np.array(postures), least)
+    state = Swaps(problem, extended, np.array(postures), least)
     for number in range(ROUNDS):
         before = state.value
         state.draw(generator)
         while not budget.out_of_time and state.swap():
             yield state.postures
             progress(number, ROUNDS, f"wrong names at most {float(np.exp(-state.value)):.3f}")
-        if budget.out_of_time or state.value < before + 10.0 * WORTH_IT:
+        if budget.out_of_time or state.value < before + 10.0 * LEAST_GAIN:
             break
 
 
@@ -115,19 +115,19 @@ def improving_swaps(
 class Swaps:
     """A plan, its information and the pool.
 
-    postures : (m, n);  jacobians : (m, d, P), scaled, of the wide problem;  pool, offered : the same of the pool
+    postures : (m, n);  jacobians : (m, d, P), scaled, of the extended problem;  pool, offered : the same of the pool
     """
 
     problem: DesignProblem
-    wide: ExtendedProblem
+    extended: ExtendedProblem
     postures: Array
     least: float
 
     def __post_init__(self) -> None:
-        self.misidentification = self.wide.misidentification
-        self.jacobians = self.wide.problem.scaled_jacobians(self.postures)
+        self.misidentification = self.extended.misidentification
+        self.jacobians = self.extended.problem.scaled_jacobians(self.postures)
         self.total = len(self.postures) + self.problem.prior.runs
-        self.information = self.wide.problem.information(self.postures)
+        self.information = self.extended.problem.information(self.postures)
         self.value = float(self.misidentification.value(self.information))
         self.slack = feasible_value(self.problem, self.postures) - self.least
 
@@ -139,13 +139,13 @@ class Swaps:
             width = NEARBY * (self.problem.upper - self.problem.lower)
             near = self.problem.clip(near + width * generator.uniform(-1.0, 1.0, near.shape))
             self.pool = np.concatenate([self.pool, near[self.problem.feasible(near)]])
-        self.offered = self.wide.problem.scaled_jacobians(self.pool)
+        self.offered = self.extended.problem.scaled_jacobians(self.pool)
         self.open = np.ones(len(self.pool), dtype=bool)
         if self.problem.choices is not None and self.problem.minimum_distance > 0.0:  # no place for what is in the plan
             self.open = ~np.any(np.all(self.pool[:, None] == self.postures, axis=-1), axis=1)
 
     def swap(self) -> bool:
-        """The best of the most promising swaps, else of more of them; False if none is worth while."""
+        """The best of the most promising swaps, else of more of them; False if none gains enough."""
         gradients = list(self._gradients())
         few = self._best(gradients, OUTS, INS)
         return few or self._best(gradients, MORE_OUTS, INS)
@@ -166,7 +166,7 @@ class Swaps:
         pairs = np.unique(np.concatenate([self._promising(g, outs, ins) for g in gradients]), axis=0)
         gains = np.concatenate([self._gains(part) for part in np.array_split(pairs, len(pairs) // CLOUD + 1)])
         for k in np.argsort(-gains, kind="stable"):
-            if not gains[k] > WORTH_IT:
+            if not gains[k] > LEAST_GAIN:
                 return False
             if self._make(*pairs[k]):
                 return True
@@ -174,10 +174,10 @@ class Swaps:
 
     def _promising(self, gradient: Array, outs: int, ins: int) -> NDArray[np.intp]:
         """(c, 2) runs and postures of the pool."""
-        lost = np.sum((self.jacobians @ gradient) * self.jacobians, axis=(1, 2))
-        won = np.where(self.open, np.sum((self.offered @ gradient) * self.offered, axis=(1, 2)), -np.inf)
+        losses = np.sum((self.jacobians @ gradient) * self.jacobians, axis=(1, 2))
+        gains = np.where(self.open, np.sum((self.offered @ gradient) * self.offered, axis=(1, 2)), -np.inf)
         ins = min(ins, int(self.open.sum()))
-        runs, places = np.argsort(lost, kind="stable")[:outs], np.argsort(-won, kind="stable")[:ins]
+        runs, places = np.argsort(losses, kind="stable")[:outs], np.argsort(-gains, kind="stable")[:ins]
         return np.stack(np.meshgrid(runs, places, indexing="ij"), axis=-1).reshape(-1, 2)
 
     def _gains(self, pairs: NDArray[np.intp]) -> Array:
@@ -186,9 +186,11 @@ class Swaps:
         change = np.swapaxes(new, -1, -2) @ new - np.swapaxes(old, -1, -2) @ old
         informations = self.information + change / self.total
         p = self.misidentification.own
-        room = np.linalg.slogdet(informations[:, :p, :p])[1] - np.linalg.slogdet(self.information[:p, :p])[1]
+        change_of_log_det = (
+            np.linalg.slogdet(informations[:, :p, :p])[1] - np.linalg.slogdet(self.information[:p, :p])[1]
+        )
         gains = np.full(len(pairs), -np.inf)
-        fits = room + self.slack >= 0.0
+        fits = change_of_log_det + self.slack >= 0.0
         if fits.any():
             gains[fits] = self.misidentification.value(informations[fits]) - self.value
         return gains
@@ -205,6 +207,6 @@ class Swaps:
             return False
         self.postures, self.slack = trial, value - self.least
         self.jacobians[run] = self.offered[place]
-        self.information = self.wide.problem.information(self.postures)
+        self.information = self.extended.problem.information(self.postures)
         self.value = float(self.misidentification.value(self.information))
         return True
