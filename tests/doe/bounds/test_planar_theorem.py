@@ -90,6 +90,7 @@ def test_log_det_does_not_depend_on_lengths_calibrated_or_not(errors: list[float
     anywhere = np.random.default_rng(4).uniform(FOUR.lower, FOUR.upper, (9, 4))
     for plan in (factorial(arm, offset=False), anywhere):
         assert problem(arm).objective(plan) == pytest.approx(complex_log_det(plan), abs=ROUNDING)
+    for plan in (factorial(arm, offset=True), anywhere):
         assert problem(arm, OFFSET).objective(plan) == pytest.approx(complex_log_det(plan, offset=True), abs=ROUNDING)
 
 

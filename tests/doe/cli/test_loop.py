@@ -149,10 +149,10 @@ def test_two_ripples_of_one_joint_go_round_the_loop(folder: Folder) -> None:
 
 
 def test_two_ripples_of_one_joint_in_a_design(folder: Folder) -> None:
-    ripples = "".join(f'[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = {k}\n' for k in (4, 7))
+    ripples = "".join(f'[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = {k}\n' for k in (3, 4))
     folder.write("two.toml", "links_mm = [300, 200]\n" + ripples)
     words = ["design", "two.toml", "--runs", "8", "--criterion", "Ds", "--solver", "random", "--json", "--subset"]
-    done = folder.armcal(*words, ",".join(f"transmission_ripple:1[k=7].{short}" for short in "ab"))
+    done = folder.armcal(*words, ",".join(f"transmission_ripple:1[k=4].{short}" for short in "ab"))
     assert done.code == 0, done.err
     assert np.shape(done.data["postures_deg"]) == (8, 2)
     refused = folder.armcal(*words, "transmission_ripple:1.a")
