@@ -104,8 +104,7 @@ def _problem(model: Model, plan: Measurements | ArrayLike, measured: Array, weig
     if measured.ndim != 3 or measured.shape[1:] != (m, d):
         raise InputError(f"positions: shape {measured.shape}, allowed: (K, {m}, {d})")
     check(model, replace(plan, positions=np.zeros((m, d))))
-    without_arm = replace(model.arm, sigma=None)
-    noise = weighting(Model(without_arm, model.known), plan, None, weights)
+    noise = weighting(model, plan, "estimated" if plan.sigma is None else plan.sigma, weights)  # never the arm's sigma
     return Problem(model, plan.postures, plan.conditions, measured, noise.weights)
 
 
@@ -148,7 +147,7 @@ def estimate_each(model: Model, postures: ArrayLike, positions: ArrayLike) -> Ba
     Raises `InputError` for shapes that do not fit.
     """
     plans, measured = np.asarray(postures, dtype=float), np.asarray(positions, dtype=float)
-    n, d = model.arm.links, model.dimension
+    n, d = model.joints, model.dimension
     if plans.ndim != 3 or plans.shape[-1] != n:
         raise InputError(f"postures: shape {plans.shape}, allowed: (K, m, {n})")
     if measured.shape != (*plans.shape[:2], d):

@@ -3,10 +3,11 @@
     min |r_k(x)|^2  subject to  lower <= x <= upper,     k = 1 .. K
 
 Each step solves min |E s - r|^2 + damping |s|^2 over the columns E of the exact Jacobian, scaled to unit length
-(Marquardt 1963), undamped until a step fails to descend; every problem has its own damping. Parameters on a bound that
-the gradient or the step would leave on the wrong side are held (active set; without the step's, a cut step need not
-descend); what a step takes beyond a bound from inside is cut off there. Combinations of parameters that the data do
-not determine get no step: singular values below `tolerance` are zero (`information.significant`).
+(Marquardt 1963), undamped until one lowers |r|^2 by far less than predicted; every problem has its own damping.
+Parameters on a bound that the gradient or the step would leave on the wrong side are held (active set; without the
+step's, a cut step need not descend); what a step takes beyond a bound from inside is cut off there. Combinations of
+parameters that the data do not determine get no step: singular values below `tolerance` are zero
+(`information.significant`).
 """
 
 from __future__ import annotations

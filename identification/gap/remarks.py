@@ -14,6 +14,7 @@ from identification.gap.result import Candidate
 from identification.gap.selection import HypothesisSearch
 from identification.gap.workflow import Findings
 from identification.measurements import Measurements
+from identification.status import Status
 
 
 def alias_list(before: Detectability, candidates: tuple[Candidate, ...]) -> tuple[tuple[str, str, float], ...]:
@@ -61,6 +62,9 @@ def order_notes(hidden: tuple[tuple[str, str, float], ...]) -> list[str]:
 def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measurements | None, gap: Gap) -> list[str]:
     """What a person should know before trusting the verdict."""
     said = [f"{key} was not tried: {why}" for key, why in found.search.hypotheses.skipped.items()]
+    fit = found.search.fit(found.unknown.chosen)
+    if fit.status is not Status.converged:
+        said.append(f"the fit of the named model did not converge: {fit.status.value}")
     if measurements.directions is None:
         said.append("directions of approach follow from the order of measurement")
     said += [
@@ -69,7 +73,7 @@ def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measur
         if np.ptp(measurements.postures[:, j]) == 0.0
     ]
     if arm.sigma is not None:
-        ratio = found.search.fit(found.unknown.chosen).sigma / arm.sigma
+        ratio = fit.sigma / arm.sigma
         if measurements.sigma is None and not 0.67 < ratio < 1.5:
             said.append(f"the scatter is {ratio:.2f} times the sigma_mm of the arm file; the tests use the scatter")
     if gap.held_out_after is not None and gap.predicted is not None and gap.held_out_after > 3.0 * gap.predicted:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from identification.arm import EffectSpec
 from identification.estimation import Identification, estimate
+from identification.estimation.levenberg_marquardt import LeastSquares
+from identification.gap.diagnose import diagnose
 from identification.gap.hypotheses import hypotheses
 from identification.gap.result import Diagnosis
 from identification.gap.selection import HypothesisSearch
@@ -96,3 +99,10 @@ def test_an_active_bound() -> None:
     np.testing.assert_allclose((found.values - other.parameters) / other.std, 0.0, atol=DEVIATIONS)
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance(bounded=False))), other.std, rtol=1e-7)
     assert np.all(found.covariance()[-1] == 0.0)
+
+
+def test_a_fit_that_does_not_converge_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not any("did not converge" in note for note in diagnosed(None).notes)
+    monkeypatch.setattr("identification.estimation.problem.LeastSquares", partial(LeastSquares, iterations=0))
+    found = diagnose(ARM, measured(None), draws=399)
+    assert any("did not converge: " in note for note in found.notes)
