@@ -212,7 +212,7 @@ def test_the_diagnoses_table_knows_nothing_of_the_truth(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(blind, "BLOCK", 2)
+    monkeypatch.setattr(blind, "BATCH", 2)
     folder = tmp_path / "study"
     first = blind_study(["none m=20"], 2, folder, draws=399)
     before = polars.read_parquet(folder / blind.DIAGNOSES)
