@@ -37,15 +37,15 @@ CONSTANTS: list[tuple[str, str, Any, Any, tuple[str, ...]]] = [
         {k: v + 6.0 for k, v in ODDS.items()},
         (OUTSIDE, TWO),
     ),
-    ("unmodelled", "WILD", 0.025, 0.1, (OUTSIDE,)),
-    ("unmodelled", "CROWD", 2, 6, (OUTSIDE,)),
+    ("unmodelled", "BOOTSTRAP_LEVEL", 0.025, 0.1, (OUTSIDE,)),
+    ("unmodelled", "SERIES_TERMS", 2, 6, (OUTSIDE,)),
     ("noise", "OUTLIER", 3.0, 12.0, (OUTLIERS,)),
     ("noise", "HINT", 0.1, 0.4, (SHAKING,)),
     ("noise", "LEVEL", 0.005, 0.02, (SHAKING,)),
-    ("selection", "STRICTER", 0.25, 1.0, (SHAKING,)),
+    ("selection", "LEVEL_FACTOR", 0.25, 1.0, (SHAKING,)),
     ("workflow", "CREDIT", 3.0, 12.0, (OUTSIDE,)),
     ("selection", "WINDOW", 3.0, 12.0, (ONE,)),
-    ("selection", "MOST", 2, 8, (OUTSIDE,)),
+    ("selection", "MOST", 2, 3, (OUTSIDE,)),
     ("unmodelled_shapes", "CENTRES", 12, 48, (OUTSIDE,)),
     ("workflow", "PASSES", 2, 8, (SHAKING,)),
     ("selection", "ALPHA_PAIR", 1e-6, 1e-4, (TWO,)),
@@ -72,7 +72,9 @@ def changed(module: str, name: str, value: Any) -> Iterator[None]:
 
 def judged(cell: str) -> dict[str, dict[int, float]]:
     """Measure -> set -> what it is in that set."""
-    found = blind_study([cell], SETS, seed=SEED, draws=DRAWS).sets
+    study = blind_study([cell], SETS, seed=SEED, draws=DRAWS)
+    assert study.failures == 0
+    found = study.sets
     names = [name for name in (MEASURES[cell], "class", "in the set", "size of the set") if name in found.columns]
     return {
         name: {row["set"]: float(row[name]) for row in found.iter_rows(named=True) if row[name] is not None}
