@@ -1,7 +1,8 @@
-"""The examples of identification/files/README.md are files that load."""
+"""identification/files/README.md: its examples are files that load, and every JSON key stands on the page."""
 
 from __future__ import annotations
 
+import ast
 import re
 import tomllib
 from pathlib import Path
@@ -15,7 +16,8 @@ from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
 from identification.files.target import load_targets
 
-PAGE = Path(__file__).parents[3] / "identification/files/README.md"
+ROOT = Path(__file__).parents[3]
+PAGE = ROOT / "identification/files/README.md"
 EXAMPLES = dict(
     re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?^```\w+\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE)
 )
@@ -65,3 +67,25 @@ def test_targets(example: Path) -> None:
 
 def test_study() -> None:
     assert parse_study(tomllib.loads(EXAMPLES["Study file"])).replications == 10_000
+
+
+WRITERS = {"to_json", "as_dict", "next_data", "demo_data", "discriminating_data"}  # functions whose keys users read
+
+
+def written_keys() -> set[str]:
+    """Constant keys of the dictionaries in the functions that write JSON."""
+    sources = [path.read_text() for package in ("doe", "identification") for path in (ROOT / package).rglob("*.py")]
+    functions = [
+        node
+        for s in sources
+        for node in ast.walk(ast.parse(s))
+        if isinstance(node, ast.FunctionDef) and node.name in WRITERS
+    ]
+    tables = [node for function in functions for node in ast.walk(function) if isinstance(node, ast.Dict)]
+    return {str(key.value) for table in tables for key in table.keys if isinstance(key, ast.Constant)}
+
+
+def test_every_json_key_is_documented() -> None:
+    page = PAGE.read_text()
+    quoted = " ".join(re.findall(r"`([^`]*)`", page[page.index("## JSON keys") :]))
+    assert written_keys() - set(re.findall(r"\w+", quoted)) == set()
