@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -212,3 +213,40 @@ def test_code_is_clean(tool: list[str]) -> None:
         [sys.executable, "-m", *tool, *targets], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def covering_tests(package: str) -> dict[str, str]:
+    """Module or folder -> test, from the table "Which test covers what" of a package's README."""
+    section = (ROOT / package / "README.md").read_text().split("## Which test covers what")[1].split("\n## ")[0]
+    rows = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("| `")]
+    return {f"{package}/{name}": tests.strip() for names, tests in rows for name in re.findall(r"`([^`]+)`", names)}
+
+
+def reached(test: Path, links: dict[str, set[str]]) -> set[str]:
+    """Our modules that a test imports, and those that they import."""
+    todo = list(at_run_time(test.read_text(), set(links)))
+    found = set(todo)
+    while todo:
+        new = links[todo.pop()] - found
+        found |= new
+        todo += new
+    return found
+
+
+def test_every_module_has_a_test() -> None:
+    """One of its name in the mirrored place, or the one that the README of its package names, which must import it."""
+    links, wrong, named = graph(), [], set()
+    tables = covering_tests("doe") | covering_tests("identification")
+    for path in modules():
+        place = path.relative_to(ROOT)
+        if path.name.startswith("__") or (ROOT / "tests" / place.parent / f"test_{path.name}").exists():
+            continue
+        rows = [str(place), *(f"{folder}/" for folder in place.parents)]
+        row = next((row for row in rows if row in tables), "")
+        named.add(row)
+        test = ROOT / tables.get(row, "no row")
+        by_command = test.is_relative_to(ROOT / "tests/doe/cli")  # through its conftest.py
+        if not test.exists() or not (by_command or name_of(path) in reached(test, links)):
+            wrong.append(f"{place}: {tables.get(row, 'no row')}")
+    assert not wrong, "no test of its name, and none in 'Which test covers what' that exists and imports it"
+    assert named <= set(tables) == named, f"rows for nothing: {sorted(set(tables) - named)}"
