@@ -47,6 +47,11 @@ class Conditions(ByValue):
         return replace(self, **pick)
 
 
+def rms_distance(residuals: Array) -> float:
+    """Root mean square over rows of the length of (m, d) residuals."""
+    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
+
+
 def session_time(order: Array) -> Array:
     """`order` or time stamps scaled to -0.5..0.5 (identification/README.md, "Effects"); 0 if all are equal."""
     low, high = float(np.min(order)), float(np.max(order))

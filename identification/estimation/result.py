@@ -17,6 +17,7 @@ from identification.arrays import Array, readonly
 from identification.estimation.intervals import limits_95
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint
 from identification.kinematics.planar import orientation_transform
+from identification.measurements import rms_distance
 from identification.model import Model
 from identification.status import Status
 
@@ -119,12 +120,12 @@ class Identification:
     @property
     def rms_before(self) -> float:
         """Root mean square over rows of the distance [mm], arm as it was."""
-        return _rms(self.residuals_before)
+        return rms_distance(self.residuals_before)
 
     @property
     def rms_after(self) -> float:
         """Root mean square over rows of the distance [mm], arm as identified."""
-        return _rms(self.residuals_after)
+        return rms_distance(self.residuals_after)
 
     @property
     def max_before(self) -> float:
@@ -202,10 +203,6 @@ _COLUMNS = ("value", "std", "low_95", "high_95")
 
 def _cell(value: float | None, width: int) -> str:
     return f"{'-' if value is None else format(value, '.6g'):>{width}}"
-
-
-def _rms(residuals: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
 
 
 def _number(value: float) -> float | None:

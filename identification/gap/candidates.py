@@ -7,7 +7,9 @@ from types import MappingProxyType
 import numpy as np
 
 from identification.arm import Calibration
+from identification.arrays import Array
 from identification.estimation.intervals import limits_95
+from identification.gap.fit import Fit
 from identification.gap.result import Candidate, Estimate, Trial
 from identification.gap.selection import Choice, HypothesisSearch, trial_of
 from identification.gap.workflow import Findings
@@ -18,34 +20,34 @@ def candidate_list(found: Findings, draws: int, generator: np.random.Generator) 
     rivals = found.selection.rivals
     if found.unknown.place is not None:
         rivals = ((found.unknown.chosen, 0.0),) if found.unknown.chosen else ()
-    return tuple(
-        describe(found.search, chosen, delta, trial_of(found.search, chosen, draws, generator))
-        for chosen, delta in rivals
-    )
+    return tuple(candidate(found.search, chosen, delta, draws, generator) for chosen, delta in rivals)
 
 
-def describe(search: HypothesisSearch, chosen: Choice, delta: float, trial: tuple[float, float]) -> Candidate:
-    """A set of effects with its estimates."""
+def candidate(
+    search: HypothesisSearch, chosen: Choice, delta: float, draws: int, generator: np.random.Generator
+) -> Candidate:
+    """A set of effects with its estimates;  delta : its BIC less the lowest."""
     found = search.fit(chosen)
     covariance = found.covariance(bounded=False)
-    deviations = np.sqrt(np.diag(covariance))
-    limits = limits_95(found.model.parameters, found.values, deviations, found.freedom)
     effects = found.model.effects[len(found.model.effects) - len(chosen) :]  # their names depend on the others
-    added = {p.name for effect in effects for p in effect.parameters}
-    estimates = []
-    for k, p in enumerate(found.model.parameters):
-        if p.name in added:
-            figures = np.array([found.values[k], deviations[k], *limits[k]]) * p.to_file
-            estimates.append(Estimate(p.name, p.file_unit, *figures.tolist()))
     return Candidate(
         tuple(effect.key for effect in effects),
         tuple(h.spec for h in chosen),
         tuple(sorted({h.family for h in chosen})),
         delta,
-        *trial,
-        tuple(estimates),
+        *trial_of(search, chosen, draws, generator),
+        estimates(found, covariance, {p.name for effect in effects for p in effect.parameters}),
         Calibration(found.by_name, found.model.names, covariance, MappingProxyType({"source": "armcal diagnose"})),
     )
+
+
+def estimates(found: Fit, covariance: Array, names: set[str]) -> tuple[Estimate, ...]:
+    """Estimates of the parameters of these names, with their (p, p) covariance."""
+    parameters, deviations = found.model.parameters, np.sqrt(np.diag(covariance))
+    limits = limits_95(parameters, found.values, deviations, found.freedom)
+    figures = np.column_stack([found.values, deviations, limits])
+    rows = zip(parameters, figures, strict=True)
+    return tuple(Estimate(p.name, p.file_unit, *(row * p.to_file).tolist()) for p, row in rows if p.name in names)
 
 
 def trial_list(found: Findings) -> tuple[Trial, ...]:

@@ -13,8 +13,8 @@ from scipy.special import fdtri, ncfdtr, nctdtr, stdtrit
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
-from identification.gap.f_tests import Dictionary, dictionary
-from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses
+from identification.gap.f_tests import Dictionary
+from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses, projected
 from identification.gap.whitening import Rows
 from identification.information import column_space
 from identification.measurements import Conditions, directions_from_order, session_time
@@ -32,6 +32,10 @@ class Size:
 
     value: float | None
     unit: str
+
+    def order(self) -> float:
+        """For comparison: what cannot be seen at any size is the largest."""
+        return np.inf if self.value is None else self.value
 
     def __str__(self) -> str:
         if self.value is None:
@@ -140,33 +144,25 @@ def assess(
     require_spare(freedom, len(rows))
     raw = [rows.whiten(c) for c in library.columns(rows, values, library.slopes(rows))]
     members = library.members
-    one_sided, weights = np.array([h.one_sided for h in members]), np.array([h.weight for h in members])
-    tested = dictionary(model_basis, raw, one_sided, weights)
+    tested = projected(model_basis, members, raw)
     threshold = LEVEL / sum(h.weight for h in members) if level is None else level
+    limit = LARGEST * library.base.reach * np.sqrt(len(rows))
+    sizes: dict[str, list[Size]] = {}
+    for hypothesis, columns in zip(members, raw, strict=True):
+        if not hypothesis.tied:
+            size = _detectable(hypothesis, columns, tested, sigma, threshold * hypothesis.weight, limit)
+            sizes.setdefault(hypothesis.key, []).append(size)
     plain = [k for k, h in enumerate(members) if not h.spec.values and not h.tied]
-    detectable: dict[str, Size] = {}
-    for k, hypothesis in enumerate(members):
-        if hypothesis.tied:
-            continue
-        limit = LARGEST * library.base.reach * np.sqrt(len(rows))
-        size = _detectable(hypothesis, raw[k], tested, sigma, threshold * hypothesis.weight, limit)
-        before = detectable.get(hypothesis.key)
-        detectable[hypothesis.key] = size if before is None else _larger(before, size)
     return Detectability(
         tuple(members[k].key for k in plain),
         readonly(tested.norm_fractions[plain]),
         readonly(likeness(tested, plain)),
-        MappingProxyType(detectable),
+        # of several settings the one that is hardest to see
+        MappingProxyType({key: max(found, key=Size.order) for key, found in sizes.items()}),
         freedom,
         library.skipped,
         library.aliases,
     )
-
-
-def _larger(one: Size, other: Size) -> Size:
-    if one.value is None or other.value is None:
-        return Size(None, one.unit)
-    return one if one.value >= other.value else other
 
 
 def likeness(tested: Dictionary, members: list[int]) -> Array:

@@ -10,15 +10,15 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.estimation.estimate import check
-from identification.gap.candidates import candidate_list, describe, trial_list
+from identification.gap.candidates import candidate, candidate_list, trial_list
 from identification.gap.detectability import Detectability, assess, require_spare
 from identification.gap.fit import Fit
-from identification.gap.holdout import check_holdout, check_same_arm, confirm, residuals
+from identification.gap.holdout import check_holdout, check_same_arm, confirm
 from identification.gap.hypotheses import hypotheses
 from identification.gap.noise import repeat_finding
 from identification.gap.remarks import alias_list, hidden_orders, notes, order_notes
 from identification.gap.result import Diagnosis, Residuals
-from identification.gap.selection import ALPHA_NEXT, LEVEL_FACTOR, HypothesisSearch, trial_of
+from identification.gap.selection import ALPHA_NEXT, LEVEL_FACTOR, HypothesisSearch
 from identification.gap.whitening import Rows
 from identification.gap.workflow import Findings, investigate
 from identification.measurements import Measurements
@@ -96,7 +96,7 @@ def diagnosis_of(
     fitted = found.search.fit(chosen)
     candidates = candidate_list(found, draws, generator)
     named = next((c for c in candidates if c.specs == tuple(h.spec for h in chosen)), None)
-    named = named or describe(found.search, chosen, 0.0, trial_of(found.search, chosen, draws, generator))
+    named = named or candidate(found.search, chosen, 0.0, draws, generator)
     hidden = hidden_orders(found.search, dict(zip(named.effects, chosen, strict=True)))
     detectable = assess_data(found)
     gap = confirm(base, fitted, measurements, ~found.outlier, holdout)
@@ -150,8 +150,8 @@ def show_residuals(arm: Arm, measurements: Measurements, base: Fit, named: Fit) 
     if measurements.temperature is not None:
         against["temperature [C]"] = measurements.temperature
     return Residuals(
-        readonly(residuals(base, measurements, conditions)),
-        readonly(residuals(named, measurements, conditions)),
+        readonly(base.position_residuals(measurements, conditions)),
+        readonly(named.position_residuals(measurements, conditions)),
         MappingProxyType({name: readonly(values) for name, values in against.items()}),
         measurements.positions,
     )

@@ -115,31 +115,42 @@ def dictionary(model_basis: Array, columns: list[Array], one_sided: NDArray[np.b
 
     model_basis : (N, r) orthonormal basis of the columns of the model's Jacobian, `information.column_space`
 
-    Directions of which less than `VISIBLE` survives are dropped; a hypothesis that has none left gets size 0 and the
-    caller must leave it out (see `visible`).
+    Directions of which less than `VISIBLE` survives are dropped; a hypothesis that has none left gets size 0, and the
+    caller must leave it out.
     """
-    q = model_basis
     sizes = np.array([c.shape[1] for c in columns], dtype=np.int64)
-    # a row for each column, so that what is worked on together lies together in memory
-    stacked = np.concatenate([np.zeros((0, len(q))), *(c.T for c in columns)])
-    norms = np.linalg.norm(stacked, axis=1, keepdims=True)
-    stacked /= np.where(norms > 0.0, norms, 1.0)
-    for _ in range(2):  # the second pass takes away what rounding left
-        stacked -= (stacked @ q) @ q.T
+    stacked = _projected(model_basis, columns)
     starts = np.cumsum(sizes) - sizes
     norm_fractions, widths = np.zeros(len(sizes)), np.zeros(len(sizes), dtype=np.int64)
     seen = np.zeros(len(stacked), dtype=bool)
     for size in np.unique(sizes):
         members = np.flatnonzero(sizes == size)
         index = starts[members][:, None] + np.arange(size)  # (members, d)
-        blocks = stacked[index]  # (members, d, N)
-        squares, turn = np.linalg.eigh(blocks @ blocks.transpose(0, 2, 1))  # ascending
-        lengths = np.sqrt(np.maximum(squares, 0.0))
-        if size == 1:
-            turn = np.ones_like(turn)  # a positive score is a positive parameter
+        stacked[index], lengths = _orthonormalized(stacked[index])
         norm_fractions[members] = lengths[:, 0]
         widths[members] = np.sum(lengths > VISIBLE, axis=1)
         seen[index] = lengths > VISIBLE
-        stacked[index] = (turn / np.maximum(lengths, VISIBLE)[:, None, :]).transpose(0, 2, 1) @ blocks
     bases = stacked.T if seen.all() else stacked[seen].T
-    return Dictionary(q, bases, np.cumsum(widths) - widths, widths, norm_fractions, one_sided, weights)
+    return Dictionary(model_basis, bases, np.cumsum(widths) - widths, widths, norm_fractions, one_sided, weights)
+
+
+def _projected(model_basis: Array, columns: list[Array]) -> Array:
+    """(C, N) the columns of all hypotheses scaled to unit length, then projected off the model.
+
+    A row for each column, so that what is worked on together lies together in memory.
+    """
+    stacked = np.concatenate([np.zeros((0, len(model_basis))), *(c.T for c in columns)])
+    norms = np.linalg.norm(stacked, axis=1, keepdims=True)
+    stacked /= np.where(norms > 0.0, norms, 1.0)
+    for _ in range(2):  # the second pass removes what rounding left
+        stacked -= (stacked @ model_basis) @ model_basis.T
+    return stacked
+
+
+def _orthonormalized(blocks: Array) -> tuple[Array, Array]:
+    """(H, d, N) orthonormal rows spanning those of each block, and (H, d) their lengths before, ascending."""
+    squares, turn = np.linalg.eigh(blocks @ blocks.transpose(0, 2, 1))
+    lengths = np.sqrt(np.maximum(squares, 0.0))
+    if blocks.shape[1] == 1:
+        turn = np.ones_like(turn)  # a positive score is a positive parameter
+    return (turn / np.maximum(lengths, VISIBLE)[:, None, :]).transpose(0, 2, 1) @ blocks, lengths

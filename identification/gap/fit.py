@@ -15,6 +15,7 @@ from identification.estimation.methods import starts
 from identification.estimation.problem import Problem
 from identification.gap.whitening import Rows
 from identification.information import Spectrum, column_space, spectrum
+from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.status import Status
 
@@ -64,6 +65,10 @@ class Fit:
     def by_name(self) -> dict[str, float]:
         """Parameter name -> value."""
         return self.model.parameters.mapping(self.values)
+
+    def position_residuals(self, measurements: Measurements, conditions: Conditions) -> Array:
+        """(m, d) measured less computed positions [mm], not whitened, of these rows or of others."""
+        return measurements.positions - self.model.position(measurements.postures, self.values, conditions)
 
     def covariance(self, bounded: bool = True) -> Array:
         """(p, p) of the estimates, [unit of row x unit of column].

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.gap.fit import Fit
-from identification.measurements import Conditions, Measurements
+from identification.measurements import Conditions, Measurements, rms_distance
 
 
 @dataclass(frozen=True)
@@ -34,23 +34,13 @@ class Gap:
         return {f"{name}_mm": value for name, value in vars(self).items()}
 
 
-def rms_distance(residual: Array) -> float:
-    """Root mean square over rows of the distance of (m, d) residuals."""
-    return float(np.sqrt(np.mean(np.sum(np.square(residual), axis=-1))))
-
-
-def residuals(found: Fit, measurements: Measurements, conditions: Conditions) -> Array:
-    """(m, d) measured less predicted position [mm]."""
-    return np.asarray(measurements.positions - found.model.position(measurements.postures, found.values, conditions))
-
-
 def held_out_conditions(measurements: Measurements, holdout: Measurements) -> Conditions:
     """Conditions of the hold-out, its temperature counted from the mean of the identification data."""
     conditions = holdout.conditions
     if measurements.temperature is None or holdout.temperature is None:
         return conditions
     deviation = holdout.temperature - np.mean(measurements.temperature)
-    return Conditions(conditions.payload, deviation, conditions.time, conditions.directions)
+    return replace(conditions, temperature=deviation)
 
 
 def confirm(
@@ -58,21 +48,16 @@ def confirm(
 ) -> Gap:
     """The gap before and after, on the data and on the hold-out."""
     conditions = measurements.conditions
-    before = rms_distance(residuals(base, measurements, conditions)[kept])
-    remaining = residuals(named, measurements, conditions)[kept]
+    before = rms_distance(base.position_residuals(measurements, conditions)[kept])
+    remaining = named.position_residuals(measurements, conditions)[kept]
     after = rms_distance(remaining)
     floor = after * float(np.sqrt(remaining.size / max(named.freedom, 1)))
     if holdout is None:
         return Gap(before, after, floor)
     there = held_out_conditions(measurements, holdout)
-    return Gap(
-        before,
-        after,
-        floor,
-        rms_distance(residuals(base, holdout, there)),
-        rms_distance(residuals(named, holdout, there)),
-        float(np.sqrt(floor**2 + np.mean(prediction_variance(named, holdout, there)))),
-    )
+    held_before, held_after = (rms_distance(fit.position_residuals(holdout, there)) for fit in (base, named))
+    predicted = float(np.sqrt(floor**2 + np.mean(prediction_variance(named, holdout, there))))
+    return Gap(before, after, floor, held_before, held_after, predicted)
 
 
 def prediction_variance(found: Fit, holdout: Measurements, there: Conditions) -> Array:
@@ -88,10 +73,11 @@ def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements)
     part of the workspace stays below, other links or another set-up of base and instrument do not.
     """
     there = held_out_conditions(measurements, holdout)
-    expected = np.mean(np.sum(np.square(residuals(base, measurements, measurements.conditions)), axis=1))
-    expected += np.mean(prediction_variance(base, holdout, there))
-    limit = max(10.0 * float(np.sqrt(expected)), 0.01 * base.model.reach)
-    missed = float(np.median(np.linalg.norm(residuals(base, holdout, there), axis=1)))  # a few outliers are no arm
+    left = rms_distance(base.position_residuals(measurements, measurements.conditions))
+    expected = np.sqrt(left**2 + np.mean(prediction_variance(base, holdout, there)))
+    limit = max(10.0 * float(expected), 0.01 * base.model.reach)
+    # the median, since a few outliers do not make it another arm
+    missed = float(np.median(np.linalg.norm(base.position_residuals(holdout, there), axis=1)))
     if missed > limit:
         raise InputError(
             f"holdout: {missed:.3g} mm off the arm calibrated on the data (median), allowed: up to {limit:.3g} mm; "

@@ -6,7 +6,7 @@ gear ripple) are scanned: each value is a hypothesis, and together they weigh as
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.effects import Chain, Effect, build, build_all, library
+from identification.gap.f_tests import Dictionary, dictionary
 from identification.gap.whitening import Rows
 from identification.measurements import Conditions
 from identification.model import Model
@@ -69,6 +70,12 @@ class Hypothesis:
         return self.size == 1 and self.effect.parameters[0].lower == 0.0
 
 
+def projected(model_basis: Array, members: Sequence[Hypothesis], columns: list[Array]) -> Dictionary:
+    """Hypotheses with their whitened columns (N, size), projected off a fitted model: see `f_tests.dictionary`."""
+    one_sided = np.array([h.one_sided for h in members], dtype=bool)
+    return dictionary(model_basis, columns, one_sided, np.array([h.weight for h in members]))
+
+
 @dataclass(frozen=True)
 class HypothesisSet:
     """All hypotheses for an arm, and why the other effects of the library are left out.
@@ -116,8 +123,7 @@ class HypothesisSet:
         """Per member, (m, d, size) derivative of the position by its parameters, at these values (others 0)."""
         parameters = self.wide.parameters.vector(values)
         jacobian = self.wide.jacobian(rows.postures, parameters, rows.conditions)
-        levers = self.wide.joint_levers(rows.postures, parameters, rows.conditions)
-        scanned = iter(self._scanned_columns(levers, slopes))
+        scanned = self._scanned_columns(self.wide.joint_levers(rows.postures, parameters, rows.conditions), slopes)
         return [next(scanned) if h.spec.values else self._plain_columns(h, jacobian) for h in self.members]
 
     def _plain_columns(self, hypothesis: Hypothesis, jacobian: Array) -> Array:
@@ -151,27 +157,21 @@ def hypotheses(arm: Arm, given: frozenset[str]) -> HypothesisSet:
     given : what the data have beyond time and directions (which follow from the order): `temperature`
     """
     available = {"time", "directions"} | ({"gravity"} if arm.gravity is not None else set()) | (given & {"temperature"})
+    shown = {name: cls for name, cls in library().items() if cls.alias is None and not cls.scatter}
     own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths)}
     members: list[Hypothesis] = []
     skipped: dict[str, str] = {}
-    aliases: dict[str, str] = {}
-    for name, cls in library().items():
-        if cls.alias is not None:
-            aliases[name] = cls.alias
-            continue
-        if cls.scatter:
-            continue
-        missing = sorted(cls.needs - available)
-        if missing:
+    for name, cls in shown.items():
+        if missing := sorted(cls.needs - available):
             skipped[name] = f"needs {', '.join(missing)}"
             continue
         for joint in _joints(cls, arm.links):
             spec = EffectSpec(name, joint)
-            prior = 1.0 if joint is None else 1.0 / np.sqrt(arm.links)
             found = [h for h in _with_settings(cls, spec, arm) if h.effect.label not in own]
-            members += [replace(h, weight=prior * h.weight) for h in found]
+            members += found
             if not found:
                 skipped[spec.key] = "already in the arm's model"
+    aliases = {name: cls.alias for name, cls in library().items() if cls.alias is not None}
     return HypothesisSet(arm, tuple(members), skipped, aliases)
 
 
@@ -182,15 +182,13 @@ def _joints(cls: type[Effect], links: int) -> list[int | None]:
 
 
 def _with_settings(cls: type[Effect], spec: EffectSpec, arm: Arm) -> list[Hypothesis]:
-    if not cls.settings:
-        effect = build(spec, arm.links, arm.lengths)
-        tie = len(effect.parameters) > 1 and all(p.lower == 0.0 for p in effect.parameters)
-        tied = [Hypothesis(effect, spec, tied=True)] if tie else []
-        return [Hypothesis(effect, spec), *tied]
+    """The hypotheses of one effect at one joint: one for each setting, or free and tied."""
     ranges = [range(low, high + 1) for low, high in cls.settings.values()]
-    found = []
-    for chosen in product(*ranges):
-        setting = replace(spec, values=dict(zip(cls.settings, map(float, chosen), strict=True)))
-        found.append(build(setting, arm.links, arm.lengths))
-    weight = 1.0 / len(found)
-    return [Hypothesis(e, replace(spec, values={k: float(v) for k, v in e.chosen.items()}), weight) for e in found]
+    settings = [dict(zip(cls.settings, map(float, chosen), strict=True)) for chosen in product(*ranges)]
+    specs = [replace(spec, values=chosen) for chosen in settings]
+    weight = (1.0 if spec.joint is None else 1.0 / np.sqrt(arm.links)) * (1.0 / len(specs))
+    found = [Hypothesis(build(s, arm.links, arm.lengths), s, weight) for s in specs]
+    parameters = found[0].effect.parameters
+    if not cls.settings and len(parameters) > 1 and all(p.lower == 0.0 for p in parameters):
+        found.append(replace(found[0], tied=True))
+    return found

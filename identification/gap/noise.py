@@ -86,13 +86,27 @@ def screen(found: Fit, rows: Rows, generator: np.random.Generator) -> tuple[Find
 
     rows : with the relative sigma of the data only (no noise model yet)
     """
-    return _findings(*scatter_tests(found, rows, generator))
+    tests = scatter_tests(found, rows, generator)
+    return (*_variance_finding(tests), *_correlation_finding(tests))
 
 
-def scatter_tests(
-    found: Fit, rows: Rows, generator: np.random.Generator
-) -> tuple[dict[str, float], dict[str, Array], dict[str, Array], Array]:
-    """p-value of each kind of structure in the scatter of a fitted model's residuals; statistics, shapes and sample.
+@dataclass(frozen=True)
+class ScatterTests:
+    """Tests of each kind of structure in the scatter, by the names of `Finding`.
+
+    adjusted : p-values after Holm's correction
+    values : (1 + B,) statistics of the residuals, then of B draws of white noise
+    forms : (m, d, d) shapes of the extra covariance, see `variance_forms`;  residual : (m d,) whitened, of unit size
+    """
+
+    adjusted: dict[str, float]
+    values: dict[str, Array]
+    forms: dict[str, Array]
+    residual: Array
+
+
+def scatter_tests(found: Fit, rows: Rows, generator: np.random.Generator) -> ScatterTests:
+    """Tests of the residuals of a fitted model.
 
     Every statistic is a quadratic form of the residuals; its distribution under white Gaussian noise is drawn with the
     same projection off the Jacobian, so it is exact whatever the degrees of freedom.
@@ -111,12 +125,12 @@ def scatter_tests(
     values["time_noise"] = np.abs(values["time_noise"])
     values["serial_correlation"] = lag_one(sample, rows)
     p = {name: (1.0 + np.sum(v[1:] >= v[0])) / (draws + 1.0) for name, v in values.items()}
-    return p, values, forms, sample
+    return ScatterTests(holm(p), values, forms, sample[:, 0])
 
 
 def homoscedastic(found: Fit, rows: Rows, generator: np.random.Generator) -> bool:
     """True if nothing hints at noise that is larger at some postures."""
-    return min(holm(scatter_tests(found, rows, generator)[0]).values()) > HINT
+    return min(scatter_tests(found, rows, generator).adjusted.values()) > HINT
 
 
 def variance_forms(rows: Rows, position: Array, levers: Array) -> dict[str, Array]:
@@ -147,25 +161,26 @@ def lag_one(sample: Array, rows: Rows) -> Array:
     return np.asarray(np.sum(e[1:] * e[:-1], axis=(0, 1)) / np.sum(e * e, axis=(0, 1)))
 
 
-def _findings(
-    p: dict[str, float], values: dict[str, Array], forms: dict[str, Array], sample: Array
-) -> tuple[Finding, ...]:
-    """Holm's correction; the strongest of the variance findings is kept (they are rivals), and serial correlation."""
-    adjusted = holm(p)
-    found = []
-    variance = [name for name in forms if adjusted[name] <= LEVEL]
-    if variance:
-        # standardised, so that findings with the smallest p-value the draws can give are still told apart
-        strength = {n: (values[n][0] - values[n][1:].mean()) / values[n][1:].std() for n in variance}
-        name = max(variance, key=lambda n: strength[n])
-        falling = name == "time_noise" and _quadratic(forms[name], sample[:, :1])[0] < 0.0
-        ratio = _variance_ratio(_oriented(forms[name], falling), sample[:, 0])
-        found.append(Finding(name, adjusted[name], -ratio if falling else ratio))
-    if adjusted["serial_correlation"] <= LEVEL:
-        raw = values["serial_correlation"]
-        rho = float(np.clip(raw[0] - raw[1:].mean(), 0.0, 0.95))  # the projection makes white noise look alternating
-        found.append(Finding("serial_correlation", adjusted["serial_correlation"], rho))
-    return tuple(found)
+def _variance_finding(tests: ScatterTests) -> tuple[Finding, ...]:
+    """The strongest of the significant findings about the variance, which are rivals."""
+    values, significant = tests.values, [name for name in tests.forms if tests.adjusted[name] <= LEVEL]
+    if not significant:
+        return ()
+    # standardized, so that findings with the smallest p-value the draws can give can still be ranked
+    strength = {n: (values[n][0] - values[n][1:].mean()) / values[n][1:].std() for n in significant}
+    name = max(significant, key=lambda n: strength[n])
+    falling = name == "time_noise" and _quadratic(tests.forms[name], tests.residual)[0] < 0.0
+    ratio = _variance_ratio(_oriented(tests.forms[name], falling), tests.residual)
+    return (Finding(name, tests.adjusted[name], -ratio if falling else ratio),)
+
+
+def _correlation_finding(tests: ScatterTests) -> tuple[Finding, ...]:
+    p, statistic = tests.adjusted["serial_correlation"], tests.values["serial_correlation"]
+    if p > LEVEL:
+        return ()
+    # less the mean of the draws: the projection makes white noise look alternating
+    rho = float(np.clip(statistic[0] - statistic[1:].mean(), 0.0, 0.95))
+    return (Finding("serial_correlation", p, rho),)
 
 
 def whitened(rows: Rows, found: Fit, findings: tuple[Finding, ...]) -> Rows:
@@ -214,8 +229,7 @@ def repeat_finding(measurements: Measurements, found: Fit, kept: NDArray[np.bool
     F = (lack of fit / its degrees of freedom) / (scatter of the repeats about their means / its degrees of freedom).
     """
     groups = np.unique(same_posture(measurements)[kept], return_inverse=True)[1]
-    position = found.model.position(measurements.postures, found.values, measurements.conditions)
-    residual = (measurements.positions - position)[kept]
+    residual = found.position_residuals(measurements, measurements.conditions)[kept]
     counts = np.bincount(groups)
     means = np.stack([np.bincount(groups, column) for column in residual.T], axis=1) / counts[:, None]
     pure = float(np.sum((residual - means[groups]) ** 2))

@@ -20,8 +20,8 @@ Scatter = tuple[Array, Array]  # residual (N,) and basis (N, p) of the fit that 
 
 @dataclass(frozen=True)
 class OmnibusTest:
-    """p : (H,) of each hypothesis alone;  adjusted : (H,) for all that were tried;  falls, f : (H,) statistics.
-
+    """p : (H,) of each hypothesis alone;  adjusted : (H,) for all that were tried
+    reductions : (H,) of the sum of squares by each;  f : (H,) F statistics
     threshold : the weighted p-value that one null data set in twenty falls below (by the bootstrap)
     """
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 from scipy.special import fdtrc
 
-from identification.gap.f_tests import Dictionary, dictionary
+from identification.gap.f_tests import Dictionary
 from identification.gap.fit import Fit, fit
-from identification.gap.hypotheses import Hypothesis, HypothesisSet
+from identification.gap.hypotheses import Hypothesis, HypothesisSet, projected
 from identification.gap.noise import homoscedastic
 from identification.gap.omnibus_test import OmnibusTest, Scatter, omnibus_test
 from identification.gap.whitening import Rows
@@ -87,16 +88,15 @@ class HypothesisSearch:
         return float(n * np.log(max(found.squares, 1e-300) / n) + found.count * np.log(n) + prior)
 
     def tested(self, chosen: Choice, draws: int, generator: np.random.Generator) -> HypothesisTest:
-        """Gate and linear BIC of every hypothesis that could be added to a set."""
+        """Omnibus test and linear BIC of every hypothesis that could be added to a set."""
         key = frozenset(h.label for h in chosen)
         if key not in self.tests:
             found = self.fit(chosen)
             members, against = self.rivals(chosen)
             scatter = self.scatter(chosen, members, against, generator)
             result = omnibus_test(found.residual, against, self.rows.dimension, draws, generator, scatter)
-            self.tests[key] = HypothesisTest(
-                members, result, bic_change(result.reductions, against, len(found.residual), found.squares)
-            )
+            change = bic_change(result.reductions, against, len(found.residual), found.squares)
+            self.tests[key] = HypothesisTest(members, result, change)
         return self.tests[key]
 
     def scatter(
@@ -117,28 +117,20 @@ class HypothesisSearch:
 
     def rivals(self, chosen: Choice) -> tuple[list[Hypothesis], Dictionary]:
         """Hypotheses that can still be added to a set, projected off its fit."""
-        found = self.fit(chosen)
-        used = {h.effect.label for h in chosen}
+        found, used = self.fit(chosen), {h.effect.label for h in chosen}
         columns = self.hypotheses.columns(self.rows, found.by_name, self.slopes)
-        pairs = [
-            (h, self.rows.whiten(c))
-            for h, c in zip(self.hypotheses.members, columns, strict=True)
-            if h.effect.label not in used and h.size < found.freedom
-        ]
-        members = [h for h, _ in pairs]
-        full = dictionary(
-            found.basis,
-            [c for _, c in pairs],
-            np.array([h.one_sided for h in members], dtype=bool),
-            np.array([h.weight for h in members]),
-        )
-        return visible(members, full)
+        left = [h.effect.label not in used and h.size < found.freedom for h in self.hypotheses.members]
+        members = list(compress(self.hypotheses.members, left))
+        full = projected(found.basis, members, [self.rows.whiten(c) for c in compress(columns, left)])
+        keep = np.flatnonzero(full.sizes > 0)  # of the others nothing survives projection
+        return [members[k] for k in keep], full.subset(keep)
 
-
-def visible(members: list[Hypothesis], full: Dictionary) -> tuple[list[Hypothesis], Dictionary]:
-    """Only the hypotheses of which something survives projection."""
-    keep = np.flatnonzero(full.sizes > 0)
-    return [members[k] for k in keep], full.subset(keep)
+    def changes(self, chosen: Choice) -> tuple[list[Hypothesis], np.ndarray]:
+        """Hypotheses that can still be added to a set, and (H,) the change of BIC by each, from the linear fit."""
+        members, against = self.rivals(chosen)
+        residual = self.fit(chosen).residual
+        reductions = against.reductions(residual[:, None])[:, 0]
+        return members, bic_change(reductions, against, len(residual), self.fit(chosen).squares)
 
 
 def bic_change(reductions: np.ndarray, against: Dictionary, n: int, squares: float) -> np.ndarray:
@@ -187,9 +179,8 @@ def select(search: HypothesisSearch, draws: int, generator: np.random.Generator)
     first = tested = search.tested(chosen, draws, generator)
     while len(chosen) < MOST:
         level = (ALPHA_NEXT if chosen else ALPHA_FIRST) * search.level_factor
-        longer = best_of(
-            search, chosen, tested.members, np.where(tested.omnibus_test.adjusted <= level, tested.change, np.inf)
-        )
+        change = np.where(tested.omnibus_test.adjusted <= level, tested.change, np.inf)
+        longer = best_of(search, chosen, tested.members, change)
         if longer is None and not chosen and tested.omnibus_test.smallest <= PAIR_HINT:
             longer = pair(search, tested, generator)
         if longer is None or search.bic(longer) >= search.bic(chosen):
@@ -227,12 +218,9 @@ def _with_second(search: HypothesisSearch, one: Hypothesis) -> Choice | None:
 
     Two settings of one effect are no pair: they do not hide each other, and joint noise makes ripples of any order.
     """
-    found = search.fit((one,))
-    members, against = search.rivals((one,))
+    members, change = search.changes((one,))
     if not members:
         return None
-    reductions = against.reductions(found.residual[:, None])[:, 0]
-    change = bic_change(reductions, against, len(found.residual), found.squares)
     change = np.where([h.key == one.key for h in members], np.inf, change)
     return (one, members[int(np.argmin(change))].free)
 
@@ -242,10 +230,7 @@ def exchanges(search: HypothesisSearch, chosen: Choice) -> list[Choice]:
     found = []
     for k in range(len(chosen)):
         rest = chosen[:k] + chosen[k + 1 :]
-        members, against = search.rivals(rest)
-        without = search.fit(rest)
-        reductions = against.reductions(without.residual[:, None])[:, 0]
-        change = bic_change(reductions, against, len(without.residual), without.squares)
+        members, change = search.changes(rest)
         for index in np.argsort(change, kind="stable")[:REFITS]:
             if change[index] <= change.min() + MARGIN + WINDOW:
                 found.append((*rest, members[index].free))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from identification.arrays import Array
 from identification.gap.f_tests import Dictionary, dictionary
 from identification.gap.omnibus_test import wild_draws
-from identification.gap.selection import Choice, HypothesisSearch
+from identification.gap.selection import Choice, HypothesisSearch, bic_change
 from identification.gap.unmodelled_shapes import GeneralShape, general_shapes
 
 # reasons: identification/README.md, "Constants"
@@ -39,11 +41,10 @@ class Unknown:
 
 @dataclass(frozen=True)
 class _Shapes:
-    """General shapes projected off a fit, with their falls of the sum of squares."""
+    """General shapes projected off a fit."""
 
     listed: list[GeneralShape]
     against: Dictionary
-    reductions: Array
     bic: Array  # (shapes,) of the fit with the shape added
     smallest: float  # weighted p-value
 
@@ -53,25 +54,30 @@ def find_unmodelled(search: HypothesisSearch, chosen: Choice, generator: np.rand
     after = _shapes(search, chosen)
     p = _adjusted(after, search, chosen, generator) if after.listed else 1.0
     best = search.bic(chosen)
-    options = [
-        (float(s.bic[k]), chosen_without, s.listed[k]) for chosen_without, s, k in _options(search, chosen, after)
-    ]
+    options = _options(search, chosen, after)
     joint = _joint_with_series(chosen)
     if joint is not None and options:
-        options = [o for o in options if effects_at(o[1], joint) == 0] or options
-        return _named(p, min(options, key=lambda option: option[0]), place=joint)
+        return _best(p, [o for o in options if effects_at(o.kept, joint) == 0] or options, place=joint)
     if p <= LEVEL * search.level_factor:
-        return _named(p, min(options, key=lambda option: option[0]))
-    replacing = [o for o in options if len(o[1]) < len(chosen) and o[0] < best - ODDS[len(chosen) - len(o[1])]]
-    if replacing:
-        return _named(p, min(replacing, key=lambda option: option[0]))
-    return Unknown(p, None, None, chosen, best)
+        return _best(p, options)
+    fewer = [(o, len(chosen) - len(o.kept)) for o in options]
+    replacing = [o for o, k in fewer if k > 0 and o.bic < best - ODDS[k]]
+    return _best(p, replacing) if replacing else Unknown(p, None, None, chosen, best)
 
 
-def _named(p: float, option: tuple[float, Choice, GeneralShape], place: str | None = None) -> Unknown:
-    value, kept, best = option
+class _Option(NamedTuple):
+    """A shape beside what is kept of the named effects, with the BIC of both."""
+
+    bic: float
+    kept: Choice
+    shape: GeneralShape
+
+
+def _best(p: float, options: list[_Option], place: str | None = None) -> Unknown:
+    """The option of the lowest BIC;  place : where it counts as, whatever the place of the shape."""
+    bic, kept, best = min(options, key=lambda option: option.bic)
     same = place is None or place == best.place
-    return Unknown(p, place or best.place, best.shape if same else None, kept, value)
+    return Unknown(p, place or best.place, best.shape if same else None, kept, bic)
 
 
 def effects_at(chosen: Choice, place: str) -> int:
@@ -87,10 +93,11 @@ def _joint_with_series(chosen: Choice) -> str | None:
     return None
 
 
-def _options(search: HypothesisSearch, chosen: Choice, after: _Shapes) -> list[tuple[Choice, _Shapes, int]]:
+def _options(search: HypothesisSearch, chosen: Choice, after: _Shapes) -> list[_Option]:
     """A shape added to the chosen set, or put in the place of some of its members; few rows may leave none."""
     sets = [(chosen, after), *((rest, _shapes(search, rest)) for rest in _reduced(chosen))]
-    return [(rest, shapes, int(np.argmin(shapes.bic))) for rest, shapes in sets if shapes.listed]
+    lowest = [(rest, shapes, int(np.argmin(shapes.bic))) for rest, shapes in sets if shapes.listed]
+    return [_Option(float(shapes.bic[k]), rest, shapes.listed[k]) for rest, shapes, k in lowest]
 
 
 def _reduced(chosen: Choice) -> list[Choice]:
@@ -110,21 +117,18 @@ def place_of(key: str) -> str:
 
 def _shapes(search: HypothesisSearch, chosen: Choice) -> _Shapes:
     found = search.fit(chosen)
-    listed = general_shapes(found, search.rows)
-    listed = [a for a in listed if a.columns.shape[2] < found.freedom - 1]
-    places = [a.place for a in listed]
-    counts = {place: places.count(place) for place in set(places)}
-    weights = np.array([1.0 / (counts[place] * len(counts)) for place in places])
+    listed = [a for a in general_shapes(found, search.rows) if a.columns.shape[2] < found.freedom - 1]
+    counts = Counter(a.place for a in listed)
+    weights = np.array([1.0 / (counts[a.place] * len(counts)) for a in listed])
     columns = [search.rows.whiten(a.columns) for a in listed]
     full = dictionary(found.basis, columns, np.zeros(len(listed), dtype=bool), weights)
     keep = np.flatnonzero((full.sizes > 0) & (full.norm_fractions > 0.02))
     against = full.subset(keep)
     residual = found.residual[:, None] - against.model_basis @ (against.model_basis.T @ found.residual[:, None])
-    reductions, n = against.reductions(residual)[:, 0], len(residual)
-    left = np.maximum(1.0 - reductions / found.squares, 1e-12)
-    bic = search.bic(chosen) + n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights)
-    smallest = against.smallest_weighted(reductions[:, None], np.square(residual).sum(axis=0))[0]
-    return _Shapes([listed[k] for k in keep], against, reductions, bic, float(smallest))
+    reductions = against.reductions(residual)
+    bic = search.bic(chosen) + bic_change(reductions[:, 0], against, len(residual), found.squares)
+    smallest = against.smallest_weighted(reductions, np.square(residual).sum(axis=0))[0]
+    return _Shapes([listed[k] for k in keep], against, bic, float(smallest))
 
 
 def _adjusted(shapes: _Shapes, search: HypothesisSearch, chosen: Choice, generator: np.random.Generator) -> float:

@@ -24,6 +24,7 @@ CENTRES, WIDTHS = 24, (0.2, 0.3, 0.45, 0.7, 1.0)  # of bumps [rad]: a likeness o
 PERIODS = (2.0, 1.5, 1.0, 0.75, 0.5, 0.35)  # of waves over the workspace, in units of the reach; a sketch
 DENTS = (-1.5, -0.75, 0.0, 0.75, 1.5)  # centres along each axis, in root mean square coordinates; a sketch
 STEPS = 100  # effort: steps in time at every row up to this many
+NamedColumns = tuple[str, Array]  # a shape over one joint: for people, and (m, k)
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ def general_shapes(found: Fit, rows: Rows) -> list[GeneralShape]:
     position, levers = found.model.position(*at), found.model.joint_levers(*at)
     listed: list[GeneralShape] = []
     for j, lever in enumerate(np.moveaxis(levers, 2, 0)):
-        shapes = zip(*_joint_shapes(rows.postures, j), strict=True)
+        shapes = _joint_shapes(rows.postures, j)
         listed += [GeneralShape(f"joint:{j + 1}", name, lever[:, :, None] * v[:, None, :]) for name, v in shapes]
     time = rows.conditions.time
     if time is not None and np.ptp(time) > 0.0:
@@ -49,19 +50,15 @@ def general_shapes(found: Fit, rows: Rows) -> list[GeneralShape]:
     return listed + _workspace_shapes(position)
 
 
-def _joint_shapes(postures: Array, j: int) -> tuple[list[str], list[Array]]:
+def _joint_shapes(postures: Array, j: int) -> list[NamedColumns]:
     q = postures[:, j]
-    angle = np.multiply.outer(q, FREE_ORDERS)
-    waves = np.stack([np.cos(angle), np.sin(angle)], axis=-1)  # (m, K, 2)
-    names = [f"wave of {k:g} per turn" for k in FREE_ORDERS]
-    values = list(waves.transpose(1, 0, 2))
-    for name, shape in (*_local_shapes(q), *_smooth_shapes(q), *_shared_shapes(postures, j)):
-        names.append(name)
-        values.append(shape)
-    return names, values
+    angle = np.multiply.outer(FREE_ORDERS, q)
+    waves = np.stack([np.cos(angle), np.sin(angle)], axis=-1)  # (K, m, 2)
+    named = [(f"wave of {k:g} per turn", wave) for k, wave in zip(FREE_ORDERS, waves, strict=True)]
+    return [*named, *_local_shapes(q), *_smooth_shapes(q), *_shared_shapes(postures, j)]
 
 
-def _local_shapes(q: Array) -> list[tuple[str, Array]]:
+def _local_shapes(q: Array) -> list[NamedColumns]:
     found = []
     for centre in np.quantile(q, (np.arange(CENTRES) + 0.5) / CENTRES):
         gap = np.angle(np.exp(1j * (q - centre)))
@@ -72,7 +69,7 @@ def _local_shapes(q: Array) -> list[tuple[str, Array]]:
     return found
 
 
-def _smooth_shapes(q: Array) -> list[tuple[str, Array]]:
+def _smooth_shapes(q: Array) -> list[NamedColumns]:
     waves = np.concatenate([[np.cos(k * q), np.sin(k * q)] for k in SMOOTH_ORDERS]).T
     powers = q[:, None] ** np.array([1, 2, 3])
     return [
@@ -83,7 +80,7 @@ def _smooth_shapes(q: Array) -> list[tuple[str, Array]]:
     ]
 
 
-def _shared_shapes(postures: Array, j: int) -> list[tuple[str, Array]]:
+def _shared_shapes(postures: Array, j: int) -> list[NamedColumns]:
     found = []
     for k in range(postures.shape[1]):
         if k != j:

@@ -10,9 +10,9 @@ import numpy as np
 from doe.studies.blind.data_set import DataSet
 from identification.arrays import Array
 from identification.gap.fit import fit
-from identification.gap.holdout import rms_distance
 from identification.gap.hypotheses import hypotheses
 from identification.gap.whitening import Rows
+from identification.measurements import rms_distance
 from identification.model import Model
 
 LENGTHS = (0.5, 8.0)  # of the process's kernel; two postures are at most 2 sqrt(n) apart
