@@ -1,16 +1,13 @@
-"""Criteria of optimality: one small protocol, one criterion per file."""
+"""Criteria of optimality: one small protocol, one file for each family of criteria."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from doe.criteria.a import A
 from doe.criteria.criterion import Criterion
-from doe.criteria.d import D
-from doe.criteria.d_s import Ds
-from doe.criteria.d_star import DStar
 from doe.criteria.e import E, PowerMean
-from doe.criteria.i import I
+from doe.criteria.inverse_trace import A, I
+from doe.criteria.log_determinants import D, Ds, DStar
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 

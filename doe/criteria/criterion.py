@@ -5,8 +5,12 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arrays import Array
+
+SINGULAR = 1e-13  # reciprocal condition number below which a matrix has no usable inverse
+RIDGE = 1e-9  # a plan that lacks one run may be singular; this part of the mean eigenvalue keeps the ranking right
 
 
 class Criterion(Protocol):
@@ -37,7 +41,7 @@ class Criterion(Protocol):
         ...
 
     def efficiency(self, value: float, bound: float, parameters: int) -> float:
-        """Share 0..1 of the runs that an optimal design would need for the same accuracy."""
+        """Fraction 0..1 of the runs that an optimal design would need for the same accuracy."""
         ...
 
 
@@ -61,3 +65,15 @@ def values_after_adding(criterion: Criterion, information: Array, jacobians: Arr
     if own is not None:
         return own(information, jacobians)
     return np.asarray(criterion.value(information[:, None] + np.swapaxes(jacobians, -1, -2) @ jacobians))
+
+
+def ridged(information: Array) -> Array:
+    """(..., p, p) the matrices, whose diagonals are about one, with a little added: they have an inverse."""
+    p = information.shape[-1]
+    ridge = RIDGE * (1e-3 + np.trace(information, axis1=-2, axis2=-1) / p)
+    return np.asarray(information + ridge[..., None, None] * np.eye(p))
+
+
+def singular(eigenvalues: Array) -> NDArray[np.bool_]:
+    """(...) True where a matrix with these eigenvalues (..., p), smallest first, has no usable inverse."""
+    return np.asarray(eigenvalues[..., 0] <= SINGULAR * np.abs(eigenvalues[..., -1]))

@@ -6,12 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doe.criteria.inverse_trace import SINGULAR, inverses_after_adding
+from doe.criteria.criterion import SINGULAR, singular
+from doe.criteria.inverse_trace import woodbury
 from identification.arrays import Array
 
 
+class DegreeOne:
+    """Criteria with Phi(c M) = c Phi(M): their tangents pass through the origin."""
+
+    def upper_bound(self, information: Array, largest: float) -> float:
+        """max tr(G N); for the smallest eigenvalue with any G >= 0 of unit trace: lambda_min(N) <= tr(G N)."""
+        return largest
+
+    def efficiency(self, value: float, bound: float, parameters: int) -> float:
+        """Ratio of the values."""
+        return value / bound if np.isfinite(value) else 0.0
+
+
 @dataclass(frozen=True)
-class PowerMean:
+class PowerMean(DegreeOne):
     """Kiefer's Phi_k(M) = (mean of lambda^-k)^(-1/k): k -> 0 is D, k = 1 is A, k -> infinity is E. Smooth, concave.
 
     exponent : k > 0
@@ -22,11 +35,11 @@ class PowerMean:
 
     def value(self, information: Array) -> Array:
         """(...) Phi_k, -inf where M is singular."""
-        values = np.linalg.eigvalsh(information)
-        singular = values[..., 0] <= SINGULAR * np.abs(values[..., -1])
-        ratio = np.where(singular[..., None], 1.0, values) / np.where(singular, 1.0, values[..., 0])[..., None]
+        values = np.asarray(np.linalg.eigvalsh(information), dtype=np.float64)
+        none = singular(values)
+        ratio = np.where(none[..., None], 1.0, values) / np.where(none, 1.0, values[..., 0])[..., None]
         mean = values[..., 0] * np.mean(ratio**-self.exponent, axis=-1) ** (-1.0 / self.exponent)
-        return np.where(singular, -np.inf, mean)
+        return np.where(none, -np.inf, mean)
 
     def gradient(self, information: Array) -> Array:
         """(p, p) V diag(g) V^T, g_i = lambda_i^(-k-1) Phi^(k+1) / p."""
@@ -56,21 +69,14 @@ class PowerMean:
         doublings = float(np.log2(self.exponent))
         if doublings < 1.0 or not doublings.is_integer():
             return self.value(information[:, None] + np.swapaxes(jacobians, -1, -2) @ jacobians)
-        inverse = inverses_after_adding(information, jacobians)
+        before, seen, inner = woodbury(information, jacobians)
+        inverse = before[:, None] - np.swapaxes(seen, -1, -2) @ np.linalg.solve(inner, seen)
         power = inverse / np.trace(inverse, axis1=-2, axis2=-1)[..., None, None]  # against overflow
         scale = np.trace(inverse, axis1=-2, axis2=-1)
         for _ in range(int(doublings) - 1):
             power = power @ power
         mean = np.sum(power**2, axis=(-2, -1)) / power.shape[-1]
         return mean ** (-1.0 / self.exponent) / scale
-
-    def upper_bound(self, information: Array, largest: float) -> float:
-        """max tr(G N): Phi is homogeneous of degree one, so its tangents pass through the origin."""
-        return largest
-
-    def efficiency(self, value: float, bound: float, parameters: int) -> float:
-        """Ratio of the values."""
-        return value / bound if np.isfinite(value) else 0.0
 
     def _slopes(self, values: Array) -> Array:
         ratio = values / values[0]
@@ -79,7 +85,7 @@ class PowerMean:
 
 
 @dataclass(frozen=True)
-class E:
+class E(DegreeOne):
     """Phi(M) = smallest eigenvalue of the scaled M: 1 over the largest variance of any unit combination of parameters.
 
     Not invariant to units (lengths in mm, angles times link length). Not differentiable where the eigenvalue is
@@ -100,8 +106,8 @@ class E:
 
     def value(self, information: Array) -> Array:
         """(...) smallest eigenvalue, -inf where M is singular."""
-        values = np.linalg.eigvalsh(information)
-        return np.where(values[..., 0] <= SINGULAR * np.abs(values[..., -1]), -np.inf, values[..., 0])
+        values = np.asarray(np.linalg.eigvalsh(information), dtype=np.float64)
+        return np.where(singular(values), -np.inf, values[..., 0])
 
     def gradient(self, information: Array) -> Array:
         """(p, p) v v^T of the eigenvector v of the smallest eigenvalue (one of its supergradients if multiple)."""
@@ -113,11 +119,3 @@ class E:
         values, vectors = np.linalg.eigh(information)
         rows = (vectors[:, 0] @ directions @ vectors)[:, 1:]
         return 2.0 * (rows / np.minimum(values[0] - values[1:], -SINGULAR * values[-1])) @ rows.T
-
-    def upper_bound(self, information: Array, largest: float) -> float:
-        """max tr(G N) for any G >= 0 of unit trace: lambda_min(N) <= tr(G N)."""
-        return largest
-
-    def efficiency(self, value: float, bound: float, parameters: int) -> float:
-        """Ratio of the smallest eigenvalues."""
-        return value / bound if np.isfinite(value) else 0.0

@@ -1,4 +1,4 @@
-"""What A- and I-optimality have in common: Phi(M) = -tr(W M^-1), a weighted sum of variances.
+"""A- and I-optimality: Phi(M) = -tr(W M^-1), a weighted sum of variances.
 
 Phi is homogeneous, t(c M) = t(M) / c for t = tr(W M^-1) > 0; the tangent at c M, c chosen best, gives for every other
 design t(N) >= t(M)^2 / tr(G N), G = M^-1 W M^-1.
@@ -7,13 +7,12 @@ design t(N) >= t(M)^2 / tr(G N), G = M^-1 W M^-1.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from identification.arrays import Array
-
-RIDGE = 1e-9  # see `principal_submatrices.RIDGE`
-SINGULAR = 1e-13  # reciprocal condition number below which a matrix has no usable inverse
+from doe.criteria.criterion import ridged, singular
+from identification.arrays import Array, readonly
 
 
 @dataclass(frozen=True)
@@ -28,10 +27,9 @@ class InverseTrace:
         """(...) -tr(W M^-1), -inf where M is singular."""
         values, vectors = np.linalg.eigh(information)
         weight = self.weight(information.shape[-1])
-        shares = np.einsum("...ik,ij,...jk->...k", vectors, weight, vectors)
-        singular = values[..., 0] <= SINGULAR * np.abs(values[..., -1])
-        safe = np.where(singular[..., None], 1.0, values)
-        return np.where(singular, -np.inf, -np.sum(shares / safe, axis=-1))
+        variances = np.einsum("...ik,ij,...jk->...k", vectors, weight, vectors)
+        none = singular(values)
+        return np.where(none, -np.inf, -np.sum(variances / np.where(none[..., None], 1.0, values), axis=-1))
 
     def gradient(self, information: Array) -> Array:
         """(p, p) M^-1 W M^-1."""
@@ -49,10 +47,7 @@ class InverseTrace:
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """(s, c) tr(W A^-1) - tr(W (A + B^T B)^-1), by Woodbury's identity: d x d inverses only."""
         s, c, d, p = jacobians.shape
-        ridge = RIDGE * (1e-3 + np.trace(information, axis1=-2, axis2=-1) / p)
-        inverse = np.linalg.inv(information + ridge[:, None, None] * np.eye(p))
-        seen = (jacobians.reshape(s, c * d, p) @ inverse).reshape(s, c, d, p)  # B A^-1
-        inner = np.eye(d) + seen @ np.swapaxes(jacobians, -1, -2)
+        _, seen, inner = woodbury(information, jacobians)
         outer = (seen.reshape(s, c * d, p) @ self.weight(p)).reshape(s, c, d, p) @ np.swapaxes(seen, -1, -2)
         return np.trace(np.linalg.solve(inner, outer), axis1=-2, axis2=-1)
 
@@ -65,14 +60,54 @@ class InverseTrace:
         return bound / value if np.isfinite(value) else 0.0
 
 
-def inverses_after_adding(information: Array, jacobians: Array) -> Array:
-    """(s, c, p, p) (A_s + B_sc^T B_sc)^-1 by Woodbury's identity."""
+@dataclass(frozen=True)
+class A(InverseTrace):
+    """Sum of the variances of the scaled parameters [mm^2]: angles times link length (doe/README.md, "Criteria").
+
+    Not invariant to units. The paper's reason against it (a constant trace) is about tr M, not tr M^-1.
+    """
+
+    name: str = "A"
+
+    def weight(self, parameters: int) -> Array:
+        """(p, p) identity."""
+        return np.eye(parameters)
+
+
+@dataclass(frozen=True)
+class I(InverseTrace):  # noqa: E742 (its name in the literature)
+    """Mean squared position error at test poses after compensation (Klimchik's test-pose criterion).
+
+    After m runs with noise sigma per coordinate, -Phi sigma^2 / m is the mean over the poses of E |error|^2 [mm^2]:
+    Phi = -tr(W M^-1) with W = mean of B_0^T B_0. Invariant to units.
+
+    jacobians : (k, d, p) scaled Jacobians at the test poses, `DesignProblem.scaled_jacobians(poses)`
+    """
+
+    jacobians: Array
+    name: str = "I"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "jacobians", readonly(self.jacobians))
+
+    @cached_property
+    def _weight(self) -> Array:
+        return np.mean(np.swapaxes(self.jacobians, -1, -2) @ self.jacobians, axis=0)
+
+    def weight(self, parameters: int) -> Array:
+        """(p, p) mean of B_0^T B_0."""
+        return self._weight
+
+
+def woodbury(information: Array, jacobians: Array) -> tuple[Array, Array, Array]:
+    """(s, p, p) A^-1, (s, c, d, p) B A^-1 and (s, c, d, d) I + B A^-1 B^T of candidates B (s, c, d, p).
+
+    (A + B^T B)^-1 = A^-1 - A^-1 B^T (I + B A^-1 B^T)^-1 B A^-1.
+    """
     s, c, d, p = jacobians.shape
-    ridge = RIDGE * (1e-3 + np.trace(information, axis1=-2, axis2=-1) / p)
-    inverse = np.linalg.inv(information + ridge[:, None, None] * np.eye(p))
-    seen = (jacobians.reshape(s, c * d, p) @ inverse).reshape(s, c, d, p)  # B A^-1
-    inner = np.eye(d) + seen @ np.swapaxes(jacobians, -1, -2)
-    return inverse[:, None] - np.swapaxes(seen, -1, -2) @ np.linalg.solve(inner, seen)
+    inverse = np.asarray(np.linalg.inv(ridged(information)), dtype=np.float64)
+    seen = (jacobians.reshape(s, c * d, p) @ inverse).reshape(s, c, d, p)
+    return inverse, seen, np.asarray(np.eye(d) + seen @ np.swapaxes(jacobians, -1, -2))
 
 
 def square_root(matrix: Array) -> Array:

@@ -1,0 +1,150 @@
+"""D-, D_s- and D*-optimality: criteria made of log-determinants of principal submatrices of M."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from doe.criteria.criterion import ridged
+from identification.arrays import Array
+
+Term = tuple[float, NDArray[np.intp]]  # sign, rows
+
+
+class LogDeterminants:
+    """Phi(M) = sum_t sign_t log det M[rows_t, rows_t]; the criteria of this kind differ in their terms.
+
+    Each of them has Phi(c M) = Phi(M) + s log c, s = sum_t sign_t |rows_t|; with Phi concave that gives the bound
+    Phi(N) <= Phi(M) + s log( tr(G N) / s )  (tangent at c M, c chosen best).
+    """
+
+    def terms(self, parameters: int) -> list[Term]:
+        """Signs and rows (from 0) of the submatrices of a (p, p) matrix."""
+        raise NotImplementedError
+
+    def degree(self, parameters: int) -> float:
+        """s, the degree of homogeneity."""
+        return float(sum(sign * len(rows) for sign, rows in self.terms(parameters)))
+
+    def value(self, information: Array) -> Array:
+        """(...) Phi(M), -inf where a submatrix is singular."""
+        total, positive = np.zeros(information.shape[:-2]), np.ones(information.shape[:-2], dtype=bool)
+        for factor, rows in self.terms(information.shape[-1]):
+            sign, log_det = np.linalg.slogdet(principal_submatrix(information, rows))
+            positive &= sign > 0
+            total = total + factor * np.where(sign > 0, log_det, 0.0)
+        return np.where(positive, total, -np.inf)
+
+    def gradient(self, information: Array) -> Array:
+        """(p, p) sum_t sign_t inverse of the submatrix, in its place."""
+        total = np.zeros_like(information)
+        for factor, rows in self.terms(len(information)):
+            total[np.ix_(rows, rows)] += factor * np.linalg.inv(principal_submatrix(information, rows))
+        return total
+
+    def curvature(self, information: Array, directions: Array) -> Array:
+        """(k, k) -sum_t sign_t tr(M_t^-1 X_t M_t^-1 Y_t): Gram matrices of L_t^-1 X_t L_t^-T."""
+        total = np.zeros((len(directions), len(directions)))
+        for factor, rows in self.terms(len(information)):
+            root = np.linalg.inv(np.linalg.cholesky(principal_submatrix(information, rows)))
+            whitened = (root @ principal_submatrix(directions, rows) @ root.T).reshape(len(directions), -1)
+            total -= factor * (whitened @ whitened.T)
+        return total
+
+    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
+        """(s, c) Phi(A_s + B_sc^T B_sc) - Phi(A_s), by the determinant lemma: log det(I_d + B_t A_t^-1 B_t^T)."""
+        s, c, d, columns = jacobians.shape
+        total = np.zeros((s, c))
+        for factor, rows in self.terms(columns):
+            p = len(rows)
+            root = np.linalg.inv(np.linalg.cholesky(ridged(principal_submatrix(information, rows))))
+            parts = jacobians if p == columns else jacobians[..., rows]
+            whitened = (parts.reshape(s, c * d, p) @ np.swapaxes(root, -1, -2)).reshape(s, c, d, p)
+            total += factor * log_det_small(np.eye(d) + whitened @ np.swapaxes(whitened, -1, -2))
+        return total
+
+    def upper_bound(self, information: Array, largest: float) -> float:
+        """Phi(M) + s log(max tr(G N) / s)."""
+        s = self.degree(len(information))
+        return float(self.value(information)) + s * float(np.log(largest / s))
+
+    def efficiency(self, value: float, bound: float, parameters: int) -> float:
+        """exp((value - bound) / s)."""
+        return float(np.exp((value - bound) / self.degree(parameters))) if np.isfinite(value) else 0.0
+
+
+@dataclass(frozen=True)
+class D(LogDeterminants):
+    """Phi(M) = log det M: the volume of the confidence ellipsoid (paper, Section V).
+
+    Invariant to units and to linear changes of the parameters (doe/README.md, "Criteria").
+    """
+
+    name: str = "D"
+
+    def terms(self, parameters: int) -> list[Term]:
+        """All of M."""
+        return [(1.0, np.arange(parameters))]
+
+
+@dataclass(frozen=True)
+class Ds(LogDeterminants):
+    """Phi(M) = log det M - log det M_22 = -log det of the covariance of the `subset` (M_22: all other parameters).
+
+    The confidence ellipsoid of some parameters, the others being estimated as well. Invariant to units.
+
+    subset : indices (from 0) of the parameters that matter
+    """
+
+    subset: tuple[int, ...]
+    name: str = "Ds"
+
+    def terms(self, parameters: int) -> list[Term]:
+        """All of M, less the nuisance parameters."""
+        everything = np.arange(parameters)
+        return [(1.0, everything), (-1.0, np.setdiff1d(everything, self.subset))]
+
+
+@dataclass(frozen=True)
+class DStar(LogDeterminants):
+    """Phi(M) = sum of the log-determinants of the groups' own principal submatrices.
+
+    The paper maximises det C' and asks for det S' = 0, C' and S' being the diagonal and off-diagonal blocks of M'
+    (eq. 20). Of the base model both diagonal blocks are C', so Phi = 2 log det C' >= log det M', with equality when
+    S' = 0. What the lengths lose to the angles is not counted: prefer D, whose units do not matter either
+    (doe/README.md, "Criteria"). det S' = 0 alone says nothing for odd n, where every antisymmetric matrix has it, and
+    little for even n >= 4, where such a matrix may be singular without being zero: D* agrees with D for 2 links only.
+
+    groups : indices (from 0) of the parameters of each group, say lengths and angles
+    """
+
+    groups: tuple[tuple[int, ...], ...]
+    name: str = "Dstar"
+
+    @classmethod
+    def by_unit(cls, units: Sequence[str]) -> DStar:
+        """One group per unit of the p parameters, as the paper argues."""
+        return cls(tuple(tuple(k for k, u in enumerate(units) if u == unit) for unit in dict.fromkeys(units)))
+
+    def terms(self, parameters: int) -> list[Term]:
+        """The groups."""
+        return [(1.0, np.array(group)) for group in self.groups]
+
+    def value(self, information: Array) -> Array:
+        """(...) Phi(M), -inf where M is singular, even if no group's submatrix is."""
+        return np.where(np.linalg.slogdet(information)[0] > 0, super().value(information), -np.inf)
+
+
+def principal_submatrix(matrices: Array, rows: NDArray[np.intp]) -> Array:
+    """(..., r, r) principal submatrix of (..., p, p)."""
+    return matrices[..., rows[:, None], rows]
+
+
+def log_det_small(matrices: Array) -> Array:
+    """(...) log det of small positive definite matrices; 2 x 2, the planar case, without a factorisation."""
+    if matrices.shape[-1] != 2:
+        return np.linalg.slogdet(matrices)[1]
+    return np.log(matrices[..., 0, 0] * matrices[..., 1, 1] - matrices[..., 0, 1] * matrices[..., 1, 0])
