@@ -89,15 +89,17 @@ EFFECTS = {
 }
 
 
-@pytest.mark.parametrize("name", ["gear ratio", pytest.param("two harmonics", marks=pytest.mark.slow)])
-def test_effects_in_the_model(name: str) -> None:
+@pytest.mark.parametrize("links", [3, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", EFFECTS)
+def test_effects_in_the_model(name: str, links: int) -> None:
     """No random posture violates the equivalence theorem, and a fine grid has nothing better."""
-    case = problem(FOUR, *EFFECTS[name])
+    arm = Arm(FOUR.lengths[:links], FOUR.lower[:links], FOUR.upper[:links])
+    case = problem(arm, *EFFECTS[name])
     design = continuous_design(case, tolerance=1e-8, proof=0.0)
     assert design.gap <= 1e-6
     assert design.bound is not None
     information = case.information(design.plan.postures, design.plan.shares)
-    q = np.random.default_rng(9).uniform(case.lower, case.upper, (50_000, 4))
+    q = np.random.default_rng(9).uniform(case.lower, case.upper, (50_000, links))
     d = np.einsum(
         "kda,ab,kdb->k", case.scaled_jacobians(q), np.linalg.inv(information), case.scaled_jacobians(q), optimize=True
     )
