@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Status(Enum):
-    """Outcome of an iterative job; `name` goes into JSON, `value` is shown to people."""
+    """Outcome of an iterative search or fit; `name` goes into JSON, `value` is the sentence shown to people."""
 
     bound_reached = "The upper bound is reached: no plan with this many runs can be better."
     starts_finished = "All starts are used up; more of them (--starts) might find a better plan."
@@ -14,14 +14,15 @@ class Status(Enum):
     local_optimum = "No exchange of a single run makes the plan better; another --seed may end at a better one."
     time_limit = "The time budget ended; the best plan so far is returned. Raise --seconds to search on."
     interrupted = "Stopped by the user (Ctrl-C); the best plan so far is returned."
-    scored = "The plan was given; it is judged, not improved."
+    scored = "Plan supplied by the user: evaluated, not optimized."
     analytic = "Constructed from theory, without a search."
     converged = "Converged to a stationary point."
-    almost_solved = "Stopped near a solution at reduced accuracy; look at the gap before relying on it."
+    almost_solved = "Stopped near a solution at reduced accuracy; check the optimality gap before relying on it."
     iteration_limit = "The iteration limit was reached before convergence; look at the residuals."
     solver_failed = "The solver failed; its result is not used."
     not_identifiable = (
-        "Some parameters cannot be told apart; the others hold. Measure more varied postures, or fix one."
+        "Some parameters are not identifiable; the estimates of the others are valid. Measure more varied postures, or "
+        "fix one parameter of each combination."
     )
     infeasible = "No feasible point was found."
 

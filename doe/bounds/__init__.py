@@ -1,1 +1,1 @@
-"""Upper bounds on every criterion, and the proofs behind them. Nothing here imports a solver."""
+"""Upper bounds, and the approximate design problem whose optimum is one. Solvers of exact designs are not used here."""

@@ -124,7 +124,7 @@ def check_needed(wanted: CriterionOptions) -> None:
     name = wanted.criterion
     for option, given, needed in (("--test-poses", wanted.test_poses, "I"), ("--subset", wanted.subset, "Ds")):
         if given is not None and name in NAMES and name != needed:
-            raise InputError(f"{option}: criterion {name} has no use for it, allowed: with criterion {needed}")
+            raise InputError(f"{option}: criterion {name} does not use it, allowed: with criterion {needed}")
 
 
 def allowed_postures(path: Path, arm: Arm) -> Any:

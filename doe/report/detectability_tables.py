@@ -23,12 +23,12 @@ def preflight_tables(sees: Detectability) -> list[Any]:
         more = f" and {len(alike) - 2} more" if len(alike) > 2 else ""
         return [name, f"{visible:.2f}", str(sees.detectable[name]), ", ".join(alike[:2]) + more]
 
-    headings = ("effect", "visible fraction", "smallest size found (90 %)", "looks like")
+    headings = ("effect", "visible fraction", "smallest detectable size (90 % power)", "looks like")
     title = "What this plan can show of missing effects"
     shown = table(headings, map(row, sees.names, sees.norm_fractions), title, left=("effect",))
-    skipped = [Text(f"not judged: {key}: {why}") for key, why in sees.skipped.items()]
-    never = [Text(f"never visible: {key}: the same as {why}") for key, why in sees.aliases.items()]
-    return [shown, Text(f"{sees.freedom} degrees of freedom to spare"), *skipped, *never]
+    skipped = [Text(f"not tested: {key}: {why}") for key, why in sees.skipped.items()]
+    never = [Text(f"never identifiable: {key}: equivalent to {why}") for key, why in sees.aliases.items()]
+    return [shown, Text(f"{sees.freedom} residual degrees of freedom"), *skipped, *never]
 
 
 def discriminating_tables(found: DiscriminationDesign) -> list[Any]:

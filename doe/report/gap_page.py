@@ -28,7 +28,7 @@ def candidate_sheet(diagnosis: Diagnosis) -> Sheet:
         ]
         for c in diagnosis.candidates or (diagnosis.named,)
     ]
-    return Sheet(["effects", "F", "adjusted p", "Delta BIC", "estimates [95 % interval]"], rows)
+    return Sheet(["effects", "F", "adjusted p", "Delta BIC", "estimates [95 %, sigma from residuals]"], rows)
 
 
 def setting_texts(candidate: Candidate) -> list[str]:
@@ -52,7 +52,7 @@ def gap_sheet(diagnosis: Diagnosis) -> Sheet:
     rows = [["the data", number(gap.rms_before), number(gap.rms_after), number(gap.noise_floor)]]
     if gap.held_out_after is not None:
         rows.append(["held out", number(gap.held_out_before), number(gap.held_out_after), number(gap.predicted)])
-    return Sheet(["RMS distance [mm]", "before", "after", "noise floor / predicted"], rows)
+    return Sheet(["RMS distance [mm]", "before", "after", "expected"], rows)
 
 
 def trial_sheet(diagnosis: Diagnosis) -> Sheet:
@@ -65,7 +65,9 @@ def trial_sheet(diagnosis: Diagnosis) -> Sheet:
 
 def excluded_sheet(diagnosis: Diagnosis) -> Sheet:
     """The smallest size of every effect that these data would have shown with 90 % probability."""
-    return Sheet(["effect", "smallest size found (90 %)"], [[n, str(size)] for n, size in diagnosis.excluded.items()])
+    return Sheet(
+        ["effect", "smallest detectable size (90 % power)"], [[n, str(size)] for n, size in diagnosis.excluded.items()]
+    )
 
 
 def alias_sheet(diagnosis: Diagnosis) -> Sheet:
@@ -82,7 +84,7 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
         shown.append(as_table(excluded_sheet(diagnosis)))
     shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
     if diagnosis.outlier_rows:
-        shown.append(Text(f"outliers, left out: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
+        shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
     return [*shown, *(Text(f"note: {note}") for note in diagnosis.notes)]
 
 
@@ -105,8 +107,9 @@ def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
         ),
         Section(
             "The gap",
-            "RMS distance between model and measurement. A smaller gap alone does not prove a name: the held-out rows "
-            "were used for no decision.",
+            "RMS distance between model and measurement. Expected: what noise alone leaves on new postures, corrected "
+            "for the parameters fitted; on the fitted rows the RMS is smaller. A smaller gap alone does not prove a "
+            "name; the held-out rows were not used for any decision.",
             [gap_sheet(diagnosis)],
             [workspace_figure(diagnosis)],
         ),

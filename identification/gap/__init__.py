@@ -1,0 +1,1 @@
+"""The gap workflow behind `diagnose`: which physical effect is missing from the model?"""

@@ -86,7 +86,10 @@ class Detectability:
         }
 
     def __str__(self) -> str:
-        lines = [f"{self.freedom} degrees of freedom to spare", f"{'effect':32} fraction  smallest size found (90 %)"]
+        lines = [
+            f"{self.freedom} residual degrees of freedom",
+            f"{'effect':32} fraction  smallest detectable size (90 % power)",
+        ]
         for name, fraction in zip(self.names, self.norm_fractions, strict=True):
             lines.append(f"{name:32} {fraction:8.2f}  {self.detectable[name]}")
         return "\n".join(lines)
@@ -103,7 +106,7 @@ def detectability(
 
     sigma : [mm], default the arm's, else 1 (sizes are then per millimetre of noise). Temperature is taken into account
     if `conditions` has it. library : the arm's hypotheses, for many plans of one arm. Raises `InputError` with fewer
-    than 4 spare degrees of freedom.
+    than 4 residual degrees of freedom.
     """
     given = frozenset() if conditions is None or conditions.temperature is None else frozenset({"temperature"})
     library = library or hypotheses(arm, given)

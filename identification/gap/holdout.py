@@ -19,7 +19,8 @@ class Gap:
 
     rms_before, rms_after : on the data, base model and named model refitted (outlier rows left out)
     held_out_before, held_out_after : the same two models on the held-out data
-    noise_floor : what a perfect model would leave;  predicted : what the named model should leave on held-out data
+    noise_floor : RMS that a perfect model would leave on new data, from the residuals and their degrees of freedom
+     predicted : what the named model should leave on held-out data
     """
 
     rms_before: float
@@ -80,8 +81,8 @@ def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements)
     missed = float(np.median(np.linalg.norm(base.position_residuals(holdout, there), axis=1)))
     if missed > limit:
         raise InputError(
-            f"holdout: {missed:.3g} mm off the arm calibrated on the data (median), allowed: up to {limit:.3g} mm; "
-            "another arm, set-up or unit?"
+            f"holdout: median residual {missed:.3g} mm with the arm calibrated on the data, allowed: up to {limit:.3g} "
+            "mm; another arm, set-up or unit?"
         )
 
 

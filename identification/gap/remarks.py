@@ -52,34 +52,42 @@ def order_notes(hidden: tuple[tuple[str, str, float], ...]) -> list[str]:
     said = []
     for key in dict.fromkeys(key for key, _, _ in hidden):
         likes = [(other, likeness) for own, other, likeness in hidden if own == key]
-        word = "is the same as" if likes[0][1] >= EXACT else "is much like"
+        word = "cannot be distinguished from" if likes[0][1] >= EXACT else "is hard to distinguish from"
         more = f" and {len(likes) - 3} more" if len(likes) > 3 else ""
         listed = ", ".join(other for other, _ in likes[:3])
-        said.append(f"on these postures {key} {word} {listed}{more}: measure at other angles to tell")
+        said.append(f"at these postures {key} {word} {listed}{more}; to decide, measure at other joint angles")
     return said
+
+
+def inseparable(joint: int) -> str:
+    """What cannot be separated where a joint (from 0) stands still."""
+    if joint == 0:
+        return "its offset cannot be separated from the orientation of the base"
+    return f"the parameters of link {joint + 1} cannot be separated from those of link {joint}"
 
 
 def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measurements | None, gap: Gap) -> list[str]:
     """What a person should know before trusting the verdict."""
-    said = [f"{key} was not tried: {why}" for key, why in found.search.hypotheses.skipped.items()]
+    said = [f"{key} was not tested: {why}" for key, why in found.search.hypotheses.skipped.items()]
     fit = found.search.fit(found.unknown.chosen)
     if fit.status is not Status.converged:
         said.append(f"the fit of the named model did not converge: {fit.status.value}")
     if measurements.directions is None:
-        said.append("directions of approach follow from the order of measurement")
+        said.append("directions of approach were derived from the order of measurement")
     said += [
-        f"joint {j + 1} never moves: its link cannot be told from the one before"
+        f"joint {j + 1} does not move in these data: {inseparable(j)}"
         for j in range(arm.links)
         if np.ptp(measurements.postures[:, j]) == 0.0
     ]
     if arm.sigma is not None:
         ratio = fit.sigma / arm.sigma
         if measurements.sigma is None and not 0.67 < ratio < 1.5:
-            said.append(f"the scatter is {ratio:.2f} times the sigma_mm of the arm file; the tests use the scatter")
+            of_file = f"{ratio:.2f} times the sigma_mm of the arm file"
+            said.append(f"the residual scatter is {of_file}; the tests use the residual scatter")
     if gap.held_out_after is not None and gap.predicted is not None and gap.held_out_after > 3.0 * gap.predicted:
         times = gap.held_out_after / gap.predicted
-        said.append(f"the held-out rows are {times:.2g} times farther off than predicted: another range or set-up?")
+        said.append(f"the held-out residuals are {times:.2g} times larger than predicted: other postures or set-up?")
     drifts = any("drift" in effect for effect in (h.key for h in found.unknown.chosen))
     if drifts and holdout is not None:
-        said.append("a drift of one session says nothing of another: judge it by a hold-out from the same session")
+        said.append("a drift of one session does not carry over to another; confirm it on held-out rows of this one")
     return said

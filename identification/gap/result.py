@@ -95,7 +95,7 @@ class Residuals:
 
 WIDE = 3.0  # times the arm file's sigma: shown with the verdict (identification/README.md, "Constants")
 VERDICTS = {
-    "none": "none: nothing is missing that these data could show; larger effects than the sizes listed are excluded",
+    "none": "none: no missing effect is detectable in these data; effects larger than the sizes listed are excluded",
     "named": "named: {effects} is missing from the model",
     "ambiguous": "ambiguous: {count} explanations fit about equally well ({options}); measure more postures",
     "unknown": "unknown: something outside the library at {where}{beside}",
@@ -195,7 +195,7 @@ class Diagnosis:
             lines.append(f"  {c.title}: {figures}; {'; '.join(str(p) for p in c.parameters)}")
         lines += [f"  scatter: {f}" for f in self.scatter]
         if self.outlier_rows:
-            lines.append(f"  outliers: rows {', '.join(map(str, self.outlier_rows))} are left out")
+            lines.append(f"  left out as outliers: rows {', '.join(map(str, self.outlier_rows))}")
         g = self.gap
         floor = f"noise floor {g.noise_floor:.4g} mm"
         lines.append(f"  gap: {g.rms_before:.4g} mm before, {g.rms_after:.4g} mm after, {floor}")
@@ -203,7 +203,7 @@ class Diagnosis:
             then = f"{g.held_out_before:.4g} mm before, {g.held_out_after:.4g} mm after"
             lines.append(f"  held out: {then}, {g.predicted:.4g} mm predicted")
         if not self.effects:
-            lines += [f"  excluded above: {name} {size}" for name, size in self.excluded.items()]
+            lines += [f"  excluded: {name} > {size}" for name, size in self.excluded.items()]
         return "\n".join([*lines, *(f"  note: {n}" for n in self.notes)])
 
     def _repr_html_(self) -> str:
