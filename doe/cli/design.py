@@ -123,4 +123,4 @@ def check_used(context: click.Context) -> None:
     for name, needed in (("loss", "discriminating"), ("draws", "uncertain")):
         given = context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
         if given and not context.params[needed]:
-            raise InputError(f"--{name}: found without --{needed}, allowed: only together with it")
+            raise InputError(f"--{name}: found without --{needed}, allowed: with --{needed}")

@@ -79,8 +79,8 @@ def test_aliases_of_too_few_runs(folder: Folder) -> None:
         (["--minimum-distance-deg", "nan"], ("minimum distance", "nan", ">= 0")),
         # the joints to choose turn by 240, 160, 180 deg: room for 2 x 1 x 1 postures 200 deg apart
         (["--minimum-distance-deg", "200"], ("runs", "8 postures 200 deg apart", "at most 2")),
-        (["--loss", "0.05"], ("--loss", "allowed: only together with it", "allowed: with --discriminating")),
-        (["--draws", "3"], ("--draws", "allowed: only together with it", "allowed: with --uncertain")),
+        (["--loss", "0.05"], ("--loss", "found without", "allowed: with --discriminating")),
+        (["--draws", "3"], ("--draws", "found without", "allowed: with --uncertain")),
         (["--discriminating", "--criterion", "A"], ("criterion", "A", "discriminating", "allowed: D")),
         (["--discriminating", "--uncertain", "average"], ("criterion", "average", "allowed: D")),
         (["--test-poses", "plan.csv"], ("--test-poses", "criterion D", "criterion I")),
