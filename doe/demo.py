@@ -15,7 +15,8 @@ from doe.solvers import solve
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation import Identification, estimate
-from identification.files.arm import load_arm, with_calibration, with_effects
+from identification.files.arm import load_arm
+from identification.files.arm_text import with_calibration, with_effects
 from identification.files.io import write_whole
 from identification.files.measurement import load_measurements, measurement_text
 from identification.gap.diagnose import diagnose

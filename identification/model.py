@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.effects import Chain, Effect, build_all, known_values, measured_position
+from identification.effects import Chain, Effect, build_all, measured_position
 from identification.errors import InputError
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, ParameterSet, chain_parameters
 from identification.kinematics.planar import DIMENSION, joint_points, symbolic_points
@@ -78,7 +78,7 @@ class Model:
         values = dict(self.known or {})
         for effect, spec in self._built:
             if not effect.scatter:
-                values |= known_values(effect, spec)
+                values |= {p.name: float(spec.values[p.short]) for p in effect.parameters if p.short in spec.values}
         return values
 
     @cached_property

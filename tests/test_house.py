@@ -26,6 +26,7 @@ LAYERS = {
     "identification.measurements": 2,
     "identification.files.arm_schema": 2,
     "identification.files.arm": 2,  # knows the effects an arm file names
+    "identification.files.arm_text": 2,
     "identification.files.measurement": 2,
     "identification.files.target": 2,
     "identification.vectorize": 3,

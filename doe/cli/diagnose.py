@@ -22,7 +22,8 @@ def command(
 ) -> Answer:
     """Find where model and measurements disagree, name the missing effect, and show the gap shrink."""
     from doe.report.gap_page import diagnosis_tables, gap_page
-    from identification.files.arm import load_arm, with_calibration, with_effects
+    from identification.files.arm import load_arm
+    from identification.files.arm_text import with_calibration, with_effects
     from identification.files.io import PathLike, check_writable, read_text, write_together
     from identification.gap.diagnose import diagnose
 

@@ -19,7 +19,8 @@ def command(session: Session, arm: Path, data: Path, method: str | None, output:
     """Estimate the arm's parameters from measurements, with 95 % intervals."""
     from doe.report.identification_tables import identification_tables
     from identification.estimation import estimate
-    from identification.files.arm import load_arm, with_calibration
+    from identification.files.arm import load_arm
+    from identification.files.arm_text import with_calibration
     from identification.files.io import read_text
     from identification.model import Model
 

@@ -24,7 +24,8 @@ from doe.jobs.workers import Workers
 from doe.problem.problem import DesignProblem
 from identification.arm import Arm
 from identification.errors import InputError, nearest
-from identification.files.arm import arm_from_tables, dump_arm
+from identification.files.arm import arm_from_tables
+from identification.files.arm_text import dump_arm
 from identification.model import Model
 from identification.progress import Progress, silent
 

@@ -17,7 +17,7 @@ import numpy as np
 from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.effects import aliases, instrument, joint, link, mounting, noise  # noqa: F401  (they register themselves)
-from identification.effects.base import _LIBRARY, Effect, known_values, measured_position, register
+from identification.effects.base import _LIBRARY, Effect, measured_position, register
 from identification.effects.chain import Chain
 from identification.errors import InputError, nearest
 from identification.kinematics.parameters import Parameter
@@ -28,7 +28,6 @@ __all__ = [
     "Parameter",
     "build",
     "build_all",
-    "known_values",
     "library",
     "measured_position",
     "register",

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import inf
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -165,9 +165,3 @@ def register(cls: type[Effect]) -> type[Effect]:
         raise InputError(f"effect: the name {cls.name!r} is taken by the library, allowed: another name")
     _LIBRARY[cls.name] = cls
     return cls
-
-
-def known_values(effect: Effect, spec: EffectSpec) -> dict[str, float]:
-    """Full parameter name -> value for the parameters that the arm file fixes."""
-    by_short: dict[str, Any] = {p.short: p for p in effect.parameters}
-    return {by_short[short].name: float(value) for short, value in spec.values.items() if short in by_short}

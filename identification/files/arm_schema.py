@@ -115,6 +115,24 @@ class CalibrationTable(_Table):
     )
     provenance: dict[str, Any] = Field(default_factory=dict, description="a table")
 
+    @property
+    def matrix(self) -> Array:
+        """(p, p) the covariance, in file units."""
+        p = len(self.covariance or ())
+        return np.array(self.covariance).reshape(p, p)
+
+    @model_validator(mode="after")
+    def _covariance_of_parameters(self) -> Self:
+        if self.covariance is None:
+            return self
+        if self.parameters is None:
+            raise InputError("calibration.parameters: is missing, allowed: the names of the rows of covariance")
+        _require_count("calibration.covariance", self.covariance, len(self.parameters), "rows for", "parameters")
+        for row in self.covariance:
+            _require_count("calibration.covariance", row, len(self.parameters), "values in a row for", "parameters")
+        check_covariance(self.matrix, self.parameters)
+        return self
+
 
 ConstraintTable = Annotated[BoxTable | CircleTable | SightTable, Field(discriminator="kind")]
 
@@ -138,6 +156,31 @@ class ArmFile(_Table):
     calibration: CalibrationTable | None = Field(
         None, description="a table with length_errors_mm and joint_offsets_deg"
     )
+
+    @model_validator(mode="after")
+    def _one_value_for_each_link(self) -> Self:
+        for place, table, keys in (
+            ("gravity", self.gravity, ("link_masses_kg", "center_of_mass")),
+            ("calibration", self.calibration, ("length_errors_mm", "joint_offsets_deg")),
+        ):
+            for key in keys:
+                if (values := getattr(table, key, None)) is not None:
+                    _require_count(f"{place}.{key}", values, len(self.links_mm))
+        return self
+
+    @model_validator(mode="after")
+    def _calibrated_lengths_are_positive(self) -> Self:
+        errors = [] if self.calibration is None else self.calibration.length_errors_mm
+        for j, (length, error) in enumerate(zip(self.links_mm, errors, strict=False), start=1):
+            if length + error <= 0.0:
+                found = f"found {error:g} for link {j} of {length:g} mm"
+                raise InputError(f"calibration.length_errors_mm: {found}, allowed: more than {-length:g}")
+        return self
+
+
+def _require_count(key: str, values: list[Any], count: int, what: str = "values for", whose: str = "links") -> None:
+    if len(values) != count:
+        raise InputError(f"{key}: found {len(values)} {what} {count} {whose}, allowed: {count}")
 
 
 _CONSTRAINTS: dict[str, type[BaseModel]] = {

@@ -1,4 +1,4 @@
-"""CSV tables: columns of text, turned into numbers with complaints that name file, row, column and what is allowed."""
+"""CSV tables: columns of text converted to numbers; errors name file, row, column and what is allowed."""
 
 from __future__ import annotations
 
@@ -114,13 +114,12 @@ def _header(path: PathLike, content: bytes) -> list[str]:
         if separator in first and "," not in first:
             raise InputError(f"{path}: columns are separated by {name}, allowed: commas (and points in the numbers)")
     header = [cell.strip() for cell in next(csv.reader([first]))]
-    if any(_is_number(cell) for cell in header):
-        found = next(cell for cell in header if _is_number(cell))
-        raise InputError(f"{path}: line 1 has the number {found!r}, allowed: the names of the columns")
-    named = [cell for cell in header if cell]
-    for column in named:
-        if named.count(column) > 1:
-            raise InputError(f"{path}: column {column!r} is there {named.count(column)} times, allowed: once")
+    for cell in header:
+        if _is_number(cell):
+            raise InputError(f"{path}: line 1 has the number {cell!r}, allowed: the names of the columns")
+    for cell in filter(None, header):
+        if header.count(cell) > 1:
+            raise InputError(f"{path}: column {cell!r} is there {header.count(cell)} times, allowed: once")
     return header
 
 

@@ -1,4 +1,4 @@
-"""Reading and writing files: whole or not at all, and every complaint says which file, where, and what is allowed."""
+"""Reading and writing whole files; every error names the file, the place in it, and what is allowed."""
 
 from __future__ import annotations
 

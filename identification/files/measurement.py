@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array
 from identification.errors import InputError, nearest
-from identification.files.csv import Table, read_table
+from identification.files.csv import Table, Test, read_table
 from identification.files.io import PathLike
 from identification.measurements import Measurements
 
@@ -86,19 +86,19 @@ def read_postures(table: Table, links: int | None = None) -> Array:
         if joint == following:
             raise InputError(f"{table.path}: found both q{joint}_deg and q{joint}_rad, allowed: one of them")
         if joint > n:
-            raise InputError(
-                f"{table.path}: found column {column}, but the arm has {n} links, allowed: q1_deg to q{n}_deg"
-            )
+            found = f"found column {column}, but the arm has {n} links"
+            raise InputError(f"{table.path}: {found}, allowed: q1_deg to q{n}_deg")
     if n > MAX_LINKS:
         raise InputError(f"{table.path}: found column {columns[-1]}, allowed: 1 to {MAX_LINKS} joints")
     table.require(f"q{j}_deg" for j in range(1, n + 1) if j not in joints)
-    postures = np.empty((len(table), n))
-    for j, column in enumerate(columns):
-        in_degrees = column.endswith("_deg")
-        most = LARGEST_ANGLE if in_degrees else np.radians(LARGEST_ANGLE)
-        values = _up_to(table, column, "a finite angle", most)
-        postures[:, j] = np.radians(values) if in_degrees else values
-    return postures
+    return np.column_stack([_radians(table, column) for column in columns])
+
+
+def _radians(table: Table, column: str) -> Array:
+    """(m,) column `q1_rad`, or `q1_deg` converted."""
+    if column.endswith("_rad"):
+        return _up_to(table, column, "a finite angle", np.radians(LARGEST_ANGLE))
+    return np.radians(_up_to(table, column, "a finite angle", LARGEST_ANGLE))
 
 
 def _up_to(table: Table, column: str, allowed: str, most: float) -> Array:
@@ -145,32 +145,28 @@ def read_conditions(table: Table, n: int) -> dict[str, Array | None]:
 
 
 # -- columns of measurements ------------------------------------------------------------------------------------------
-def _millimetres(table: Table, name: str) -> Array:
-    """(m,) column `x_mm`, or `x_m` converted."""
+def _unit(table: Table, name: str) -> tuple[str, float]:
+    """Unit of the column of a length, `x_mm` or `x_m`, and the factor from it to millimetres."""
     if f"{name}_mm" in table and f"{name}_m" in table:
         raise InputError(f"{table.path}: found both {name}_mm and {name}_m, allowed: one of them")
-    if f"{name}_m" in table:
-        return _up_to(table, f"{name}_m", "a finite length", LARGEST_LENGTH / 1000.0) * 1000.0
-    return _up_to(table, f"{name}_mm", "a finite length", LARGEST_LENGTH)
+    return ("m", 1000.0) if f"{name}_m" in table else ("mm", 1.0)
+
+
+def _millimetres(table: Table, name: str) -> Array:
+    """(m,) column `x_mm`, or `x_m` converted."""
+    unit, factor = _unit(table, name)
+    return _up_to(table, f"{name}_{unit}", "a finite length", LARGEST_LENGTH / factor) * factor
 
 
 def _sigma(table: Table) -> Array | None:
-    if "sigma_m" in table and "sigma_mm" in table:
-        raise InputError(f"{table.path}: found both sigma_mm and sigma_m, allowed: one of them")
-    low, high = SIGMA_RANGE
-    metres = _optional(
-        table, "sigma_m", f"> 0 [m], {low / 1000.0:g} to {high / 1000.0:g}", lambda v: _within(v * 1000.0, SIGMA_RANGE)
-    )
-    millimetres = _optional(table, "sigma_mm", f"> 0 [mm], {low:g} to {high:g}", lambda v: _within(v, SIGMA_RANGE))
-    return millimetres if metres is None else metres * 1000.0
+    (unit, factor), (low, high) = _unit(table, "sigma"), SIGMA_RANGE
+    allowed = f"> 0 [{unit}], {low / factor:g} to {high / factor:g}"
+    values = _optional(table, f"sigma_{unit}", allowed, lambda v: (v * factor >= low) & (v * factor <= high))
+    return None if values is None else values * factor
 
 
-def _within(values: Array, limits: tuple[float, float]) -> NDArray[np.bool_]:
-    return (values >= limits[0]) & (values <= limits[1])
-
-
-def _optional(table: Table, column: str, allowed: str, test: object = None) -> Array | None:
-    return table.floats(column, f"a number {allowed}", test) if column in table else None  # type: ignore[arg-type]
+def _optional(table: Table, column: str, allowed: str, test: Test) -> Array | None:
+    return table.floats(column, f"a number {allowed}", test) if column in table else None
 
 
 def _order(table: Table) -> Array | None:

@@ -14,7 +14,8 @@ from doe.jobs.row_table import Key, Row
 from doe.problem.problem import DesignProblem
 from doe.studies.monte_carlo.specification import DFT, RANDOM, Study
 from identification.arm import Arm
-from identification.files.arm import arm_from_tables, dump_arm
+from identification.files.arm import arm_from_tables
+from identification.files.arm_text import dump_arm
 from identification.model import Model
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from doe.studies.monte_carlo.replications import Cell, replicate
 from doe.studies.monte_carlo.specification import CELL, Study
 from doe.studies.monte_carlo.summary import pooled
 from identification.errors import JobError
-from identification.files.arm import dump_arm
+from identification.files.arm_text import dump_arm
 from identification.files.io import PathLike
 from identification.progress import Progress, silent
 

@@ -1,0 +1,158 @@
+"""Arm files, writing: `Arm` -> TOML in millimetres and degrees; effects and calibrations into a user's own text."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import tomlkit
+
+from identification.arm import Arm, Calibration, Constraint, EffectSpec, KeepOutCircle, WorkspaceBox
+from identification.arrays import Array
+from identification.errors import InputError, nearest
+from identification.files.arm import FileName, arm_from_tables, built, effects_of, file_names
+from identification.files.arm_schema import ArmFile, validated
+from identification.files.toml import Plain, append_tables, replace_table
+
+if TYPE_CHECKING:
+    from identification.effects import Effect
+
+
+def dump_arm(arm: Arm) -> str:
+    """The text of an arm file for `arm`; `load_arm` reads the same arm from it, to rounding (1e-14)."""
+    tables: Plain = {
+        "name": arm.name,
+        "links_mm": arm.lengths.tolist(),
+        "joint_limits_deg": {"lower": _degrees(arm.lower), "upper": _degrees(arm.upper)},
+    }
+    if arm.sigma is not None:
+        tables["measurement"] = {"sigma_mm": float(arm.sigma)}
+    if arm.gravity is not None:
+        tables["gravity"] = {
+            "acceleration_m_s2": _floats(arm.gravity.acceleration),
+            "link_masses_kg": _floats(arm.gravity.link_masses),
+            "center_of_mass": _floats(arm.gravity.center_of_mass),
+            "payload_kg": float(arm.gravity.payload),
+        }
+    if arm.constraints:
+        tables["constraints"] = [_constraint_table(constraint) for constraint in arm.constraints]
+    text = with_effects(tomlkit.dumps(tables), arm.effects)
+    return text if arm.calibration is None else with_calibration(text, arm.calibration)
+
+
+def with_effects(text: str, specs: Iterable[EffectSpec]) -> str:
+    """`text` of an arm file with `[[effects]]` entries added for those of `specs` that it does not have yet.
+
+    Values of the specs (API units) are written in file units, and so become known. Comments and order of the text stay.
+    Raises `InputError` for effects that the arm cannot have.
+    """
+    text, _, file = _parsed(text)
+    there = {effect.label for _, effect in effects_of(file)}
+    wanted = built(specs, len(file.links_mm))
+    tables = [_effect_table(spec, effect) for spec, effect in wanted if effect.label not in there]
+    return append_tables(text, "effects", tables) if tables else text
+
+
+def with_calibration(text: str, calibration: Calibration) -> str:
+    """`text` of an arm file with its `[calibration]` replaced or added; comments and order of the rest stay.
+
+    Effects with estimated values must stand under `[[effects]]` of the text: see `with_effects`. Raises `InputError`
+    for a calibration of another number of links, or of effects the text does not have.
+    """
+    text, before, file = _parsed(text)
+    tables = _calibration_table(calibration, file_names(len(file.links_mm), effects_of(file)))
+    arm_from_tables({**before, "calibration": tables})  # nothing is written that could not be read again
+    return replace_table(text, "calibration", tables)
+
+
+def _parsed(text: str) -> tuple[str, Plain, ArmFile]:
+    """The text without a byte-order mark, its tables, and the file that they describe without a calibration."""
+    text = text.removeprefix("\ufeff")
+    tables = tomllib.loads(text)
+    return text, tables, validated({key: value for key, value in tables.items() if key != "calibration"})
+
+
+# -- tables, as plain Python in file units --------------------------------------------------------------------
+def _floats(values: Any) -> list[float]:
+    return [float(value) for value in values]
+
+
+def _tidy(value: float) -> float:
+    """15 significant digits: 30 rather than 29.999999999999996, and the same angle in radians to rounding."""
+    return float(f"{value:.15g}")
+
+
+def _degrees(radians: Any) -> list[float]:
+    return [_tidy(value) for value in np.degrees(radians)]
+
+
+def _constraint_table(constraint: Constraint) -> Plain:
+    if isinstance(constraint, WorkspaceBox):
+        return {"kind": "workspace_box", "x_mm": _floats(constraint.x), "y_mm": _floats(constraint.y)}
+    if isinstance(constraint, KeepOutCircle):
+        center = _floats(constraint.center)
+        return {"kind": "keep_out_circle", "center_mm": center, "radius_mm": float(constraint.radius)}
+    return {
+        "kind": "line_of_sight",
+        "tracker_mm": _floats(constraint.tracker),
+        "half_angle_deg": _tidy(math.degrees(constraint.half_angle)),
+        "toward_mm": _floats(constraint.toward),
+    }
+
+
+def _effect_table(spec: EffectSpec, effect: Effect) -> Plain:
+    entry: Plain = {"name": spec.name} if spec.joint is None else {"name": spec.name, "joint": int(spec.joint)}
+    parameters = {p.short: p for p in effect.parameters}
+    for short, value in spec.values.items():
+        if short in parameters:
+            entry[parameters[short].toml_key] = _in_file(value, parameters[short].to_file)
+        else:  # a setting, a whole number
+            entry[short] = int(value)
+    return entry
+
+
+def _in_file(value: float, factor: float) -> float:
+    return float(value) if factor == 1.0 else _tidy(float(value) * factor)
+
+
+def _calibration_table(calibration: Calibration, names: list[FileName]) -> Plain:
+    by_api = {name.api: name for name in names}
+    for api in (*calibration.effects, *calibration.parameter_names):
+        if api not in by_api:
+            raise InputError(f"calibration: unknown parameter {api!r}, {nearest(api, by_api)}")
+    tables: Plain = {
+        "length_errors_mm": _floats(calibration.length_errors),
+        "joint_offsets_deg": _degrees(calibration.joint_offsets),
+    }
+    order = [by_api[api] for api in calibration.parameter_names]
+    if order:
+        tables["parameters"] = [name.file for name in order]
+    if calibration.covariance is not None:
+        tables["covariance"] = _covariance(calibration.covariance, [name.factor for name in order])
+    if effects := calibration.effects:
+        tables["effects"] = {by_api[api].file: _in_file(value, by_api[api].factor) for api, value in effects.items()}
+    if calibration.provenance:
+        tables["provenance"] = _plain(calibration.provenance)
+    return tables
+
+
+def _covariance(covariance: Array, factors: list[float]) -> list[list[float]]:
+    rows = zip(factors, covariance, strict=True)
+    return [[_in_file(v, f * g) for g, v in zip(factors, row, strict=True)] for f, row in rows]
+
+
+def _plain(value: Any) -> Any:
+    """`value` in TOML's types; what TOML cannot say (None) and what must not be said (NaN) is left out."""
+    if isinstance(value, Mapping):
+        items = {str(key): _plain(item) for key, item in value.items()}
+        return {key: item for key, item in items.items() if item is not None}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [item for item in map(_plain, value) if item is not None]
+    if isinstance(value, float) and math.isnan(value):
+        return None
+    return value
