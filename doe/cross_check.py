@@ -35,37 +35,27 @@ class CrossCheck:
 
     def rows(self) -> list[dict[str, Any]]:
         """Method, space, attained value, upper bound, Table I residual of the (weighted) plan."""
-        found = [("relaxation", "candidates", self.relaxed)]
-        if self.continuous is not None:
-            found.append(("column generation", "all postures", self.continuous))
+        found: list[tuple[str, str, ApproximateDesign | Design | None]] = [
+            ("relaxation", "candidates", self.relaxed),
+            ("column generation", "all postures", self.continuous),
+            ("exact plan", f"{len(self.exact.plan)} runs", self.exact),
+        ]
         rows: list[dict[str, Any]] = [
             {
                 "method": f"{name}, {design.solver}",
                 "space": space,
                 "value": design.value,
                 "bound": None if design.bound is None else design.bound.value,
-                "table_1_max_residual": residual(self.exact.problem, design),
+                "table_1_max_residual": Design(self.exact.problem, design.plan).table_1_max_residual,
             }
             for name, space, design in found
+            if design is not None
         ]
-        rows.append(
-            {
-                "method": f"exact plan, {self.exact.solver}{self.cut}",
-                "space": f"{len(self.exact.plan)} runs",
-                "value": self.exact.value,
-                "bound": None if self.exact.bound is None else self.exact.bound.value,
-                "table_1_max_residual": self.exact.table_1_max_residual,
-            }
-        )
+        rows[-1]["method"] += self.cut
         if self.closed_form is not None:
             theorem = {"method": "closed form", "space": "all postures", "value": self.closed_form}
             rows.append(theorem | {"bound": self.closed_form, "table_1_max_residual": None})
         return rows
-
-
-def residual(problem: DesignProblem, design: ApproximateDesign) -> float | None:
-    """Table I residual of a weighted plan."""
-    return Design(problem, design.plan).table_1_max_residual
 
 
 def cross_check(

@@ -20,6 +20,7 @@ from identification.files.arm_text import with_calibration, with_effects
 from identification.files.io import write_whole
 from identification.files.measurement import load_measurements, measurement_text
 from identification.gap.diagnose import diagnose
+from identification.gap.holdout import rms_distance
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model
@@ -82,12 +83,12 @@ class Demo:
     @property
     def drawing_gap(self) -> float:
         """RMS distance between the drawing and the fresh measurements [mm]."""
-        return rms(Model(self.arm).position(self.fresh.postures) - self.fresh.positions)
+        return rms_distance(Model(self.arm).position(self.fresh.postures) - self.fresh.positions)
 
     def gap(self, found: Identification) -> float:
         """RMS distance [mm] between a fitted model and the fresh measurements."""
         predicted = found.model.position(self.fresh.postures, found.parameters, self.fresh.conditions)
-        return rms(predicted - self.fresh.positions)
+        return rms_distance(predicted - self.fresh.positions)
 
 
 def true_values(truth: Arm) -> dict[str, float]:
@@ -98,17 +99,12 @@ def true_values(truth: Arm) -> dict[str, float]:
     return defaultdict(float, known)
 
 
-def rms(residuals: Array) -> float:
-    """Root mean square over rows of the distance [mm]."""
-    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
-
-
 def run_demo(directory: Path, seed: int = 0, progress: Progress = silent) -> Demo:
     """Make the files and results of the demo in a directory that exists."""
-    steps = iter(("arm files", "plan", "measurements", "identification", "diagnosis", "identification again", "page"))
+    steps = ("arm files", "plan", "measurements", "identification", "diagnosis", "identification again", "page")
 
     def step(done: int) -> None:
-        progress(done, 7, next(steps))
+        progress(done, len(steps), steps[done])
 
     step(0)
     write_whole(directory / "arm.toml", ARM, force=True)

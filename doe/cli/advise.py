@@ -8,6 +8,7 @@ import click
 
 from doe.cli.common import Answer, Session, verb
 from doe.cli.options import FILE, Output, Seconds, output_options
+from identification.errors import InputError
 
 
 @verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")
@@ -36,8 +37,6 @@ def command(session: Session, arm: Path, runs: str, target_mm: float | None, sec
 
 def run_range(text: str, fewest: int) -> range:
     """`A:B` or `A`, both ends included. The part below the fewest possible runs is left out if B is possible."""
-    from identification.errors import InputError
-
     parts = text.split(":")
     if not 1 <= len(parts) <= 2 or not all(part.strip().isdigit() for part in parts):
         raise InputError(f"--runs: {text!r}, allowed: A:B or A with whole numbers, such as 4:40")

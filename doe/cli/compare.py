@@ -12,6 +12,7 @@ import click
 from doe.cli.common import Answer, Session, verb
 from doe.cli.jobs import JobOptions, interruptible, job_options, one_thread_each
 from doe.cli.options import FILE, Seconds, grouped
+from identification.errors import InputError
 
 if TYPE_CHECKING:
     import polars
@@ -90,7 +91,6 @@ def command(session: Session, arms: tuple[Path, ...], compared: ComparisonOption
     from doe.jobs.row_table import RowTable
     from doe.report.comparison import comparison_tables
     from doe.studies.comparison import compare, summary
-    from identification.errors import InputError
     from identification.files.arm import load_arm
 
     if job.resume and job.out is None:
@@ -113,30 +113,23 @@ def command(session: Session, arms: tuple[Path, ...], compared: ComparisonOption
 
 def rows_file(out: Path | None) -> Path | None:
     """Where the rows stand: in the folder `out`, which is made, or `out` itself if it is a Parquet file."""
-    from identification.errors import InputError
 
-    if out is None or out.suffix == ".parquet":
-        return out
-    try:
-        out.mkdir(exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be made ({error.strerror}), allowed: a folder in an existing one") from None
-    return out / "rows.parquet"
+    from doe.jobs.row_table import made
+
+    return out if out is None or out.suffix == ".parquet" else made(out) / "rows.parquet"
 
 
 def write_results(out: Path, rows: polars.DataFrame) -> None:
     """Summary and pictures beside the rows."""
-    import io
-
+    from doe.jobs.row_table import parquet
     from doe.report.comparison import profile_figure, time_figure
     from doe.report.page import svg
     from doe.studies.comparison import summary
     from identification.files.io import PathLike, write_together
 
-    buffer = io.BytesIO()
-    summary(rows).write_parquet(buffer)
-    pictures: dict[PathLike, str | bytes] = {
+    files: dict[PathLike, str | bytes] = {
+        out / "summary.parquet": parquet(summary(rows)),
         out / "profile.svg": svg(profile_figure(rows)),
         out / "time.svg": svg(time_figure(rows)),
     }
-    write_together({out / "summary.parquet": buffer.getvalue(), **pictures}, force=True)
+    write_together(files, force=True)

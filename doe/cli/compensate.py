@@ -8,6 +8,7 @@ import click
 
 from doe.cli.common import Answer, Session, verb
 from doe.cli.options import FILE, Output, output_options
+from identification.errors import InputError
 
 
 @verb("armcal compensate calibrated.toml targets.csv --out commands.csv")
@@ -18,7 +19,6 @@ def command(session: Session, calibrated: Path, targets: Path, output: Output) -
     """Joint commands that reach TARGETS (x_mm,y_mm or nominal q1_deg..) on the CALIBRATED arm."""
     from doe.report.identification_tables import compensation_tables
     from identification.compensate import compensate
-    from identification.errors import InputError
     from identification.files.arm import load_arm
     from identification.files.target import commands_text, load_targets
 

@@ -8,6 +8,7 @@ import click
 
 from doe.cli.common import Answer, Session, verb
 from doe.cli.options import FILE, force_option
+from identification.errors import InputError, JobError
 
 
 @verb("armcal demo --out my-demo")
@@ -19,7 +20,6 @@ def command(session: Session, out: Path | None, force: bool) -> Answer:
     from doe.report.demo_overview import overview_figure
     from doe.report.demo_page import demo_data, demo_page, demo_tables
     from doe.report.pictures import save
-    from identification.errors import JobError
     from identification.files.io import write_whole
 
     directory = next_free(Path("armcal-demo")) if out is None else out
@@ -44,8 +44,6 @@ def next_free(path: Path) -> Path:
 
 def make_directory(directory: Path, force: bool) -> None:
     """Create the directory; one with files in it needs --force."""
-    from identification.errors import InputError
-
     if directory.is_file():
         raise InputError(f"{directory}: is a file, allowed: a directory")
     if directory.exists() and any(directory.iterdir()) and not force:

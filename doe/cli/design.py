@@ -11,6 +11,7 @@ import click
 from doe.cli.common import Answer, Session, verb
 from doe.cli.options import FILE, Output, Seconds, grouped, output_options
 from doe.cli.problems import CriterionOptions, PostureOptions, criterion_options, posture_options
+from identification.errors import InputError
 
 if TYPE_CHECKING:
     from doe.design import Design
@@ -89,12 +90,7 @@ def _searched(
     """The design, and what a discriminating one adds to the JSON object and to what is shown."""
     from doe.solvers import solve
 
-    effort: dict[str, Any] = {
-        "solver": search.solver,
-        "seed": session.seed,
-        "starts": search.starts,
-        "seconds": search.seconds,
-    }
+    effort = search.effort | {"seed": session.seed}
     with session.progress("design") as progress:
         if not search.discriminating:
             return solve(problem, search.runs, progress=progress, **effort), {}, []
@@ -118,8 +114,6 @@ def _ordered(design: Design, order: str, seed: int, data: dict[str, Any], extra:
 
 def check_used(context: click.Context) -> None:
     """Raises `InputError` for a number that is given without the option it belongs to."""
-    from identification.errors import InputError
-
     for name, needed in (("loss", "discriminating"), ("draws", "uncertain")):
         given = context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
         if given and not context.params[needed]:

@@ -8,6 +8,7 @@ import click
 
 from doe.cli.common import Answer, Session, read_measurements, verb
 from doe.cli.options import FILE, Output, output_options
+from identification.errors import InputError
 
 
 @verb("armcal discriminate arm.toml data.csv --runs 4 --payloads 0,5,10 --out next.csv")
@@ -20,7 +21,6 @@ def command(session: Session, arm: Path, data: Path, runs: int, payloads: str | 
     """The next RUNS postures, to distinguish the candidates of an ambiguous diagnosis, and their chance of success."""
     from doe.discrimination.t_optimal import discriminate
     from doe.report.next_postures import missing_payload, next_data, next_tables, next_text
-    from identification.errors import InputError
     from identification.files.arm import load_arm
     from identification.gap.diagnose import diagnose
 
@@ -46,8 +46,6 @@ def command(session: Session, arm: Path, data: Path, runs: int, payloads: str | 
 
 def payload_list(text: str) -> tuple[float, ...]:
     """`0,5,10` as numbers >= 0 [kg]."""
-    from identification.errors import InputError
-
     try:
         masses = tuple(float(word) for word in text.split(","))
     except ValueError:

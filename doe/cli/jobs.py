@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING
 import click
 
 from doe.cli.options import FILE, Decorator, force_option, grouped
+from identification.errors import JobError
 
 if TYPE_CHECKING:
     from doe.jobs.workers import Workers
-
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -56,15 +55,15 @@ def one_thread_each() -> None:
 
     Matrices here are small: more threads cost time (five times, measured), and the tasks use the cores already.
     """
-    for name in THREADS:
-        os.environ.setdefault(name, "1")
+    from doe.jobs.isolated import SINGLE_THREAD
+
+    for name, number in SINGLE_THREAD.items():
+        os.environ.setdefault(name, number)
 
 
 @contextmanager
 def interruptible(out: Path | None) -> Iterator[None]:
     """Ctrl-C as a sentence that says what is kept, and how to go on."""
-    from identification.errors import JobError
-
     try:
         yield
     except KeyboardInterrupt:

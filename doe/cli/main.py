@@ -82,18 +82,6 @@ def main() -> None:
     """
 
 
-for module in (
-    demo,
-    design,
-    score,
-    advise,
-    compare,
-    relax,
-    study,
-    simulate,
-    identify,
-    diagnose,
-    discriminate,
-    compensate,
-):
+VERBS = (demo, design, score, advise, compare, relax, study, simulate, identify, diagnose, discriminate, compensate)
+for module in VERBS:
     main.add_command(module.command)

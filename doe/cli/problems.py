@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from doe.cli.options import FILE, Decorator, grouped
+from identification.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from doe.criteria import Criterion
@@ -91,9 +92,12 @@ def _restrictions(arm: Arm, postures: PostureOptions) -> dict[str, Any]:
     """Arguments of `DesignProblem.of`, those left out not among them."""
     import numpy as np
 
+    from identification.files.csv import read_table
+    from identification.files.measurement import read_postures
+
     options: dict[str, Any] = {}
     if postures.keep is not None:
-        options["kept"] = measured_postures(postures.keep, arm)
+        options["kept"] = read_postures(read_table(postures.keep), arm.links)  # measurements, or a plan carried out
     if postures.candidates is not None:
         options["choices"] = allowed_postures(postures.candidates, arm)
     if postures.repeats or postures.minimum_distance_deg is not None:
@@ -119,7 +123,6 @@ def _criterion(wanted: CriterionOptions, model: Model, problem: DesignProblem) -
 def check_needed(wanted: CriterionOptions) -> None:
     """Raises `InputError` for an option that the criterion would ignore."""
     from doe.criteria import NAMES
-    from identification.errors import InputError
 
     name = wanted.criterion
     for option, given, needed in (("--test-poses", wanted.test_poses, "I"), ("--subset", wanted.subset, "Ds")):
@@ -132,7 +135,6 @@ def allowed_postures(path: Path, arm: Arm) -> Any:
     from doe.plan.file import load_plan
     from doe.problem.candidates import listed
     from doe.problem.problem import DesignProblem
-    from identification.errors import InputError
     from identification.model import Model
 
     postures = load_plan(path, arm.links).postures
@@ -143,18 +145,8 @@ def allowed_postures(path: Path, arm: Arm) -> Any:
     return postures
 
 
-def measured_postures(path: Path, arm: Arm) -> Any:
-    """(k, n) postures of a measurement file, or of a plan that is carried out already."""
-    from identification.files.csv import read_table
-    from identification.files.measurement import read_postures
-
-    return read_postures(read_table(path), arm.links)
-
-
 def indices(text: str, names: tuple[str, ...]) -> list[int]:
     """Parameter names, separated by commas, as indices; raises `InputError` with the nearest name."""
-    from identification.errors import InputError, nearest
-
     wanted = [word.strip() for word in text.split(",")]
     for word in wanted:
         if word not in names:

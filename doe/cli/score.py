@@ -10,6 +10,7 @@ import click
 
 from doe.cli.common import Answer, Session, verb
 from doe.cli.options import FILE, Output, output_options
+from identification.errors import InputError
 
 if TYPE_CHECKING:
     from doe.design import Design
@@ -46,7 +47,6 @@ def _scored(arm: Arm, given: Plan, path: Path) -> Design:
     """The plan judged. Raises `InputError` if it has too few runs; warns of runs that the arm cannot do."""
     from doe.design import score_plan
     from doe.problem.problem import DesignProblem
-    from identification.errors import InputError
     from identification.model import Model
 
     problem = DesignProblem.of(Model(arm))
@@ -65,7 +65,6 @@ def _preflight(
 ) -> tuple[dict[str, Any] | None, list[Any]]:
     """Which effects the plan could show, as JSON and as tables; the picture of those that are alike is written."""
     from doe.report.detectability_tables import preflight_tables
-    from identification.errors import InputError
     from identification.gap.detectability import detectability
 
     try:

@@ -10,6 +10,7 @@ import click
 
 from doe.cli.common import Answer, Session, verb
 from doe.cli.options import FILE, force_option
+from identification.errors import InputError
 
 if TYPE_CHECKING:
     from identification.arm import Arm
@@ -29,7 +30,6 @@ def command(session: Session, arm: Path, plan: Path, truth: Path, out: Path, for
     import numpy as np
 
     from doe.plan.file import load_plan, load_plan_conditions
-    from identification.errors import InputError
     from identification.files.arm import load_arm
     from identification.files.io import write_whole
     from identification.files.measurement import measurement_text

@@ -9,6 +9,7 @@ import click
 
 from doe.cli.common import Answer, Session, verb
 from doe.cli.jobs import JobOptions, interruptible, job_options, one_thread_each
+from identification.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from doe.jobs.workers import Workers
@@ -51,7 +52,6 @@ def command(session: Session, study: str, replications: int | None, job: JobOpti
     notebooks read them with polars.
     """
     one_thread_each()
-    from identification.errors import InputError, nearest
 
     if study not in BUILT_IN and not study.endswith(".toml"):
         raise InputError(f"study: unknown name {study!r}, {nearest(study, BUILT_IN)}, or a file NAME.toml")

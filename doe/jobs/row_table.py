@@ -7,6 +7,7 @@ key, floats to the last bit); `finish` turns both into the Parquet file. After a
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -78,14 +79,8 @@ class RowTable:
         cls, folder: PathLike | None, name: str, *, resume: bool = False, force: bool = False
     ) -> Iterator[RowTable]:
         """The table NAME in a folder, which is made; None keeps the rows in memory. As `open` otherwise."""
-        if folder is not None:
-            try:
-                Path(folder).mkdir(exist_ok=True)
-            except OSError as error:
-                raise InputError(
-                    f"{folder}: cannot be made ({error.strerror}), allowed: a folder in another one"
-                ) from None
-        with cls.open(None if folder is None else Path(folder) / name, resume=resume, force=force) as table:
+        path = None if folder is None else made(folder) / name
+        with cls.open(path, resume=resume, force=force) as table:
             yield table
 
     def add(self, key: Key, rows: Sequence[Row]) -> None:
@@ -117,9 +112,7 @@ class RowTable:
     def _finish(self) -> None:
         assert self._journal is not None
         if self.rows:
-            buffer = io.BytesIO()
-            self.frame().write_parquet(buffer)
-            write_whole(self.path, buffer.getvalue(), force=True)
+            write_whole(self.path, parquet(self.frame()), force=True)
         journal_of(self.path).unlink(missing_ok=True)
 
 
@@ -134,6 +127,23 @@ def frame_of(rows: Sequence[Row]) -> polars.DataFrame:
     return polars.DataFrame({name: polars.Series(name, values, strict=False) for name, values in columns.items()})
 
 
+def parquet(frame: polars.DataFrame) -> bytes:
+    """The content of the frame's Parquet file."""
+    buffer = io.BytesIO()
+    frame.write_parquet(buffer)
+    return buffer.getvalue()
+
+
+def with_columns(frame: polars.DataFrame, types: Mapping[str, Any]) -> polars.DataFrame:
+    """The frame with columns of these names and types; one that no row has is there, empty."""
+    import polars as pl
+
+    def column(name: str, kind: Any) -> pl.Expr:
+        return pl.col(name).cast(kind) if name in frame.columns else pl.lit(None, kind)
+
+    return frame.with_columns(column(name, kind).alias(name) for name, kind in types.items())
+
+
 def read_rows(path: PathLike) -> polars.DataFrame:
     """The rows of a table, also of one that is being written or was interrupted. Raises `InputError` if none."""
     target, journal = Path(path), journal_of(Path(path))
@@ -144,6 +154,20 @@ def read_rows(path: PathLike) -> polars.DataFrame:
         with open(journal, "rb") as stream:
             rows |= _parse(stream.read())[0]
     return frame_of([row for found in rows.values() for row in found])
+
+
+def made(folder: PathLike) -> Path:
+    """A folder to write into, which is made if it is not there. Raises `InputError`."""
+    try:
+        Path(folder).mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}), allowed: a folder in an existing one") from None
+    return Path(folder)
+
+
+def short_hash(content: str | bytes) -> str:
+    """Twelve digits that stand for a long input in the keys of tasks."""
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()[:12]
 
 
 def journal_of(path: Path) -> Path:
@@ -190,10 +214,7 @@ def _from_parquet(path: Path) -> dict[str, list[Row]]:
         raise InputError(f"{path}: not a Parquet file ({str(error).splitlines()[0]})") from None
     if KEY not in frame.columns:
         raise InputError(f"{path}: has no column {KEY!r}, allowed: a table written by armcal")
-    rows: dict[str, list[Row]] = {}
-    for row in frame.iter_rows(named=True):
-        rows.setdefault(row[KEY], []).append(row)
-    return rows
+    return dict(frame.rows_by_key(KEY, named=True, include_key=True))
 
 
 def _from_journal(stream: IO[bytes]) -> dict[str, list[Row]]:

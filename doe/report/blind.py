@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import polars as pl
+from matplotlib.figure import Figure
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
 from doe.report.pictures import save
 from doe.report.terminal import table
+from doe.studies.blind.score import BlindStudy
 from identification.arrays import Array
-
-if TYPE_CHECKING:
-    import polars
-    from matplotlib.figure import Figure
-
-    from doe.studies.blind.score import BlindStudy
 
 COLUMNS = {
     "alarm": "alarm",
@@ -39,7 +36,7 @@ def blind_tables(found: BlindStudy) -> list[Any]:
     return [str(found), cell_table(found.cells), *further_tables(found.cells), bar_table(found.bars), *mistakes(found)]
 
 
-def cell_table(cells: polars.DataFrame) -> Table:
+def cell_table(cells: pl.DataFrame) -> Table:
     """One row per cell, with the largest standard error of its rates; each figure's own is in the file."""
     headings = ["hidden", "sets", *COLUMNS.values(), "+-"]
     rows = map(_cell_row, cells.partition_by("cell", maintain_order=True))
@@ -48,7 +45,7 @@ def cell_table(cells: polars.DataFrame) -> Table:
     )
 
 
-def _cell_row(part: polars.DataFrame) -> list[str]:
+def _cell_row(part: pl.DataFrame) -> list[str]:
     figures = {row["measure"]: row for row in part.iter_rows(named=True)}
     shown = ("" if name not in figures else f"{figures[name]['value']:.3f}" for name in COLUMNS)
     error = max(row["standard_error"] for name, row in figures.items() if name in RATES)
@@ -62,7 +59,7 @@ def with_error(row: dict[str, Any]) -> str:
     return f"{value}({error:.0f})" if np.isfinite(error) else value
 
 
-def further_tables(cells: polars.DataFrame) -> list[Table]:
+def further_tables(cells: pl.DataFrame) -> list[Table]:
     """What further postures make of ambiguous sets."""
     rows = {row["measure"]: row for row in cells.iter_rows(named=True) if row["measure"].split(" ")[0] in WAYS}
     if not rows:
@@ -88,7 +85,7 @@ WAYS = {
 }
 
 
-def bar_table(bars: polars.DataFrame) -> Table:
+def bar_table(bars: pl.DataFrame) -> Table:
     """What is asked and how it came out."""
     rows = (
         [row["cell"], row["measure"], row["asked"], with_error(row), Text(row["outcome"], COLORS[row["outcome"]])]
@@ -119,10 +116,8 @@ def write_pictures(folder: Path, found: BlindStudy) -> None:
         save(confusion_figure(found.confusion), folder / "confusion.png", force=True)
 
 
-def confusion_figure(confusion: polars.DataFrame) -> Figure:
+def confusion_figure(confusion: pl.DataFrame) -> Figure:
     """Share of the sets with a class hidden (row) in which a class was named (column); single classes only."""
-    from matplotlib.figure import Figure
-
     rows, columns, shares, totals = matrix(confusion)
     figure = Figure(figsize=(1.5 + 0.55 * len(columns), 1.8 + 0.42 * len(rows)), layout="constrained")
     axes = figure.add_subplot()
@@ -139,7 +134,7 @@ def confusion_figure(confusion: polars.DataFrame) -> Figure:
     return figure
 
 
-def matrix(confusion: polars.DataFrame) -> tuple[list[str], list[str], Array, list[int]]:
+def matrix(confusion: pl.DataFrame) -> tuple[list[str], list[str], Array, list[int]]:
     """Row names, column names, shares and row totals; sets with several effects hidden are left out."""
     counts = {(row["hidden"], row["named"]): row["count"] for row in confusion.iter_rows(named=True)}
     hidden = _ordered({a for a, _ in counts if " + " not in a})

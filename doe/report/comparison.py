@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import polars as pl
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from rich.table import Table
 
 from doe.report.terminal import table
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from identification.arrays import Array
-
-if TYPE_CHECKING:
-    import polars
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 FLOOR = 1e-9  # losses below this are shown there
 MOST = 10  # failures shown
@@ -23,7 +23,7 @@ Setting = tuple[str, int]  # solver and starts
 Curve = tuple[Array, Array]  # x and y of a step function
 
 
-def comparison_tables(rows: polars.DataFrame) -> list[Any]:
+def comparison_tables(rows: pl.DataFrame) -> list[Any]:
     """One table per problem, the best setting first, and what went wrong."""
     shown: list[Any] = []
     found = summary(rows)
@@ -36,10 +36,8 @@ def comparison_tables(rows: polars.DataFrame) -> list[Any]:
     return [*shown, *_failures(rows)]
 
 
-def _failures(rows: polars.DataFrame) -> list[str]:
+def _failures(rows: pl.DataFrame) -> list[str]:
     """What went wrong, equal sentences once."""
-    import polars as pl
-
     failed = with_hits(rows).filter(pl.col("status") != "done")
     kinds = failed.group_by("arm", "criterion", "runs", *SETTING, "status", "error", maintain_order=True).len()
     lines = [
@@ -50,7 +48,7 @@ def _failures(rows: polars.DataFrame) -> list[str]:
     return [*lines[:MOST], *([f"and {len(lines) - MOST} more; the rows have all"] if len(lines) > MOST else [])]
 
 
-def _table(title: str, found: polars.DataFrame) -> Table:
+def _table(title: str, found: pl.DataFrame) -> Table:
     headings = ("solver", "starts", "best", "median", "efficiency", "hits", "time [s]", "to a hit [s]", "[MB]", "wrong")
     rows = map(_row, found.iter_rows(named=True))
     return table(headings, rows, title, left=("solver",), no_wrap=("solver",))
@@ -80,15 +78,13 @@ def label(setting: Setting) -> str:
     return f"{solver}, {starts} start{'s' if starts > 1 else ''}"
 
 
-def performance_profile(rows: polars.DataFrame) -> dict[Setting, Curve]:
+def performance_profile(rows: pl.DataFrame) -> dict[Setting, Curve]:
     """Setting -> (tau, fraction): fraction of the instances that it solved within tau times the fastest setting's time.
 
     An instance is a problem and a repeat, solved where the run is a hit; an instance nobody solved counts against all.
     E. D. Dolan, J. J. More, Benchmarking optimization software with performance profiles, Math. Program. 91 (2002),
     equations 1 and 2.
     """
-    import polars as pl
-
     time = pl.when("hit").then("seconds").otherwise(float("inf"))
     rows = with_hits(rows).with_columns(time.alias("time"))
     ratio = pl.col("time") / pl.col("time").min().over(*PROBLEM, "repeat")
@@ -102,10 +98,8 @@ def performance_profile(rows: polars.DataFrame) -> dict[Setting, Curve]:
     return curves
 
 
-def profile_figure(rows: polars.DataFrame) -> Figure:
+def profile_figure(rows: pl.DataFrame) -> Figure:
     """The performance profile: on the left who is fastest, on the right who gets there at all."""
-    from matplotlib.figure import Figure
-
     curves = performance_profile(rows)
     styles = _styles(list(curves))
     end = 1.3 * max((float(tau[-1]) for tau, _ in curves.values() if tau.size), default=1.0)
@@ -122,10 +116,8 @@ def profile_figure(rows: polars.DataFrame) -> Figure:
     return figure
 
 
-def time_figure(rows: polars.DataFrame) -> Figure:
+def time_figure(rows: pl.DataFrame) -> Figure:
     """Value against time, one panel per problem: loss of efficiency of every run, those without loss at the bottom."""
-    from matplotlib.figure import Figure
-
     rows = with_hits(rows)
     problems = rows.select(PROBLEM).unique(maintain_order=True).rows()
     styles = _styles(rows.select(SETTING).unique(maintain_order=True).rows())
@@ -154,8 +146,6 @@ def time_figure(rows: polars.DataFrame) -> Figure:
 
 def _plain_numbers(axes: Axes) -> None:
     """1, 2, 5, 10 along a logarithmic x axis: powers of ten crowd each other where there is less than a decade."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
@@ -163,8 +153,6 @@ def _plain_numbers(axes: Axes) -> None:
 
 def _styles(settings: list[Any]) -> dict[Setting, tuple[Any, str, str]]:
     """Setting -> colour (of the solver), dashes and marker (of the number of starts)."""
-    from matplotlib import colormaps
-
     solvers = list(dict.fromkeys(solver for solver, _ in settings))
     starts = sorted({number for _, number in settings})
     return {

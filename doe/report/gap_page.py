@@ -77,11 +77,8 @@ def alias_sheet(diagnosis: Diagnosis) -> Sheet:
 
 def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     """Verdict first, then candidates, gap, and what else a person should know."""
-    shown: list[Any] = [Text(diagnosis.sentence, style="bold"), as_table(gap_sheet(diagnosis))]
-    if diagnosis.effects:
-        shown.append(as_table(candidate_sheet(diagnosis)))
-    else:
-        shown.append(as_table(excluded_sheet(diagnosis)))
+    effects = candidate_sheet(diagnosis) if diagnosis.effects else excluded_sheet(diagnosis)
+    shown: list[Any] = [Text(diagnosis.sentence, style="bold"), as_table(gap_sheet(diagnosis)), as_table(effects)]
     shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
     if diagnosis.outlier_rows:
         shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
@@ -95,9 +92,10 @@ def as_table(sheet: Sheet) -> Table:
 
 def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
     """The parts of the page that show a diagnosis."""
-    notes = [*(f"Scatter: {finding}." for finding in diagnosis.scatter), *(f"{n}." for n in diagnosis.notes)]
+    notes = ["Sizes of effects that would have been found, and effects that are hard to distinguish."]
     if diagnosis.outlier_rows:
-        notes.insert(0, f"Rows left out as outliers: {', '.join(map(str, diagnosis.outlier_rows))}.")
+        notes.append(f"Rows left out as outliers: {', '.join(map(str, diagnosis.outlier_rows))}.")
+    notes += [*(f"Scatter: {finding}." for finding in diagnosis.scatter), *(f"{n}." for n in diagnosis.notes)]
     candidates = [candidate_sheet(diagnosis)] if diagnosis.effects else []
     return [
         Section(
@@ -121,12 +119,7 @@ def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
         ),
         Section(
             "What these postures can and cannot show",
-            " ".join(
-                [
-                    "Sizes of effects that would have been found, and effects that are hard to distinguish.",
-                    *notes,
-                ]
-            ),
+            " ".join(notes),
             [excluded_sheet(diagnosis), alias_sheet(diagnosis)],
             [alias_figure(diagnosis.detectability)],
         ),

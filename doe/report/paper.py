@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import polars as pl
+from matplotlib.figure import Figure
 from rich.table import Table
 
+from doe.report.page import svg
 from doe.report.terminal import number, table
-
-if TYPE_CHECKING:
-    import polars
-    from matplotlib.figure import Figure
-
-    from doe.studies.paper.study import PaperStudy
+from doe.studies.paper.study import PaperStudy
+from identification.files.io import write_whole
 
 
 def paper_tables(found: PaperStudy) -> list[Any]:
     """Verdict, what agrees and what does not, and the errata with their evidence."""
     tables = found.tables
-    every = [*tables["table_1"]["verdict"], *tables["table_2"]["verdict"], *tables["table_3"]["verdict"]]
-    every += [*tables["text"]["verdict"]]
+    every = [verdict for name in ("table_1", "table_2", "table_3", "text") for verdict in tables[name]["verdict"]]
     counts = ", ".join(f"{every.count(word)} {text}" for word, text in WORDS.items())
     agree = "theory and simulation agree everywhere"
     sentence = agree if found.passed else "theory and simulation DISAGREE somewhere"
@@ -36,7 +34,7 @@ def paper_tables(found: PaperStudy) -> list[Any]:
 WORDS = {"agrees": "agree", "erratum": "are errata", "not identifiable": "cannot be identified", "added": "added here"}
 
 
-def _figures_table(title: str, rows: polars.DataFrame) -> Table:
+def _figures_table(title: str, rows: pl.DataFrame) -> Table:
     """Printed, theory and simulation side by side."""
     texts = ("place", "links", "runs", "item", "unit", "verdict")
     figures = {"printed": 3, "theory": 5, "simulated": 5}
@@ -48,7 +46,7 @@ def _figures_table(title: str, rows: polars.DataFrame) -> Table:
     return table(headings, shown, title, left=texts, no_wrap=("item",))
 
 
-def errata_table(rows: polars.DataFrame) -> Table:
+def errata_table(rows: pl.DataFrame) -> Table:
     """What is printed, what is correct, and how wrong each is."""
     texts = ("place", "printed", "correct")
     shown = []
@@ -62,10 +60,8 @@ def errata_table(rows: polars.DataFrame) -> Table:
 TICKS = [digit * 10.0**power for power in range(-4, 1) for digit in (1, 2, 5)]
 
 
-def figure_1_picture(data: polars.DataFrame) -> Figure:
+def figure_1_picture(data: pl.DataFrame) -> Figure:
     """Figure 1: determinants of random plans, the optimal plan marked."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     left.hist(data["det_d"].to_numpy(), bins=60, color="#2a6f97")
@@ -78,10 +74,8 @@ def figure_1_picture(data: polars.DataFrame) -> Figure:
     return figure
 
 
-def figure_2_picture(data: polars.DataFrame) -> Figure:
+def figure_2_picture(data: pl.DataFrame) -> Figure:
     """Figure 2: deviations against the number of measurements, lengths left, orientations of all links right."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
     panels = figure.subplots(1, 2)
     for axes, kind, unit in zip(panels, ("length_error", "orientation_offset"), ("mm", "deg"), strict=True):
@@ -107,8 +101,5 @@ def figure_2_picture(data: polars.DataFrame) -> Figure:
 
 def write_pictures(folder: Path, found: PaperStudy) -> None:
     """figure_1.svg and figure_2.svg in the folder."""
-    from doe.report.page import svg
-    from identification.files.io import write_whole
-
     write_whole(folder / "figure_1.svg", svg(figure_1_picture(found.tables["figure_1"])), force=True)
     write_whole(folder / "figure_2.svg", svg(figure_2_picture(found.tables["figure_2"])), force=True)

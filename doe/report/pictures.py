@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
 
 from doe.bounds.equivalence import sensitivity
 from doe.problem.problem import DesignProblem
@@ -16,6 +18,7 @@ from identification.arm import Arm, KeepOutCircle, LineOfSight, WorkspaceBox
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.io import write_whole
+from identification.gap.holdout import rms_distance
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS
 from identification.model import Model
 
@@ -51,8 +54,6 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
 
 def run_colors(m: int) -> Array:
     """(m, 4) colours from the first run (light) to the last (dark)."""
-    from matplotlib import colormaps
-
     return np.asarray(colormaps["viridis_r"](np.linspace(0.1, 1.0, m)))
 
 
@@ -68,8 +69,6 @@ def draw_arm(axes: Axes, arm: Arm, postures: Array) -> None:
 
 def draw_constraints(axes: Axes, arm: Arm) -> None:
     """Workspace boxes, keep-out circles and the tracker's cone."""
-    from matplotlib.patches import Circle, Rectangle
-
     for constraint in arm.constraints:
         if isinstance(constraint, WorkspaceBox):
             (x0, x1), (y0, y1) = constraint.x, constraint.y
@@ -148,5 +147,4 @@ def draw_residual_arrows(axis: Axes, positions: Array, residuals: Array, color: 
     axis.quiver(*positions.T, *(residuals * scale).T, **style)
     axis.plot(0, 0, "ks", ms=5)
     axis.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
-    rms = np.sqrt(np.mean(np.sum(residuals**2, axis=1)))
-    axis.set_title(f"{name}: RMS {rms:.4g} mm, arrows x {scale:.0f}", fontsize=9)
+    axis.set_title(f"{name}: RMS {rms_distance(residuals):.4g} mm, arrows x {scale:.0f}", fontsize=9)

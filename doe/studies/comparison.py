@@ -6,7 +6,6 @@ A row is one run of one solver: what it cost, and how good its plan is by our ow
 
 from __future__ import annotations
 
-import hashlib
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,10 +17,11 @@ import numpy as np
 
 from doe.criteria import criterion
 from doe.jobs.isolated import call
-from doe.jobs.row_table import Key, Row, RowTable
+from doe.jobs.row_table import Key, Row, RowTable, short_hash, with_columns
 from doe.jobs.tasks import run
 from doe.jobs.workers import Workers
 from doe.problem.problem import DesignProblem
+from doe.solvers import Solver, available_solvers, solve
 from identification.arm import Arm
 from identification.errors import InputError, nearest
 from identification.files.arm import arm_from_tables
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     import polars
 
     from doe.design import Design
-    from doe.solvers import Solver
 
 Subject = str | DesignProblem  # text of an arm file, or the problem of another model
 Task = tuple[Subject, "str | Solver"]
@@ -80,7 +79,6 @@ class Comparison:
     problems: Mapping[str, DesignProblem] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        from doe.solvers import available_solvers
 
         for solver in self.solvers:
             if isinstance(solver, str) and solver not in available_solvers():
@@ -101,7 +99,7 @@ class Comparison:
     def subjects(self) -> dict[str, tuple[str, Subject]]:
         """Hash -> name, and the arm file's text or the problem."""
         texts = [(arm.name, dump_arm(arm)) for arm in self.arms]
-        arms: dict[str, tuple[str, Subject]] = {short_hash(text.encode()): (name, text) for name, text in texts}
+        arms: dict[str, tuple[str, Subject]] = {short_hash(text): (name, text) for name, text in texts}
         return arms | {fingerprint(problem): (name, problem) for name, problem in self.problems.items()}
 
     @property
@@ -128,11 +126,6 @@ class Comparison:
                 range(self.repeats),
             )
         ]
-
-
-def short_hash(content: bytes) -> str:
-    """Twelve digits that tell contents apart."""
-    return hashlib.sha256(content).hexdigest()[:12]
 
 
 def fingerprint(problem: DesignProblem) -> str:
@@ -176,8 +169,6 @@ def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: Task) -> lis
 
 def solve_and_evaluate(task: Task, key: dict[str, Any], seed: int) -> Row:
     """Runs the solver in this process; `seconds` is the search alone."""
-    from doe.solvers import solve
-
     subject, solver = task
     given = arm_from_tables(tomllib.loads(subject)) if isinstance(subject, str) else subject
     problem = compared_problem(given, key["criterion"])
@@ -262,9 +253,7 @@ def with_hits(rows: polars.DataFrame) -> polars.DataFrame:
     """
     import polars as pl
 
-    for name, dtype in COLUMNS.items():
-        column = pl.col(name).cast(getattr(pl, dtype)) if name in rows.columns else pl.lit(None, getattr(pl, dtype))
-        rows = rows.with_columns(column.alias(name))
+    rows = with_columns(rows, {name: getattr(pl, kind) for name, kind in COLUMNS.items()})
     if "criterion" not in rows.columns:
         rows = rows.with_columns(pl.lit("D").alias("criterion"))
     good = (pl.col("status") == "done") & pl.col("correct").fill_null(value=False) & pl.col("value").is_not_null()

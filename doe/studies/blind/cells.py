@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doe.studies.blind.data_set import DataSet
 from doe.studies.blind.hidden_effects import OUTSIDE, family, key, outside_effect, place_of, random_effect
 from doe.studies.blind.simulator import (
     Drawn,
@@ -21,7 +21,28 @@ from doe.studies.blind.simulator import (
     session,
 )
 from identification.arm import Arm, EffectSpec, Gravity
+from identification.arrays import Array
 from identification.measurements import Measurements
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """Arm and measurements as a user has them, and what is hidden in them.
+
+    effects : keys of the hidden effects that the library has;  place : where an effect outside the library sits
+    specs : the hidden effects as an arm file has them, to fit the true model
+    wrong_rows : outliers, counted from 1
+    more : (postures, payload or None, directions or None, number) -> the data with further measurements at their end
+    """
+
+    arm: Arm
+    measurements: Measurements
+    holdout: Measurements | None
+    effects: tuple[str, ...]
+    place: str | None = None
+    specs: tuple[EffectSpec, ...] = ()
+    wrong_rows: tuple[int, ...] = ()
+    more: Callable[[Array, Array | None, Array | None, int], Measurements] | None = None
 
 
 @dataclass(frozen=True)

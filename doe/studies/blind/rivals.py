@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from doe.studies.blind.data_set import DataSet
+from doe.studies.blind.cells import DataSet
 from identification.arrays import Array
 from identification.gap.fit import fit
 from identification.gap.hypotheses import hypotheses

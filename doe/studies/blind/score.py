@@ -6,15 +6,13 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import polars as pl
 
 from doe.jobs.row_table import frame_of
 from identification.effects import library
-
-if TYPE_CHECKING:
-    import polars
 
 NOTHING = "nothing"
 RIVALS = {"true": "gap_true_mm", "library": "gap_library_mm", "process": "gap_process_mm"}
@@ -30,14 +28,14 @@ class BlindStudy:
     sets : one row per data set, hidden and named side by side;  failures : batches that could not be done
     """
 
-    cells: polars.DataFrame
-    bars: polars.DataFrame
-    confusion: polars.DataFrame
-    sets: polars.DataFrame
+    cells: pl.DataFrame
+    bars: pl.DataFrame
+    confusion: pl.DataFrame
+    sets: pl.DataFrame
     failures: int
 
     @property
-    def tables(self) -> dict[str, polars.DataFrame]:
+    def tables(self) -> dict[str, pl.DataFrame]:
         """What is written as NAME.parquet."""
         return {"cells": self.cells, "bars": self.bars, "confusion": self.confusion}
 
@@ -104,7 +102,7 @@ def _bars() -> Iterator[Bar]:
 BARS = tuple(_bars())
 
 
-def score(truth: polars.DataFrame, found: polars.DataFrame) -> BlindStudy:
+def score(truth: pl.DataFrame, found: pl.DataFrame) -> BlindStudy:
     """Join the table of truths and that of diagnoses."""
     failures = sum(int((frame["status"] != "done").sum()) for frame in (truth, found))
     hidden = {(row["cell"], row["set"]): row for row in truth.iter_rows(named=True) if row["status"] == "done"}

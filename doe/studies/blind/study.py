@@ -16,16 +16,20 @@ from typing import Any
 
 import numpy as np
 
+from doe.discrimination.design import discrimination_design
+from doe.discrimination.t_optimal import discriminate
 from doe.jobs.row_table import KEY, Key, Row, canonical
 from doe.jobs.tasks import Job
 from doe.jobs.workers import Workers
+from doe.problem.problem import DesignProblem
 from doe.studies.blind import cells as simulated
-from doe.studies.blind.data_set import DataSet
+from doe.studies.blind.cells import DataSet
 from doe.studies.blind.rivals import has_processes, library_gap, process_gap, true_gap
 from doe.studies.blind.score import BARS, BlindStudy, score
 from identification.errors import InputError, nearest
 from identification.gap.diagnose import diagnose
 from identification.gap.result import Diagnosis
+from identification.model import Model
 from identification.progress import Progress, silent
 
 BATCH = 10  # sets per task
@@ -100,10 +104,6 @@ def _keys(cell: str, count: int | None, seed: int) -> Iterator[Key]:
 # -- tasks -------------------------------------------------------------------------------------------------------------
 def plan(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
     """The postures that `armcal design --discriminating` gives for the arm of a batch."""
-    from doe.discrimination.design import discrimination_design
-    from doe.problem.problem import DesignProblem
-    from identification.model import Model
-
     planned = simulated.to_be_planned(key["cell"], _number(key))
     assert planned is not None  # only such cells are tasks
     arm, runs = planned
@@ -164,7 +164,6 @@ def _measured_further(data: DataSet, found: Diagnosis, number: int, draws: int) 
 def _appended(
     data: DataSet, found: Diagnosis, runs: int, random: bool, payloads: tuple[float, ...] | None, number: int
 ) -> tuple[Any, float | None]:
-    from doe.discrimination.t_optimal import discriminate
 
     assert data.more is not None
     if random:

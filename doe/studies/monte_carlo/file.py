@@ -1,20 +1,98 @@
-"""The TOML file that describes a study."""
+"""The TOML file that describes a study: its keys, what each allows, and the `Study` it becomes.
+
+The description of a field is the end of its error message.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from doe.plan.file import load_plan
-from doe.studies.monte_carlo.schema import StudyFile, parse_study
-from doe.studies.monte_carlo.specification import Fitted, Study, Truth
+from doe.studies.monte_carlo.specification import MOST_BLOCK, MOST_REPLICATIONS, MOST_RUNS, Fitted, Study, Truth
 from identification.arm import Arm, EffectSpec
-from identification.errors import InputError
+from identification.errors import InputError, nearest
 from identification.files.arm import arm_from_tables, load_arm
 from identification.files.io import PathLike, read_toml
+
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class TruthTable(_Table):
+    """`[[truths]]`: what is really there."""
+
+    name: str = Field(description="a text")
+    length_errors_mm: list[float] | None = Field(None, description="one number [mm] for each link")
+    joint_offsets_deg: list[float] | None = Field(None, description="one angle [deg] for each link")
+    effects: list[dict[str, Any]] | None = Field(None, description="tables as [[effects]] of an arm file, with values")
+
+
+class ModelTable(_Table):
+    """`[[models]]`: what the fit estimates besides lengths and offsets."""
+
+    name: str = Field(description="a text")
+    effects: list[dict[str, Any]] = Field(description="tables as [[effects]] of an arm file")
+
+
+class StudyFile(_Table):
+    """The whole file."""
+
+    arms: list[str] = Field(min_length=1, description="names of arm files, at least one")
+    plans: list[str] = Field(min_length=1, description="names of solvers, 'dft', 'random' or plan files, at least one")
+    runs: list[Annotated[Count, Field(le=MOST_RUNS)]] = Field(
+        default_factory=list, description=f"whole numbers >= 1, at most {MOST_RUNS:,}"
+    )
+    sigma_mm: list[Positive] | None = Field(
+        None, min_length=1, description="numbers > 0 [mm], at least one; left out: the arm's own"
+    )
+    replications: Annotated[Count, Field(le=MOST_REPLICATIONS)] = Field(
+        10_000, description=f"a whole number >= 1, at most {MOST_REPLICATIONS:,}"
+    )
+    block: Annotated[Count, Field(le=MOST_BLOCK)] = Field(
+        10_000, description=f"a whole number >= 1, at most {MOST_BLOCK:,}: replications per task"
+    )
+    solver_seconds: Positive = Field(60.0, description="a number > 0 [s]")
+    truths: list[TruthTable] | None = Field(None, min_length=1, description="tables [[truths]], at least one")
+    models: list[ModelTable] | None = Field(None, min_length=1, description="tables [[models]], at least one")
+
+
+_TABLES: dict[str, type[BaseModel]] = {"": StudyFile, "truths": TruthTable, "models": ModelTable}
+
+
+def parse_study(tables: dict[str, Any]) -> StudyFile:
+    """The tables of a study file, checked. Raises `InputError` naming key, what was found and what is allowed."""
+    try:
+        return StudyFile.model_validate(tables)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        # a misspelt key is both unknown and missing: the first of the two says more
+        raise InputError(_sentence(min(details, key=lambda detail: detail["type"] != "extra_forbidden"))) from None
+
+
+def _sentence(detail: Any) -> str:
+    loc = detail["loc"]
+    key = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in loc).removeprefix(".")
+    fields = _TABLES[str(loc[0]) if len(loc) > 2 and loc[0] in _TABLES else ""].model_fields
+    if detail["type"] == "extra_forbidden":
+        return f"{key}: unknown key, {nearest(str(loc[-1]), fields)}"
+    name = next((str(part) for part in reversed(loc) if part in fields), None)
+    allowed = "a table" if name is None else fields[name].description
+    found = "is missing" if detail["type"] == "missing" else f"found {_shown(detail['input'])}"
+    return f"{key}: {found}, allowed: {allowed}"
+
+
+def _shown(value: Any) -> str:
+    text = "a table" if isinstance(value, dict) else str(value).lower() if isinstance(value, bool) else repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def load_study(path: PathLike) -> Study:

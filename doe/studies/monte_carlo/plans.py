@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
 import tomllib
 from collections.abc import Iterator, Mapping
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import polars as pl
 
-from doe.jobs.row_table import Key, Row
+from doe.jobs.row_table import Key, Row, short_hash
 from doe.problem.problem import DesignProblem
+from doe.solvers import solve
 from doe.studies.monte_carlo.specification import DFT, RANDOM, Study
 from identification.arm import Arm
 from identification.files.arm import arm_from_tables
 from identification.files.arm_text import dump_arm
 from identification.model import Model
-
-if TYPE_CHECKING:
-    import polars
 
 
 def plan_keys(study: Study) -> Iterator[Key]:
@@ -37,8 +35,6 @@ def plan_keys(study: Study) -> Iterator[Key]:
 
 def make_plan(key: dict[str, Any], seed: np.random.SeedSequence, text: str) -> list[Row]:
     """The plan of a key as one row, for the arm of an arm file's text."""
-    from doe.solvers import solve
-
     problem = DesignProblem.of(Model(arm_from_tables(tomllib.loads(text))))
     number = int(seed.generate_state(1)[0])
     design = solve(problem, key["runs"], key["plan"], seed=number, seconds=key["limit_s"])
@@ -62,7 +58,7 @@ def _dft(arm: Arm, runs: int) -> np.ndarray | str:
     return f"plan dft: posture {outside[0] + 1} would violate a constraint" if outside.size else postures
 
 
-def made_postures(plans: polars.DataFrame) -> dict[tuple[str, str, int], np.ndarray | str]:
+def made_postures(plans: pl.DataFrame) -> dict[tuple[str, str, int], np.ndarray | str]:
     """Arm, plan and runs -> postures (m, n) [rad], or why there are none."""
     return {
         (row["arm"], row["plan"], row["runs"]): (
@@ -85,8 +81,3 @@ def plans_of(
                 yield plan, runs, None
             else:
                 yield plan, runs, _dft(arm, runs) if plan == DFT else made[arm.name, plan, runs]
-
-
-def short_hash(text: str) -> str:
-    """Names inputs in the keys of tasks."""
-    return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -62,7 +62,7 @@ class Cell:
     def plan(self) -> Measurements:
         """The plan as measurements without positions: postures and the conditions of their order."""
         assert self.postures_deg is not None
-        return as_plan(np.radians(self.postures_deg), self.model.dimension)
+        return Measurements(np.radians(self.postures_deg), np.zeros((self.runs, self.model.dimension)))
 
     @cached_property
     def exact(self) -> Array:
@@ -101,11 +101,6 @@ class Cell:
 def prepared(cell: Cell) -> Cell:
     """The same cell, kept, so that all blocks of a cell on one worker share its model."""
     return cell
-
-
-def as_plan(postures: Array, dimension: int) -> Measurements:
-    """Postures [rad] in the order of measurement, nothing measured yet of the d coordinates."""
-    return Measurements(postures, np.zeros((len(postures), dimension)))
 
 
 def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | str) -> list[Row]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doe.plan.plan import Plan
-from doe.studies.monte_carlo.schema import MOST_BLOCK, MOST_REPLICATIONS, MOST_RUNS
+from doe.solvers import SOLVERS
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import readonly
 from identification.effects import library
@@ -17,6 +17,7 @@ from identification.model import Model
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # what tells cells apart, as columns
 DFT, RANDOM = "dft", "random"
+MOST_RUNS, MOST_REPLICATIONS, MOST_BLOCK = 100_000, 1_000_000_000, 1_000_000  # of a cell, a cell, and a task
 MOST_TASKS = 100_000  # of a cell: each is a row of a table
 
 
@@ -81,7 +82,6 @@ class Study:
     solver_seconds: float = 60.0
 
     def __post_init__(self) -> None:
-        from doe.solvers import SOLVERS
 
         allowed = {*SOLVERS, DFT, RANDOM}
         for plan in self.plans:

@@ -7,24 +7,21 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import polars as pl
 
-from doe.jobs.row_table import Key
+from doe.jobs.row_table import Key, short_hash, with_columns
 from doe.jobs.tasks import Job
 from doe.jobs.workers import Workers
-from doe.studies.monte_carlo.plans import made_postures, make_plan, plan_keys, plans_of, short_hash
+from doe.studies.monte_carlo.plans import made_postures, make_plan, plan_keys, plans_of
 from doe.studies.monte_carlo.replications import Cell, replicate
-from doe.studies.monte_carlo.specification import CELL, Study
-from doe.studies.monte_carlo.summary import pooled
+from doe.studies.monte_carlo.specification import CELL, RANDOM, Study
 from identification.errors import JobError
 from identification.files.arm_text import dump_arm
 from identification.files.io import PathLike
 from identification.progress import Progress, silent
-
-if TYPE_CHECKING:
-    import polars
 
 PLANS, BLOCKS, CELLS = "plans.parquet", "blocks.parquet", "cells.parquet"
 
@@ -37,9 +34,9 @@ class StudyResult:
     plans : one row per plan that a solver made
     """
 
-    cells: polars.DataFrame
-    blocks: polars.DataFrame
-    plans: polars.DataFrame
+    cells: pl.DataFrame
+    blocks: pl.DataFrame
+    plans: pl.DataFrame
 
     def __str__(self) -> str:
         done = self.blocks.filter(self.blocks["status"] == "done")
@@ -108,3 +105,38 @@ def require_some(result: StudyResult) -> None:
     if "done" not in set(result.blocks["status"]):
         reason = re.sub(r"\b[A-Z]\w*Error: ", "", result.blocks["error"][0])  # the kinds are no news to people
         raise JobError(f"no cell could be done: {reason}")
+
+
+def pooled(blocks: pl.DataFrame) -> pl.DataFrame:
+    """One row per cell and parameter: blocks pooled.
+
+    `fits`, `failed` : numbers of data sets;  `mean_error`, `std`, `rms` : of the errors, file units
+    `mean_error_se`, `std_se` : their standard errors; the deviation's for normal errors, so null for random plans
+    `expected_std` : eq. 16; of random plans the root mean square over the plans, which `std` must equal
+    `coverage` : fraction of 95 % intervals, with the true sigma and each data set's own plan, that hold the true value
+    `rms_mm` : of the fits' residuals per row;  `status`, `error` : of the first block that failed, else done
+    """
+    types: dict[str, Any] = {"parameter": pl.String, "unit": pl.String}
+    types |= dict.fromkeys(("fits", "failed", "covered"), pl.Int64)
+    types |= dict.fromkeys(("mean_error", "squares", "expected_std", "rms_mm"), pl.Float64)
+    blocks = with_columns(blocks, types)
+    n = pl.col("fits").sum()
+    mean = (pl.col("mean_error") * pl.col("fits")).sum() / n
+    about = pl.col("squares").sum() + (pl.col("fits") * (pl.col("mean_error") - mean) ** 2).sum()
+    std = (about / (n - 1)).sqrt()
+    expected = ((pl.col("expected_std") ** 2 * pl.col("fits")).sum() / n).sqrt()
+    some = pl.col("status") == "done"
+    return blocks.group_by(*CELL, "inputs", "parameter", "unit", maintain_order=True).agg(
+        n.alias("fits"),
+        pl.col("failed").sum(),
+        pl.when(n > 0).then(mean).alias("mean_error"),
+        pl.when(n > 1).then(std).alias("std"),
+        pl.when(n > 0).then((about / n + mean**2).sqrt()).alias("rms"),
+        pl.when(n > 1).then(std / n.sqrt()).alias("mean_error_se"),
+        pl.when((n > 1) & (pl.col("plan").first() != RANDOM)).then(std / (2.0 * (n - 1)).sqrt()).alias("std_se"),
+        pl.when(n > 0).then(expected).alias("expected_std"),
+        pl.when(n > 0).then(pl.col("covered").sum() / n).alias("coverage"),
+        pl.when(n > 0).then(((pl.col("rms_mm") ** 2 * pl.col("fits")).sum() / n).sqrt()).alias("rms_mm"),
+        pl.when(some.all()).then(pl.lit("done")).otherwise(pl.lit("failed")).alias("status"),
+        pl.col("error").cast(pl.String).drop_nulls().first().alias("error"),
+    )

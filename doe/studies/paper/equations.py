@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from doe.studies.paper.tables import JOINT_OFFSETS_DEG, LENGTH_ERRORS, LENGTHS, SIGMA, paper_arm, paper_truth
+from identification.arrays import Array
 from identification.estimation import estimate
 from identification.information import identifiability
 from identification.model import Model
 from identification.simulate import simulate
-
-if TYPE_CHECKING:
-    from identification.arrays import Array
 
 WRONG = 0.01  # relative: no rounding of the paper explains more
 L = np.array(LENGTHS)

@@ -8,24 +8,20 @@ its place is right to the accuracy of the check.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 
 from doe.jobs.row_table import frame_of
 from doe.studies.paper import equations
 from doe.studies.paper.equations import LENGTHENED, TURNED, Erratum, L, distance, tips
 from doe.studies.paper.tables import LENGTH_ERRORS, SIGMA, joint_offset_std, orientation_std, paper_arm
+from identification.arrays import Array
 from identification.estimation import estimate_batch
 from identification.model import Model
 
-if TYPE_CHECKING:
-    import polars
 
-    from identification.arrays import Array
-
-
-def errata(replications: int = 10_000, seed: int = 0, numbers: Sequence[int] | None = None) -> polars.DataFrame:
+def errata(replications: int = 10_000, seed: int = 0, numbers: Sequence[int] | None = None) -> pl.DataFrame:
     """One row per erratum: the fields of `Erratum`, and `confirmed`. `numbers`: places in `CHECKS`, None: all."""
     chosen = range(len(CHECKS)) if numbers is None else numbers
     found = [CHECKS[k](np.random.default_rng([seed, k]), replications) for k in chosen]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
+import polars as pl
 
 from doe.jobs.row_table import frame_of
 from doe.studies.monte_carlo.plans import dft_postures
@@ -17,19 +16,14 @@ from doe.studies.paper.tables import (
     paper_arm,
     paper_truth,
 )
+from identification.arrays import Array
 from identification.estimation import estimate_batch, estimate_each
 from identification.model import Model
-
-if TYPE_CHECKING:
-    import polars
-
-    from identification.arrays import Array
-
 
 RUNS = tuple(range(4, 21))  # the axis of Figure 2
 
 
-def figure_1(plans: int = REPLICATIONS, seed: int = 0, runs: int = 10, links: int = 4) -> polars.DataFrame:
+def figure_1(plans: int = REPLICATIONS, seed: int = 0, runs: int = 10, links: int = 4) -> pl.DataFrame:
     """Figure 1: the determinants of random plans, one row per plan; the optimal plan has 1, 1 and 0.
 
     `det_d` : of D', the normalised information matrix (eq. 19, = |det H|^2);  `det_c`, `det_s` : of C' and S' (eq. 20,
@@ -40,15 +34,11 @@ def figure_1(plans: int = REPLICATIONS, seed: int = 0, runs: int = 10, links: in
     theta = np.cumsum(generator.uniform(-np.pi, np.pi, (plans, runs, links)), axis=-1)
     z = np.exp(1j * theta)
     h = np.swapaxes(z.conj(), -1, -2) @ z / runs
-    return frame_of_columns(
-        plan=np.arange(plans),
-        det_d=np.abs(np.linalg.det(h)) ** 2,
-        det_c=np.linalg.det(h.real),
-        det_s=np.linalg.det(h.imag),
-    )
+    d, c, s = np.abs(np.linalg.det(h)) ** 2, np.linalg.det(h.real), np.linalg.det(h.imag)
+    return pl.DataFrame({"plan": np.arange(plans), "det_d": d, "det_c": c, "det_s": s})
 
 
-def figure_2(replications: int = REPLICATIONS, seed: int = 0, runs: tuple[int, ...] = RUNS) -> polars.DataFrame:
+def figure_2(replications: int = REPLICATIONS, seed: int = 0, runs: tuple[int, ...] = RUNS) -> pl.DataFrame:
     """Figure 2: deviations of the length and the orientation of every link against m, one row per m and parameter.
 
     `optimal` : curve 1, eq. 25;  `optimal_simulated` : "x", simulated fits of the optimal plan
@@ -96,10 +86,3 @@ def _errors(plans: Array, replications: int, generator: np.random.Generator) -> 
     turned = np.cumsum(found[:, 4:] - np.radians(JOINT_OFFSETS_DEG), axis=1)
     turned = (turned + np.pi) % (2.0 * np.pi) - np.pi
     return np.hstack([found[:, :4] - LENGTH_ERRORS, np.degrees(turned)])
-
-
-def frame_of_columns(**columns: Any) -> polars.DataFrame:
-    """A frame of arrays, without a detour through rows."""
-    import polars
-
-    return polars.DataFrame(columns)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import polars as pl
 
-from doe.jobs.row_table import Key, Row, RowTable, frame_of
+from doe.jobs.row_table import Key, Row, RowTable, frame_of, parquet
 from doe.jobs.tasks import run
 from doe.jobs.workers import Workers
 from doe.studies.paper.errata import CHECKS, errata
@@ -20,9 +20,6 @@ from doe.studies.paper.tables import ARM_NAMES, REPLICATIONS, consistent, table_
 from identification.errors import InputError, JobError
 from identification.files.io import check_writable, write_together
 from identification.progress import Progress, silent
-
-if TYPE_CHECKING:
-    import polars
 
 NAMES = ("table_1", "table_2", "table_3", "text", "errata", "figure_1", "figure_2")
 PARTS = "parts.parquet"
@@ -36,7 +33,7 @@ class PaperStudy:
     tables : by the names in `NAMES`
     """
 
-    tables: dict[str, polars.DataFrame]
+    tables: dict[str, pl.DataFrame]
 
     @property
     def passed(self) -> bool:
@@ -69,7 +66,7 @@ def paper_study(
             check_writable(target, resume or force)
         table.forget([key for key, rows in table.rows.items() if rows[0]["status"] != "done"])
         found = PaperStudy(assemble(run(part, keys, table, workers, seed=seed, progress=progress)))
-    write_together({target: _bytes(found.tables[name]) for name, target in targets.items()}, force=True)
+    write_together({target: parquet(found.tables[name]) for name, target in targets.items()}, force=True)
     return found
 
 
@@ -103,7 +100,7 @@ def part(key: dict[str, Any], seed: np.random.SeedSequence) -> list[Row]:
     return [{"rows": json.dumps(found.to_dicts())}]
 
 
-def assemble(found: polars.DataFrame) -> dict[str, polars.DataFrame]:
+def assemble(found: pl.DataFrame) -> dict[str, pl.DataFrame]:
     """Name -> table, of the parts in their order. Raises `JobError` with the reason if a part failed."""
     rows: dict[str, list[Row]] = {name: [] for name in NAMES}
     for row in found.iter_rows(named=True):
@@ -111,9 +108,3 @@ def assemble(found: polars.DataFrame) -> dict[str, polars.DataFrame]:
             raise JobError(f"{row['table']}: {row['error']}; go on with --resume")
         rows[row["table"]] += json.loads(row["rows"])
     return {name: frame_of(entries) for name, entries in rows.items()}
-
-
-def _bytes(frame: polars.DataFrame) -> bytes:
-    buffer = io.BytesIO()
-    frame.write_parquet(buffer)
-    return buffer.getvalue()

@@ -16,9 +16,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import polars as pl
 
 from doe.bounds.planar_theorem import table_1 as table_1_sums
 from doe.jobs.row_table import frame_of
@@ -28,9 +29,6 @@ from doe.studies.monte_carlo.study import run_study
 from identification.arm import Arm
 from identification.information import information_matrix
 from identification.model import Model
-
-if TYPE_CHECKING:
-    import polars
 
 LENGTHS = (260.0, 180.0, 120.0, 100.0)  # [mm]
 LENGTH_ERRORS = (1.5, -0.6, -0.4, 0.7)  # [mm]
@@ -81,7 +79,7 @@ def joint_offset_std(links: int, runs: int, sigma: float = SIGMA) -> np.ndarray:
 
 
 # -- Table I -----------------------------------------------------------------------------------------------------------
-def table_1(runs: int = 20) -> polars.DataFrame:
+def table_1(runs: int = 20) -> pl.DataFrame:
     """One row per pair of links of the arms with 2, 3 and 4 links: the condition, whether the paper prints it, the
     residual |mean exp(i sum q)| of the plan theta_j = 2 pi i j / m."""
     rows = []
@@ -103,7 +101,7 @@ def table_1(runs: int = 20) -> polars.DataFrame:
 
 
 # -- Table II ----------------------------------------------------------------------------------------------------------
-def table_2(runs: int = 20) -> polars.DataFrame:
+def table_2(runs: int = 20) -> pl.DataFrame:
     """sum J^T J of the optimal plan by the model against diag(m l_1^2, .., m, ..), as printed, in orientation offsets.
 
     `off_diagonal` : its largest element off the diagonal, scaled;  `diagonal_error` : largest relative error on it
@@ -133,7 +131,7 @@ def table_2(runs: int = 20) -> polars.DataFrame:
 
 
 # -- Table III and the text --------------------------------------------------------------------------------------------
-def table_3(replications: int = REPLICATIONS, seed: int = 0, arm_names: Sequence[str] = ARM_NAMES) -> polars.DataFrame:
+def table_3(replications: int = REPLICATIONS, seed: int = 0, arm_names: Sequence[str] = ARM_NAMES) -> pl.DataFrame:
     """Table III by simulation, and what it leaves out: joint offsets, 4 links with 4 runs, joint limits.
 
     Theory is eq. 25 with the TRUE lengths l_j + dl_j, which simulation follows: a difference of 0.6 % at most.
@@ -205,7 +203,7 @@ def agreement(printed: float | None, theory: float, digit: float = LAST_DIGIT) -
     return "agrees" if abs(printed - theory) < digit else "erratum"
 
 
-def text_figures() -> polars.DataFrame:
+def text_figures() -> pl.DataFrame:
     """The numbers of Section VI's text, by eq. 25; simulation confirms the same formula in `table_3`."""
     lengths: list[tuple[str, int, float | None, float]] = [
         ("Sec. VI: 4 points", 4, 0.022, SIGMA / np.sqrt(4)),
@@ -223,7 +221,7 @@ def text_figures() -> polars.DataFrame:
     return frame_of([{**row, "verdict": agreement(row["printed"], row["theory"])} for row in rows])
 
 
-def consistent(table: polars.DataFrame) -> bool:
+def consistent(table: pl.DataFrame) -> bool:
     """Whether simulation and theory agree in every row that has both, to `ALERT` standard errors."""
     both = table.drop_nulls(["simulated", "theory"])
     return bool(((both["simulated"] - both["theory"]).abs() <= ALERT * both["standard_error"]).all())
