@@ -6,12 +6,13 @@ Everything here is recomputed from the stored problem; no number of a solver is 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from doe.bounds.bound import Bound
-from doe.bounds.equivalence import certify
+from doe.bounds.equivalence import certify, level
 from doe.criteria import D
 from doe.plan.plan import Plan
 from doe.problem.prior import PriorInformation
@@ -28,8 +29,8 @@ class ApproximateDesign:
     value : criterion value of the plan;  log_det : log det M'
     gap : max over the design space of tr(G F) - tr(G M); for D that is max d - p. Zero exactly at the optimum
     bound : no design of the space is better; None where the solver's status is not `converged`
-    efficiency_lower_bound : share 0..1 that the weights reach at least, recomputed from them alone
-    status : how the solver ended;  solver_status : in its own word;  candidates : how many, None: continuous
+    efficiency_lower_bound : fraction 0..1 of an optimum that the weights reach at least, recomputed from them alone
+    status : how the solver ended;  solver_status : as the solver names it;  candidates : how many, None: continuous
     """
 
     plan: Plan
@@ -91,13 +92,40 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
+@dataclass(frozen=True)
+class SparseDesign:
+    """Weights on few postures, as a solver found them: what is proven is proven of this plan.
+
+    prior : per new run
+    dual : (p, p) gradient from a dual problem, None: the criterion's own at the plan. E-optimality needs one: any
+        gradient of unit trace gives a bound there, and that of the dual problem the lowest
+    """
+
+    problem: DesignProblem
+    prior: PriorInformation
+    plan: Plan
+    dual: Array | None = None
+
+    @cached_property
+    def information(self) -> Array:
+        """(p, p) M of the plan."""
+        return self.prior.mixture(self.problem.scaled_jacobians(self.plan.postures), self.plan.shares)
+
+    @cached_property
+    def gradient(self) -> Array:
+        """(p, p) G."""
+        return self.problem.criterion.gradient(self.information) if self.dual is None else self.dual
+
+    @cached_property
+    def level(self) -> float:
+        """tr(G M)."""
+        return level(self.gradient, self.information)
+
+
 def assess(
-    problem: DesignProblem,
-    prior: PriorInformation,
-    plan: Plan,
+    found: SparseDesign,
     largest: float,
     *,
-    gradient: Array | None = None,
     candidates: int | None,
     rigorous: bool,
     status: Status,
@@ -105,20 +133,18 @@ def assess(
     solver_status: str,
     seconds: float,
 ) -> ApproximateDesign:
-    """A weighted plan with its certificate, given `largest` >= max tr(G F) over the design space, G = `gradient`.
+    """A weighted plan with its certificate, given `largest` >= max tr(G F) over the design space.
 
-    gradient : (p, p), default the criterion's at the plan; E-optimality needs the one of its dual problem
     A status other than `converged` gives no bound: the optimum was not reached, and the gap says by how much. The gap
     and the efficiency hold for any weights, whoever made them.
     """
-    information = prior.mixture(problem.scaled_jacobians(plan.postures), plan.shares)
-    proven = certify(problem, information, largest, gradient)
+    proven = certify(found.problem, found.information, largest, found.gradient)
     source = "continuous" if candidates is None else "grid"
     return ApproximateDesign(
-        plan,
-        problem.criterion.name,
+        found.plan,
+        found.problem.criterion.name,
         proven.value,
-        float(D().value(information)),
+        float(D().value(found.information)),
         proven.gap,
         Bound(proven.bound, source, rigorous) if status is Status.converged else None,
         proven.efficiency,

@@ -12,16 +12,15 @@ from time import perf_counter
 
 import numpy as np
 
-from doe.bounds.approximate_design import ApproximateDesign, assess
+from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, assess
 from doe.bounds.bound import Bound
 from doe.bounds.branch_and_bound import maximum
 from doe.bounds.continuous import ContinuousSet
 from doe.bounds.equivalence import largest_sensitivity
 from doe.bounds.pricing import candidate_price, continuous_price
-from doe.bounds.restricted_master import SparseDesign, Stage, generate_columns
+from doe.bounds.restricted_master import Stage, generate_columns
 from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobian
 from doe.problem.candidates import Candidates, PostureList, spread
-from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import JobError
@@ -54,7 +53,7 @@ def column_generation(
     start = spread(candidates, 6 * problem.parameters)
     ended, _ = generate_columns(problem, prior, start, stages)
     largest = largest_sensitivity(problem, candidates, ended.gradient, prior)
-    return certified(problem, prior, ended, largest, len(candidates), tolerance, began, rigorous=True)
+    return certified(ended, largest, len(candidates), tolerance, began, rigorous=True)
 
 
 def continuous_design(
@@ -63,7 +62,6 @@ def continuous_design(
     runs: int | None = None,
     tolerance: float = 1e-10,
     proof: float = 1e-10,
-    most_boxes: int = MOST_BOXES,
     also: Array | None = None,
 ) -> ApproximateDesign:
     """Optimal weights over ALL postures within limits and constraints: no grid at all.
@@ -85,8 +83,8 @@ def continuous_design(
     rigorous = False
     if jacobians is not None:
         proof = max(tolerance, proof)
-        ended, largest, rigorous = prove(everything, jacobians, ended, largest, stages[1:], proof, most_boxes)
-    return certified(problem, prior, ended, largest, None, max(tolerance, proof), began, rigorous=rigorous)
+        ended, largest, rigorous = prove(everything, jacobians, ended, largest, stages[1:], proof)
+    return certified(ended, largest, None, max(tolerance, proof), began, rigorous=rigorous)
 
 
 def ascents(everything: ContinuousSet, tolerance: float) -> list[Stage]:
@@ -126,7 +124,6 @@ def prove(
     largest: float,
     stages: Sequence[Stage],
     tolerance: float,
-    most_boxes: int,
 ) -> tuple[SparseDesign, float, bool]:
     """Branch and bound on the sensitivity; a posture that the multistart missed starts the loop again.
 
@@ -137,7 +134,7 @@ def prove(
         constant = float(prior.mixed(np.zeros(()), ended.gradient))
         polynomial = jacobians.sensitivity(ended.gradient, prior.new_fraction, constant)
         close, known = tolerance * abs(ended.level), ended.plan.postures
-        found = maximum(polynomial, problem.lower, problem.upper, known=known, tolerance=close, most_boxes=most_boxes)
+        found = maximum(polynomial, problem.lower, problem.upper, known=known, tolerance=close, most_boxes=MOST_BOXES)
         largest = max(largest, found.value)
         if not found.proven:
             return ended, largest, False
@@ -150,8 +147,6 @@ def prove(
 
 
 def certified(
-    problem: DesignProblem,
-    prior: PriorInformation,
     ended: SparseDesign,
     largest: float,
     candidates: int | None,
@@ -163,11 +158,8 @@ def certified(
     """The certificate: `largest` >= max tr(G F) over the design space."""
     solved = largest - ended.level <= 10.0 * tolerance * abs(ended.level)
     return assess(
-        problem,
-        prior,
-        ended.plan,
+        ended,
         largest,
-        gradient=ended.gradient,
         candidates=candidates,
         rigorous=rigorous,
         status=Status.converged if solved else Status.almost_solved,

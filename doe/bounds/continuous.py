@@ -1,26 +1,24 @@
 """Postures worth adding, out of ALL within limits and constraints: multistart Newton ascent of d(q) = tr(G F(q)).
 
-Every start climbs at the same time, on exact first and second derivatives of the Jacobians (CasADi, vectorised). Joints
-at a limit that would leave the box stay there. Constraints are kept by a logarithmic barrier, lowered step by step, so
+All starts climb together, on exact first and second derivatives (`doe.problem.derivatives`). Joints at a limit
+that would leave the box stay there. Constraints are kept by a logarithmic barrier, lowered step by step, so
 that a climb can follow a wall. What is found is a numerical maximum; `doe.bounds.branch_and_bound` makes it a theorem
 where the model allows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 
-import casadi as ca
 import numpy as np
 
+from doe.problem.derivatives import Derivatives, constraint_derivatives, jacobian_derivatives
 from doe.problem.feasible import random_postures
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
-from identification.vectorize import vectorize
 
 STEPS = 60
 LONGEST = 0.7  # [rad] of a Newton step
@@ -47,24 +45,12 @@ class ContinuousSet:
     also: Array | None = None
 
     @cached_property
-    def _derivatives(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        """(m, n) -> B as (m, dp, 1), its first (m, dp, n) and second (m, dp n, n) derivatives by the joint angles."""
-        q = ca.SX.sym("q", self.problem.joints)
-        jacobians = ca.vec(self.problem.scaled_jacobian_function(q).T)  # row by row, as numpy has it
-        first = ca.jacobian(jacobians, q)
-        second = ca.jacobian(ca.vec(first.T), q)
-        outputs = [ca.densify(jacobians), ca.densify(first), ca.densify(second)]
-        return vectorize(ca.Function("derivatives", [q], ca.cse(outputs)))
+    def _derivatives(self) -> Derivatives:
+        return jacobian_derivatives(self.problem, range(self.problem.joints))
 
     @cached_property
-    def _walls(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        """(m, n) -> margins of all constraints (m, k, 1), their derivatives (m, k, n) and second ones (m, k n, n)."""
-        q = ca.SX.sym("q", self.problem.joints)
-        margins = ca.vertcat(*(constraint.symbolic(q) for constraint in self.problem.constraints))
-        first = ca.jacobian(margins, q)
-        second = ca.jacobian(ca.vec(first.T), q)
-        outputs = [ca.densify(margins), ca.densify(first), ca.densify(second)]
-        return vectorize(ca.Function("walls", [q], ca.cse(outputs)))
+    def _walls(self) -> Derivatives:
+        return constraint_derivatives(self.problem, range(self.problem.joints))
 
     def sensitivities(self, postures: Array, gradient: Array) -> Array:
         """(m,) tr(G F(q))."""
@@ -81,7 +67,7 @@ class ContinuousSet:
         slope = 2.0 * np.einsum("mda,mdai->mi", weighted, first, optimize=True)
         turned = np.einsum("ab,mdbi->mdai", gradient, first, optimize=True).reshape(m, d * p, n)
         hessian = np.swapaxes(first.reshape(m, d * p, n), 1, 2) @ turned
-        hessian += np.einsum("ma,maij->mij", weighted.reshape(m, -1), second.reshape(m, d * p, n, n), optimize=True)
+        hessian += np.einsum("ma,maij->mij", weighted.reshape(m, -1), second, optimize=True)
         return self.prior.new_fraction * slope, 2.0 * self.prior.new_fraction * hessian
 
     # -- where to start ----------------------------------------------------------------------------------------------
@@ -175,7 +161,7 @@ class ContinuousSet:
         values = self.sensitivities(q, gradient)
         if barrier == 0.0:
             return values
-        margins = self._walls(q)[0][..., 0]
+        margins = self._walls(q)[0]
         inside = np.all(margins > 0.0, axis=1) & self.problem.feasible(q)
         logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
         return np.where(inside, values + barrier * logarithms, -np.inf)
@@ -184,9 +170,9 @@ class ContinuousSet:
         slope, hessian = self.slopes(q, gradient)
         if barrier == 0.0:
             return slope, hessian
-        margins, first, second = self._walls(q)  # (m, k, 1), (m, k, n), (m, k n, n)
-        relative = first / margins
-        bend = second.reshape(*first.shape, -1) / margins[..., None]
+        margins, first, second = self._walls(q)
+        relative = first / margins[..., None]
+        bend = second / margins[..., None, None]
         slope = slope + barrier * relative.sum(axis=1)
         return slope, hessian + barrier * (bend.sum(axis=1) - np.swapaxes(relative, 1, 2) @ relative)
 

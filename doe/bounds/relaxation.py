@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.bounds.approximate_design import ApproximateDesign, assess
+from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, assess
 from doe.bounds.column_generation import column_generation
 from doe.bounds.convex_program import solve_program
 from doe.bounds.equivalence import largest_sensitivity
@@ -89,15 +89,10 @@ def _one_program(
     support = np.flatnonzero(weights > CARRIED)
     support = support[np.argsort(-weights[support], kind="stable")]
     plan = Plan(candidates.take(support), proper_weights(weights[support]), problem.model.joint_types)
-    gradient = answer.gradient
-    if gradient is None:
-        gradient = problem.criterion.gradient(prior.mixture(problem.scaled_jacobians(plan.postures), plan.shares))
+    found = SparseDesign(problem, prior, plan, answer.gradient)
     return assess(
-        problem,
-        prior,
-        plan,
-        largest_sensitivity(problem, candidates, gradient, prior),
-        gradient=gradient,
+        found,
+        largest_sensitivity(problem, candidates, found.gradient, prior),
         candidates=len(candidates),
         rigorous=True,
         status=STATUS.get(answer.status, Status.solver_failed),

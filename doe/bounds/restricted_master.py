@@ -4,7 +4,7 @@
              price     find postures with tr(G F(q)) above tr(G M)          (a stage)
              purge     drop postures that need not carry weight
 
-Cheap stages come first; the last one decides. It ends when no posture is worth adding: that is the equivalence theorem.
+Cheap stages come first; the last one decides. The loop ends when no posture improves the design.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doe.bounds.approximate_design import SparseDesign
 from doe.bounds.continuous import distinct
 from doe.bounds.convex_program import smallest_eigenvalue_weights
 from doe.bounds.equivalence import level
@@ -33,7 +34,7 @@ EXACT = 1e-14  # the same at the end: rounding
 NEGLIGIBLE = 1e-10  # weight below which a posture is dropped
 RANK = 1e-13  # reciprocal condition number of a matrix that is one rank short
 
-# price(gradient, level, working postures) -> postures worth adding (k, n), largest g over its whole set
+# price(gradient, level, working postures) -> postures that improve the design (k, n), largest g over its whole set
 Price = Callable[[Array, float, Array], tuple[Array, float]]
 
 
@@ -41,7 +42,7 @@ Price = Callable[[Array, float, Array], tuple[Array, float]]
 class Stage:
     """One pricing, used until the gap it finds is below `goal` (relative).
 
-    back : stages to go back when it found something: what a dear search found, a cheaper one refines
+    back : stages to go back when it found something: a cheaper search refines what a thorough one found
     """
 
     price: Price
@@ -53,18 +54,56 @@ class Stage:
 class WorkingSet:
     """The few postures of the master problem: postures (k, n), scaled Jacobians (k, d, p), and its solution."""
 
+    problem: DesignProblem
+    prior: PriorInformation
     postures: Array
     jacobians: Array
     solution: Weights
 
-    def level(self, prior: PriorInformation) -> float:
+    @classmethod
+    def solved(
+        cls, problem: DesignProblem, prior: PriorInformation, postures: Array, jacobians: Array, accuracy: float
+    ) -> WorkingSet:
+        """With optimal weights. Raises `JobError` where the postures do not identify all parameters."""
+        information = prior.mixture(jacobians, np.full(len(jacobians), 1.0 / len(jacobians)))
+        if _diverges(problem.criterion, information):
+            raise JobError(
+                "approximate design: the information matrix is singular on these postures, the parameters cannot all "
+                "be identified; drop an effect or allow more postures"
+            )
+        weights = optimal_weights(jacobians, problem.criterion, prior, accuracy)
+        return cls(problem, prior, postures, jacobians, weights)
+
+    def refined(self, accuracy: float) -> WorkingSet:
+        """The same postures with weights of another accuracy."""
+        return self.solved(self.problem, self.prior, self.postures, self.jacobians, accuracy)
+
+    def extended(self, offers: Array, accuracy: float, *, purge: bool) -> WorkingSet:
+        """With new postures, without those that need not carry weight where `purge` says so, solved again."""
+        carrying = np.flatnonzero(self.sparse > 0.0) if purge else np.arange(len(self.postures))
+        postures = np.concatenate([self.postures[carrying], offers])
+        jacobians = np.concatenate([self.jacobians[carrying], self.problem.scaled_jacobians(offers)])
+        once = np.sort(distinct(self.problem.comparable(postures)))
+        return self.solved(self.problem, self.prior, postures[once], jacobians[once], accuracy)
+
+    @property
+    def level(self) -> float:
         """tr(G M)."""
-        return level(self.solution.gradient, prior.mixture(self.jacobians, self.solution.weights))
+        return level(self.solution.gradient, self.prior.mixture(self.jacobians, self.solution.weights))
 
     @property
     def sparse(self) -> Array:
         """(k,) weights of the same information on as few postures as possible."""
         return sparsest(self.jacobians, np.where(self.solution.weights > NEGLIGIBLE, self.solution.weights, 0.0))
+
+    @property
+    def design(self) -> SparseDesign:
+        """The plan that is reported."""
+        weights = self.sparse
+        order = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
+        plan = Plan(self.postures[order], weights[order], self.problem.model.joint_types)
+        dual = self.solution.gradient if self.problem.criterion.name == "E" else None
+        return SparseDesign(self.problem, self.prior, plan, dual)
 
 
 def generate_columns(
@@ -72,39 +111,27 @@ def generate_columns(
 ) -> tuple[SparseDesign, float]:
     """Optimal weights, and the gap (absolute) that the last pricing of the last stage found."""
     accuracy = EXACT  # of the weights; later, far from the end, exact ones would be wasted
-    working = _solve(problem, prior, start, problem.scaled_jacobians(start), accuracy)
+    working = WorkingSet.solved(problem, prior, start, problem.scaled_jacobians(start), accuracy)
     current, gap, smallest = 0, np.inf, np.inf
     for _ in range(ROUNDS):
-        stage, reached = stages[current], working.level(prior)
+        stage, reached = stages[current], working.level
         offers, largest = stage.price(working.solution.gradient, reached, working.postures)
         gap = largest - reached
         if len(offers) and gap > stage.goal * abs(reached):
             accuracy = max(ROUGH * gap / abs(reached), EXACT)
             # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
             crowded = len(working.postures) > CROWD * problem.parameters
-            working = _extend(problem, prior, working, offers, accuracy, purge=crowded or gap < 0.9 * smallest)
+            working = working.extended(offers, accuracy, purge=crowded or gap < 0.9 * smallest)
             smallest = min(smallest, gap)
             current -= stage.back
         elif accuracy > EXACT:
             accuracy = EXACT
-            working = _solve(problem, prior, working.postures, working.jacobians, accuracy)
+            working = working.refined(accuracy)
         elif current == len(stages) - 1:
             break
         else:
             current, smallest = current + 1, np.inf
-    return sparse_design(problem, prior, working), gap
-
-
-def _solve(
-    problem: DesignProblem, prior: PriorInformation, postures: Array, jacobians: Array, accuracy: float
-) -> WorkingSet:
-    information = prior.mixture(jacobians, np.full(len(jacobians), 1.0 / len(jacobians)))
-    if _diverges(problem.criterion, information):
-        raise JobError(
-            "approximate design: the information matrix is singular on these postures, the parameters cannot all be "
-            "identified; drop an effect or allow more postures"
-        )
-    return WorkingSet(postures, jacobians, optimal_weights(jacobians, problem.criterion, prior, accuracy))
+    return working.design, gap
 
 
 def optimal_weights(
@@ -129,34 +156,3 @@ def _diverges(criterion: Criterion, information: Array) -> bool:
     gradient = criterion.gradient(information + distance * np.eye(len(values)))
     steepest = np.einsum("ak,ab,bk->k", missing, gradient, missing).max()
     return not np.isfinite(criterion.value(information)) or steepest * distance > 1e-3
-
-
-def _extend(
-    problem: DesignProblem, prior: PriorInformation, working: WorkingSet, offers: Array, accuracy: float, *, purge: bool
-) -> WorkingSet:
-    """Postures that need not carry weight out, new ones in, solved again."""
-    carrying = np.flatnonzero(working.sparse > 0.0) if purge else np.arange(len(working.postures))
-    postures = np.concatenate([working.postures[carrying], offers])
-    jacobians = np.concatenate([working.jacobians[carrying], problem.scaled_jacobians(offers)])
-    once = np.sort(distinct(problem.comparable(postures)))
-    return _solve(problem, prior, postures[once], jacobians[once], accuracy)
-
-
-@dataclass(frozen=True)
-class SparseDesign:
-    """The design on as few postures as carry its information: plan, gradient (p, p) G there, level tr(G M)."""
-
-    plan: Plan
-    gradient: Array
-    level: float
-
-
-def sparse_design(problem: DesignProblem, prior: PriorInformation, working: WorkingSet) -> SparseDesign:
-    """The plan that is reported; what is proven is proven of it, not of the weights that the loop ended with."""
-    weights = working.sparse
-    order = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
-    plan = Plan(working.postures[order], weights[order], problem.model.joint_types)
-    information = prior.mixture(problem.scaled_jacobians(plan.postures), plan.shares)
-    dual = problem.criterion.name == "E"  # any gradient of unit trace bounds it; that of the dual program is the best
-    gradient = working.solution.gradient if dual else problem.criterion.gradient(information)
-    return SparseDesign(plan, gradient, level(gradient, information))

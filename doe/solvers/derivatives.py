@@ -8,13 +8,11 @@ G = dPhi/dM and X_ia = dM/dq_ia,
     df/dq_ia            = (2/N) tr(G B_i^T dB_i/dq_a)
     d2f/dq_ia dq_kb     = D^2 Phi[X_ia, X_kb] + (2/N) [i = k] ( tr(G dB_a^T dB_b) + tr(G B^T d2B_ab) )
 
-B and its derivatives come from CasADi, once per problem, and run over all postures at once
-(`identification.vectorize`).
+B and its derivatives come from `doe.problem.derivatives`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,10 +20,10 @@ import casadi as ca
 import numpy as np
 
 from doe.criteria.criterion import Criterion, smooth
+from doe.problem.derivatives import Derivatives, constraint_derivatives, jacobian_derivatives
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.information import information_matrix
-from identification.vectorize import vectorize
 
 
 @dataclass(frozen=True)
@@ -58,8 +56,12 @@ class PlanFunction:
 
         Raises numpy's `LinAlgError` where the information matrix is singular.
         """
-        jacobian, first, second = self._jacobians(postures)
-        total, information = self.runs + self.problem.prior.runs, self._information(jacobian)
+        m, a = len(postures), len(self.joints)
+        jacobian, first, second = self._derivatives(postures)
+        jacobian = jacobian.reshape(m, -1, self.problem.parameters)
+        first = np.moveaxis(first.reshape(*jacobian.shape, a), 3, 1)
+        total = self.runs + self.problem.prior.runs
+        information = self.problem.prior.information(information_matrix(jacobian), self.runs)
         gradient = self.criterion.gradient(information)
         slope = (2.0 / total) * np.einsum("mdp,madp->ma", jacobian @ gradient, first)
         value = float(self.criterion.value(information))
@@ -68,35 +70,21 @@ class PlanFunction:
     def _hessian(
         self, jacobian: Array, first: Array, second: Array, information: Array, gradient: Array, total: float
     ) -> Array:
+        """(m a, m a) of B (m, d, p), dB (m, a, d, p) and d2B (m, d p, a, a)."""
         m, a, d, p = first.shape
         half = np.swapaxes(jacobian, -1, -2)[:, None] @ first  # B^T dB_a, (m, a, p, p)
         directions = (half + np.swapaxes(half, -1, -2)).reshape(m * a, p, p) / total
         hessian = self.criterion.curvature(information, directions).reshape(m, a, m, a)
         flat = first.reshape(m, a, d * p)
         own = flat @ np.swapaxes((first @ gradient).reshape(m, a, d * p), -1, -2)
-        own += np.einsum("mx,mabx->mab", (jacobian @ gradient).reshape(m, d * p), second)
+        own += np.einsum("mx,mxab->mab", (jacobian @ gradient).reshape(m, d * p), second)
         runs = np.arange(m)
         hessian[runs, :, runs, :] += (2.0 / total) * own
         return hessian.reshape(m * a, m * a)
 
-    def _information(self, jacobian: Array) -> Array:
-        return self.problem.prior.information(information_matrix(jacobian), self.runs)
-
-    def _jacobians(self, postures: Array) -> tuple[Array, Array, Array]:
-        """B (m, d, p), dB (m, a, d, p), d2B (m, a, a, d p) at every posture."""
-        jacobian, first, second = self._compiled(postures)
-        m, d, p = jacobian.shape
-        a = len(self.joints)
-        return jacobian, np.moveaxis(first.reshape(m, d, p, a), 3, 1), np.moveaxis(second.reshape(m, a, d * p, a), 2, 3)
-
     @cached_property
-    def _compiled(self) -> Callable[..., tuple[Array, ...]]:
-        q = ca.SX.sym("q", self.problem.joints)
-        active = q[list(self.joints)]
-        jacobian = self.problem.scaled_jacobian_function(q)
-        first = ca.jacobian(ca.vec(jacobian.T), active)  # rows of B one after the other
-        second = ca.jacobian(ca.vec(first), active)
-        return vectorize(ca.Function("derivatives", [q], ca.cse([jacobian, first, second])))
+    def _derivatives(self) -> Derivatives:
+        return jacobian_derivatives(self.problem, self.joints)
 
 
 @dataclass(frozen=True)
@@ -107,15 +95,9 @@ class ConstraintFunction:
     joints: tuple[int, ...]
 
     @cached_property
-    def expressions(self) -> tuple[ca.SX, ca.SX]:
-        """Posture q (n,) and its (k,) constraint expressions."""
-        q = ca.SX.sym("q", self.problem.joints)
-        return q, ca.vertcat(*(constraint.symbolic(q) for constraint in self.problem.constraints))
-
-    @property
     def rows(self) -> int:
         """k, constraints of one posture."""
-        return int(self.expressions[1].numel())
+        return self._derivatives(self.problem.lower[None])[0].size if self.problem.constraints else 0
 
     def sparsity(self, runs: int) -> ca.Sparsity:
         """(m k, m a) pattern of the Jacobian: a run's constraints depend on its own joints only."""
@@ -123,26 +105,22 @@ class ConstraintFunction:
 
     def values(self, postures: Array) -> Array:
         """(m k,) constraint expressions."""
-        return self._compiled(postures)[0].ravel()
+        return self._derivatives(postures)[0].ravel()
 
     def jacobian(self, postures: Array) -> Array:
         """(m a k,) derivatives, in the order of CasADi's columns: run, joint, constraint."""
-        return np.swapaxes(self._compiled(postures)[1], 1, 2).ravel()
+        return np.swapaxes(self._derivatives(postures)[1], 1, 2).ravel()
 
     def hessian(self, postures: Array, multipliers: Array) -> Array:
         """(m a, m a) second derivative of sum multipliers * constraints; zero between runs."""
         m, a = len(postures), len(self.joints)
         full = np.zeros((m, a, m, a))
         if self.rows:
-            second = self._compiled(postures)[2].reshape(m, a, self.rows, a)
             runs = np.arange(m)
-            full[runs, :, runs, :] = np.einsum("mk,makb->mab", multipliers.reshape(m, -1), second)
+            second = self._derivatives(postures)[2]
+            full[runs, :, runs, :] = np.einsum("mk,mkab->mab", multipliers.reshape(m, -1), second)
         return full.reshape(m * a, m * a)
 
     @cached_property
-    def _compiled(self) -> Callable[..., tuple[Array, ...]]:
-        q, values = self.expressions
-        active = q[list(self.joints)]
-        first = ca.jacobian(values, active)
-        second = ca.jacobian(ca.vec(first), active)
-        return vectorize(ca.Function("constraints", [q], ca.cse([values, first, second])))
+    def _derivatives(self) -> Derivatives:
+        return constraint_derivatives(self.problem, self.joints)

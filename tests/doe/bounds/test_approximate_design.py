@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from doe.bounds.approximate_design import assess
+from doe.bounds.approximate_design import SparseDesign, assess
 from doe.bounds.equivalence import largest_sensitivity
 from doe.plan.plan import Plan
 from doe.problem.candidates import grid
@@ -21,10 +21,11 @@ FACTORIAL = Plan(np.radians([[0, a, b, c] for a in (-90, 90) for b in (-90, 60) 
 def judged(plan: Plan, status: Status = Status.converged):  # type: ignore[no-untyped-def]
     case = problem(FOUR)
     candidates = grid(case, 5)
-    gradient = np.linalg.inv(case.information(plan.postures, plan.shares))
-    largest = largest_sensitivity(case, candidates, gradient, PriorInformation())
+    largest = largest_sensitivity(
+        case, candidates, np.linalg.inv(case.information(plan.postures, plan.shares)), PriorInformation()
+    )
     return assess(
-        case, PriorInformation(), plan, largest, candidates=len(candidates), rigorous=True,
+        SparseDesign(case, PriorInformation(), plan), largest, candidates=len(candidates), rigorous=True,
         status=status, solver="by hand", solver_status="done", seconds=0.5,
     )  # fmt: skip
 
