@@ -15,7 +15,7 @@ from identification.errors import InputError
 @click.argument("arm", type=FILE)
 @click.option("--runs", default="4:40", show_default=True, metavar="A:B", help="Numbers of runs, A to B.")
 @click.option("--target-mm", type=float, help="Wanted largest standard deviation of a link length [mm].")
-@click.option("--seconds", type=Seconds(), default=2.0, show_default=True, help="For each.")
+@click.option("--seconds", type=Seconds(), default=2.0, show_default=True, help="Time limit for each number of runs.")
 @output_options(picture="Write the curve as .png, .svg or .pdf.", out=False)
 def command(session: Session, arm: Path, runs: str, target_mm: float | None, seconds: float, output: Output) -> Answer:
     """Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from identification.arm import Arm
     from identification.measurements import Measurements
 
-# the arm file with something added to it; --force may put it in the place of the old one
+# the arm file with a table added to it; --force may overwrite the old one
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))
 
 
@@ -103,7 +103,7 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
 
 
 def check_outputs(context: click.Context) -> None:
-    """Raises `InputError` for an output of the call that is one of its inputs or another output: one would be lost."""
+    """Raises `InputError` if an output file is also an input or another output: one would overwrite the other."""
     taken = {os.path.realpath(path): name for name, path in _paths(context, written=False)}
     for name, path in _paths(context, written=True):
         other = taken.setdefault(os.path.realpath(path), name)

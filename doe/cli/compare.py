@@ -71,7 +71,7 @@ comparison_options = grouped(
     click.option("--criterion", "criteria", default="D", show_default=True, help="D, A, E or Dstar; more as in D,A."),
     click.option("--starts", callback=whole_numbers, help="Starts of one run, as in 1,10; left out: the solver's own."),
     click.option(
-        "--repeats", type=click.IntRange(min=1), default=5, show_default=True, help="Runs of each, other seeds."
+        "--repeats", type=click.IntRange(min=1), default=5, show_default=True, help="Runs of each, new seeds."
     ),
     click.option("--seconds", type=Seconds(), default=60.0, show_default=True, help="Limit of one run [s]."),
 )
@@ -82,10 +82,10 @@ comparison_options = grouped(
 @comparison_options
 @job_options(workers=1, out="Rows, summary and pictures go here; NAME.parquet: the rows only.")
 def command(session: Session, arms: tuple[Path, ...], compared: ComparisonOptions, job: JobOptions) -> Answer:
-    """Run design solvers side by side on the problems ARM x RUNS, each run in a process of its own.
+    """Run design solvers side by side on the problems ARM x RUNS, each run in a separate process.
 
-    Every plan is evaluated on the stored problem, whatever its solver says. Hit rate: fraction of the runs that found
-    the best value known. With --repeats 10 --starts 1 that is the fraction of good starts.
+    Every plan is evaluated on the stored problem, independently of its solver. Hit rate: fraction of the runs that
+    found the best known value; with --repeats 10 --starts 1, the fraction of good starts.
     """
     one_thread_each()
     from doe.jobs.row_table import RowTable
@@ -112,7 +112,7 @@ def command(session: Session, arms: tuple[Path, ...], compared: ComparisonOption
 
 
 def rows_file(out: Path | None) -> Path | None:
-    """Where the rows stand: in the folder `out`, which is made, or `out` itself if it is a Parquet file."""
+    """Where the rows go: into the folder `out`, which is created, or `out` itself if it is a Parquet file."""
 
     from doe.jobs.row_table import made
 

@@ -29,7 +29,7 @@ from identification.errors import nearest
 
 @contextmanager
 def one_line_errors() -> Iterator[None]:
-    """Usage errors without the usage above them: one line, as every other bad input; so is help on a full disk."""
+    """Usage errors, and a full disk while help is printed, as one line like every other error."""
     try:
         yield
     except click.exceptions.NoArgsIsHelpError:  # the whole help, on purpose

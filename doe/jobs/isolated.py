@@ -1,8 +1,8 @@
-"""One call in a process of its own, with a time limit: a call that hangs or crashes stops nothing else.
+"""One call in a separate process, with a time limit: a call that hangs or crashes stops nothing else.
 
-The process is an ordinary Python started for this call, so it works from anywhere (a notebook, a pool, a dask worker:
-pools of `multiprocessing`, pebble's too, are refused in the last, which is a daemon), inherits no locks or threads,
-and builds its own CasADi functions. The limit is kept by the watchdog of `faulthandler`: a thread in C, which ends the
+The process is an ordinary Python started for this call, so it works from anywhere (a notebook, a pool, or a dask
+worker, which as a daemon may not start a pool of `multiprocessing` or pebble), inherits no locks or threads, and
+builds its own CasADi functions. The limit is enforced by the watchdog of `faulthandler`: a thread in C, which ends the
 process even while compiled code holds the interpreter.
 """
 
@@ -89,7 +89,7 @@ def answer() -> None:
         started = time.perf_counter()
         value, status, error = function(*arguments), "done", None
         seconds = time.perf_counter() - started
-    except Exception as raised:  # noqa: BLE001 - whatever it was, it becomes the outcome
+    except Exception as raised:  # noqa: BLE001 - every failure becomes the outcome
         value, status, error = None, "failed", one_line(raised)
         seconds = time.perf_counter() - started if "started" in locals() else 0.0
     faulthandler.cancel_dump_traceback_later()

@@ -1,8 +1,8 @@
-"""Tables of rows under keys: written as rows finish, whole after a crash, continued where they stopped.
+"""Tables of rows under keys: written as rows finish, intact after a crash, continued where they stopped.
 
 A table is one Parquet file. While work goes on, finished rows are appended to a journal beside it (one line of JSON per
-key, floats to the last bit); `finish` turns both into the Parquet file. After a kill the journal is still there, and
-`RowTable.open(..., resume=True)` reads it; a line torn by the crash is dropped, its key is simply done again.
+key, floats to the last bit); closing the table turns both into the Parquet file. After a kill the journal remains, and
+`RowTable.open(..., resume=True)` reads it; a line cut short by the crash is dropped, and its key is done again.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ KEY = "key"  # column with the key's canonical text
 
 
 def canonical(key: Key) -> str:
-    """The key as text, the same whatever the order of its entries.
+    """The key as text, independent of the order of its entries.
 
     >>> canonical({"runs": 4, "arm": "a"})
     '{"arm":"a","runs":4}'
@@ -117,7 +117,7 @@ class RowTable:
 
 
 def frame_of(rows: Sequence[Row]) -> polars.DataFrame:
-    """Rows as a polars frame; a column is the union of the rows' types, what a row does not have is null."""
+    """Rows as a polars frame with the union of their columns; what a row does not have is null."""
     import polars
 
     if not rows:
@@ -171,7 +171,7 @@ def short_hash(content: str | bytes) -> str:
 
 
 def journal_of(path: Path) -> Path:
-    """Where the rows of a table stand while work goes on."""
+    """The file that holds finished rows while work goes on."""
     return path.with_name(path.name + ".journal")
 
 

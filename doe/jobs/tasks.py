@@ -1,8 +1,8 @@
-"""Tasks: a function and keys, done on any workers, give the same rows to the last bit.
+"""Tasks: a function and keys give the same rows to the last bit on any workers.
 
 A task is a key (what to do, in JSON types); its rows depend on the key and the seed only, never on the number of
-workers or the order. Functions go to workers by name and are given keys: what cannot travel (CasADi, IPOPT) is built
-there.
+workers or the order. Functions are sent to workers by name and called with keys: what cannot be pickled (CasADi,
+IPOPT) is built there.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 Function = Callable[..., list[Row]]  # (key, seed sequence), and the key's payload where there is one
 AHEAD = 3  # tasks handed out per worker, so that none waits; a million tasks are never in flight at once
-TRIES = 2  # a task whose worker died this often is tried once more alone: if that worker dies too, the task is to blame
+TRIES = 2  # a task whose worker died this often runs once more alone: if that worker dies too, the task is at fault
 
 
 def seed_of(key: Key, seed: int = 0) -> np.random.SeedSequence:
@@ -71,9 +71,9 @@ def run(
 
 @dataclass(frozen=True)
 class Job:
-    """Several tables of rows that belong together: where they are kept, who fills them, what becomes of earlier ones.
+    """Several tables of rows that belong together: where they go, who fills them, whether to resume or replace.
 
-    folder : where the tables go, made if need be; None: kept in memory only
+    folder : for the tables, created if missing; None: kept in memory only
     """
 
     folder: PathLike | None

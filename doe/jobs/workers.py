@@ -23,7 +23,7 @@ class Workers:
     """Where tasks run.
 
     open : gives an executor with `submit` and futures like those of `concurrent.futures`; called again if it broke.
-        For an executor of your own, which stays open: `Workers(lambda: nullcontext(executor), 8)`
+        For an existing executor, which stays open: `Workers(lambda: nullcontext(executor), 8)`
     count : number of tasks that run at once;  reopens : whether a broken executor can be opened anew
     """
 

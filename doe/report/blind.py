@@ -32,7 +32,7 @@ COLORS = {"met": "green", "within its error": "yellow", "missed": "red"}
 
 
 def blind_tables(found: BlindStudy) -> list[Any]:
-    """Verdict, cells, further postures, bars, and what was taken for what."""
+    """Verdict, cells, further postures, targets, and the most frequent mistakes."""
     return [str(found), cell_table(found.cells), *further_tables(found.cells), bar_table(found.bars), *mistakes(found)]
 
 
@@ -86,7 +86,7 @@ WAYS = {
 
 
 def bar_table(bars: pl.DataFrame) -> Table:
-    """What is asked and how it came out."""
+    """Targets and results."""
     rows = (
         [row["cell"], row["measure"], row["asked"], with_error(row), Text(row["outcome"], COLORS[row["outcome"]])]
         for row in bars.iter_rows(named=True)
@@ -117,17 +117,17 @@ def write_pictures(folder: Path, found: BlindStudy) -> None:
 
 
 def confusion_figure(confusion: pl.DataFrame) -> Figure:
-    """Share of the sets with a class hidden (row) in which a class was named (column); single classes only."""
-    rows, columns, shares, totals = matrix(confusion)
+    """Fraction of the sets with a class hidden (row) in which a class was named (column); single classes only."""
+    rows, columns, fractions, totals = matrix(confusion)
     figure = Figure(figsize=(1.5 + 0.55 * len(columns), 1.8 + 0.42 * len(rows)), layout="constrained")
     axes = figure.add_subplot()
-    axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    axes.imshow(fractions, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     axes.set_xticks(range(len(columns)), columns, rotation=45, ha="right", rotation_mode="anchor")
     axes.set_yticks(range(len(rows)), [f"{name} ({total})" for name, total in zip(rows, totals, strict=True)])
-    for (i, j), share in np.ndenumerate(shares):
-        if share >= 0.0005:
-            color = "white" if share > 0.5 else "black"
-            axes.text(j, i, f"{share:.3f}".lstrip("0"), ha="center", va="center", color=color, fontsize=7)
+    for (i, j), fraction in np.ndenumerate(fractions):
+        if fraction >= 0.0005:
+            color = "white" if fraction > 0.5 else "black"
+            axes.text(j, i, f"{fraction:.3f}".lstrip("0"), ha="center", va="center", color=color, fontsize=7)
     axes.set_xlabel("named")
     axes.set_ylabel("hidden (data sets)")
     axes.set_title("What was hidden and what was named: fraction of each row")
@@ -135,24 +135,24 @@ def confusion_figure(confusion: pl.DataFrame) -> Figure:
 
 
 def matrix(confusion: pl.DataFrame) -> tuple[list[str], list[str], Array, list[int]]:
-    """Row names, column names, shares and row totals; sets with several effects hidden are left out."""
+    """Row names, column names, fractions and row totals; sets with several effects hidden are left out."""
     counts = {(row["hidden"], row["named"]): row["count"] for row in confusion.iter_rows(named=True)}
     hidden = _ordered({a for a, _ in counts if " + " not in a})
     named = _ordered(({*hidden, "unknown"} - {"outside the library"}) | {_column(b) for a, b in counts if a in hidden})
-    shares = np.zeros((len(hidden), len(named)))
+    fractions = np.zeros((len(hidden), len(named)))
     for (a, b), count in counts.items():
         if a in hidden:
-            shares[hidden.index(a), named.index(_column(b))] += count
-    totals = shares.sum(axis=1)
-    return hidden, named, shares / totals[:, None], [int(total) for total in totals]
+            fractions[hidden.index(a), named.index(_column(b))] += count
+    totals = fractions.sum(axis=1)
+    return hidden, named, fractions / totals[:, None], [int(total) for total in totals]
 
 
 def _column(named: str) -> str:
-    """Several names at once share a column, unless the rest of the gap stayed unknown."""
+    """Several names at once go into one column, unless the rest of the gap stayed unknown."""
     return "unknown" if named.endswith("unknown") else "several" if " + " in named else named
 
 
 def _ordered(names: set[str]) -> list[str]:
-    """Alphabetical, special ones last."""
+    """Alphabetical, special names last."""
     last: Sequence[str] = ("nothing", "several", "outside the library", "unknown")
     return sorted(names - set(last)) + [name for name in last if name in names]

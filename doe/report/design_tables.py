@@ -100,7 +100,7 @@ def observability_line(indices: Observability) -> Text:
 
 
 def certified(data: dict[str, Any], most: int = 10) -> str:
-    """`yes`, `not proven`, or which runs no bound speaks of."""
+    """`yes`, `not proven`, or which runs lie outside the problem, so that no bound applies."""
     outside = data["outside_limits"]
     if outside:
         more = ", ..." if len(outside) > most else ""

@@ -1,4 +1,4 @@
-"""Pictures of a diagnosis: residuals before and after against everything, and which effects are alike."""
+"""Pictures of a diagnosis: residuals before and after, and which effects are hard to distinguish."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MANY = 500  # rows from which points are drawn smaller, and as pixels in vector 
 def against_figure(diagnosis: Diagnosis) -> Figure:
     """Residual distances before and after, against each joint, time, torque: points, and the RMS in twelve bins.
 
-    Outlier rows are left out, as they were in the tests: one bumped target would flatten everything else.
+    Outlier rows are left out, as they were in the tests: a single displaced target would set the scale.
     """
     shown, kept = diagnosis.residuals, rows_kept(diagnosis)
     rows = -(-len(shown.against) // COLUMNS)

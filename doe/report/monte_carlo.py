@@ -14,7 +14,7 @@ MOST = 12  # cells shown; the files have all
 
 
 def study_tables(result: StudyResult) -> list[Any]:
-    """One table per cell, and the cells that could not be done."""
+    """One table per cell, and the cells that could not be simulated."""
     shown: list[Any] = [str(result)]
     parts = result.cells.partition_by(*CELL, maintain_order=True)
     for part in parts[:MOST]:

@@ -17,7 +17,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def significant(value: float | None, std: float | None) -> str:
-    """As many digits as the standard deviation deserves (three of its own)."""
+    """Rounded to the third significant digit of the standard deviation."""
     if value is None:
         return "-"
     if not std:
@@ -41,7 +41,7 @@ def table(
 
     left : headings of the columns that start at the left; the others are figures and end at the right
     no_wrap : headings of columns that are never broken
-    most : number of rows shown;  caption : what stands below when there are more
+    most : number of rows shown;  caption : the line below when there are more
     style : as `rich.table.Table` takes it
     """
     found = Table(title=title, title_justify="left", **style)

@@ -1,7 +1,7 @@
-"""Solvers side by side: every solver on every problem, several times over, each run in a process of its own.
+"""Solvers side by side: every solver on every problem, repeated, each run in a separate process.
 
-A row is one run of one solver: what it cost, and how good its plan is by our own evaluation of the stored problem.
-`status` says whether the run ended well, `correct` whether the plan is what the solver claims: these are two things.
+A row is one run of one solver: its cost, and the quality of its plan by our own evaluation of the stored problem.
+`status` says whether the run ended normally; `correct` says whether the plan is what the solver claims.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ Subject = str | DesignProblem  # text of an arm file, or the problem of another 
 Task = tuple[Subject, "str | Solver"]
 FEASIBLE = 1e-9  # [rad] outside the joint limits, or below zero in a constraint's margin
 AGREES = 1e-9  # between the solver's value and ours
-HIT = 1e-6  # a run has found the best known plan if it loses less than this of the efficiency
-KILL_FACTOR, KILL_EXTRA = 1.5, 10.0  # a run that overstays its time limit by so much [s] is killed
+HIT = 1e-6  # a run has found the best known plan if its loss of efficiency is below this
+KILL_FACTOR, KILL_EXTRA = 1.5, 10.0  # a run is killed after 1.5 times its time limit and 10 s more
 PROBLEM = ("arm", "arm_hash", "criterion", "runs")
 CRITERIA = ("D", "A", "E", "Dstar")  # those that need nothing but the arm
 SETTING = ("solver", "starts")
@@ -60,13 +60,13 @@ class Comparison:
     """What is compared: problems x solvers x settings x repeats.
 
     arms : the arms;  runs : numbers of measurements m
-    solvers : names as in `armcal design --solver`, or settings objects of your own (see `doe.solvers.solver.Solver`),
-        of classes that can be imported where the runs happen; each has a name that no other has
-    starts : numbers of starts of one run, None: the solver's own number
-    repeats : runs of each, with seeds of their own
-    seconds : time limit of one run [s]: given to the solver, and the run is killed if it does not keep it
+    solvers : names as in `armcal design --solver`, or settings objects (see `doe.solvers.solver.Solver`) whose classes
+        can be imported where the runs happen; names must be unique
+    starts : numbers of starts of one run, None: the solver's default
+    repeats : runs of each combination, each with a different seed
+    seconds : time limit of one run [s]: given to the solver, and enforced by killing the run
     criteria : names as in `armcal design --criterion`, of those in `CRITERIA`
-    problems : name -> problem of another model, compared with each of the criteria beside the arms
+    problems : name -> problem of another model, compared under each criterion like the arms
     """
 
     arms: Sequence[Arm]
@@ -146,8 +146,8 @@ def compare(
     """One row per run: the key's columns, `status`, `outcome` (the solver's own), `value`, `claimed` (the solver's),
     `bound`, `efficiency`, `correct`, `violation`, `seconds`, `peak_memory_mb`, `error`.
 
-    Runs that fail, crash or hang are rows too. Rows depend on the seed, not on the workers (times do, of course: for
-    times that can be compared use one process less than there are cores).
+    Runs that fail, crash or hang are rows too. Rows depend on the seed, not on the workers; only times do: for
+    comparable times use one process fewer than there are cores.
     """
     subjects, solvers = comparison.subjects, comparison.by_name
     rows = RowTable(Path()) if table is None else table
@@ -159,7 +159,7 @@ def compare(
 
 
 def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: Task) -> list[Row]:
-    """The row of one run, which happens in a new process."""
+    """The row of one run, in a new process."""
     number = int(seed.generate_state(1)[0])
     limit = key["limit_s"] * KILL_FACTOR + KILL_EXTRA
     outcome = call(solve_and_evaluate, task, key, number, seconds=limit)
@@ -183,7 +183,7 @@ def compared_problem(subject: Arm | DesignProblem, name: str) -> DesignProblem:
 
 
 def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:
-    """A design evaluated on the stored problem, whatever its solver claims."""
+    """A design evaluated on the stored problem, independently of the solver's claims."""
     postures = design.plan.postures
     value, violation = problem.objective(postures), violation_of(problem, postures)
     bound = design.bound
@@ -246,10 +246,10 @@ def summary(rows: polars.DataFrame) -> polars.DataFrame:
 
 def with_hits(rows: polars.DataFrame) -> polars.DataFrame:
     """The rows with `good` (done and correct), `loss` of efficiency against the best value known of the problem, and
-    `hit`. Columns that no row has are there, empty.
+    `hit`. Columns that no row has are added, empty.
 
-    Efficiencies against the same bound divide to the efficiency against the best plan, whatever the criterion; D needs
-    no bound for it.
+    For every criterion the ratio of two efficiencies against one bound is the efficiency against the best plan; D
+    needs no bound for it.
     """
     import polars as pl
 

@@ -87,7 +87,7 @@ CELLS = {
     "one, lambda 6, discriminating plan": CellSpec(50, 6.0, designed=True),
     "one, lambda 8, discriminating plan": CellSpec(50, 8.0, designed=True),
 }
-SAME_ARM = 10  # sets in a row that share arm and plan where plans are designed: a good one takes its time
+SAME_ARM = 10  # consecutive sets with one arm and plan where plans are designed, which takes time
 
 
 def truth_of(spec: CellSpec, rng: np.random.Generator) -> Truth:
@@ -133,7 +133,7 @@ def to_be_planned(cell: str, seed: int) -> tuple[Arm, int] | None:
 
 
 def shared_truth(cell: str, seed: int) -> Truth:
-    """The arm that SAME_ARM sets in a row share."""
+    """The arm of SAME_ARM consecutive sets."""
     rng = np.random.default_rng([20261122, list(CELLS).index(cell), seed // SAME_ARM])
     return truth_of(CELLS[cell], rng)
 

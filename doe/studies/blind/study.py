@@ -1,10 +1,10 @@
 """The blind study: how often is the diagnosis right about effects that it cannot know?
 
 A simulator that shares no code with the models (plain numpy) draws arm, plan, noise and hidden effects and
-hands over what a user has: arm file and measurements. What it hid goes to a table of its own, written by other tasks;
-the diagnoses are made and stored without it, and both meet when they are scored.
+hands over what a user has: arm and measurements. What it hid is written to a separate table by separate tasks; the
+diagnoses are made and stored without it, and the two tables are joined only for scoring.
 
-Batches of sets are the tasks: keyed, resumable and on any workers as every study is.
+Tasks are batches of data sets: keyed, resumable and on any workers, as in every study.
 """
 
 from __future__ import annotations

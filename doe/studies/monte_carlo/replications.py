@@ -99,14 +99,14 @@ class Cell:
 
 @lru_cache(maxsize=4)
 def prepared(cell: Cell) -> Cell:
-    """The same cell, kept, so that all blocks of a cell on one worker share its model."""
+    """The same cell, cached, so that all blocks of a cell on one worker use one model."""
     return cell
 
 
 def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | str) -> list[Row]:
     """Rows of one block: per reported parameter the number of fits, mean error, sum of squares about it, coverage.
 
-    cell : what to do; a text is the reason why it cannot be done (its plan could not be made)
+    cell : what to simulate, or the reason why it cannot be simulated (no plan was found)
     """
     if isinstance(cell, str):
         raise JobError(cell)
@@ -136,7 +136,7 @@ class Fits:
 
 
 def joined(parts: Sequence[Fits], shared: bool) -> Fits:
-    """The fits of all parts, which share one plan or have plans of their own."""
+    """The fits of all parts, on one plan (`shared`) or each on a plan of its own."""
     expected = [part.expected_std for part in parts]
     return Fits(
         np.concatenate([part.parameters for part in parts]),
@@ -155,7 +155,7 @@ def _one_plan(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
 
 
 def _new_plans(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
-    """A plan of its own for each data set, uniform over the allowed postures."""
+    """Data sets each on a new plan, uniform over the allowed postures."""
     model = cell.model
     postures = random_postures(cell.problem, count * cell.runs, generator).reshape(count, cell.runs, -1)
     noise = cell.sigma * generator.standard_normal((count, cell.runs, cell.model.dimension))

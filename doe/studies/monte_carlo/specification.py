@@ -15,7 +15,7 @@ from identification.effects import library
 from identification.errors import InputError, nearest
 from identification.model import Model
 
-CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # what tells cells apart, as columns
+CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
 DFT, RANDOM = "dft", "random"
 MOST_RUNS, MOST_REPLICATIONS, MOST_BLOCK = 100_000, 1_000_000_000, 1_000_000  # of a cell, a cell, and a task
 MOST_TASKS = 100_000  # of a cell: each is a row of a table
@@ -64,7 +64,7 @@ class Study:
 
     arms : nominal arms;  runs : numbers of measurements m
     plans : solver names, "dft" (theta_j = 2 pi i j / m), "random" (a new plan for each replication, uniform
-        over the allowed postures), or given plans, which have a number of runs of their own
+        over the allowed postures), or given plans, whose number of runs is fixed
     sigma : standard deviations of the measurement [mm], empty: each arm's own
     truths, models : what is simulated, and what is fitted
     replications : simulated data sets of each cell, done `block` at a time
@@ -151,6 +151,6 @@ class Study:
 
 
 def _scattering(truth: Truth | Fitted, arm: Arm) -> EffectSpec | None:
-    """An effect on the scatter that a truth asks for; the arm's own may stand there unknown."""
+    """The first effect on the scatter that a truth includes; an arm's own without values is not simulated."""
     asked = [spec for spec in truth.of(arm).effects if truth.effects is not None or spec.values]
     return next((spec for spec in asked if library()[spec.name].scatter), None)

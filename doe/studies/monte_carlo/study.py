@@ -58,7 +58,7 @@ def run_study(
 ) -> StudyResult:
     """Every cell of the study.
 
-    folder : where plans.parquet, blocks.parquet and cells.parquet go; it is made. None: nothing is written
+    folder : for plans.parquet, blocks.parquet and cells.parquet, created if missing. None: nothing is written
     resume : go on with an interrupted or extended study in `folder`;  force : replace what is there
     Failures (no plan for so many runs, a plan that cannot identify the model) are rows with `status` and `error`.
     """
@@ -89,7 +89,7 @@ def _tasks(study: Study, made: Mapping[Any, np.ndarray | str]) -> Iterator[tuple
 
 
 def _sizes(study: Study, cell: Cell | str) -> list[int]:
-    """Replications of each block; of a cell that cannot be done one task, whose row says why."""
+    """Replications of each block; a cell that cannot be simulated has one block, whose row says why."""
     if isinstance(cell, str):
         return [study.replications]
     whole, rest = divmod(study.replications, study.block)
@@ -101,9 +101,9 @@ def _frozen(key: Key) -> tuple[tuple[str, Any], ...]:
 
 
 def require_some(result: StudyResult) -> None:
-    """Raises `JobError` with the first reason if not one cell could be done."""
+    """Raises `JobError` with the first reason if no cell could be simulated."""
     if "done" not in set(result.blocks["status"]):
-        reason = re.sub(r"\b[A-Z]\w*Error: ", "", result.blocks["error"][0])  # the kinds are no news to people
+        reason = re.sub(r"\b[A-Z]\w*Error: ", "", result.blocks["error"][0])  # users need no exception types
         raise JobError(f"no cell could be done: {reason}")
 
 

@@ -13,7 +13,7 @@ from identification.information import identifiability
 from identification.model import Model
 from identification.simulate import simulate
 
-WRONG = 0.01  # relative: no rounding of the paper explains more
+WRONG = 0.01  # relative; rounding in the paper explains less
 L = np.array(LENGTHS)
 LENGTHENED = L + LENGTH_ERRORS  # [mm]
 TURNED = np.cumsum(np.radians(JOINT_OFFSETS_DEG))  # orientation offsets [rad]
@@ -36,13 +36,18 @@ class Erratum:
 
     @property
     def confirmed(self) -> bool:
-        """True if the numbers show the mistake, and that its correction is none."""
+        """True if the numbers show both that the statement is wrong and that the correction is right."""
         return self.printed_error > WRONG and self.correct_error <= self.tolerance
 
 
 def distance(found: Array | float, truth: Array | float) -> float:
     """Largest difference, relative to the largest true value."""
     return float(np.max(np.abs(np.asarray(found) - truth)) / np.max(np.abs(truth)))
+
+
+def optimal_orientations(runs: int, links: int = 4) -> Array:
+    """(m, n) theta_j = 2 pi i j / m [rad] of the optimal plan."""
+    return np.asarray(2.0 * np.pi * np.outer(np.arange(runs), np.arange(1, links + 1)) / runs)
 
 
 def tips(theta: Array, lengths: Array, turned: Array) -> Array:
@@ -150,8 +155,7 @@ def off_diagonal_blocks(generator: np.random.Generator, replications: int) -> Er
 def scaling_of_the_criterion(generator: np.random.Generator, replications: int) -> Erratum:
     """det C' of the optimal plan must be 1 (Section V); m = 10, n = 4."""
     m, n = 10, 4
-    theta = 2.0 * np.pi * np.outer(np.arange(m), np.arange(1, n + 1)) / m
-    _, c, _ = _blocks(theta)
+    _, c, _ = _blocks(optimal_orientations(m, n))
     return Erratum(
         "eq. 20",
         "C' = [c_jk / n], S' = [s_jk / n]",
@@ -189,7 +193,6 @@ def criterion_without_teeth(generator: np.random.Generator, replications: int) -
     """
     q2, q3 = np.meshgrid(np.radians([30.0, 150.0]), np.radians([0.0, 90.0, 180.0, 270.0]), indexing="ij")
     satisfied = np.cumsum(np.stack([np.zeros(8), q2.ravel(), q3.ravel()], axis=1), axis=1)
-    theta = 2.0 * np.pi * np.outer(np.arange(8), np.arange(1, 4)) / 8
 
     def criteria(theta: Array) -> tuple[float, float, float]:
         h = np.exp(-1j * theta).T @ np.exp(1j * theta) / len(theta)
@@ -203,7 +206,7 @@ def criterion_without_teeth(generator: np.random.Generator, replications: int) -
         "for 2 links; from 3 links on S' may be singular without being zero, for odd n it always is. Eq. 21 is "
         "sufficient, and D alone (det D' = |det(C' + iS')|^2) asks for it",
         distance(det_h**2, 1.0) if best else 0.0,
-        distance(criteria(theta)[2] ** 2, 1.0),
+        distance(criteria(optimal_orientations(8, 3))[2] ** 2, 1.0),
         1e-12,
     )
 

@@ -1,8 +1,8 @@
 """The paper's mistakes, each shown by numbers: how far the printed statement is from the truth, and how far ours.
 
-Truth comes from finite differences of eq. 1 and 3, from the information matrix itself, or from simulation; never from
-the statement that is tested. An erratum is confirmed when what is printed is wrong by more than 1 % and what stands in
-its place is right to the accuracy of the check.
+The truth comes from finite differences of eq. 1 and 3, from the information matrix itself, or from simulation, never
+from the statement under test. An erratum is confirmed when the printed statement is wrong by more than 1 % and the
+correction is right to the accuracy of the check.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import polars as pl
 
 from doe.jobs.row_table import frame_of
 from doe.studies.paper import equations
-from doe.studies.paper.equations import LENGTHENED, TURNED, Erratum, L, distance, tips
+from doe.studies.paper.equations import LENGTHENED, TURNED, Erratum, L, distance, optimal_orientations, tips
 from doe.studies.paper.tables import LENGTH_ERRORS, SIGMA, joint_offset_std, orientation_std, paper_arm
 from identification.arrays import Array
 from identification.estimation import estimate_batch
@@ -31,7 +31,7 @@ def errata(replications: int = 10_000, seed: int = 0, numbers: Sequence[int] | N
 def covariance_of_the_optimum(generator: np.random.Generator, replications: int) -> Erratum:
     """Sample covariance of simulated fits of the optimal plan, against eq. 24."""
     m = 20
-    errors = _orientation_errors(generator, m, replications)
+    errors = _errors(generator, m, replications)
     sample = np.sqrt(np.diag(np.cov(errors.T)))
     printed = SIGMA * np.sqrt(np.r_[m * L**2, np.ones(4)])
     correct = SIGMA / np.sqrt(m) * np.sqrt(np.r_[LENGTHENED**-2.0, np.ones(4)])
@@ -48,7 +48,7 @@ def covariance_of_the_optimum(generator: np.random.Generator, replications: int)
 def deviation_of_the_joint(generator: np.random.Generator, replications: int) -> Erratum:
     """Sample deviations of the joint offsets, against eq. 25 and against those of differences of orientations."""
     m = 20
-    errors = np.degrees(_orientation_errors(generator, m, replications)[:, :4])
+    errors = np.degrees(_errors(generator, m, replications)[:, :4])
     sample = np.std(np.diff(errors, axis=1), axis=0)
     return Erratum(
         "eq. 25, Tables II and III",
@@ -60,26 +60,19 @@ def deviation_of_the_joint(generator: np.random.Generator, replications: int) ->
     )
 
 
-def _orientation_errors(generator: np.random.Generator, m: int, replications: int) -> Array:
-    """(K, 8) errors of orientation offsets [rad] and length errors [mm] of simulated fits of the optimal plan."""
-    theta = 2.0 * np.pi * np.outer(np.arange(m), np.arange(1, 5)) / m
-    postures = np.diff(theta, axis=1, prepend=0.0)
-    exact = tips(theta, LENGTHENED, TURNED)
+def _errors(generator: np.random.Generator, m: int, replications: int, n: int = 4) -> Array:
+    """(K, 2n) errors of orientation offsets [rad] and length errors [mm] of simulated fits of the optimal plan."""
+    theta = optimal_orientations(m, n)
+    exact = tips(theta, LENGTHENED[:n], TURNED[:n])
     noise = SIGMA * generator.standard_normal((replications, m, 2))
     positions = np.stack([exact.real, exact.imag], axis=-1) + noise
-    fits = estimate_batch(Model(paper_arm()), postures, positions).parameters
-    return np.hstack([np.cumsum(fits[:, 4:], axis=1) - TURNED, fits[:, :4] - LENGTH_ERRORS])
+    fits = estimate_batch(Model(paper_arm(n)), np.diff(theta, axis=1, prepend=0.0), positions).parameters
+    return np.hstack([np.cumsum(fits[:, n:], axis=1) - TURNED[:n], fits[:, :n] - LENGTH_ERRORS[:n]])
 
 
 def length_of_two_links(generator: np.random.Generator, replications: int) -> Erratum:
     """Table III, 2 links, 20 points: simulated deviation of the length errors."""
-    model = Model(paper_arm(2))
-    theta = 2.0 * np.pi * np.outer(np.arange(20), np.arange(1, 3)) / 20
-    exact = tips(theta, LENGTHENED[:2], TURNED[:2])
-    positions = np.stack([exact.real, exact.imag], axis=-1)
-    positions = positions + SIGMA * generator.standard_normal((replications, 20, 2))
-    fits = estimate_batch(model, np.diff(theta, axis=1, prepend=0.0), positions).parameters
-    sample = float(np.std(fits[:, 0]))
+    sample = float(np.std(_errors(generator, 20, replications, n=2)[:, 2]))
     return Erratum(
         "Table III, 2 links, 20 points",
         "dL = 0.058 mm",
@@ -92,7 +85,7 @@ def length_of_two_links(generator: np.random.Generator, replications: int) -> Er
 
 def lengths_of_the_text(generator: np.random.Generator, replications: int) -> Erratum:
     """Section VI: deviation of a length with 4 and 20 points, simulated."""
-    sample = np.array([np.std(_orientation_errors(generator, m, replications)[:, 4]) for m in (4, 20)])
+    sample = np.array([np.std(_errors(generator, m, replications)[:, 4]) for m in (4, 20)])
     return Erratum(
         "Sec. VI text",
         "0.022 mm -> 0.005 mm as m goes 4 -> 20",
@@ -105,7 +98,7 @@ def lengths_of_the_text(generator: np.random.Generator, replications: int) -> Er
 
 def hundred_experiments(generator: np.random.Generator, replications: int) -> Erratum:
     """Section VI: deviation of a length with 100 points, simulated."""
-    sample = float(np.std(_orientation_errors(generator, 100, replications)[:, 4]))
+    sample = float(np.std(_errors(generator, 100, replications)[:, 4]))
     return Erratum(
         "Sec. VI text",
         "100 experiments give 0.001 mm",

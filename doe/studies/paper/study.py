@@ -53,8 +53,8 @@ def paper_study(
 ) -> PaperStudy:
     """Everything of the paper.
 
-    replications : simulated calibrations of each case;  folder : where a Parquet file of each table goes
-    Raises `InputError` for so few replications that a deviation means nothing, or so many that memory ends.
+    replications : simulated calibrations per table entry;  folder : for a Parquet file of each table
+    Raises `InputError` for too few replications to estimate a deviation, or more than memory holds.
     """
     least, most = ALLOWED
     if replications is not None and not least <= replications <= most:

@@ -3,13 +3,13 @@
 Klimchik, Wu, Caro, Pashkevich, "Design of Experiments for Calibration of Planar Anthropomorphic Manipulators". Every
 table is one row per printed statement:
 
-`place`, `links`, `runs`, `item`, `unit` : what is spoken of
-`printed` : what the paper says;  `theory` : what our own derivation says (doe/README.md, "Errata")
-`simulated`, `standard_error` : what so many simulated calibrations say
+`place`, `links`, `runs`, `item`, `unit` : what the statement is about
+`printed` : the paper's figure;  `theory` : that of our own derivation (doe/README.md, "Errata")
+`simulated`, `standard_error` : the figure from simulated calibrations
 `verdict` : "agrees" (to one unit of the last printed digit), "erratum", "not identifiable", or "added" where the paper
-    says nothing
+    has no figure
 
-Simulation and theory must agree in every row, whatever the paper says: `consistent`.
+`consistent` checks that simulation and theory agree in every row, independently of the paper.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def paper_truth(links: int = 4) -> Truth:
 
 
 def orientation_std(links: int, runs: int, sigma: float = SIGMA) -> np.ndarray:
-    """(n,) [deg] sigma / (sqrt(m) l_j): eq. 25, which speaks of the orientation of link j."""
+    """(n,) [deg] sigma / (sqrt(m) l_j): eq. 25, which is about the orientation of link j."""
     return np.degrees(sigma / np.sqrt(runs) / np.array(LENGTHS[:links]))
 
 
@@ -168,7 +168,7 @@ def _simulated(arm_name: str, replications: int, seed: int) -> Iterator[dict[str
 
 
 def _not_identifiable(common: dict[str, Any], reason: str) -> Iterator[dict[str, Any]]:
-    """The printed numbers of a case that has fewer equations than unknowns."""
+    """The printed numbers where there are fewer equations than unknowns."""
     links, runs = common["links"], common["runs"]
     names = [f"length_error:{j}" for j in range(1, links + 1)]
     names += [f"orientation_offset:{j}" for j in range(1, links + 1)]
