@@ -26,7 +26,6 @@ def command(session: Session, arm: Path, runs: str, target_mm: float | None, sec
     from identification.model import Model
 
     loaded = load_arm(arm)
-    output.check()
     problem = DesignProblem.of(Model(loaded))
     with session.progress("advise") as progress:
         numbers = run_range(runs, problem.fewest_runs)

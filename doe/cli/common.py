@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from doe.cli.options import OUTPUTS
+from doe.cli.options import FILE, OUTPUTS
 from identification.errors import ArmcalError, InputError, JobError
+from identification.files.io import check_writable
 from identification.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -103,21 +104,25 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
 
 
 def check_outputs(context: click.Context) -> None:
-    """Raises `InputError` if an output file is also an input or another output: one would overwrite the other."""
-    taken = {os.path.realpath(path): name for name, path in _paths(context, written=False)}
-    for name, path in _paths(context, written=True):
+    """Raises `InputError`, before any work, for an output file that cannot be written, or that is also an input or
+    another output: one would overwrite the other."""
+    taken = {os.path.realpath(path): name for name, _, path in _paths(context, written=False)}
+    for name, kind, path in _paths(context, written=True):
         other = taken.setdefault(os.path.realpath(path), name)
         if other != name and (context.command.name, name, other) not in UPDATES:
             raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
+        if kind is FILE:
+            check_writable(path, context.params["force"])
 
 
-def _paths(context: click.Context, *, written: bool) -> Iterator[tuple[str, Path]]:
-    """The files that a call writes, or those that it reads, with the name of the option or argument."""
+def _paths(context: click.Context, *, written: bool) -> Iterator[tuple[str, click.ParamType, Path]]:
+    """Name and type of the option or argument, and path, of the files that a call writes, or of those that it reads."""
     for parameter in context.command.params:
         if isinstance(parameter.type, click.Path) and (parameter.name in OUTPUTS) is written:
             name = parameter.opts[0] if isinstance(parameter, click.Option) else parameter.human_readable_name
             given = context.params[parameter.name or ""]
-            yield from ((name, path) for path in (given if isinstance(given, tuple) else (given,)) if path is not None)
+            paths = given if isinstance(given, tuple) else (given,)
+            yield from ((name, parameter.type, path) for path in paths if path is not None)
 
 
 def _guarded(function: Callable[..., Answer], session: Session, options: dict[str, Any]) -> Answer:

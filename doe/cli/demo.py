@@ -7,12 +7,12 @@ from pathlib import Path
 import click
 
 from doe.cli.common import Answer, Session, verb
-from doe.cli.options import FILE, force_option
+from doe.cli.options import FOLDER, force_option
 from identification.errors import InputError, JobError
 
 
 @verb("armcal demo --out my-demo")
-@click.option("--out", type=FILE, metavar="DIR", help="Directory for the files; left out: the next free armcal-demo.")
+@click.option("--out", type=FOLDER, metavar="DIR", help="Directory for the files; left out: the next free armcal-demo.")
 @force_option
 def command(session: Session, out: Path | None, force: bool) -> Answer:
     """The whole loop on the paper's 4-link arm, from a plan to the missing effect, and a report.html."""

@@ -73,7 +73,6 @@ def command(
 
     check_used(click.get_current_context())
     loaded = load_arm(arm)
-    output.check()
     check_order(search.order)
     problem = design_problem(loaded, criterion, postures, session.seed)
     design, data, extra = _searched(session, problem, loaded, search)

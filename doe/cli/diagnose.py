@@ -24,12 +24,10 @@ def command(
     from doe.report.gap_page import diagnosis_tables, gap_page
     from identification.files.arm import load_arm
     from identification.files.arm_text import with_calibration, with_effects
-    from identification.files.io import PathLike, check_writable, read_text, write_together
+    from identification.files.io import PathLike, read_text, write_together
     from identification.gap.diagnose import diagnose
 
     loaded = load_arm(arm)
-    output.check()
-    check_writable(report, output.force)
     measurements = read_measurements(data, loaded)
     held_out = None if holdout is None else read_measurements(holdout, loaded)
     with session.progress("diagnose") as progress:

@@ -25,7 +25,6 @@ def command(session: Session, arm: Path, data: Path, runs: int, payloads: str | 
     from identification.gap.diagnose import diagnose
 
     loaded = load_arm(arm)
-    output.check()
     masses = None if payloads is None else payload_list(payloads)
     if masses is not None and loaded.gravity is None:
         raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")

@@ -25,7 +25,6 @@ def command(session: Session, arm: Path, data: Path, method: str | None, output:
     from identification.model import Model
 
     loaded = load_arm(arm)
-    output.check()
     measurements = read_measurements(data, loaded)
     found = estimate(Model(loaded), measurements, method=method)
     shown = identification_tables(found)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.options import FILE, Decorator, force_option, grouped
+from doe.cli.options import FOLDER, Decorator, force_option, grouped
 from identification.errors import JobError
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def job_options(*, workers: int | None, out: str) -> Decorator:
         "job",
         click.option("--workers", type=kind, default=workers, show_default=shown, help="Tasks at the same time."),
         click.option("--cluster", metavar="ADDRESS", help="Scheduler of a dask cluster, tcp://host:port."),
-        click.option("--out", type=FILE, metavar="DIR", help=out),
+        click.option("--out", type=FOLDER, metavar="DIR", help=out),
         click.option("--resume", is_flag=True, help="Go on with an interrupted or extended run."),
         force_option,
     )

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from identification.files.io import write_whole
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
     from identification.arrays import Array
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
-FILE = click.Path(path_type=Path)
+FILE, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path)  # `check_outputs` looks at files only
 OUTPUTS = frozenset({"out", "picture", "aliases", "report"})  # options that write a file; every other one is read
 
 
@@ -64,17 +66,8 @@ class Output:
     picture: Path | None = None
     force: bool = False
 
-    def check(self) -> None:
-        """Raises `InputError`, before the work is done, if a file could not be written."""
-        from identification.files.io import check_writable
-
-        check_writable(self.out, self.force)
-        check_writable(self.picture, self.force)
-
     def write(self, text: str, what: str) -> list[str]:
         """Writes `out` if it is asked for; the lines that say so."""
-        from identification.files.io import write_whole
-
         if self.out is None:
             return []
         write_whole(self.out, text, force=self.force)

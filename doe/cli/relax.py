@@ -51,7 +51,6 @@ def command(
     from identification.files.arm import load_arm
 
     loaded = load_arm(arm)
-    output.check()
     problem = design_problem(loaded, criterion)
     levels = chosen.grid or default_levels(len(problem.active_joints))
     with session.progress("relax") as progress:

@@ -29,11 +29,8 @@ def command(session: Session, arm: Path, plan: Path, aliases: Path | None, outpu
     from doe.plan.observability import observability
     from doe.report.design_tables import design_tables, observability_line
     from identification.files.arm import load_arm
-    from identification.files.io import check_writable
 
     loaded = load_arm(arm)
-    output.check()
-    check_writable(aliases, output.force)
     given = load_plan(plan, loaded.links)
     design = _scored(loaded, given, plan)
     preflight, tables = _preflight(loaded, given, plan, aliases, output.force)
