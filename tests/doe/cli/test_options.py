@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,9 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from doe.cli.options import Output, grouped, output_options
+from doe.cli import main
+from doe.cli.common import check_outputs
+from doe.cli.options import FILE, OUTPUTS, Output, grouped, output_options
 from identification.errors import InputError
 
 
@@ -49,11 +52,44 @@ def test_output_is_written_once_and_replaced_by_force_only(tmp_path: Path) -> No
     assert Output().write("text", "plan") == []
     assert Output(path).write("one", "plan") == [f"plan written to {path}"]
     with pytest.raises(InputError, match="exists"):
-        Output(path).check()
-    with pytest.raises(InputError, match="exists"):
-        Output(picture=path).check()
+        Output(path).write("two", "plan")
     Output(path, force=True).write("two", "plan")
     assert path.read_text() == "two"
+
+
+WRITTEN = [
+    (verb, parameter.name)
+    for verb in main.commands.values()
+    for parameter in verb.params
+    if parameter.type is FILE and parameter.name in OUTPUTS
+]
+
+
+@pytest.mark.parametrize(("verb", "name"), WRITTEN, ids=lambda value: getattr(value, "name", value))
+def test_every_output_file_is_checked_before_the_work(verb: click.Command, name: str, tmp_path: Path) -> None:
+    there = tmp_path / "there"
+    there.write_text("mine")
+    for force, path, found in ((False, there, "exists"), (True, tmp_path, "directory"), (True, there, None)):
+        context = click.Context(verb)
+        context.params = {p.name or "": None for p in verb.params} | {name: path, "force": force}
+        with nullcontext() if found is None else pytest.raises(InputError, match=found):
+            check_outputs(context)
+    assert there.read_text() == "mine"
+
+
+def test_verbs_that_write_files_are_all_there() -> None:
+    verbs = {verb.name for verb, _ in WRITTEN}
+    assert verbs == {
+        "design",
+        "score",
+        "advise",
+        "relax",
+        "simulate",
+        "identify",
+        "diagnose",
+        "discriminate",
+        "compensate",
+    }
 
 
 def test_a_picture_is_made_only_when_asked_for() -> None:
