@@ -1,14 +1,15 @@
-"""The next postures that tell the remaining explanations of a diagnosis apart.
+"""The next postures that distinguish the remaining explanations of a diagnosis.
 
-T-optimality (Atkinson & Fedorov 1975) for several rivals: were candidate i the truth, rival j, fitted to the old and
-the new measurements together, would miss the new ones by delta, which has the noncentrality
+A criterion related to T-optimality (Atkinson & Fedorov 1975) for several rivals. Let delta be the difference between the
+new measurements predicted by i and by j, both fitted to the data at hand. If i is true and j is refitted to old and new
+data together, its residual sum of squares, in units of the noise variance, grows by (noise apart)
 
     lambda_ij^2 = delta^T (sigma^2 I + J_j C_j J_j^T)^-1 delta
 
 with C_j the covariance of rival j's parameters from the data at hand, J_j its Jacobian at the new postures. Postures
 are added one at a time and then exchanged; C_j and what j has already given way to i are updated like a Kalman filter.
-Delta BIC between i and j grows by a normal variable of mean lambda^2 and variance 4 lambda^2, which gives the chance
-that the right candidate is the only one left within the window of the ambiguity set.
+Delta BIC between i and j grows by a normal variable of mean lambda^2 and variance 4 lambda^2, which gives an upper bound
+on the probability that the right candidate is the only one left within the window of the ambiguity set.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from identification.model import Model
 # reasons: doe/README.md, "T-optimality"
 POOL = 1500  # random postures to choose from
 SWEEPS = 2  # exchange passes after the greedy choice
-NUDGE = 1e-2  # weight of the smooth part of the merit, which leads where the chance is still flat
+NUDGE = 1e-2  # weight of the smooth part of the merit, which leads where the probability is still flat
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class NextPostures:
 
     plan : (K) postures in the order of measurement
     payload : (K,) [kg], None if there was no choice;  directions : (K, n) of approach, None if they do not matter
-    chance : predicted probability that one candidate, the right one, is left
+    chance : upper bound on the predicted probability that only the right candidate is left
     pairs : (candidate, rival) -> expected lambda of telling them apart
     """
 
@@ -51,7 +52,7 @@ class NextPostures:
     pairs: dict[tuple[str, str], float]
 
     def __str__(self) -> str:
-        return f"{len(self.plan)} postures; chance that they settle it: {100.0 * self.chance:.0f} %"
+        return f"{len(self.plan)} postures; probability of resolving the ambiguity: at most {100.0 * self.chance:.0f} %"
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
-"""Fedorov's exchange on a list of allowed postures: choose m of N, for many starts at once.
+"""Modified Fedorov exchange on a list of allowed postures: choose m of N, for many starts at once.
 
-V. V. Fedorov, "Theory of Optimal Experiments", 1972. Every sweep visits every run and puts it at the best of all N.
+R. D. Cook, C. J. Nachtsheim, Technometrics 22 (1980), after V. V. Fedorov, "Theory of Optimal Experiments", 1972: each
+run in turn is replaced by the best of all N candidates.
 """
 
 from __future__ import annotations
