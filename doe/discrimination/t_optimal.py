@@ -1,15 +1,15 @@
 """The next postures that distinguish the remaining explanations of a diagnosis.
 
-A criterion related to T-optimality (Atkinson & Fedorov 1975) for several rivals. Let delta be the difference between the
-new measurements predicted by i and by j, both fitted to the data at hand. If i is true and j is refitted to old and new
-data together, its residual sum of squares, in units of the noise variance, grows by (noise apart)
+A criterion related to T-optimality (Atkinson & Fedorov 1975) for several rivals. Let delta be the difference between
+the new measurements predicted by i and by j, both fitted to the data at hand. If i is true and j is refitted to old and
+new data together, its residual sum of squares, in units of the noise variance, grows by (noise apart)
 
     lambda_ij^2 = delta^T (sigma^2 I + J_j C_j J_j^T)^-1 delta
 
 with C_j the covariance of rival j's parameters from the data at hand, J_j its Jacobian at the new postures. Postures
 are added one at a time and then exchanged; C_j and what j has already given way to i are updated like a Kalman filter.
-Delta BIC between i and j grows by a normal variable of mean lambda^2 and variance 4 lambda^2, which gives an upper bound
-on the probability that the right candidate is the only one left within the window of the ambiguity set.
+Delta BIC between i and j grows by a normal variable of mean lambda^2 and variance 4 lambda^2, which gives an upper
+bound on the probability that the right candidate is the only one left within the window of the ambiguity set.
 """
 
 from __future__ import annotations

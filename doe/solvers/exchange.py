@@ -3,7 +3,8 @@
 R. K. Meyer, C. J. Nachtsheim, Technometrics 37 (1995); here the best single-joint change over all joints is taken.
 
 One sweep visits every run in random order. The run is taken out of the plan, and put back at the best of all postures
-that differ from it in one joint, on the grid; a start ends when a sweep changes nothing. The starts of a batch advance together, so that numpy works on arrays of starts x candidates.
+that differ from it in one joint, on the grid; a start ends when a sweep changes nothing. The starts of a batch advance
+together, so that numpy works on arrays of starts x candidates.
 """
 
 from __future__ import annotations
