@@ -87,20 +87,25 @@ def compensate(
         raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
     nominal_arm = Model(replace(arm, effects=(), calibration=None))
     given = None if postures is None else _checked("postures", postures, arm.links)
-    if targets is None:
-        if given is None:
-            raise InputError("targets: none given, allowed: positions (k, 2) or postures (k, n)")
-        goals = nominal_arm.position(given)
-    else:
-        goals = _checked("targets", targets, nominal_arm.dimension)
-    if given is not None and len(given) != len(goals):
-        raise InputError(f"postures: {len(given)} rows for {len(goals)} targets, allowed: as many")
+    goals = _goals(nominal_arm, targets, given)
     nominal = given if given is not None else _nominal_postures(nominal_arm, goals)
     where = conditions or Conditions()
     if where.directions is None and len(nominal):
         where = replace(where, directions=directions_from_order(nominal))
     commands, errors = _solve(Model(arm), goals, nominal, where)
     return Compensation(goals, nominal, commands, errors)
+
+
+def _goals(nominal: Model, targets: ArrayLike | None, postures: Array | None) -> Array:
+    """(k, d) targets [mm], or where the nominal arm has its tip at the postures."""
+    if targets is None:
+        if postures is None:
+            raise InputError("targets: none given, allowed: positions (k, 2) or postures (k, n)")
+        return nominal.position(postures)
+    goals = _checked("targets", targets, nominal.dimension)
+    if postures is not None and len(postures) != len(goals):
+        raise InputError(f"postures: {len(postures)} rows for {len(goals)} targets, allowed: as many")
+    return goals
 
 
 def _checked(name: str, values: ArrayLike, columns: int) -> Array:
@@ -149,15 +154,13 @@ def _best_of_seeds(model: Model, goals: Array, near: Array, conditions: Conditio
         best = np.argmin(rank, axis=1)
         postures[rows], errors[rows] = found[np.arange(len(rows)), best], left[np.arange(len(rows)), best]
         for row in np.flatnonzero(errors[rows] > TOLERANCE):
-            ordered = found[row, np.argsort(rank[row])]
-            _, first = np.unique(np.round(ordered, 1), axis=0, return_index=True)  # one of each kind
-            starts, k = ordered[np.sort(first)[:POLISHED]], rows[row]
-            postures[k], errors[k] = _polished(model, goals[k], starts, conditions, k)
+            k, ordered = rows[row], found[row, np.argsort(rank[row])]
+            postures[k], errors[k] = _polished(model, goals[k], ordered, conditions, k)
     return postures, errors
 
 
 def _polished(model: Model, goal: Array, starts: Array, conditions: Conditions, row: int) -> tuple[Array, float]:
-    """(n,) posture and error: the closest to a goal out of reach, from starts (s, n), within the limits."""
+    """(n,) posture and error: the closest to a goal out of reach, within the limits; starts (s, n), best first."""
     from scipy.optimize import Bounds, minimize  # only such targets pay for its import
 
     linearize, rows = _linearization(model, conditions), np.array([row])
@@ -167,6 +170,8 @@ def _polished(model: Model, goal: Array, starts: Array, conditions: Conditions, 
         gap = position[0] - goal
         return float(gap @ gap), 2.0 * gap @ jacobian[0]
 
+    _, first = np.unique(np.round(starts, 1), axis=0, return_index=True)  # one of each kind
+    starts = starts[np.sort(first)[:POLISHED]]
     limits = Bounds(model.arm.lower, model.arm.upper)
     options = {"maxiter": 300, "ftol": 1e-14, "gtol": 1e-9}
     ends = [minimize(squared, start, jac=True, method="L-BFGS-B", bounds=limits, options=options) for start in starts]

@@ -98,6 +98,13 @@ def _numbers(name: str, values: Any) -> Array:
         raise InputError(f"measurements.{name}: not an array of numbers, allowed: real numbers") from None
 
 
+def _check_values(name: str, array: Array, good: NDArray[np.bool_], allowed: str) -> None:
+    """Raises `InputError` naming the first row that is not good."""
+    if not good.all():
+        row = int(np.argmin(np.all(good.reshape(len(good), -1), axis=1)))
+        raise InputError(f"measurements.{name}: row {row + 1} has {array[row].tolist()}, allowed: {allowed}")
+
+
 @dataclass(frozen=True, eq=False)
 class Measurements(ByValue):
     """m measured postures of an n-link arm, in the order of the file.
@@ -107,7 +114,6 @@ class Measurements(ByValue):
     order : (m,) order or time stamps; rows in order if the file has none
     sigma : (m,) standard deviation per row and axis [mm], None: not given per row
     repeats : (m,) equal numbers mark repeats of one posture, None: not given
-    given : names of the optional columns that the data really has
 
     Raises `InputError` for no rows, other shapes (nothing is broadcast), and values that no measurement can have.
     """
@@ -141,13 +147,11 @@ class Measurements(ByValue):
             if array.shape not in shapes:
                 found = f"shape {array.shape} for {m} postures of {n} joints"
                 raise InputError(f"measurements.{name}: {found}, allowed: {' or '.join(map(str, shapes))}")
-            if not bool(np.all(good := np.isfinite(array) & test(array))):
-                row = int(np.argmin(np.all(good.reshape(m, -1), axis=1)))
-                raise InputError(f"measurements.{name}: row {row + 1} has {array[row].tolist()}, allowed: {allowed}")
-            if name == "repeats":
-                array = array.astype(np.int64)
-                array.setflags(write=False)
+            _check_values(name, array, np.isfinite(array) & test(array), allowed)
             object.__setattr__(self, name, array)
+        if self.repeats is not None:
+            object.__setattr__(self, "repeats", self.repeats.astype(np.int64))
+            self.repeats.setflags(write=False)
 
     def __len__(self) -> int:
         return len(self.postures)

@@ -11,7 +11,7 @@ from identification.arrays import Array
 from identification.effects import build, build_all
 from identification.effects.noise import NoiseEffect, Scene
 from identification.errors import InputError
-from identification.measurements import Conditions, Measurements, directions_from_order, session_time
+from identification.measurements import Conditions, Measurements, directions_from_order
 from identification.model import Model
 
 
@@ -39,17 +39,16 @@ def simulate(
     if noise is None or not 0.0 <= noise < np.inf:
         raise InputError(f"sigma: found {noise}, allowed: a number >= 0 [mm], given here or with the arm")
     _check_scatter(truth)
-    model = Model(truth)
+    model, order = Model(truth), np.arange(len(q), dtype=float)
     if "temperature" in model.needs and temperature is None:
         raise InputError("temperature_C: an effect of the truth needs a temperature per row, none is given")
-    deviation = None if temperature is None else temperature - np.mean(temperature)
-    order = np.arange(len(q), dtype=float)
     approach = directions_from_order(q) if directions is None else directions
-    conditions = Conditions(payload, deviation, session_time(order), approach)
-    exact = model.position(q, conditions=conditions)
+    session = Measurements(q, np.zeros((len(q), model.dimension)), order, payload, temperature, approach)
+    exact = model.position(q, conditions=session.conditions)
     errors = noise * generator.standard_normal(exact.shape)
-    errors = disturbed(errors, truth, Measurements(q, exact, order), conditions, noise, generator)
-    return Measurements(q, exact + errors, order, payload, temperature, conditions.directions)
+    session = replace(session, positions=exact)
+    errors = disturbed(errors, truth, session, session.conditions, noise, generator)
+    return replace(session, positions=exact + errors)
 
 
 def _check_scatter(truth: Arm) -> None:

@@ -21,8 +21,8 @@ class Status(Enum):
     iteration_limit = "The iteration limit was reached before convergence; look at the residuals."
     solver_failed = "The solver failed; its result is not used."
     not_identifiable = (
-        "Some parameters are not identifiable; the estimates of the others are valid. Measure more varied postures, or "
-        "fix one parameter of each combination."
+        "Some parameters are not identifiable; the others hold. Measure more varied postures, or fix one "
+        "per combination."
     )
     infeasible = "No feasible point was found."
 

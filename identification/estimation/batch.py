@@ -22,6 +22,7 @@ from identification.estimation.levenberg_marquardt import levenberg_marquardt, o
 from identification.estimation.methods import gauss_newton, linear, starts
 from identification.estimation.problem import Problem
 from identification.information import full_rank, identifiability_of, spectrum
+from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.measurements import Conditions, Measurements, directions_from_order, session_time
 from identification.model import Model
 from identification.status import Status
@@ -91,9 +92,7 @@ def estimate_batch(
     undetermined = identifiability_of(decomposed, model.names, model.scales).combinations
     if undetermined:
         raise JobError(f"the plan cannot tell apart: {'; '.join(undetermined)}")
-    if model.closed_form is not None and model.closed_form.exact:
-        return _closed_form(problem)
-    return _iterated(problem)
+    return _iterated(problem) if problem.exact_form is None else _closed_form(problem, problem.exact_form)
 
 
 def _problem(model: Model, plan: Measurements | ArrayLike, measured: Array, weights: ArrayLike | None) -> Problem:
@@ -108,10 +107,9 @@ def _problem(model: Model, plan: Measurements | ArrayLike, measured: Array, weig
     return Problem(model, plan.postures, plan.conditions, measured, noise.weights)
 
 
-def _closed_form(problem: Problem) -> BatchFit:
+def _closed_form(problem: Problem, form: PlanarClosedForm) -> BatchFit:
     """One pseudo-inverse for all (identification/README.md, "Closed form")."""
-    assert problem.model.closed_form is not None
-    solve = problem.model.closed_form.solver(problem.postures, problem.weights, problem.tolerance)
+    solve = form.solver(problem.postures, problem.weights, problem.tolerance)
     count = len(problem.positions)
     parameters, rss = np.empty((count, len(problem.model.names))), np.empty(count)
     for part in _chunks(count, len(problem.postures)):
@@ -147,22 +145,26 @@ def estimate_each(model: Model, postures: ArrayLike, positions: ArrayLike) -> Ba
     Raises `InputError` for shapes that do not fit.
     """
     plans, measured = np.asarray(postures, dtype=float), np.asarray(positions, dtype=float)
-    n, d = model.joints, model.dimension
-    if plans.ndim != 3 or plans.shape[-1] != n:
-        raise InputError(f"postures: shape {plans.shape}, allowed: (K, m, {n})")
-    if measured.shape != (*plans.shape[:2], d):
-        raise InputError(f"positions: shape {measured.shape}, allowed: {(*plans.shape[:2], d)}")
+    _check_plans(model, plans, measured)
     count, m, _ = plans.shape
     parameters, rss, status = _empty(count, model)
-    solve = linear if model.closed_form is not None and model.closed_form.exact else gauss_newton
     for part in _chunks(count, m):
         problem = Problem(model, plans[part], sessions(plans[part]), measured[part], np.ones(m))
         jacobians = model.jacobian(problem.postures, problem.start, problem.conditions)
         estimable = np.flatnonzero(full_rank(jacobians, model.scales))
         if estimable.size:
-            found, some = solve(problem.rows(estimable)), estimable + part.start
+            solve, some = linear if problem.exact_form else gauss_newton, estimable + part.start
+            found = solve(problem.rows(estimable))
             parameters[some], rss[some], status[some] = found.parameters, found.squares, found.status
     return BatchFit(np.where((status == Status.converged)[:, None], parameters, np.nan), rss, status)
+
+
+def _check_plans(model: Model, plans: Array, measured: Array) -> None:
+    n, d = model.joints, model.dimension
+    if plans.ndim != 3 or plans.shape[-1] != n:
+        raise InputError(f"postures: shape {plans.shape}, allowed: (K, m, {n})")
+    if measured.shape != (*plans.shape[:2], d):
+        raise InputError(f"positions: shape {measured.shape}, allowed: {(*plans.shape[:2], d)}")
 
 
 def sessions(postures: Array) -> Conditions:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -52,10 +53,10 @@ def estimate(
     """
     check(model, measurements)
     noise = weighting(model, measurements, sigma, weights)
-    chosen = method or ("linear" if model.closed_form is not None and model.closed_form.exact else "gauss_newton")
+    problem = Problem.of(model, measurements, noise.weights)
+    chosen = method or ("linear" if problem.exact_form else "gauss_newton")
     if chosen not in METHODS:
         raise InputError(f"method: unknown name {chosen!r}, {nearest(chosen, METHODS)}")
-    problem = Problem.of(model, measurements, noise.weights)
     solution, decomposed, problem = _solve(problem, chosen, noise)
     status = solution.status[0]
     if not status.succeeded:
@@ -75,16 +76,19 @@ def check(model: Model, measurements: Measurements) -> None:
         raise InputError(f"measurements: positions of {measurements.dimension} coordinates, {allowed}")
     if p == 0:
         raise InputError("model: every parameter is known, allowed: at least one to estimate")
+    _check_needs(model, measurements)
+    if (d := model.dimension) * m < p:
+        found = f"{d} m = {d * m} < p = {p}"
+        raise InputError(f"measurements: fewer equations than unknowns: {found}, allowed: m >= {-(-p // d)}")
+
+
+def _check_needs(model: Model, measurements: Measurements) -> None:
     for effect in model.effects:
         if "temperature" in effect.needs and measurements.temperature is None:
             raise InputError(f"effects: {effect.key} needs the column temperature_C, the measurements have none")
         if "gravity" in effect.needs and model.arm.gravity is None:
-            raise InputError(
-                f"effects: {effect.key} needs gravity torques, allowed: an arm file with a [gravity] table"
-            )
-    if (d := model.dimension) * m < p:
-        found = f"{d} m = {d * m} < p = {p}"
-        raise InputError(f"measurements: fewer equations than unknowns: {found}, allowed: m >= {-(-p // d)}")
+            allowed = "an arm file with a [gravity] table"
+            raise InputError(f"effects: {effect.key} needs gravity torques, allowed: {allowed}")
 
 
 def _check_kind(name: str, value: object, needed: str, allowed: str) -> None:
@@ -105,9 +109,12 @@ def weighting(
             raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm] or 'estimated'")
         return Noise(relative, None)
     given = next((s for s in (sigma, measurements.sigma, model.sigma) if s is not None), None)
-    if given is None:
-        return Noise(relative, None)
-    deviations = np.asarray(given, dtype=float)
+    return Noise(relative, None) if given is None else _known_noise(relative, np.asarray(given, dtype=float))
+
+
+def _known_noise(relative: Array, deviations: Array) -> Noise:
+    """From relative weights (m,) and one standard deviation [mm] or (m,) of them."""
+    m = len(relative)
     if deviations.shape not in ((), (m,)) or not np.all(np.isfinite(deviations) & (deviations > 0.0)):
         raise InputError(f"sigma_mm: shape {deviations.shape}, allowed: one number or ({m},), each finite and > 0")
     return Noise(relative / deviations**2, float(np.sqrt(np.mean(deviations**2))))
@@ -123,7 +130,7 @@ def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spect
     useful = max(RANK_TOLERANCE, sigma / (np.sqrt(len(problem.weights)) * LARGEST_SHARE * reach))
     if decomposed.truncated(min(useful, 0.1)).rank == decomposed.rank:
         return solution, decomposed, problem
-    problem = problem.with_tolerance(min(useful, 0.1))
+    problem = replace(problem, tolerance=min(useful, 0.1))
     solution = METHODS[method](problem)
     jacobian = problem.linearize_at(solution.parameters[0])[1]
     return solution, spectrum(jacobian, problem.model.scales, problem.tolerance), problem

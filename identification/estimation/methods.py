@@ -16,8 +16,8 @@ from identification.status import Status
 
 def linear(problem: Problem) -> Solution:
     """Exact global minimiser of a model with a closed form. Raises `InputError` for any other model."""
-    form = problem.model.closed_form
-    if form is None or not form.exact:
+    form = problem.exact_form
+    if form is None:
         allowed = "lengths and offsets, nothing known, and no effect but base_offset; use gauss_newton"
         raise InputError(f"method: linear does not fit this model, allowed: {allowed}")
     parameters, squares = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.estimation.levenberg_marquardt import Index, LeastSquares
 from identification.information import RANK_TOLERANCE
+from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 
@@ -40,9 +41,11 @@ class Problem:
         positions = measurements.positions[None]
         return cls(model, measurements.postures, measurements.conditions, positions, weights)
 
-    def with_tolerance(self, tolerance: float) -> Problem:
-        """The same problem with another rank tolerance."""
-        return replace(self, tolerance=tolerance)
+    @property
+    def exact_form(self) -> PlanarClosedForm | None:
+        """The model's closed form if that is the solution; None: there is none, or it is a start only."""
+        form = self.model.closed_form
+        return form if form is not None and form.exact else None
 
     def rows(self, index: Index | NDArray[np.bool_] | slice) -> Problem:
         """The problem of some of the data sets."""

@@ -88,9 +88,8 @@ def _gravity(file: ArmFile, links: int) -> Gravity | None:
     if table is None:
         return None
     center = [0.5] * links if table.center_of_mass is None else table.center_of_mass
-    return Gravity(
-        readonly(table.acceleration_m_s2), readonly(table.link_masses_kg), readonly(center), table.payload_kg
-    )
+    acceleration, masses = readonly(table.acceleration_m_s2), readonly(table.link_masses_kg)
+    return Gravity(acceleration, masses, readonly(center), table.payload_kg)
 
 
 def _constraint(table: ConstraintTable) -> Constraint:

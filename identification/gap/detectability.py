@@ -159,7 +159,7 @@ def assess(
     return Detectability(
         tuple(members[k].key for k in plain),
         readonly(tested.norm_fractions[plain]),
-        readonly(likeness(tested, plain)),
+        readonly(likenesses(tested, plain)),
         # of several settings the one that is hardest to see
         MappingProxyType({key: max(found, key=Size.order) for key, found in sizes.items()}),
         freedom,
@@ -168,7 +168,7 @@ def assess(
     )
 
 
-def likeness(tested: Dictionary, members: list[int]) -> Array:
+def likenesses(tested: Dictionary, members: list[int]) -> Array:
     """(H, H) root mean square fraction of each member's visible space that each other member's space holds."""
     blocks = [tested.block(k) for k in members]
     matrix = np.zeros((len(blocks), len(blocks)))

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from identification.arm import Arm
-from identification.gap.detectability import EXACT, NEAR, Detectability
+from identification.gap.detectability import EXACT, NEAR, Detectability, likenesses
 from identification.gap.holdout import Gap
 from identification.gap.hypotheses import Hypothesis
 from identification.gap.result import Candidate
@@ -33,17 +33,15 @@ def hidden_orders(search: HypothesisSearch, named: Mapping[str, Hypothesis]) -> 
     listed = []
     for name, member in named.items():
         members, against = search.rivals(tuple(h for h in named.values() if h is not member))
-        places = {h.label: i for i, h in enumerate(members)}
-        if member.label not in places or member.spec.joint is None:
+        mine = next((i for i, h in enumerate(members) if h.label == member.label), None)
+        if mine is None or member.spec.joint is None:
             continue
-        mine = against.block(places[member.label])
-        for label, i in places.items():
-            other = members[i]
-            if label != member.label and other.spec.values and other.spec.joint == member.spec.joint:
-                likeness = float(np.linalg.norm(against.block(i).T @ mine) / np.sqrt(mine.shape[1]))
+        for i, other in enumerate(members):
+            if i != mine and other.spec.values and other.spec.joint == member.spec.joint:
+                likeness = likenesses(against, [mine, i])[0, 1]
                 if likeness >= NEAR:
-                    settings = ", ".join(f"{name} = {value:g}" for name, value in other.spec.values.items())
-                    listed.append((name, f"{other.key} ({settings})", min(likeness, 1.0)))
+                    settings = ", ".join(f"{key} = {value:g}" for key, value in other.spec.values.items())
+                    listed.append((name, f"{other.key} ({settings})", float(likeness)))
     return tuple(sorted(listed, key=lambda row: -round(row[2], 4)))
 
 
@@ -87,7 +85,6 @@ def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measur
     if gap.held_out_after is not None and gap.predicted is not None and gap.held_out_after > 3.0 * gap.predicted:
         times = gap.held_out_after / gap.predicted
         said.append(f"the held-out residuals are {times:.2g} times larger than predicted: other postures or set-up?")
-    drifts = any("drift" in effect for effect in (h.key for h in found.unknown.chosen))
-    if drifts and holdout is not None:
+    if holdout is not None and any("drift" in h.key for h in found.unknown.chosen):
         said.append("a drift of one session does not carry over to another; confirm it on held-out rows of this one")
     return said

@@ -76,8 +76,7 @@ class _Option(NamedTuple):
 def _best(p: float, options: list[_Option], place: str | None = None) -> Unknown:
     """The option of the lowest BIC;  place : where it counts as, whatever the place of the shape."""
     bic, kept, best = min(options, key=lambda option: option.bic)
-    same = place is None or place == best.place
-    return Unknown(p, place or best.place, best.shape if same else None, kept, bic)
+    return Unknown(p, place or best.place, best.shape if place in (None, best.place) else None, kept, bic)
 
 
 def effects_at(chosen: Choice, place: str) -> int:
