@@ -31,7 +31,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.gap.detectability import Detectability
-from identification.information import information_matrix
+from identification.information import covariance, information_matrix
 from identification.progress import Progress, silent
 from identification.status import Status
 
@@ -82,16 +82,13 @@ def discrimination_design(
     """The plan of `runs` measurements that shows missing effects best, at a D-efficiency within `loss` of the best.
 
     effects : which may be missing: those of the library that this arm can have, or others
-    loss : share 0..1 of the D-efficiency that may be given up
+    loss : fraction 0..1 of the D-efficiency that may be given up
     solver, starts : of the search for the best plan, as in `solve`
     seconds : for both searches together, half of it for the best plan; left out: none up to 100 runs, 60 s for more
     Raises `InputError` for a loss outside 0..1, a criterion other than D, and too few runs (4 spare degrees of freedom
     are needed). Ctrl-C returns the plan so far, status `interrupted`.
     """
-    if not 0.0 <= loss < 1.0:
-        raise InputError(f"loss: {loss}, allowed: 0 <= loss < 1")
-    if not isinstance(problem.criterion, D):
-        raise InputError(f"criterion: {problem.criterion.name} for a discriminating plan, allowed: D")
+    check_input(problem, loss)
     began = perf_counter()
     library = effects if isinstance(effects, EffectLibrary) else effect_library(effects)
     if runs > LONG_PLAN and starts is None and seconds is None:
@@ -102,7 +99,7 @@ def discrimination_design(
     best_sees = seen(problem, library, best.plan.postures)
     generator = np.random.default_rng(seed)
     extended = extended_problem(problem, library)
-    chosen, status = search(problem, extended, best, loss, generator, budget, progress)
+    chosen, status = search(extended, best, loss, generator, budget, progress)
     plan = replace(best.plan, postures=best_order(library, chosen, generator))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
     bounds = extended.wrong(chosen), extended.wrong(best.plan.postures), extended.at_random(runs)
@@ -110,8 +107,15 @@ def discrimination_design(
     return DiscriminationDesign(design, best, sees, best_sees, *(min(1.0, bound) for bound in bounds))
 
 
+def check_input(problem: DesignProblem, loss: float) -> None:
+    """Raises `InputError` for a loss outside 0..1 and a criterion other than D."""
+    if not 0.0 <= loss < 1.0:
+        raise InputError(f"loss: {loss}, allowed: 0 <= loss < 1")
+    if not isinstance(problem.criterion, D):
+        raise InputError(f"criterion: {problem.criterion.name} for a discriminating plan, allowed: D")
+
+
 def search(
-    problem: DesignProblem,
     extended: ExtendedProblem,
     best: Design,
     loss: float,
@@ -123,11 +127,11 @@ def search(
     chosen, status = np.array(best.plan.postures), best.status
     if status is Status.interrupted:
         return chosen, status
-    allowed = problem.parameters * float(-np.log1p(-loss))
+    allowed = extended.base.parameters * float(-np.log1p(-loss))
     status, bound = Status.local_optimum, np.inf
     try:
-        for postures, stop in beginnings(problem, extended, best, allowed, generator, budget):
-            swaps = improving_swaps(problem, extended, postures, best.value - allowed, generator, stop, progress)
+        for postures, stop in beginnings(extended, best, allowed, generator, budget):
+            swaps = improving_swaps(extended, postures, best.value - allowed, generator, stop, progress)
             for plan in chain([postures], swaps):
                 if (wrong := extended.wrong(plan)) < bound:
                     chosen, bound = plan, wrong
@@ -138,23 +142,19 @@ def search(
 
 
 def beginnings(
-    problem: DesignProblem,
-    extended: ExtendedProblem,
-    best: Design,
-    allowed: float,
-    generator: np.random.Generator,
-    budget: Budget,
+    extended: ExtendedProblem, best: Design, allowed: float, generator: np.random.Generator, budget: Budget
 ) -> Iterator[tuple[Array, Budget]]:
     """Plans from which swaps start, each with its part of the time.
 
     Under joint limits a D-optimal plan stands in the corners, far from plans that tell effects apart: there is a second
     beginning with as many random postures as three quarters of the loss allow.
     """
+    problem = extended.base
     part = budget.remaining / 2.0 if narrow(problem) else budget.remaining
     stop = budget.deadline if budget.deadline is None else budget.deadline - budget.remaining + part
-    yield start(problem, extended, best, best.value - allowed / 2.0, generator), Budget(1, stop)
+    yield start(extended, best, best.value - allowed / 2.0, generator), Budget(1, stop)
     if narrow(problem):
-        corners = start(problem, extended, best, best.value - allowed / 8.0, generator)
+        corners = start(extended, best, best.value - allowed / 8.0, generator)
         yield mixed(problem, corners, best.value - 0.75 * allowed, generator), budget
 
 
@@ -174,11 +174,9 @@ def seen(problem: DesignProblem, library: EffectLibrary, postures: Array) -> Det
     return None if library.preflight is None else library.preflight(np.vstack([problem.kept, postures]))
 
 
-def start(
-    problem: DesignProblem, extended: ExtendedProblem, best: Design, least: float, generator: np.random.Generator
-) -> Array:
+def start(extended: ExtendedProblem, best: Design, least: float, generator: np.random.Generator) -> Array:
     """(m, n) the best plan or one from theory, whichever tells effects apart best, off the limits down to `least`."""
-    runs = len(best.plan.postures)
+    problem, runs = extended.base, len(best.plan.postures)
     plans = [np.array(best.plan.postures)]
     plans += [plan for plan in theory_plans(problem, runs, generator) if feasible_value(problem, plan) >= least]
     chosen = min(plans, key=extended.wrong)
@@ -260,6 +258,6 @@ def best_order(library: EffectLibrary, postures: Array, generator: np.random.Gen
 def order_score(jacobian: Array, own: int) -> float:
     """log det of what the data tell of the order's effects, beyond what the first `own` parameters explain."""
     information = information_matrix(jacobian)
-    base, cross, rest = information[:own, :own], information[:own, own:], information[own:, own:]
-    sign, value = np.linalg.slogdet(rest - cross.T @ np.linalg.lstsq(base, cross, rcond=None)[0])
+    cross, rest = information[:own, own:], information[own:, own:]
+    sign, value = np.linalg.slogdet(rest - cross.T @ covariance(jacobian[..., :own], np.ones(own)) @ cross)
     return float(value) if sign > 0 else -np.inf

@@ -39,9 +39,10 @@ RANDOM_PLANS = 25  # whose median bound is shown beside a plan's
 class ExtendedProblem:
     """A design space with every effect in the model that postures alone can show.
 
-    problem : for that model; the first parameters are those of the arm's own
+    base : for the model that is to be identified;  problem : with the effects, whose parameters come last
     """
 
+    base: DesignProblem
     problem: DesignProblem
     misidentification: MisidentificationBound
 
@@ -62,7 +63,8 @@ def extended_problem(problem: DesignProblem, library: EffectLibrary) -> Extended
     extended = replace(problem, model=library.shown_by_postures)
     cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
     reference = information_matrix(extended.scaled_jacobians(cloud)) / len(cloud)
-    return ExtendedProblem(extended, MisidentificationBound(library.own, library.bases, library.weights, reference))
+    bound = MisidentificationBound(library.own, library.bases, library.weights, reference)
+    return ExtendedProblem(problem, extended, bound)
 
 
 def pool_of(problem: DesignProblem, count: int, generator: np.random.Generator) -> Array:
@@ -88,7 +90,6 @@ def repeats(problem: DesignProblem, posture: Array, others: Array) -> bool:
 
 
 def improving_swaps(
-    problem: DesignProblem,
     extended: ExtendedProblem,
     postures: Array,
     least: float,
@@ -100,7 +101,7 @@ def improving_swaps(
 
     least : of the base problem's criterion
     """
-    state = Swaps(problem, extended, np.array(postures), least)
+    state = Swaps(extended, np.array(postures), least)
     for number in range(ROUNDS):
         before = state.value
         state.draw(generator)
@@ -118,12 +119,12 @@ class Swaps:
     postures : (m, n);  jacobians : (m, d, P), scaled, of the extended problem;  pool, offered : the same of the pool
     """
 
-    problem: DesignProblem
     extended: ExtendedProblem
     postures: Array
     least: float
 
     def __post_init__(self) -> None:
+        self.problem = self.extended.base
         self.misidentification = self.extended.misidentification
         self.jacobians = self.extended.problem.scaled_jacobians(self.postures)
         self.total = len(self.postures) + self.problem.prior.runs

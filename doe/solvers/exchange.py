@@ -62,9 +62,8 @@ class Exchange:
         self, problem: DesignProblem, plans: Array, generator: np.random.Generator, budget: Budget
     ) -> tuple[Array, Array]:
         """Plans (s, m, n) that no single exchange improves, and their values (s,), best first."""
-        search = ExchangeState(problem, self.grid(problem), plans)
-        while search.running.size and not budget.out_of_time and search.sweeps < SWEEPS:
-            search.sweep(generator, budget)
+        search = GridBatch(problem, self.grid(problem), plans)
+        search.improve(generator, budget)
         values = np.asarray(problem.criterion.value(search.information))
         order = np.argsort(-values, kind="stable")
         return search.plans[order], values[order]
@@ -79,36 +78,59 @@ class Exchange:
         return np.linspace(problem.lower, problem.upper, self.levels, axis=1)
 
 
-class ExchangeState:
-    """The state of a batch of starts.
+class Batch:
+    """Starts that advance together, whatever postures a run is exchanged for.
 
-    plans : (s, m, n);  values : (s,) criterion, or its surrogate;  running : starts that still improve
+    jacobians : (s, m, d, p), scaled;  information : (s, p, p);  values : (s,) criterion, or its surrogate
+    running : starts that still improve
     """
 
-    def __init__(self, problem: DesignProblem, grid: Array, plans: Array) -> None:
-        self.problem, self.grid, self.plans = problem, grid, plans
-        self.distance = distance_to_keep(problem, plans.shape[1])
+    def __init__(self, problem: DesignProblem, jacobians: Array) -> None:
+        self.problem, self.jacobians, self.runs = problem, jacobians, jacobians.shape[1]
         self.criterion = surrogate(problem.criterion)
-        self.jacobians = problem.scaled_jacobians(plans)
-        self.total = plans.shape[1] + problem.prior.runs
-        self.information = self._sum(np.arange(len(plans)))
-        self.values = self._value(np.arange(len(plans)))
-        self.running = np.arange(len(plans) if problem.searched_joints else 0)
-        self.sweeps = 0
+        self.total = self.runs + problem.prior.runs
+        self.running = np.arange(len(jacobians))
+        self.information, self.values = self._information(self.running)
+
+    def improve(self, generator: np.random.Generator, budget: Budget) -> None:
+        """Sweeps until none changes anything, or time is up."""
+        for _ in range(SWEEPS):
+            if not self.running.size or budget.out_of_time:
+                break
+            self.sweep(generator, budget)
 
     def sweep(self, generator: np.random.Generator, budget: Budget) -> None:
         """Every run of every running start once, as long as there is time."""
         before = self.values[self.running]
-        for run in generator.permutation(self.plans.shape[1]):
+        for run in generator.permutation(self.runs):
             if budget.out_of_time:
                 break
-            self._exchange(run)
-        self.information[self.running] = self._sum(self.running)  # no rounding piles up
-        self.values[self.running] = self._value(self.running)
-        self.running = self.running[~(self.values[self.running] <= before + IMPROVEMENT) | np.isneginf(before)]
-        self.sweeps += 1
+            self.exchange(int(run))
+        information, values = self._information(self.running)  # computed afresh: no rounding piles up
+        self.information[self.running], self.values[self.running] = information, values
+        self.running = self.running[~(values <= before + IMPROVEMENT) | np.isneginf(before)]
 
-    def _exchange(self, run: int) -> None:
+    def exchange(self, run: int) -> None:
+        """Puts one run of every running start at the best posture in reach."""
+        raise NotImplementedError
+
+    def _information(self, starts: NDArray[np.intp]) -> tuple[Array, Array]:
+        """(s, p, p) information matrices, and (s,) their values."""
+        information = self.problem.prior.information(information_matrix(self.jacobians[starts]), self.runs)
+        return information, np.array(self.criterion.value(information))
+
+
+class GridBatch(Batch):
+    """Plans (s, m, n) whose runs are exchanged for postures on a grid (n, L) that differ in one joint."""
+
+    def __init__(self, problem: DesignProblem, grid: Array, plans: Array) -> None:
+        super().__init__(problem, problem.scaled_jacobians(plans))
+        self.grid, self.plans = grid, plans
+        self.distance = distance_to_keep(problem, self.runs)
+        if not problem.searched_joints:
+            self.running = self.running[:0]
+
+    def exchange(self, run: int) -> None:
         """Puts one run of every running start at the best posture in reach."""
         starts = np.arange(len(self.running))
         old = self.jacobians[self.running, run]
@@ -146,9 +168,3 @@ class ExchangeState:
         for k, joint in enumerate(joints):
             moved[:, k * levels : (k + 1) * levels, joint] = self.grid[joint]
         return moved
-
-    def _sum(self, starts: NDArray[np.intp]) -> Array:
-        return self.problem.prior.information(information_matrix(self.jacobians[starts]), self.plans.shape[1])
-
-    def _value(self, starts: NDArray[np.intp]) -> Array:
-        return np.asarray(self.criterion.value(self.information[starts]))

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.criteria.criterion import surrogate, values_after_adding
+from doe.criteria.criterion import values_after_adding
 from doe.problem.candidates import listed
 from doe.problem.problem import DesignProblem, information_of_each
-from doe.solvers.exchange import IMPROVEMENT, SWEEPS
+from doe.solvers.exchange import IMPROVEMENT, Batch
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.information import information_matrix
 
 CHUNK = 20_000  # starts x candidates compared at once: stays in the processor's cache
 
@@ -45,11 +44,8 @@ class Fedorov:
         """One offer per start. Raises `InputError` without choices, or with fewer of them than runs."""
         postures, jacobians = allowed_choices(problem, runs)
         while True:
-            state = FedorovState(problem, jacobians, initial(problem, len(jacobians), (self.batch, runs), generator))
-            sweeps = 0
-            while state.running.size and sweeps < SWEEPS and not budget.out_of_time:
-                state.sweep(generator)
-                sweeps += 1
+            state = ListBatch(problem, jacobians, initial(problem, len(jacobians), (self.batch, runs), generator))
+            state.improve(generator, budget)
             for chosen in state.chosen[np.argsort(-state.values, kind="stable")]:
                 yield Offer(postures[chosen], 1, independent=True)
 
@@ -75,38 +71,25 @@ def initial(
     return generator.integers(total, size=shape)
 
 
-class FedorovState:
-    """A batch of choices.
+class ListBatch(Batch):
+    """Rows (s, m) of the list, `chosen`, whose runs are exchanged for any of the N postures; offered : (N, d, p)."""
 
-    chosen : (s, m) rows of the list;  values : (s,) criterion, or its surrogate;  running : starts still improving
-    """
+    def __init__(self, problem: DesignProblem, offered: Array, chosen: NDArray[np.intp]) -> None:
+        super().__init__(problem, offered[chosen])
+        self.offered, self.chosen = offered, chosen
 
-    def __init__(self, problem: DesignProblem, jacobians: Array, chosen: NDArray[np.intp]) -> None:
-        self.problem, self.jacobians, self.chosen = problem, jacobians, chosen
-        self.total = chosen.shape[1] + problem.prior.runs
-        self.criterion = surrogate(problem.criterion)
-        self.running = np.arange(len(chosen))
-        self.information = self._sum()
-        self.values = np.asarray(self.criterion.value(self.information))
-
-    def sweep(self, generator: np.random.Generator) -> None:
-        """Every run of every running start once."""
-        before = self.values.copy()
-        for run in generator.permutation(self.chosen.shape[1]):
-            for start in self.running:
-                self._exchange(int(start), int(run))
-        self.information = self._sum()
-        self.values = np.asarray(self.criterion.value(self.information))
-        improved = ~(self.values <= before + IMPROVEMENT) | np.isneginf(before)
-        self.running = np.flatnonzero(improved)
+    def exchange(self, run: int) -> None:
+        """Puts one run of every running start at the best posture of the list."""
+        for start in self.running:
+            self._exchange(int(start), run)
 
     def _exchange(self, start: int, run: int) -> None:
         old = self.chosen[start, run]
-        without = self.information[start] - information_of_each(self.jacobians[old]) / self.total
+        without = self.information[start] - information_of_each(self.offered[old]) / self.total
         values = np.concatenate(
             [
                 values_after_adding(self.criterion, without[None], part[None] / np.sqrt(self.total))[0]
-                for part in np.array_split(self.jacobians, -(-len(self.jacobians) // CHUNK))
+                for part in np.array_split(self.offered, -(-len(self.offered) // CHUNK))
             ]
         )
         now = values[old]
@@ -114,8 +97,5 @@ class FedorovState:
             values[self.chosen[start]] = -np.inf
         best = int(np.argmax(values))
         if values[best] > now + IMPROVEMENT:
-            self.chosen[start, run] = best
-            self.information[start] = without + information_of_each(self.jacobians[best]) / self.total
-
-    def _sum(self) -> Array:
-        return self.problem.prior.information(information_matrix(self.jacobians[self.chosen]), self.chosen.shape[1])
+            self.chosen[start, run], self.jacobians[start, run] = best, self.offered[best]
+            self.information[start] = without + information_of_each(self.offered[best]) / self.total

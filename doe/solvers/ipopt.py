@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -79,8 +80,7 @@ class Climber:
         self.lower, self.upper = (np.tile(limit[self.joints], runs) for limit in (problem.lower, problem.upper))
         self.near_limit = np.tile(NEAR_LIMIT * problem.joint_units[self.joints], runs)
         self.interrupted = False
-        self._expansion: tuple[bytes, tuple[float, Array, Array]] | None = None
-        self._latest: tuple[bytes, list[Array]] | None = None
+        self.expand, self.values = lru_cache(1)(self._expand), lru_cache(1)(self._values)  # IPOPT asks one by one
         self._callbacks = self._build()
         nlp = self._callbacks.pop("nlp")
         self.ipopt = ca.nlpsol("ipopt", "ipopt", nlp, settings.options | self._callbacks | {"no_nlp_grad": True})
@@ -113,13 +113,6 @@ class Climber:
         plan[:, self.joints] = point.reshape(len(plan), -1)
         return plan
 
-    def expand(self, point: Array) -> tuple[float, Array, Array]:
-        """Value, gradient, Hessian; the last point's are kept, since IPOPT asks for them one by one."""
-        key = point.tobytes()
-        if self._expansion is None or self._expansion[0] != key:
-            self._expansion = (key, self.function.expand(self.postures(point)))
-        return self._expansion[1]
-
     def _build(self) -> dict[str, ca.Callback]:
         """What `casadi.nlpsol` is made of: f and g, grad f, jac g, the Lagrangian's Hessian, and the stop."""
         size, rows = self.function.size, self.function.runs * self.constraints.rows
@@ -137,17 +130,24 @@ class Climber:
             made["jac_g"] = Guarded("jac_g", point, {"g": g, "jac_g_x": jacobian}, self._jacobian)
         return made
 
+    def _plan(self, point: bytes) -> Array:
+        return self.postures(np.frombuffer(point))
+
+    def _expand(self, point: bytes) -> tuple[float, Array, Array]:
+        """Value, gradient, Hessian."""
+        return self.function.expand(self._plan(point))
+
+    def _values(self, point: bytes) -> list[Array]:
+        """-f and g."""
+        plan = self._plan(point)
+        values = self.constraints.values(plan) if self.constraints.rows else np.empty(0)
+        return [np.array([-self.function.value(plan)]), values]
+
     def _objective(self, x: Array, *_: Array) -> list[Array]:
-        """f and g; IPOPT asks for them one by one, and often again where it has been."""
-        key = x.tobytes()
-        if self._latest is None or self._latest[0] != key:
-            plan = self.postures(x)
-            values = self.constraints.values(plan) if self.constraints.rows else np.empty(0)
-            self._latest = (key, [np.array([-self.function.value(plan)]), values])
-        return self._latest[1]
+        return self.values(x.tobytes())
 
     def _gradient(self, x: Array, *_: Array) -> list[Array]:
-        value, slope, _hessian = self.expand(x)
+        value, slope, _hessian = self.expand(x.tobytes())
         return [np.array([-value]), -slope]
 
     def _jacobian(self, x: Array, *_: Array) -> list[Array]:
@@ -155,6 +155,8 @@ class Climber:
         return [self.constraints.values(plan), self.constraints.jacobian(plan)]
 
     def _hessian(self, x: Array, _p: Array, factor: Array, multipliers: Array) -> list[Array]:
-        hessian = -float(factor[0]) * self.expand(x)[2] + self.constraints.hessian(self.postures(x), multipliers)
+        hessian = -float(factor[0]) * self.expand(x.tobytes())[2] + self.constraints.hessian(
+            self.postures(x), multipliers
+        )
         columns, rows = np.tril_indices(len(hessian))  # CasADi stores the upper triangle column by column
         return [hessian[rows, columns]]

@@ -52,30 +52,20 @@ class Analytic:
             yield Offer(generator.permutation(plan), 1)
 
 
-@dataclass(frozen=True)
-class NearlyAnalytic:
-    """A plan from theory of a few runs less, the others chosen by exchange; nothing where there is none."""
-
-    name: str = "nearly_analytic"
-
-    def starts_for(self, problem: DesignProblem) -> int:
-        """One."""
-        return 1
-
-    def offers(
-        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
-    ) -> Iterator[Offer]:
-        """The plan before and after exchange."""
-        exchange = Exchange()
-        for fewer in range(runs - 1, max(runs - NEARLY, problem.fewest_runs) - 1, -1):
-            known = next(Analytic(tries=12).offers(problem, fewer, generator, budget), None)
-            if known is not None:
-                plan = np.vstack([known.postures, exchange.begin(problem, 1, runs - fewer, generator)[0]])
-                yield Offer(plan)
-                yield Offer(exchange.improve(problem, plan[None], generator, budget)[0][0], 1)
-                return
-            if budget.out_of_time:
-                return
+def nearly_analytic(
+    problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
+) -> Iterator[Offer]:
+    """A plan from theory of a few runs less, the others chosen by exchange, before and after; nothing without one."""
+    exchange = Exchange()
+    for fewer in range(runs - 1, max(runs - NEARLY, problem.fewest_runs) - 1, -1):
+        known = next(Analytic(tries=12).offers(problem, fewer, generator, budget), None)
+        if known is not None:
+            plan = np.vstack([known.postures, exchange.begin(problem, 1, runs - fewer, generator)[0]])
+            yield Offer(plan)
+            yield Offer(exchange.improve(problem, plan[None], generator, budget)[0][0], 1)
+            return
+        if budget.out_of_time:
+            return
 
 
 class Composition:
@@ -87,9 +77,8 @@ class Composition:
         self.runs, self.tries, self.generator = runs, tries, generator
         self.whole = runs <= WHOLE  # until proven otherwise
         self.patterns: dict[int, list[CharacterPlan]] | None = None
-        self.apart = (
-            problem.minimum_distance if replicates_allowed(problem) == 1.0 else 0.0
-        )  # [rad] no free joint helps
+        no_free_joint = replicates_allowed(problem) == 1.0
+        self.apart = problem.minimum_distance if no_free_joint else 0.0  # [rad]
 
     def plan(self) -> Array | None:
         """(m, n) a random plan, None where none is found; without repeats, as far as a few attempts find one."""

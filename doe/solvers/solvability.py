@@ -7,6 +7,7 @@ import numpy as np
 from doe.design import Design
 from doe.plan.replicate_spacing import replicates_allowed
 from doe.problem.candidates import listed
+from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.driver import feasible_value
 from identification.arrays import Array
@@ -16,8 +17,16 @@ from identification.information import identifiability
 NEUTRAL = "under one payload, temperature, time and approach no posture tells apart"
 
 
+def check_solvable(problem: DesignProblem, runs: int, seed: int, *, every_parameter: bool) -> None:
+    """Raises where no plan is allowed, or none can identify as many parameters, or `every_parameter`."""
+    check_runs(problem, runs)
+    if every_parameter:
+        check_parameters(problem)
+    random_postures(problem, 1, np.random.default_rng(seed))  # raises where the constraints exclude everything
+
+
 def check_runs(problem: DesignProblem, runs: int) -> None:
-    """Raises `InputError` where there are fewer equations than unknowns, or what is no number of runs."""
+    """Raises `InputError` for fewer equations than unknowns, and for what is no number of runs."""
     if isinstance(runs, bool) or not isinstance(runs, int | np.integer):
         raise InputError(f"runs: {runs!r:.40}, allowed: a whole number")
     if runs < problem.fewest_runs:
@@ -55,7 +64,7 @@ def identifies_all(design: Design) -> bool:
 
 
 def require_solved(design: Design) -> None:
-    """Raises `JobError` unless the plan is allowed and identifies all parameters, and says what no plan could do."""
+    """Raises `JobError` with the reason unless the plan is allowed and identifies all parameters."""
     problem = design.problem
     if not identifies_all(design):
         raise JobError(_not_identifiable(design))

@@ -12,13 +12,12 @@ import numpy as np
 from doe.bounds.best_known import best_known_bound, bound_that_holds
 from doe.bounds.bound import Bound
 from doe.design import Design
-from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.driver import SearchResult, design_of, run_search
 from doe.solvers.fedorov import Fedorov
-from doe.solvers.planar_theory import Analytic, NearlyAnalytic
+from doe.solvers.planar_theory import Analytic, nearly_analytic
 from doe.solvers.registry import SOLVERS, solver_named
-from doe.solvers.solvability import check_parameters, check_runs, identifies_all, require_solved
+from doe.solvers.solvability import check_solvable, identifies_all, require_solved
 from doe.solvers.solver import LONG_PLAN, Budget, Offer, Solver, time_limit
 from identification.errors import InputError
 from identification.progress import Progress, silent
@@ -51,22 +50,18 @@ def solve(
     """
     began = perf_counter()
     chosen = chosen_solver(problem, solver)
-    check_runs(problem, runs)
-    if throw:
-        check_parameters(problem)
-    random_postures(problem, 1, np.random.default_rng(seed))  # says so where the constraints exclude everything
+    check_solvable(problem, runs, seed, every_parameter=throw)
     with single_thread():
         known = bound or best_known_bound(problem, runs)
         result = from_theory(problem, runs, known, seed) if solver is None else None
-        used: Solver = chosen if result is None else Analytic()
+        chosen = chosen if result is None else Analytic()
         if result is None:
             budget = Budget.of(starts, chosen.starts_for(problem), time_limit(runs, starts, seconds), began)
-            offers = offers_of(problem, runs, chosen, budget, seed, begin_from_theory=solver is None)
+            offers = offers_of(problem, runs, chosen, budget, seed, theory_first=solver is None)
             result = run_search(problem, offers, budget, known, progress)
-        design = design_of(problem, result, used, known, began, seed)
+        design = design_of(problem, result, chosen, known, began, seed)
         if bound is None:
-            holds = bound_that_holds(problem, known, design.plan.postures, design.value)
-            design = design if holds is known else replace(design, bound=holds)
+            design = replace(design, bound=bound_that_holds(problem, known, design.plan.postures, design.value))
     if throw:
         require_solved(design)
     return design if identifies_all(design) else replace(design, status=Status.not_identifiable)
@@ -94,11 +89,11 @@ def from_theory(problem: DesignProblem, runs: int, known: Bound | None, seed: in
 
 
 def offers_of(
-    problem: DesignProblem, runs: int, solver: Solver, budget: Budget, seed: int, *, begin_from_theory: bool
+    problem: DesignProblem, runs: int, solver: Solver, budget: Budget, seed: int, *, theory_first: bool
 ) -> Iterator[Offer]:
     """The solver's plans; those of many runs after a plan that is nearly one of theory, where that is asked for."""
     generator = np.random.default_rng(seed)
     offers = solver.offers(problem, runs, generator, budget)
-    if begin_from_theory and runs > LONG_PLAN and problem.choices is None:
-        return chain(NearlyAnalytic().offers(problem, runs, generator, budget), offers)
+    if theory_first and runs > LONG_PLAN and problem.choices is None:
+        return chain(nearly_analytic(problem, runs, generator, budget), offers)
     return offers

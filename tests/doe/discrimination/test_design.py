@@ -111,7 +111,7 @@ def test_a_wrong_name_becomes_less_probable_with_every_swap(seed: int) -> None:
     wide, generator = extended_problem(problem, effect_library(arm)), np.random.default_rng(seed)
     plan = generator.uniform(arm.lower, arm.upper, (12, 3))
     least = problem.objective(plan) - 0.05
-    steps = list(improving_swaps(problem, wide, plan, least, generator, Budget(1)))
+    steps = list(improving_swaps(wide, plan, least, generator, Budget(1)))
     wrong = [wide.wrong(postures) for postures in (plan, *steps)]
     assert len(steps) > 5
     assert np.all(np.diff(wrong) < 0.0)
@@ -215,7 +215,7 @@ def test_a_list_that_has_nothing_more_to_offer() -> None:
     arm = Arm(LENGTHS[:3], np.radians([-180, -120, -100]), np.radians([180, 120, 60]), sigma=0.1)
     choices = np.random.default_rng(3).uniform(arm.lower, arm.upper, (12, 3))
     problem = DesignProblem.of(Model(arm), choices=choices)
-    state = Swaps(problem, extended_problem(problem, effect_library(arm)), np.array(choices), least=-np.inf)
+    state = Swaps(extended_problem(problem, effect_library(arm)), np.array(choices), least=-np.inf)
     state.draw(np.random.default_rng(0))
     assert not state.open.any()  # all of them are in the plan
     assert not state.swap()
@@ -280,7 +280,7 @@ def test_under_limits_a_second_beginning_away_from_the_corners() -> None:
     problem = DesignProblem.of(Model(arm))
     wide, best = extended_problem(problem, effect_library(arm)), solve(problem, 20, seconds=5.0)
     allowed = -8.0 * np.log(0.9)
-    starts = [plan for plan, _ in beginnings(problem, wide, best, allowed, np.random.default_rng(0), Budget(1))]
+    starts = [plan for plan, _ in beginnings(wide, best, allowed, np.random.default_rng(0), Budget(1))]
     assert len(starts) == 2
     assert log_det(starts[1]) >= log_det(best.plan.postures) - 0.75 * allowed - 1e-9
     inside = [np.mean(np.abs(np.degrees(plan)) < 60.0) for plan in (best.plan.postures, starts[1])]
@@ -288,7 +288,6 @@ def test_under_limits_a_second_beginning_away_from_the_corners() -> None:
     free = Arm(LENGTHS, sigma=0.1)
     plan = solve(DesignProblem.of(Model(free)), 20)
     several = beginnings(
-        DesignProblem.of(Model(free)),
         extended_problem(DesignProblem.of(Model(free)), effect_library(free)),
         plan,
         allowed,
