@@ -170,17 +170,7 @@ class Arm(ByValue):
         _require(
             bool(np.all(np.isfinite(lengths) & (lengths > 0))), f"links_mm: {lengths.tolist()}, allowed: lengths > 0"
         )
-        lower = readonly(np.full(n, -np.pi) if self.lower is None else self.lower, -1)
-        upper = readonly(np.full(n, np.pi) if self.upper is None else self.upper, -1)
-        for name, limits in (("lower", lower), ("upper", upper)):
-            _require(limits.size == n, f"joint_limits_deg.{name}: {limits.size} values for {n} links, allowed: {n}")
-            _require(bool(np.all(np.isfinite(limits))), f"joint_limits_deg.{name}: values must be finite")
-        for j in np.flatnonzero(lower >= upper):
-            low, high = np.degrees(lower[j]), np.degrees(upper[j])
-            raise InputError(
-                f"joint_limits_deg: joint {j + 1} has lower {low:g} >= upper {high:g}, allowed: lower < upper"
-            )
-        _warn_if_degrees(lower, upper)
+        lower, upper = _joint_limits(self.lower, self.upper, n)
         if self.sigma is not None:
             _require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
         for field_name, value in (("lengths", lengths), ("lower", lower), ("upper", upper)):
@@ -196,13 +186,27 @@ class Arm(ByValue):
         return replace(self, effects=tuple(effects))
 
 
+def _joint_limits(lower_limits: ArrayLike | None, upper_limits: ArrayLike | None, n: int) -> tuple[Array, Array]:
+    """(n,) lower and (n,) upper, -pi and pi where None. Raises `InputError` for others than n pairs in order."""
+    lower = readonly(np.full(n, -np.pi) if lower_limits is None else lower_limits, -1)
+    upper = readonly(np.full(n, np.pi) if upper_limits is None else upper_limits, -1)
+    for name, limits in (("lower", lower), ("upper", upper)):
+        _require(limits.size == n, f"joint_limits_deg.{name}: {limits.size} values for {n} links, allowed: {n}")
+        _require(bool(np.all(np.isfinite(limits))), f"joint_limits_deg.{name}: values must be finite")
+    for j in np.flatnonzero(lower >= upper):
+        low, high = np.degrees(lower[j]), np.degrees(upper[j])
+        raise InputError(f"joint_limits_deg: joint {j + 1} has lower {low:g} >= upper {high:g}, allowed: lower < upper")
+    _warn_if_degrees(lower, upper)
+    return lower, upper
+
+
 def _warn_if_degrees(lower: Array, upper: Array) -> None:
     limits = np.where(-lower > upper, lower, upper)  # the farther one of each joint
     if (far := np.abs(limits) > MANY_TURNS).any():
         j = int(np.argmax(far))
         found = f"limit {limits[j]:g} of joint {j + 1} is {abs(limits[j]) / (2.0 * np.pi):.0f} turns"
         message = f"Arm: {found} and looks like degrees; lower and upper are in radians"
-        warnings.warn(message, UserWarning, stacklevel=4)
+        warnings.warn(message, UserWarning, stacklevel=5)
 
 
 def _require(condition: bool, message: str) -> None:

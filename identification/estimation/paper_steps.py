@@ -14,6 +14,7 @@ from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Solution, truncated_steps
 from identification.estimation.problem import Problem
 from identification.information import column_lengths
+from identification.kinematics.parameters import ParameterSet
 from identification.status import Status
 
 MAX_ITERATIONS = 50
@@ -23,10 +24,7 @@ STEP_TOLERANCE = 1e-12  # of the arm's reach; "required accuracy" of Step 5
 def paper_steps(problem: Problem) -> Solution:
     """Steps 1-5 until the correction is below 1e-12 of the reach. Raises `InputError` for parameters with bounds."""
     model = problem.model
-    for parameter in model.parameters:
-        if np.isfinite(parameter.lower) or np.isfinite(parameter.upper):
-            found = f"{parameter.name} is bounded to [{parameter.lower:g}, {parameter.upper:g}]"
-            raise InputError(f"method: paper_steps knows no bounds, {found}; allowed: gauss_newton")
+    _require_unbounded(model.parameters)
     errors = np.zeros(len(model.parameters))  # Step 1
     enough = STEP_TOLERANCE * model.reach
     for iteration in range(1, MAX_ITERATIONS + 1):
@@ -38,6 +36,13 @@ def paper_steps(problem: Problem) -> Solution:
         if np.linalg.norm(correction * model.scales) <= enough:  # Step 5
             return _end(problem, errors, Status.converged, iteration)
     return _end(problem, errors, Status.iteration_limit, MAX_ITERATIONS)
+
+
+def _require_unbounded(parameters: ParameterSet) -> None:
+    for parameter in parameters:
+        if np.isfinite(parameter.lower) or np.isfinite(parameter.upper):
+            found = f"{parameter.name} is bounded to [{parameter.lower:g}, {parameter.upper:g}]"
+            raise InputError(f"method: paper_steps knows no bounds, {found}; allowed: gauss_newton")
 
 
 def _correction(residuals: Array, jacobian: Array, scales: Array, tolerance: float) -> Array:

@@ -151,19 +151,8 @@ class Identification:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` (identification/files/README.md, "JSON keys"): file units, null for unknown values."""
-        rows = zip(self.model.parameters, self.identifiable, self.parameters, self.std, self.intervals, strict=True)
         return {
-            "parameters": [
-                {
-                    "name": parameter.name,
-                    "unit": parameter.file_unit,
-                    "value": _number(value * parameter.to_file) if estimable else None,
-                    "std": _number(std * parameter.to_file),
-                    "low_95": _number(limits[0] * parameter.to_file),
-                    "high_95": _number(limits[1] * parameter.to_file),
-                }
-                for parameter, estimable, value, std, limits in rows
-            ],
+            "parameters": self._rows(),
             "not_identifiable": list(self.not_identifiable),
             "sigma_mm": self.sigma,
             "chi2": self.chi2,
@@ -176,9 +165,19 @@ class Identification:
             "method": self.method,
         }
 
+    def _rows(self) -> list[dict[str, Any]]:
+        """One entry for each parameter, in file units."""
+        values = np.where(self.identifiable, self.parameters, np.nan)
+        rows = zip(self.model.parameters, values, self.std, *self.intervals.T, strict=True)
+        return [
+            {"name": p.name, "unit": p.file_unit}
+            | {key: _number(figure * p.to_file) for key, figure in zip(_COLUMNS, figures, strict=True)}
+            for p, *figures in rows
+        ]
+
     def __str__(self) -> str:
         lines = [f"{'parameter':<32} {'value':>12} {'std':>10} {'95 % low':>12} {'95 % high':>12}  unit"]
-        for row in self.to_json()["parameters"]:
+        for row in self._rows():
             cells = [_cell(row[key], width) for key, width in zip(_COLUMNS, (12, 10, 12, 12), strict=True)]
             lines.append(f"{row['name']:<32} {' '.join(cells)}  {row['unit']}")
         lines += [f"cannot be told apart: {combination}" for combination in self.not_identifiable]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import tomlkit
 
-from identification.arm import Arm, Calibration, Constraint, EffectSpec, KeepOutCircle, WorkspaceBox
+from identification.arm import Arm, Calibration, Constraint, EffectSpec, Gravity, KeepOutCircle, WorkspaceBox
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.files.arm import FileName, arm_from_tables, built, effects_of, file_names
@@ -31,12 +31,7 @@ def dump_arm(arm: Arm) -> str:
     if arm.sigma is not None:
         tables["measurement"] = {"sigma_mm": float(arm.sigma)}
     if arm.gravity is not None:
-        tables["gravity"] = {
-            "acceleration_m_s2": _floats(arm.gravity.acceleration),
-            "link_masses_kg": _floats(arm.gravity.link_masses),
-            "center_of_mass": _floats(arm.gravity.center_of_mass),
-            "payload_kg": float(arm.gravity.payload),
-        }
+        tables["gravity"] = _gravity_table(arm.gravity)
     if arm.constraints:
         tables["constraints"] = [_constraint_table(constraint) for constraint in arm.constraints]
     text = with_effects(tomlkit.dumps(tables), arm.effects)
@@ -87,6 +82,15 @@ def _tidy(value: float) -> float:
 
 def _degrees(radians: Any) -> list[float]:
     return [_tidy(value) for value in np.degrees(radians)]
+
+
+def _gravity_table(gravity: Gravity) -> Plain:
+    return {
+        "acceleration_m_s2": _floats(gravity.acceleration),
+        "link_masses_kg": _floats(gravity.link_masses),
+        "center_of_mass": _floats(gravity.center_of_mass),
+        "payload_kg": float(gravity.payload),
+    }
 
 
 def _constraint_table(constraint: Constraint) -> Plain:

@@ -56,16 +56,15 @@ def measurement_text(measurements: Measurements) -> str:
     if measurements.order is not None:
         whole = bool(np.all(measurements.order == np.round(measurements.order)))
         columns["order" if whole else "time_s"] = measurements.order
-    for name, values in (("temperature_C", measurements.temperature), ("payload_kg", measurements.payload)):
-        if values is not None:
-            columns[name] = values
-    if measurements.directions is not None:
-        columns |= {f"direction{j + 1}": column for j, column in enumerate(measurements.directions.T)}
-    if measurements.repeats is not None:
-        columns["posture"] = measurements.repeats
-    if measurements.sigma is not None:
-        columns["sigma_mm"] = measurements.sigma
-    return csv_text(columns)
+    directions = () if measurements.directions is None else measurements.directions.T
+    optional = {
+        "temperature_C": measurements.temperature,
+        "payload_kg": measurements.payload,
+        **{f"direction{j}": column for j, column in enumerate(directions, start=1)},
+        "posture": measurements.repeats,
+        "sigma_mm": measurements.sigma,
+    }
+    return csv_text(columns | {name: values for name, values in optional.items() if values is not None})
 
 
 # -- columns shared with plans ----------------------------------------------------------------------------------------

@@ -30,6 +30,14 @@ class Gap:
     held_out_after: float | None = None
     predicted: float | None = None
 
+    def __str__(self) -> str:
+        floor = f"noise floor {self.noise_floor:.4g} mm"
+        line = f"gap: {self.rms_before:.4g} mm before, {self.rms_after:.4g} mm after, {floor}"
+        if self.held_out_after is None:
+            return line
+        then = f"{self.held_out_before:.4g} mm before, {self.held_out_after:.4g} mm after"
+        return f"{line}\nheld out: {then}, {self.predicted:.4g} mm predicted"
+
     def to_json(self) -> dict[str, float | None]:
         """Keys of `gap` (identification/files/README.md, "JSON keys")."""
         return {f"{name}_mm": value for name, value in vars(self).items()}

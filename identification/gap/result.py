@@ -196,12 +196,7 @@ class Diagnosis:
         lines += [f"  scatter: {f}" for f in self.scatter]
         if self.outlier_rows:
             lines.append(f"  left out as outliers: rows {', '.join(map(str, self.outlier_rows))}")
-        g = self.gap
-        floor = f"noise floor {g.noise_floor:.4g} mm"
-        lines.append(f"  gap: {g.rms_before:.4g} mm before, {g.rms_after:.4g} mm after, {floor}")
-        if g.held_out_after is not None:
-            then = f"{g.held_out_before:.4g} mm before, {g.held_out_after:.4g} mm after"
-            lines.append(f"  held out: {then}, {g.predicted:.4g} mm predicted")
+        lines += [f"  {line}" for line in str(self.gap).splitlines()]
         if not self.effects:
             lines += [f"  excluded: {name} > {size}" for name, size in self.excluded.items()]
         return "\n".join([*lines, *(f"  note: {n}" for n in self.notes)])

@@ -89,11 +89,12 @@ class Rows:
             turned = [sum(self._inverse[:, i, j, None] * flat[:, j] for j in range(d)) for i in range(d)]
             values = np.stack(turned, axis=1).reshape(values.shape)
         if self.correlation:
-            rho = self.correlation
-            sequence = self.sequence
-            changed = values.copy()
-            # exact for a first-order autoregression: each row less what the row before predicts of it
-            before, after = values[sequence[:-1]], values[sequence[1:]]
-            changed[sequence[1:]] = (after - rho * before) / np.sqrt(1.0 - rho**2)
-            values = changed
+            values = self._decorrelated(values)
         return values.reshape(m * d, *values.shape[2:])
+
+    def _decorrelated(self, values: Array) -> Array:
+        """Exact for a first-order autoregression: each row less what the row before predicts of it."""
+        rho, sequence, changed = self.correlation, self.sequence, values.copy()
+        before, after = values[sequence[:-1]], values[sequence[1:]]
+        changed[sequence[1:]] = (after - rho * before) / np.sqrt(1.0 - rho**2)
+        return changed
