@@ -1,4 +1,4 @@
-"""The arm: what the drawing says, how it is measured, what is known about it. Plain data, in millimetres and radians.
+"""The arm: nominal geometry, how it is measured, what is known about it. Plain data, in millimetres and radians.
 
 Joints and links are counted from 1 for people (`Effect.joint`, names) and from 0 in arrays.
 """

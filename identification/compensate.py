@@ -199,7 +199,7 @@ def inverse_kinematics(model: Model, goals: Array, starts: Array, conditions: Co
 
 
 def _linearization(model: Model, conditions: Conditions) -> Linearize:
-    """Function of postures (k, n) and their row numbers -> positions (k, d), derivatives by the posture (k, d, n)."""
+    """Postures (k, n) and row numbers -> positions (k, d) and derivatives with respect to the posture (k, d, n)."""
     q, c, p, position = model.symbols
     outputs = ca.cse([position, ca.jacobian(position, q)])
     evaluate = vectorize(ca.Function("kinematics", [q, c, p], outputs))

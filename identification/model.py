@@ -2,9 +2,9 @@
 
     position = sum_j (l_j + dl_j) exp(i (theta_j + dtheta_j)),   dtheta_j = dq_1 + ... + dq_j        (paper, eq. 1)
 
-Parameters are the length errors dl_j [mm], the joint offsets dq_j [rad] and those of the effects. The derivative by
-the ORIENTATION offset dtheta_k touches link k only (eq. 8); by the joint offset dq_k it sums over links k..n, which is
-what eq. 4 prints.
+Parameters are the length errors dl_j [mm], the joint offsets dq_j [rad] and those of the effects. The derivative with
+respect to the ORIENTATION offset dtheta_k touches link k only (eq. 8); that with respect to the joint offset dq_k sums
+over links k..n, which is what eq. 4 prints.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Model:
     # -- parameters ------------------------------------------------------------------------------------------------
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
-        """The arm's effects on the mean, ready for the chain; those on the scatter are `simulate`'s business."""
+        """The arm's effects on the mean, ready for the chain; those on the scatter are handled by `simulate`."""
         return tuple(effect for effect, _ in self._built if not effect.scatter)
 
     @cached_property
@@ -193,14 +193,14 @@ class Model:
 
     @cached_property
     def jacobian_function(self) -> ca.Function:
-        """CasADi (q, c, p) -> position (d) [mm] and its exact derivative by the parameters (d, p)."""
+        """CasADi (q, c, p) -> position (d) [mm] and its exact derivative with respect to the parameters (d, p)."""
         q, c, p, position = self.symbols
         outputs = ca.cse([position, ca.jacobian(position, p)])
         return ca.Function("jacobian", [q, c, p], outputs, ["q", "c", "p"], ["position", "jacobian"])
 
     @cached_property
     def _levers(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        """Of (q, c, p): the derivative by an angle added at each joint, (d, n)."""
+        """Of (q, c, p): the derivative with respect to an angle added at each joint, (d, n)."""
         q, c, p, _ = self.symbols
         turns = ca.SX.sym("turns", self.joints)
         values = self._everything(p)
@@ -229,7 +229,7 @@ class Model:
     def jacobian(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
     ) -> Array:
-        """(m, d, p) exact derivative of the positions by the parameters; (K, m, d, p) for (K, p) parameter sets."""
+        """(m, d, p) exact derivative of position with respect to parameters; (K, m, d, p) for (K, p) parameter sets."""
         return self.linearize(postures, parameters, conditions)[1]
 
     def linearize(
@@ -242,8 +242,8 @@ class Model:
     def joint_levers(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
     ) -> Array:
-        """(m, d, n) derivative of the positions by each joint's own offset [mm/rad], be that offset estimated or not;
-        (K, m, d, n) for (K, p) parameter sets."""
+        """(m, d, n) derivative of the positions with respect to each joint's own offset [mm/rad], be that offset
+        estimated or not; (K, m, d, n) for (K, p) parameter sets."""
         offsets = self.parameters.indices(JOINT_OFFSET)
         if len(offsets) == self.joints:  # compiled already: they are columns of the Jacobian
             return self.jacobian(postures, parameters, conditions)[..., offsets]

@@ -16,7 +16,7 @@ class Status(Enum):
     interrupted = "Stopped by the user (Ctrl-C); the best plan so far is returned."
     scored = "Plan supplied by the user: evaluated, not optimized."
     analytic = "Constructed from theory, without a search."
-    converged = "Converged to a stationary point."
+    converged = "Converged."
     almost_solved = "Stopped near a solution at reduced accuracy; check the optimality gap before relying on it."
     iteration_limit = "The iteration limit was reached before convergence; look at the residuals."
     solver_failed = "The solver failed; its result is not used."

@@ -85,8 +85,8 @@ def discrimination_design(
     loss : fraction 0..1 of the D-efficiency that may be given up
     solver, starts : of the search for the best plan, as in `solve`
     seconds : for both searches together, half of it for the best plan; left out: none up to 100 runs, 60 s for more
-    Raises `InputError` for a loss outside 0..1, a criterion other than D, and too few runs (4 spare degrees of freedom
-    are needed). Ctrl-C returns the plan so far, status `interrupted`.
+    Raises `InputError` for a loss outside 0..1, a criterion other than D, and too few runs (4 residual degrees of
+    freedom are needed). Ctrl-C returns the plan so far, status `interrupted`.
     """
     check_input(problem, loss)
     began = perf_counter()

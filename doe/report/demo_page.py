@@ -76,7 +76,7 @@ def demo_tables(demo: Demo, directory: Path) -> list[Any]:
         as_table(gap_sheet(demo)),
         Text(demo.diagnosis.sentence),
         as_table(candidate_sheet(demo.diagnosis)),
-        as_table(parameter_sheet(demo)),
+        as_table(parameter_sheet(demo), "Refitted with the named effect (sigma from the arm file)"),
         Text(
             f"Files in {directory}: arm.toml, plan.csv, data.csv, fresh.csv, truth.toml, calibrated.toml, extended.toml"
         ),

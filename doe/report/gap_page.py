@@ -85,9 +85,9 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     return [*shown, *(Text(f"note: {note}") for note in diagnosis.notes)]
 
 
-def as_table(sheet: Sheet) -> Table:
+def as_table(sheet: Sheet, title: str | None = None) -> Table:
     """The same sheet for a terminal."""
-    return table(sheet.headings, sheet.rows, left=sheet.headings[:1])
+    return table(sheet.headings, sheet.rows, title, left=sheet.headings[:1])
 
 
 def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:

@@ -28,7 +28,7 @@ class Effect:
     """Base class of all effects. Subclasses set the class variables and override one hook.
 
     name : as in the arm file;  summary : one line for people
-    per_joint : `required`, `optional` or `none`: whether the effect is said of one joint
+    per_joint : `required`, `optional` or `none`: whether the effect applies to one joint
     needs : what the arm or the data must have: gravity, directions, temperature, time
     family : effects of one family are rivals for the same physical cause (`diagnose` merges them when it must)
     settings : whole numbers that are chosen, not estimated, with their range

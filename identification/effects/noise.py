@@ -112,10 +112,10 @@ class Outliers(NoiseEffect):
 
 @register
 class SerialCorrelation(NoiseEffect):
-    """Errors remember the row before: e_i = rho e_(i-1) + sqrt(1 - rho^2) new, of the same size as without."""
+    """Serially correlated errors: e_i = rho e_(i-1) + sqrt(1 - rho^2) new, of the same size as without."""
 
     name = "serial_correlation"
-    summary = "errors remember the row before"
+    summary = "serially correlated errors"
     family = "serial_correlation"
 
     def define(self) -> tuple[Parameter, ...]:

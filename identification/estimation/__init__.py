@@ -1,4 +1,4 @@
-"""From measurements to parameters with their uncertainty: `estimate` is the only door for one data set,
+"""From measurements to parameters with their uncertainty: `estimate` is the only entry point for one data set,
 `estimate_batch` for many data sets on one plan, `estimate_each` for many with a plan of its own each."""
 
 from identification.estimation.batch import BatchFit, estimate_batch, estimate_each

@@ -85,13 +85,13 @@ def estimate_batch(
     positions : (K, m, d) measured [mm]
     weights : (m,) relative weights of the rows; left out: 1/sigma^2 with the plan's sigma per row where it has one
 
-    Raises `InputError` for shapes that do not fit, `JobError` naming what the plan cannot tell apart.
+    Raises `InputError` for shapes that do not fit, `JobError` naming what the plan does not identify.
     """
     problem = _problem(model, plan, np.asarray(positions, dtype=float), weights)
     decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance)
     undetermined = identifiability_of(decomposed, model.names, model.scales).combinations
     if undetermined:
-        raise JobError(f"the plan cannot tell apart: {'; '.join(undetermined)}")
+        raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
     return _iterated(problem) if problem.exact_form is None else _closed_form(problem, problem.exact_form)
 
 

@@ -45,7 +45,8 @@ class Chord:
         return sums.T / self._lengths, squares[..., 0, 0] @ problem.weights
 
     def solve(self, problem: Problem, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Parameters (k, p), weighted sums of squares (k,) and stationary (k,); of what is handed over, the start."""
+        """Parameters (k, p), weighted sums of squares (k,) and stationary (k,); for data sets
+        passed on to Levenberg-Marquardt, the starting values."""
         lower, upper = problem.bounds
         parameters, squares, stationary = starts.copy(), np.full(len(starts), np.nan), np.zeros(len(starts), dtype=bool)
         index, x, last = np.arange(len(starts)), starts, np.full(len(starts), np.inf)

@@ -29,7 +29,7 @@ MAX_DAMPING = 1e12
 ROUNDING = 1e-14  # of a sum of squares, relative
 SMALL_FALL = 1e-8  # of a sum of squares, relative
 RIDGE = 1e-14  # of a normal matrix of unit columns: keeps its inverse alive where it is singular and not used
-FLAT = 1e-4  # share of the residuals that the last step would still explain: 1e-4 sqrt(N) deviations
+FLAT = 1e-4  # share of the residuals that the last step would still explain: 1e-4 sqrt(N) standard deviations
 Index = NDArray[np.intp]
 Linearize = Callable[[Array, Index], tuple[Array, Array]]
 
@@ -75,7 +75,7 @@ class LeastSquares:
 
 
 class Points(NamedTuple):
-    """Where k searches are; the problems by their numbers."""
+    """State of k searches; the problems by their numbers."""
 
     problems: Index  # (k,)
     parameters: Array  # (k, p)

@@ -31,7 +31,7 @@ class Identification:
     covariance : (p, p) sigma^2 (sum J^T W J)^-1 (eq. 16), zero along what is not estimable; NaN if sigma is unknown and
         no equation is left over to estimate it
     identifiable : (p,) True where the parameter itself is estimable from the data
-    not_identifiable : combinations of parameters that cannot be told apart, in words
+    not_identifiable : combinations of parameters that the data do not determine, in words
     sigma : standard deviation of one coordinate [mm] (with sigma per row: their root mean square; with relative
         weights: of a row of weight one); None if it is unknown
     sigma_known : given beforehand, or else estimated as sqrt(weighted sum of squares / dof)
@@ -180,7 +180,7 @@ class Identification:
         for row in self._rows():
             cells = [_cell(row[key], width) for key, width in zip(_COLUMNS, (12, 10, 12, 12), strict=True)]
             lines.append(f"{row['name']:<32} {' '.join(cells)}  {row['unit']}")
-        lines += [f"cannot be told apart: {combination}" for combination in self.not_identifiable]
+        lines += [f"not identifiable: {combination}" for combination in self.not_identifiable]
         sigma = (
             "unknown" if self.sigma is None else f"{self.sigma:.4g} mm ({'given' if self.sigma_known else 'estimated'})"
         )
@@ -188,7 +188,8 @@ class Identification:
         lines.append(f"sigma {sigma}, {self.dof} degrees of freedom{chi2}")
         lines.append(f"RMS {self.rms_before:.4g} -> {self.rms_after:.4g} mm")
         lines.append(f"max {self.max_before:.4g} -> {self.max_after:.4g} mm")
-        lines.append(f"{self.method}: {self.status.value}")
+        closed = self.method == "linear" and self.status is Status.converged
+        lines.append(f"{self.method}: {'Closed form, the exact global minimum.' if closed else self.status.value}")
         return "\n".join(lines)
 
     __repr__ = __str__

@@ -1,1 +1,1 @@
-"""File formats: arm, measurements, targets; read with complaints that say where, written whole or not at all."""
+"""File formats: arm, measurements, targets; read with error messages that say where, written whole or not at all."""

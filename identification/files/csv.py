@@ -6,6 +6,7 @@ import contextlib
 import csv
 import hashlib
 import io
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,10 @@ from identification.errors import InputError, nearest
 from identification.files.io import PathLike, decode, read_bytes
 
 FINITE = "a finite number"
+# columns that mean something by themselves: none of them is a misspelling of another
+KNOWN = re.compile(
+    r"q\d+_(deg|rad)|direction\d+|(x|y|sigma)_mm?|order|time_s|temperature_C|payload_kg|posture|run|weight"
+)
 Test = Callable[[Array], NDArray[np.bool_]]
 
 
@@ -53,11 +58,14 @@ class Table:
         return Path(self.path).name
 
     def require(self, columns: Iterable[str]) -> None:
-        """Raises `InputError` naming the first of `columns` that is missing and the nearest one the file has."""
+        """Raises `InputError` naming the first of `columns` that is missing, and a column that may be meant."""
         for column in columns:
             if column not in self:
+                renamed = nearest(column, [name for name in self.columns if not KNOWN.fullmatch(name)])
+                hint = renamed.partition("allowed:")[0].replace("did you mean", "did you mean to rename")
+                found = ", ".join(self.columns)
                 raise InputError(
-                    f"{self.path}: column {column!r} is missing; in the file, {nearest(column, self.columns)}"
+                    f"{self.path}: column {column!r} is missing, found: {found}; {hint}allowed: a column of that name"
                 )
 
     def place(self, row: int, column: str) -> str:

@@ -26,7 +26,7 @@ _WHOLE = 2.0**53  # above it a float cannot count
 
 
 def load_measurements(path: PathLike, links: int | None = None) -> Measurements:
-    """The measurements of a CSV file, of an arm with `links` links if that is said.
+    """The measurements of a CSV file, of an arm with `links` links if given.
 
     Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
     once about columns that are not used.

@@ -1,4 +1,4 @@
-"""The explanations of a diagnosis as results: sets of effects with their estimates, and every effect that was tried."""
+"""The sets of effects that explain the data, with their estimates, and the test of every effect that was tried."""
 
 from __future__ import annotations
 

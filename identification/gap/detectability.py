@@ -20,7 +20,7 @@ from identification.information import column_space
 from identification.measurements import Conditions, directions_from_order, session_time
 
 # reasons: identification/README.md, "Constants"
-SPARE = 4  # degrees of freedom; with fewer an effect of two parameters is found at no size
+SPARE = 4  # residual degrees of freedom; with fewer an effect of two parameters is found at no size
 POWER, LEVEL = 0.9, 0.05  # convention
 EXACT, NEAR = 0.9999, 0.9  # likeness: Delta BIC of two effects stays within the window up to lambda = 173 and 5.6
 LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen without a test
@@ -124,10 +124,10 @@ def _planned(postures: Array, conditions: Conditions | None, dimension: int) -> 
 
 
 def require_spare(freedom: int, rows: int) -> None:
-    """Refuse to test with fewer than `SPARE` degrees of freedom."""
+    """Refuse to test with fewer than `SPARE` residual degrees of freedom."""
     if freedom < SPARE:
         raise InputError(
-            f"measurements: {rows} rows leave {freedom} degrees of freedom for tests, "
+            f"measurements: {rows} rows leave {freedom} residual degrees of freedom for tests, "
             f"allowed: at least {SPARE}; measure more postures"
         )
 

@@ -16,7 +16,7 @@ from identification.gap.fit import Fit
 from identification.gap.holdout import check_holdout, check_same_arm, confirm
 from identification.gap.hypotheses import hypotheses
 from identification.gap.noise import repeat_finding
-from identification.gap.remarks import alias_list, hidden_orders, notes, order_notes
+from identification.gap.notes import alias_list, hidden_orders, notes, order_notes
 from identification.gap.result import Diagnosis, Residuals
 from identification.gap.selection import ALPHA_NEXT, LEVEL_FACTOR, HypothesisSearch
 from identification.gap.whitening import Rows
@@ -45,7 +45,7 @@ def diagnose(
     seed : of the bootstrap; the same seed gives the same diagnosis
     draws : bootstrap draws, at least 399
 
-    Raises `InputError` for data of another arm, effects without the data they need, fewer than 4 spare degrees of
+    Raises `InputError` for data of another arm, effects without the data they need, fewer than 4 residual degrees of
     freedom, one posture or one position only, a hold-out of another arm or one that shares rows with the data.
     """
     if draws < FEWEST_DRAWS:
@@ -91,7 +91,7 @@ def diagnosis_of(
     draws: int,
     generator: np.random.Generator,
 ) -> Diagnosis:
-    """What was found, with its candidates, aliases, the gap before and after, and remarks."""
+    """What was found, with its candidates, aliases, the gap before and after, and notes."""
     base, chosen = found.search.fit(()), found.unknown.chosen
     fitted = found.search.fit(chosen)
     candidates = candidate_list(found, draws, generator)

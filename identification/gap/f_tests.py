@@ -83,7 +83,7 @@ class Dictionary:
         return [(*key, np.flatnonzero([k == key for k in keys])) for key in sorted(set(keys))]
 
     def p_values(self, reductions: Array, squares: Array) -> Array:
-        """(H, B) p-value of each hypothesis on its own, from the falls (H, B) and the sums of squares (B)."""
+        """(H, B) p-value of each hypothesis on its own, from the `reductions` (H, B) and the sums of squares (B)."""
         result = np.ones_like(reductions)
         for size, one_sided, _, members in self.groups:
             result[members] = self._p(size, one_sided, reductions[members], squares)

@@ -1,6 +1,6 @@
-"""What the scatter does: outliers, noise that is larger at some postures, noise that remembers the row before.
+"""What the scatter does: outliers, noise that is larger at some postures, serially correlated noise.
 
-Effects of the mean are `select`'s business. Here the residuals of a fitted model are screened, and a noise model is
+Effects of the mean are handled by `select`. Here the residuals of a fitted model are screened, and a noise model is
 returned under which they are white, so that the tests of the mean can be repeated at their nominal level.
 """
 
@@ -19,7 +19,7 @@ from identification.information import column_space
 from identification.measurements import Measurements
 
 # reasons: identification/README.md, "Constants"
-OUTLIER = 6.0  # robust deviations in a plane, else the same chance; 3 in 10,000 data sets without outliers have one
+OUTLIER = 6.0  # robust standard deviations in a plane, else the same chance; 3 in 10,000 clean data sets have one
 MOST_OUTLIERS = 0.25  # of the rows: the robust scale is then 1.26 times too large; more is structure
 LEVEL = 0.01  # convention: of any finding on white noise, after Holm's correction
 DRAWS = 999  # the smallest p-value times the number of tests must reach LEVEL; raised for many joints

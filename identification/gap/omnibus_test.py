@@ -1,4 +1,4 @@
-"""The omnibus test: is anything missing at all?
+"""The omnibus test: is any effect missing?
 
 A posture-wise wild bootstrap of the smallest weighted p-value over all hypotheses. The residuals of each posture keep
 their size and direction and change only their common sign, so noise that is larger at some postures (joint noise,

@@ -1,4 +1,4 @@
-"""The result of the gap workflow."""
+"""`Diagnosis`, the result of `diagnose`."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from identification.model import Model
 # reasons: identification/README.md, "Constants"
 MOST = 4  # effects at once; more are the series of something else
 ALPHA_FIRST, ALPHA_NEXT = 0.035, 0.005  # of 0.05 in all, screening and the test for unknown shapes need a part
-# two effects can hide each other from single tests; both at once must be far beyond chance, and one alone not absurd
+# two effects can mask each other in single tests; both at once must be far beyond chance, one alone not implausible
 ALPHA_PAIR, PAIR_HINT = 1e-5, 0.35
 PAIR_STARTS = 3  # effort: single effects that a pair is built on
 LEVEL_FACTOR = 0.5  # tuned: factor on the levels where the noise model was estimated from the same data
@@ -134,7 +134,7 @@ class HypothesisSearch:
 
 
 def bic_change(reductions: np.ndarray, against: Dictionary, n: int, squares: float) -> np.ndarray:
-    """(H,) change of BIC when each hypothesis is added, from the linear fit's falls of the sum of squares (H,)."""
+    """(H,) change of BIC when each hypothesis is added, from the linear fit's reductions of the sum of squares (H,)."""
     left = np.maximum(1.0 - reductions / squares, 1e-12)
     return n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights)
 
@@ -216,7 +216,7 @@ def pair(search: HypothesisSearch, tested: HypothesisTest, generator: np.random.
 def _with_second(search: HypothesisSearch, one: Hypothesis) -> Choice | None:
     """A hypothesis and the one that lowers the linear BIC most beside it.
 
-    Two settings of one effect are no pair: they do not hide each other, and joint noise makes ripples of any order.
+    Two settings of one effect are no pair: they do not mask each other, and joint noise makes ripples of any order.
     """
     members, change = search.changes((one,))
     if not members:

@@ -1,4 +1,4 @@
-"""Steps 2 to 6: screen, omnibus test, rank, ambiguity, unknown; repeated until screening and naming agree."""
+"""The loop inside `diagnose` (steps 2 to 6): screen, test, rank, look outside the library, until all agree."""
 
 from __future__ import annotations
 

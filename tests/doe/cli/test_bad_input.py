@@ -280,7 +280,7 @@ def test_a_truth_without_sigma(folder: Folder) -> None:
 
 def test_a_column_in_capitals_is_known_again(folder: Folder) -> None:
     folder.write("data.csv", HEADER.replace("x_mm", "X_mm") + "0,0,0,0,660,0\n" * 4)
-    refused(folder, ["identify", "arm.toml", "data.csv"], "column 'x_mm' is missing", "did you mean 'X_mm'?")
+    refused(folder, ["identify", "arm.toml", "data.csv"], "column 'x_mm' is missing", "did you mean to rename 'X_mm'?")
 
 
 def test_a_dead_cluster_leaves_no_folder(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:

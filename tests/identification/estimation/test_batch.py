@@ -117,5 +117,5 @@ def test_bad_input() -> None:
         estimate_batch(model, plan(20), np.zeros((20, 2)))
     with pytest.raises(InputError, match="2 m = 6 < p = 8"):
         estimate_batch(model, plan(3), np.zeros((5, 3, 2)))
-    with pytest.raises(JobError, match=r"cannot tell apart: joint_offset:1 \+ base_rotation.angle"):
+    with pytest.raises(JobError, match=r"does not identify: joint_offset:1 \+ base_rotation.angle"):
         estimate_batch(Model(arm(EffectSpec("base_rotation"))), plan(20), np.zeros((5, 20, 2)))

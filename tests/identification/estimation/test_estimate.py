@@ -244,7 +244,7 @@ def test_result_is_read_only_and_prints() -> None:
     with pytest.raises(ValueError, match="read-only"):
         found.identifiable[0] = False
     text = str(found)
-    assert "cannot be told apart: joint_offset:1 + base_rotation.angle" in text
+    assert "not identifiable: joint_offset:1 + base_rotation.angle" in text
     assert "nan" not in text
     assert max(map(len, text.splitlines())) <= 130
     assert found._repr_html_().startswith("<pre>")

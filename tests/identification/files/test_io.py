@@ -186,7 +186,7 @@ def test_empty_cell_and_own_test(tmp_path: Path) -> None:
 
 def test_missing_column_names_the_nearest(tmp_path: Path) -> None:
     read = table(tmp_path, "q1_deg,x_mn\n1,2\n")
-    names(message_of(read.floats, "x_mm"), "data.csv", "'x_mm' is missing", "did you mean 'x_mn'", "q1_deg")
+    names(message_of(read.floats, "x_mm"), "data.csv", "'x_mm' is missing", "did you mean to rename 'x_mn'?", "q1_deg")
 
 
 def test_names_with_wildcards_are_plain_names(tmp_path: Path) -> None:

@@ -93,9 +93,9 @@ def test_unknown_columns_are_named_once(tmp_path: Path) -> None:
 BAD = [
     ("q1_deg,q2_deg,x_mm,y_mm\n", ["no rows"]),
     ("x_mm,y_mm\n1,2\n", ["'q1_deg' is missing"]),
-    ("q1,q2,x_mm,y_mm\n1,2,3,4\n", ["'q1_deg' is missing", "did you mean 'q1'"]),
+    ("q1,q2,x_mm,y_mm\n1,2,3,4\n", ["'q1_deg' is missing", "did you mean to rename 'q1'?", "allowed"]),
     ("q1_deg,q3_deg,x_mm,y_mm\n1,2,3,4\n", ["'q2_deg' is missing"]),
-    ("q1_deg,q2_deg,x_mm,y\n1,2,3,4\n", ["'y_mm' is missing", "q2_deg, x_mm, y"]),
+    ("q1_deg,q2_deg,x_mm,y\n1,2,3,4\n", ["'y_mm' is missing", "q2_deg, x_mm, y; allowed: a column"]),
     ("q1_deg,q1_rad,x_mm,y_mm\n1,2,3,4\n", ["both q1_deg and q1_rad", "allowed: one"]),
     ("q1_deg,x_m,x_mm,y_mm\n1,2,3,4\n", ["both x_mm and x_m", "allowed: one"]),
     (with_columns(sigma_mm=(1, 1), sigma_m=(1, 1)), ["both sigma_mm and sigma_m", "allowed: one"]),
@@ -108,7 +108,10 @@ BAD = [
     (with_columns(temperature_C=("x", 0)), ["row 1 (line 2), column temperature_C", "found 'x'", "allowed"]),
     (with_columns(temperature_C=(-300, 0)), ["column temperature_C", "found '-300'", "allowed: a number >= -273.15"]),
     (with_columns(direction1=(1, 1), direction2=(1, 0)), ["row 2 (line 3), column direction2", "'0'", "+1 or -1"]),
-    (with_columns(direction1=(1, 1)), ["'direction2' is missing", "did you mean 'direction1'"]),
+    (
+        with_columns(direction1=(1, 1)),
+        ["'direction2' is missing", "direction1; allowed: a column of that name"],
+    ),
     (
         with_columns(direction1=(1, 1), direction2=(1, 1), direction3=(1, 1)),
         ["direction3", "allowed: direction1 to direction2"],

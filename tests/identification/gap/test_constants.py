@@ -12,7 +12,7 @@ from identification.gap.diagnose import FEWEST_DRAWS
 
 
 def power(size: int, freedom: int, length: float, level: float = 0.005) -> float:
-    """Of an F test of `size` parameters with `freedom` spare degrees of freedom, `size` of them used by the effect."""
+    """Of an F test of `size` parameters with `freedom` residual degrees of freedom, `size` of which the effect uses."""
     limit = ncf.isf(level, size, freedom - size, 0.0)
     return float(ncf.sf(limit, size, freedom - size, length**2))
 

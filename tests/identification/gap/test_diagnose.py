@@ -338,7 +338,7 @@ def test_poor_data_do_not_crash() -> None:
 
 @pytest.mark.parametrize("m", [6, 7, 8])
 def test_hardly_any_rows_do_not_crash(m: int) -> None:
-    # 4 links, 8 parameters: from 6 rows on there are the 4 spare degrees of freedom that are asked for, and with an
+    # 4 links, 8 parameters: from 6 rows on there are the 4 residual degrees of freedom that are asked for, and with an
     # effect named hardly any of them left for shapes
     for seed in range(4):
         rng = np.random.default_rng([m, seed])

@@ -1,4 +1,4 @@
-"""What a person should know before trusting a verdict: look-alikes on these data, and remarks about the data."""
+"""What a person should know before trusting a verdict: near aliases on these data, and notes about the data."""
 
 from __future__ import annotations
 
