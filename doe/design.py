@@ -90,7 +90,7 @@ class Design:
 
     @cached_property
     def efficiency(self) -> float | None:
-        """Share 0..1 of the runs that a plan at the bound would need, above 1 if it is no bound; None without one."""
+        """Fraction 0..1 of the runs that a plan at the bound would need, above 1 if that is none; None without one."""
         if self.bound is None:
             return None
         return without_rounding(
@@ -158,12 +158,7 @@ class Design:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        head = "".join(f"<th>q{j} [{unit}]</th>" for j, unit in enumerate(self.plan.units, start=1))
-        rows = "".join(
-            f"<tr><td>{run}</td>" + "".join(f"<td>{angle:.2f}</td>" for angle in posture) + "</tr>"
-            for run, posture in enumerate(self.plan.displayed, start=1)
-        )
-        return f"<pre>{self}</pre><table><tr><th>run</th>{head}</tr>{rows}</table>"
+        return self.plan.to_html(self, "run", map(str, range(1, len(self.plan) + 1)))
 
 
 def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = None) -> Design:

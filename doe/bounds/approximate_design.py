@@ -80,12 +80,7 @@ class ApproximateDesign:
         )
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{w:.4f}</td>" + "".join(f"<td>{a:.2f}</td>" for a in q) + "</tr>"
-            for q, w in zip(self.plan.displayed, self.plan.shares, strict=True)
-        )
-        head = "".join(f"<th>q{j} [{unit}]</th>" for j, unit in enumerate(self.plan.units, start=1))
-        return f"<pre>{self}</pre><table><tr><th>weight</th>{head}</tr>{rows}</table>"
+        return self.plan.to_html(self, "weight", (f"{weight:.4f}" for weight in self.plan.shares))
 
 
 def _finite(value: float) -> float | None:

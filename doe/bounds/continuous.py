@@ -1,4 +1,4 @@
-"""Postures worth adding, out of ALL within limits and constraints: multistart Newton ascent of d(q) = tr(G F(q)).
+"""Postures of the largest sensitivity within limits and constraints: multistart Newton ascent of d(q) = tr(G F(q)).
 
 All starts climb together, on exact first and second derivatives (`doe.problem.derivatives`). Joints at a limit
 that would leave the box stay there. Constraints are kept by a logarithmic barrier, lowered step by step, so

@@ -41,7 +41,8 @@ class Certificate:
     """What a design proves about all others of its design space.
 
     value : criterion value of the design;  gap : max tr(G F) - tr(G M), which is zero exactly at an optimum
-    bound : no design has a greater criterion value;  efficiency : share 0..1 that the design reaches at least
+    bound : no design has a greater criterion value
+    efficiency : fraction 0..1 of an optimum that the design reaches at least
     """
 
     value: float

@@ -6,22 +6,10 @@ Theorem (doe/README.md, "Planar theorem"). Over all designs, exact or approximat
 
 The sum is over j = 2..n; a base offset adds j = 1. M' is scaled by the best known lengths: any arm has the same value.
 
-Proof.
-1. One complex number per link. With w_j = dl_j + i l_j dtheta_j the tip moves by sum_j z_j w_j, z_j = exp(i theta_j)
-   (eq. 8 scaled by S). So M' is the real form of the Hermitian H = E conj(z) z^T, of unit diagonal, and
-   det M' = (det H)^2. Joint offsets instead of orientation offsets change nothing: dtheta = T dq with det T = 1.
-   At a calibrated arm l_j is the calibrated length, in the columns and in S alike. A base offset is a link 0 with
-   z_0 = 1, w_0 = x0 + i y0: H has n + 1 rows, p = 2n + 2, and at least n + 1 runs are needed.
-2. First off-diagonals. h_j = H_(j-1,j) = E exp(i q_j), the mean of points on an arc of angle Delta_j. The arc's
-   convex hull has distance cos(Delta_j / 2) from 0 when Delta_j < pi, and contains 0 otherwise:
-   |h_j| >= cos(min(Delta_j, pi) / 2). q_1 turns all of z: it cancels in H unless z_0 = 1 is there, where it gives h_1.
-3. Completion. det H <= prod_j (1 - |h_j|^2): det H is det H_(1..n-1) times the squared distance of column z_n from the
-   span of all columns before it, which is at most that from z_(n-1) alone, 1 - |h_n|^2. So on, column by column.
-   Equality holds when H_(jk) is the product of the h between: z_n less its projection on z_(n-1) is then orthogonal
-   to every earlier column too.
-4. Attained. Independent joints, each on its two limits with equal weight (Delta_j < pi) or on two angles pi apart
-   (Delta_j >= pi), have |h_j| = cos(min(Delta_j, pi)/2) and H_(jk) = prod of the h between. Hence
-   1 - |h_j|^2 = sin^2(min(Delta_j, pi)/2), and log det M' = 2 log det H.                                            QED
+With z_j = exp(i theta_j) per link, det M' = (det H)^2 of the Hermitian H = E conj(z) z^T, and |H_(j-1,j)| cannot be
+smaller than cos(min(Delta_j, pi) / 2); the proof is in doe/README.md. At a calibrated arm l_j is the calibrated length,
+in the columns and in the scaling alike. A base offset is a link 0 with z_0 = 1: H has n + 1 rows, q_1 no longer
+cancels, and at least n + 1 runs are needed.
 """
 
 from __future__ import annotations
@@ -53,7 +41,7 @@ def applies(problem: DesignProblem) -> bool:
 
 
 def chain_joints(problem: DesignProblem) -> tuple[int, ...]:
-    """Joints (from 0) that play a part: 2..n for people, and joint 1 as well with a base offset."""
+    """Joints (from 0) on which the value depends: all but the first, and the first too with a base offset."""
     model = problem.model
     offset = is_planar(model) and any(effect.name == "base_offset" for effect in model.effects)
     return tuple(range(0 if offset else 1, problem.joints))

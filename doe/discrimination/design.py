@@ -3,8 +3,9 @@
 A D-optimal plan knows nothing of effects that are not in its model: under joint limits its angles sit on two levels,
 where cos q_j, cos 2 q_j and q_j are one and the same column, and on any plan the sag of a link looks much like that of
 a joint. Starting from the best plan (or one from theory that is as good), moved off the limits, runs are swapped for
-postures that lower the probability of a wrong name (`doe.discrimination.misidentification`), for as much D-efficiency
-as may be lost. The order of measurement matters to backlash and drift only: the best of many shuffles is kept.
+postures that lower the probability of a wrong name (`doe.discrimination.misidentification`), at the cost of as much
+D-efficiency as is allowed. The order of measurement matters to backlash and drift only: the best of
+many shuffles is kept.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class EffectLibrary:
     weights : (H,) how likely each effect is, in any unit
     jacobian_by_order : postures (m, n) in their order -> (m, d, p + L) scaled sensitivities with the effects that the
         order of measurement shows, as backlash and drift; None: there are none
-    preflight : postures (m, n) -> what measuring them could show of every effect; None: nobody asks
+    preflight : postures (m, n) -> what measuring them could show of every effect; None: not needed
     """
 
     own: int

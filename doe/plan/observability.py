@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from doe.plan.expected_accuracy import plan_jacobians, plan_spectrum
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 
@@ -33,13 +34,12 @@ class Observability:
 
 def observability(problem: DesignProblem, postures: Array) -> Observability:
     """The five indices of a plan (m, n), measured postures (`kept`) included."""
-    everything = np.vstack([postures, problem.kept])
-    jacobians = problem.scaled_jacobians(everything)
+    jacobians = plan_jacobians(problem, postures)
     values = np.linalg.svd(jacobians.reshape(-1, problem.parameters), compute_uv=False)
-    if len(values) < problem.parameters or values[-1] <= 1e-12 * values[0]:
+    if plan_spectrum(problem, postures).rank < problem.parameters:
         return Observability(0.0, 0.0, 0.0, 0.0, 0.0)
     return Observability(
-        float(np.exp(np.mean(np.log(values))) / np.sqrt(len(everything))),
+        float(np.exp(np.mean(np.log(values))) / np.sqrt(len(jacobians))),
         float(values[-1] / values[0]),
         float(values[-1]),
         float(values[-1] ** 2 / values[0]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,13 +41,22 @@ class Plan(ByValue):
 
     @property
     def units(self) -> tuple[str, ...]:
-        """(n) units in which people read the joints: deg, or mm."""
+        """(n) units in which joints are shown: deg, or mm."""
         return tuple(FILE_UNITS[unit][0] for unit in self._units)
 
     @property
     def displayed(self) -> Array:
         """(m, n) postures in `units`."""
         return readonly(self.postures * [FILE_UNITS[unit][1] for unit in self._units])
+
+    def to_html(self, caption: object, heading: str, labels: Iterable[str]) -> str:
+        """A caption and a table of the postures for notebooks, each row beginning with its label."""
+        head = "".join(f"<th>q{j} [{unit}]</th>" for j, unit in enumerate(self.units, start=1))
+        rows = "".join(
+            f"<tr><td>{label}</td>" + "".join(f"<td>{position:.2f}</td>" for position in posture) + "</tr>"
+            for label, posture in zip(labels, self.displayed, strict=True)
+        )
+        return f"<pre>{caption}</pre><table><tr><th>{heading}</th>{head}</tr>{rows}</table>"
 
     @property
     def _units(self) -> list[str]:

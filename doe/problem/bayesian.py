@@ -1,10 +1,11 @@
 """Designs for an arm whose parameters are not known yet: good on average, or at worst, over a prior.
 
 Effects make the Jacobian depend on the parameters, so one guess may give a plan that is poor for the real arm. Draw K
-parameter vectors from the prior and measure, in thought, K arms at once: the Jacobian of a posture is block-diagonal
-of the K Jacobians, and so is the information matrix. Then log det M = sum_k log det M_k, so that D-optimality of
-this model IS the average over the prior, and `Worst` takes the smallest of the M_k. Solvers, relaxation, column
-generation and certificates need no change: it is a model like any other, with d K coordinates and p K parameters.
+parameter vectors from the prior and imagine K arms that are measured together: the Jacobian of a posture is
+block-diagonal of the K Jacobians, and so is the information matrix. Then log det M = sum_k log det M_k, so that
+D-optimality of this model is the average over the prior, and `Worst` takes the smallest of the M_k. Solvers,
+relaxation, column generation and certificates need no change: it is a model like any other, with d K coordinates and
+p K parameters.
 """
 
 from __future__ import annotations

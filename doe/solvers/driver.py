@@ -1,4 +1,4 @@
-"""The search loop that all solvers share: it takes their plans and trusts no number of theirs.
+"""The search loop that all solvers share: it takes plans from them and no numbers.
 
 The solver offers plans; the driver clips them to the joint limits, recomputes the criterion from the stored problem,
 keeps the best, and ends when the bound is reached, the budget is used up or the user presses Ctrl-C.

@@ -1,8 +1,8 @@
 """Plans of few runs that attain the closed-form bound by themselves: orthogonal columns built from group characters.
 
 Number the b runs of such a plan by the elements of a group Z_2^t x Z_(b / 2^t), and write z_j in C^b for the column of
-exp(i theta_j). The proof in `doe.bounds.planar_theorem` says when the bound is attained: every new column, less what
-its neighbour explains of it, is orthogonal to all columns so far. Going from any link to the left or to the right,
+exp(i theta_j). The planar theorem (doe/README.md) says when the bound is attained: every new column, less
+its projection on its neighbour, is orthogonal to all columns so far. Going from any link to the left or to the right,
 
 - *wide* joint (range pi or more): the new column itself is orthogonal. It is tried as a character times any earlier
   column, and taken where the angles it asks of the joint fit into the range; their common phase stays free.

@@ -66,8 +66,8 @@ class Solver(Protocol):
     """Settings, a name, and one method that offers plans, better and better or not; the driver keeps the best.
 
     A solver need not clip, certify, count or watch for Ctrl-C. It should look at `budget.out_of_time` between steps of
-    more than a few milliseconds, and yield whenever a plan is worth looking at. It must be deterministic given the
-    generator, as long as the time limit does not bind.
+    more than a few milliseconds, and yield whenever it has a plan that may be the best. It must be deterministic given
+    the generator, as long as the time limit does not bind.
     """
 
     @property
