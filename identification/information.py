@@ -220,8 +220,7 @@ def _sparsest(orthonormal: Array, one: int) -> Array | None:
     from scipy.optimize import linprog
 
     p, k = orthonormal.shape
-    identity = np.eye(p)
-    above = np.block([[orthonormal, -identity], [-orthonormal, -identity]])
+    above = np.block([[orthonormal, -np.eye(p)], [-orthonormal, -np.eye(p)]])
     result = linprog(
         np.r_[np.zeros(k), np.ones(p)],
         A_ub=above,

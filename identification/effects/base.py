@@ -135,10 +135,7 @@ def measured_position(chain: Chain, effects: Sequence[Effect], values: ca.SX) ->
 
     values : length errors (n), joint offsets (n), then the parameters of the effects in order
     """
-    n, parts, start = chain.links, [], 2 * chain.links
-    for effect in effects:
-        parts.append((effect, values[start : start + len(effect.parameters)]))
-        start += len(effect.parameters)
+    n, parts = chain.links, _with_values(effects, values[2 * chain.links :])
     angles = chain.q + values[n : 2 * n] + sum(e.joint_angles(chain, v) for e, v in parts)
     lengths: ca.SX = ca.SX(ca.DM(chain.lengths)) + values[:n]
     lengths += sum((e.extensions(chain, v, lengths) for e, v in parts), ca.SX.zeros(n))
@@ -149,6 +146,15 @@ def measured_position(chain: Chain, effects: Sequence[Effect], values: ca.SX) ->
     turn = sum(e.base_rotation(chain, v) for e, v in parts)
     tip = rotate(turn, tip) + sum(e.base_translation(chain, v) for e, v in parts)
     return tip + sum(e.instrument(tip, v) for e, v in parts)
+
+
+def _with_values(effects: Sequence[Effect], values: ca.SX) -> list[tuple[Effect, ca.SX]]:
+    """Every effect with the values of its own parameters."""
+    parts, start = [], 0
+    for effect in effects:
+        parts.append((effect, values[start : start + len(effect.parameters)]))
+        start += len(effect.parameters)
+    return parts
 
 
 _LIBRARY: dict[str, type[Effect]] = {}

@@ -124,9 +124,7 @@ def _in_file(value: float, factor: float) -> float:
 
 def _calibration_table(calibration: Calibration, names: list[FileName]) -> Plain:
     by_api = {name.api: name for name in names}
-    for api in (*calibration.effects, *calibration.parameter_names):
-        if api not in by_api:
-            raise InputError(f"calibration: unknown parameter {api!r}, {nearest(api, by_api)}")
+    _require_known((*calibration.effects, *calibration.parameter_names), by_api)
     tables: Plain = {
         "length_errors_mm": _floats(calibration.length_errors),
         "joint_offsets_deg": _degrees(calibration.joint_offsets),
@@ -141,6 +139,12 @@ def _calibration_table(calibration: Calibration, names: list[FileName]) -> Plain
     if calibration.provenance:
         tables["provenance"] = _plain(calibration.provenance)
     return tables
+
+
+def _require_known(names: Iterable[str], allowed: Mapping[str, FileName]) -> None:
+    for name in names:
+        if name not in allowed:
+            raise InputError(f"calibration: unknown parameter {name!r}, {nearest(name, allowed)}")
 
 
 def _covariance(covariance: Array, factors: list[float]) -> list[list[float]]:

@@ -79,10 +79,7 @@ class Table:
         """
         self.require([column])
         text = self.frame[column]
-        numbers = text.cast(pl.Float64, strict=False)
-        if numbers.null_count() > text.null_count():  # spaces around a number are fine, and rare
-            numbers = text.str.strip_chars().cast(pl.Float64, strict=False)
-        values: Array = numbers.fill_null(np.nan).to_numpy()
+        values = _numbers(text)
         good = np.isfinite(values)
         if test is not None:
             good &= test(values)
@@ -91,6 +88,14 @@ class Table:
             found = "an empty cell" if text[row] is None else repr(text[row])
             raise InputError(f"{self.place(row, column)}: found {found}, allowed: {allowed}")
         return values
+
+
+def _numbers(text: pl.Series) -> Array:
+    """(m,) floats, NaN where the text is no number."""
+    numbers = text.cast(pl.Float64, strict=False)
+    if numbers.null_count() > text.null_count():  # spaces around a number are fine, and rare
+        numbers = text.str.strip_chars().cast(pl.Float64, strict=False)
+    return numbers.fill_null(np.nan).to_numpy()
 
 
 def read_table(path: PathLike) -> Table:

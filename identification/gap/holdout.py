@@ -65,14 +65,14 @@ def confirm(
         return Gap(before, after, floor)
     there = held_out_conditions(measurements, holdout)
     held_before, held_after = (rms_distance(fit.position_residuals(holdout, there)) for fit in (base, named))
-    predicted = float(np.sqrt(floor**2 + np.mean(prediction_variance(named, holdout, there))))
-    return Gap(before, after, floor, held_before, held_after, predicted)
+    return Gap(before, after, floor, held_before, held_after, predicted_distance(named, floor, holdout, there))
 
 
-def prediction_variance(found: Fit, holdout: Measurements, there: Conditions) -> Array:
-    """(m,) variance [mm^2] of the predicted positions, both axes together."""
+def predicted_distance(found: Fit, floor: float, holdout: Measurements, there: Conditions) -> float:
+    """Root mean square distance [mm] to expect: the floor, and the uncertainty of the predicted positions."""
     jacobian = found.model.jacobian(holdout.postures, found.values, there)
-    return np.asarray(np.einsum("mip,pq,miq->m", jacobian, found.covariance(), jacobian, optimize=True))
+    variances = np.einsum("mip,pq,miq->m", jacobian, found.covariance(), jacobian, optimize=True)
+    return float(np.sqrt(floor**2 + np.mean(variances)))
 
 
 def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements) -> None:
@@ -83,8 +83,7 @@ def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements)
     """
     there = held_out_conditions(measurements, holdout)
     left = rms_distance(base.position_residuals(measurements, measurements.conditions))
-    expected = np.sqrt(left**2 + np.mean(prediction_variance(base, holdout, there)))
-    limit = max(10.0 * float(expected), 0.01 * base.model.reach)
+    limit = max(10.0 * predicted_distance(base, left, holdout, there), 0.01 * base.model.reach)
     # the median, since a few outliers do not make it another arm
     missed = float(np.median(np.linalg.norm(base.position_residuals(holdout, there), axis=1)))
     if missed > limit:

@@ -230,16 +230,19 @@ def repeat_finding(measurements: Measurements, found: Fit, kept: NDArray[np.bool
     """
     groups = np.unique(same_posture(measurements)[kept], return_inverse=True)[1]
     residual = found.position_residuals(measurements, measurements.conditions)[kept]
-    counts = np.bincount(groups)
-    means = np.stack([np.bincount(groups, column) for column in residual.T], axis=1) / counts[:, None]
-    pure = float(np.sum((residual - means[groups]) ** 2))
-    d = residual.shape[1]
-    pure_freedom, fit_freedom = d * (len(residual) - len(counts)), d * len(counts) - found.rank
+    pure, count, d = _pure_error(residual, groups), int(groups.max()) + 1, residual.shape[1]
+    pure_freedom, fit_freedom = d * (len(residual) - count), d * count - found.rank
     if pure_freedom < 4 or fit_freedom < 1 or pure == 0.0:
         return ()
     excess = (float(np.sum(residual**2)) - pure) / fit_freedom / (pure / pure_freedom)
     p = float(fdtrc(fit_freedom, pure_freedom, excess))
     return (Finding("repeats", p, excess),) if p <= LEVEL else ()
+
+
+def _pure_error(residual: Array, groups: NDArray[np.int64]) -> float:
+    """Sum of squares of residuals (m, d) about the mean of their group."""
+    means = np.stack([np.bincount(groups, column) for column in residual.T], axis=1) / np.bincount(groups)[:, None]
+    return float(np.sum((residual - means[groups]) ** 2))
 
 
 def same_posture(measurements: Measurements) -> NDArray[np.int64]:

@@ -50,7 +50,7 @@ class Candidate:
     @property
     def title(self) -> str:
         """The effects with the settings that were found: `transmission_ripple:2 (k = 18)`."""
-        return " + ".join(_titled(key, spec) for key, spec in zip(self.effects, self.specs, strict=True))
+        return " + ".join(titled(key, spec) for key, spec in zip(self.effects, self.specs, strict=True))
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `candidates` (identification/files/README.md, "JSON keys")."""
@@ -67,7 +67,8 @@ class Candidate:
         }
 
 
-def _titled(key: str, spec: EffectSpec) -> str:
+def titled(key: str, spec: EffectSpec) -> str:
+    """An effect with its settings, for people."""
     settings = ", ".join(f"{name} = {value:g}" for name, value in spec.values.items())
     return f"{key} ({settings})" if settings and "[" not in key else key
 

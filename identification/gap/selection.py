@@ -204,13 +204,16 @@ def pair(search: HypothesisSearch, tested: HypothesisTest, generator: np.random.
     best = min((two for one in starts if (two := _with_second(search, one)) is not None), key=search.bic, default=None)
     if best is None:
         return None
-    before, after = search.fit(()), search.fit(best)
+    pairs = sum(h.weight for h in search.hypotheses.members) ** 2 / 2.0 / np.prod([h.weight for h in best])
+    p = nested_p(search.fit(()), search.fit(best)) * pairs
+    return best if p <= ALPHA_PAIR and homoscedastic(search.fit(best), search.rows, generator) else None
+
+
+def nested_p(before: Fit, after: Fit) -> float:
+    """p-value of the F test of a fit against one of a model that it contains."""
     size = after.rank - before.rank
     f = (before.squares - after.squares) / size / (after.squares / after.freedom)
-    pairs = sum(h.weight for h in search.hypotheses.members) ** 2 / 2.0 / np.prod([h.weight for h in best])
-    if fdtrc(size, after.freedom, f) * pairs > ALPHA_PAIR or not homoscedastic(after, search.rows, generator):
-        return None
-    return best
+    return float(fdtrc(size, after.freedom, f))
 
 
 def _with_second(search: HypothesisSearch, one: Hypothesis) -> Choice | None:

@@ -84,11 +84,8 @@ def _other_noise(
     if found.outlier.any():
         others.append((noisy, found.scatter, np.zeros_like(found.outlier)))
     memoryless = tuple(f for f in found.scatter if f.name != "serial_correlation")
-    for kept in dict.fromkeys((memoryless, ())):  # not a set: its order would change from run to run
-        if kept == found.scatter:
-            continue
-        others.append((whitened(rows, named, kept), kept, found.outlier))
-    return others
+    fewer = dict.fromkeys((memoryless, ()))  # not a set: its order would change from run to run
+    return others + [(whitened(rows, named, f), f, found.outlier) for f in fewer if f != found.scatter]
 
 
 def _explained(
