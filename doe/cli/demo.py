@@ -9,6 +9,7 @@ import click
 from doe.cli.common import Answer, Session, verb
 from doe.cli.options import FOLDER, force_option
 from identification.errors import InputError, JobError
+from identification.files.io import write_whole
 
 
 @verb("armcal demo --out my-demo")
@@ -20,7 +21,6 @@ def command(session: Session, out: Path | None, force: bool) -> Answer:
     from doe.report.demo_overview import overview_figure
     from doe.report.demo_page import demo_data, demo_page, demo_tables
     from doe.report.pictures import save
-    from identification.files.io import write_whole
 
     directory = next_free(Path("armcal-demo")) if out is None else out
     make_directory(directory, force)

@@ -10,7 +10,7 @@ import click
 
 from doe.cli.common import Answer, Session, verb
 from doe.cli.options import FILE, Output, Seconds, grouped, output_options
-from doe.cli.problems import CriterionOptions, PostureOptions, criterion_options, posture_options
+from doe.cli.problems import CriterionOptions, PostureOptions, criterion_options, design_problem, posture_options
 from identification.errors import InputError
 
 if TYPE_CHECKING:
@@ -65,7 +65,6 @@ def command(
     output: Output,
 ) -> Answer:
     """Choose the RUNS postures that calibrate the arm best, with a certificate of how good they are."""
-    from doe.cli.problems import design_problem
     from doe.plan.file import plan_text
     from doe.plan.order import check_order
     from doe.report.design_tables import design_tables

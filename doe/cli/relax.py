@@ -9,7 +9,7 @@ import click
 
 from doe.cli.common import Answer, Session, verb
 from doe.cli.options import FILE, Output, grouped, output_options
-from doe.cli.problems import CriterionOptions, criterion_options
+from doe.cli.problems import CriterionOptions, criterion_options, design_problem
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,6 @@ def command(
 ) -> Answer:
     """Optimal weights over candidate postures, with a certificate recomputed from the weights and a cross-check."""
     from doe.bounds.relaxation import relax
-    from doe.cli.problems import design_problem
     from doe.cross_check import cross_check
     from doe.plan.file import load_plan, plan_text
     from doe.report.approximate import cross_check_table, relax_tables

@@ -11,6 +11,7 @@ import click
 from doe.cli.common import Answer, Session, verb
 from doe.cli.options import FILE, force_option
 from identification.errors import InputError
+from identification.files.io import write_whole
 
 if TYPE_CHECKING:
     from identification.arm import Arm
@@ -25,13 +26,12 @@ if TYPE_CHECKING:
 def command(session: Session, arm: Path, plan: Path, truth: Path, out: Path, force: bool) -> Answer:
     """Measure the TRUTH at the postures of a PLAN, with the arm's noise (sigma_mm).
 
-    The plan may say payload_kg, temperature_C and direction1.. of every row.
+    The plan may give payload_kg, temperature_C and direction1.. of every row.
     """
     import numpy as np
 
     from doe.plan.file import load_plan, load_plan_conditions
     from identification.files.arm import load_arm
-    from identification.files.io import write_whole
     from identification.files.measurement import measurement_text
     from identification.simulate import simulate
 

@@ -79,7 +79,6 @@ class Comparison:
     problems: Mapping[str, DesignProblem] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-
         for solver in self.solvers:
             if isinstance(solver, str) and solver not in available_solvers():
                 raise InputError(f"solvers: unknown name {solver!r}, {nearest(solver, available_solvers())}")

@@ -82,7 +82,6 @@ class Study:
     solver_seconds: float = 60.0
 
     def __post_init__(self) -> None:
-
         allowed = {*SOLVERS, DFT, RANDOM}
         for plan in self.plans:
             if isinstance(plan, str) and plan not in allowed:
