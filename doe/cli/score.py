@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @click.option("--aliases", type=FILE, metavar="FILE", help="Draw which effects this plan can hardly distinguish.")
 @output_options(picture="Draw the postures (.png, .svg, .pdf).", out=False)
 def command(session: Session, arm: Path, plan: Path, aliases: Path | None, output: Output) -> Answer:
-    """Score a PLAN of your own: efficiency against the bound, expected deviations, and which effects it could show."""
+    """Score a PLAN of your own: efficiency against the bound, expected standard deviations, effects it could show."""
     from doe.plan.file import load_plan
     from doe.plan.observability import observability
     from doe.report.design_tables import design_tables, observability_line

@@ -119,7 +119,7 @@ def deviations_per_draw(
 
 
 def over_draws(found: Sequence[ExpectedDeviations], judge: Callable[..., Array]) -> ExpectedDeviations:
-    """Mean (`np.mean`) or worst (`np.max`) of each deviation over the draws."""
+    """Mean (`np.mean`) or worst (`np.max`) of each standard deviation over the draws."""
     values, orientation = (judge([getattr(one, name) for one in found], axis=0) for name in ("values", "orientation"))
     return replace(found[0], values=values, orientation=orientation)
 

@@ -19,7 +19,7 @@ from identification.measurements import Measurements
 from identification.model import Model
 from identification.status import Status
 
-LARGEST_SHARE = 0.1  # a combination whose deviation exceeds this share of the arm's reach is not estimable
+LARGEST_SHARE = 0.1  # a combination whose standard deviation exceeds this share of the arm's reach is not estimable
 
 
 class Noise(NamedTuple):
@@ -121,7 +121,7 @@ def _known_noise(relative: Array, deviations: Array) -> Noise:
 
 
 def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spectrum, Problem]:
-    """Fits; and fits again without the combinations whose deviation turns out too large to mean anything."""
+    """Fits; and fits again without the combinations whose standard deviation turns out too large to mean anything."""
     solution = METHODS[method](problem)
     residuals, jacobian = problem.linearize_at(solution.parameters[0])
     decomposed = spectrum(jacobian, problem.model.scales, problem.tolerance)

@@ -17,7 +17,7 @@ DIMENSION = 2  # coordinates of a point
 def orientation_transform(parameters: ParameterSet) -> Array:
     """(n, p) matrix T with dtheta = T parameters: dtheta_j = dq_1 + ... + dq_j of the joint offsets among them.
 
-    The paper's sigma_q (eq. 25) is the deviation of dtheta_j, not of the joint offset dq_j.
+    The paper's sigma_q (eq. 25) is the standard deviation of dtheta_j, not of the joint offset dq_j.
     """
     offsets = parameters.indices(JOINT_OFFSET)
     transform = np.zeros((len(offsets), len(parameters)))
