@@ -69,8 +69,8 @@ def test_constant_direction_shows_no_backlash() -> None:
     assert result.detectable["backlash:2"].value is None
 
 
-def test_refuses_fewer_than_four_spare_degrees_of_freedom() -> None:
-    with pytest.raises(InputError, match="4 rows leave 2 degrees"):
+def test_refuses_fewer_than_four_residual_degrees_of_freedom() -> None:
+    with pytest.raises(InputError, match="4 rows leave 2 residual degrees of freedom for tests, allowed: at least 4"):
         detectability(ARM, POSTURES[:4])
     assert detectability(ARM, POSTURES[:5]).freedom == 4
 
