@@ -11,7 +11,7 @@ class Status(Enum):
     bound_reached = "The upper bound is reached: no plan with this many runs can be better."
     starts_finished = "All starts are used up; more of them (--starts) might find a better plan."
     agreed = "Many independent starts ended at the same best value; more starts are unlikely to find a better plan."
-    local_optimum = "No exchange of a single run makes the plan better; another --seed may end at a better one."
+    local_optimum = "No single exchange improves the plan; another --seed may lead to a better one."
     time_limit = "The time budget ended; the best plan so far is returned. Raise --seconds to search on."
     interrupted = "Stopped by the user (Ctrl-C); the best plan so far is returned."
     scored = "Plan supplied by the user: evaluated, not optimized."

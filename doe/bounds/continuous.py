@@ -57,7 +57,7 @@ class ContinuousSet:
         return self.prior.sensitivities(self.problem.scaled_jacobians(postures), gradient)
 
     def slopes(self, postures: Array, gradient: Array) -> tuple[Array, Array]:
-        """(m, n) gradient and (m, n, n) Hessian of tr(G F(q)) by the joint angles."""
+        """(m, n) gradient and (m, n, n) Hessian of tr(G F(q)) with respect to the joint angles."""
         m, n = postures.shape
         d, p = self.problem.model.dimension, self.problem.parameters
         flat, first, second = self._derivatives(postures)

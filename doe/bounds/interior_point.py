@@ -2,10 +2,10 @@
 
     maximise Phi(M(w)),  M(w) = sum_i w_i F_i,  subject to  w >= 0, sum w = 1
 
-With g_i = tr(G F_i), G = dPhi/dM, and the slack s_i = nu - g_i >= 0, w is optimal exactly when w_i s_i = 0 for all i
+With g_i = tr(G F_i), G = dPhi/dM, and the slack s_i = nu - g_i >= 0, w is optimal if and only if w_i s_i = 0 for all i
 (the equivalence theorem on these postures). Newton's method on w_i s_i = mu, mu -> 0, takes some twenty steps, each one
 Cholesky factorisation of the size of the support, to a gap of 1e-13. Accuracy here saves work elsewhere: at the optimum
-the sensitivity of the base model is a sum of waves of separate joints, whose maximum is proven at a glance.
+the sensitivity of the base model is a sum of waves of separate joints, whose maximum is proven immediately.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def _to_boundary(values: Array, change: Array) -> float:
 def _curvature(
     jacobians: Array, weights: Array, gradient: Array, criterion: Criterion, prior: PriorInformation
 ) -> Array:
-    """(k, k) minus the Hessian of Phi by the weights."""
+    """(k, k) minus the Hessian of Phi with respect to the weights."""
     if criterion.name == "D" and prior.empty:
         return _curvature_d(jacobians, gradient)
     return -criterion.curvature(prior.mixture(jacobians, weights), prior.posture_information(jacobians))

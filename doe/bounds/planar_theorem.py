@@ -66,7 +66,7 @@ def closed_form_bound(problem: DesignProblem) -> Bound | None:
 def table_1(postures: Array, weights: Array | None = None) -> dict[tuple[int, int], complex]:
     """Pair (j, k), 1 <= j < k <= n -> mean over the runs of exp(i (q_(j+1) + ... + q_k)) = H_jk.
 
-    All of them vanish exactly when log det M' = 0: Table I for any n. The paper's six sums of four links are right:
+    All of them vanish if and only if log det M' = 0: Table I for any n. The paper's six sums of four links are right:
     q2, q3, q4, q2+q3, q3+q4 and q2+q3+q4; only the name c_24, s_24 of the last is not, whose indices say q2+q4.
     """
     angles = np.atleast_2d(np.asarray(postures, dtype=float))

@@ -1,4 +1,4 @@
-"""Weights on few postures: what the solvers of the small problem return, made proper, and as few as possible."""
+"""Cleaning up solver weights: nonnegative, summing to one, smallest support."""
 
 from __future__ import annotations
 

@@ -79,8 +79,10 @@ def read_measurements(path: Path, arm: Arm) -> Measurements:
     return measurements
 
 
-def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
+def verb(example: str, summary: str) -> Callable[[Callable[..., Answer]], click.Command]:
     """Turn `function(session, **options) -> Answer` into a click command of its module's name.
+
+    summary : its line in `armcal --help`
 
     Adds --json, --seed, --quiet and the example; errors become one line on standard error and an exit code.
     """
@@ -98,7 +100,7 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
         run = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed.")(run)
         run = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")(run)
         name = function.__module__.rpartition(".")[2]
-        return click.command(name, epilog=f"\b\nExample:\n  {example}")(run)
+        return click.command(name, short_help=summary, epilog=f"\b\nExample:\n  {example}")(run)
 
     return decorate
 

@@ -68,16 +68,25 @@ comparison_options = grouped(
     "compared",
     click.option("--runs", callback=whole_numbers, required=True, help="Numbers of measurements m, as in 10,20."),
     click.option("--solvers", help="Names, as in a,b; left out: all."),
-    click.option("--criterion", "criteria", default="D", show_default=True, help="D, A, E or Dstar; more as in D,A."),
+    click.option(
+        "--criterion", "criteria", default="D", show_default=True, help="D, A, E or Dstar; several as in D,A."
+    ),
     click.option("--starts", callback=whole_numbers, help="Starts of one run, as in 1,10; left out: the solver's own."),
     click.option(
-        "--repeats", type=click.IntRange(min=1), default=5, show_default=True, help="Runs of each, new seeds."
+        "--repeats",
+        type=click.IntRange(min=1),
+        default=5,
+        show_default=True,
+        help="Repetitions of each search, with different seeds.",
     ),
     click.option("--seconds", type=Seconds(), default=60.0, show_default=True, help="Limit of one run [s]."),
 )
 
 
-@verb("armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --repeats 10 --out comparison")
+@verb(
+    "armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --repeats 10 --out comparison",
+    "Compare design solvers side by side.",
+)
 @click.argument("arms", type=FILE, nargs=-1, required=True, metavar="ARM...")
 @comparison_options
 @job_options(workers=1, out="Rows, summary and pictures go here; NAME.parquet: the rows only.")

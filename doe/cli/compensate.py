@@ -11,10 +11,13 @@ from doe.cli.options import FILE, Output, output_options
 from identification.errors import InputError
 
 
-@verb("armcal compensate calibrated.toml targets.csv --out commands.csv")
+@verb(
+    "armcal compensate calibrated.toml targets.csv --out commands.csv",
+    "Joint commands that reach targets on the real arm.",
+)
 @click.argument("calibrated", type=FILE)
 @click.argument("targets", type=FILE)
-@output_options()
+@output_options(out="Write the joint commands (CSV).")
 def command(session: Session, calibrated: Path, targets: Path, output: Output) -> Answer:
     """Joint commands that reach TARGETS (x_mm,y_mm or nominal q1_deg..) on the CALIBRATED arm."""
     from doe.report.identification_tables import compensation_tables

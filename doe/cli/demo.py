@@ -12,7 +12,7 @@ from identification.errors import InputError, JobError
 from identification.files.io import write_whole
 
 
-@verb("armcal demo --out my-demo")
+@verb("armcal demo --out my-demo", "Run the whole loop on the paper's 4-link arm.")
 @click.option("--out", type=FOLDER, metavar="DIR", help="Directory for the files; left out: the next free armcal-demo.")
 @force_option
 def command(session: Session, out: Path | None, force: bool) -> Answer:

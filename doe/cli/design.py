@@ -44,18 +44,22 @@ search_options = grouped(
     click.option("--solver", help="Method; left out: the best for the problem."),
     click.option("--starts", type=click.IntRange(min=1), help="Number of starts."),
     click.option("--seconds", type=Seconds(), help="Time budget [s]; left out: none up to 100 runs, 30 for more."),
-    click.option("--discriminating", is_flag=True, help="A plan that also reveals which effect is missing."),
-    click.option("--loss", default=0.05, show_default=True, help="D-efficiency that --discriminating may give up."),
+    click.option(
+        "--discriminating", is_flag=True, help="Also make missing effects distinguishable (costs some D-efficiency)."
+    ),
+    click.option(
+        "--loss", default=0.05, show_default=True, help="Largest loss of D-efficiency that --discriminating accepts."
+    ),
     click.option("--order", help="given, travel (least joint travel) or random."),
 )
 
 
-@verb("armcal design arm.toml --runs 20 --out plan.csv")
+@verb("armcal design arm.toml --runs 20 --out plan.csv", "Choose the postures to measure, with a certificate.")
 @click.argument("arm", type=FILE)
 @search_options
 @criterion_options("D, A, E, I, Ds or Dstar.")
 @posture_options
-@output_options(picture="Draw the postures (.png, .svg, .pdf).")
+@output_options(picture="Draw the postures (.png, .svg, .pdf).", out="Write the plan (CSV).")
 def command(
     session: Session,
     arm: Path,

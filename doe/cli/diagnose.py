@@ -10,13 +10,16 @@ from doe.cli.common import Answer, Session, read_measurements, verb
 from doe.cli.options import FILE, Output, output_options
 
 
-@verb("armcal diagnose arm.toml data.csv --holdout more.csv --out extended.toml --report gap.html")
+@verb(
+    "armcal diagnose arm.toml data.csv --holdout more.csv --out extended.toml --report gap.html",
+    "Find and name the effect that the model lacks.",
+)
 @click.argument("arm", type=FILE)
 @click.argument("data", type=FILE)
 @click.option("--holdout", type=FILE, help="Measurements used for nothing but the confirmation.")
 @click.option("--draws", type=click.IntRange(min=399), default=999, show_default=True, help="Bootstrap draws.")
 @click.option("--report", type=FILE, metavar="FILE", help="Write an HTML page with pictures.")
-@output_options()
+@output_options(out="Write the arm file extended by the named effect.")
 def command(
     session: Session, arm: Path, data: Path, holdout: Path | None, draws: int, report: Path | None, output: Output
 ) -> Answer:

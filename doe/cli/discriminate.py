@@ -11,12 +11,15 @@ from doe.cli.options import FILE, Output, output_options
 from identification.errors import InputError
 
 
-@verb("armcal discriminate arm.toml data.csv --runs 4 --payloads 0,5,10 --out next.csv")
+@verb(
+    "armcal discriminate arm.toml data.csv --runs 4 --payloads 0,5,10 --out next.csv",
+    "Next postures for an ambiguous diagnosis.",
+)
 @click.argument("arm", type=FILE)
 @click.argument("data", type=FILE)
 @click.option("--runs", type=click.IntRange(min=1), required=True, help="Number of further measurements K.")
 @click.option("--payloads", help="Payloads to choose from [kg], as 0,5,10; left out: the arm's own.")
-@output_options()
+@output_options(out="Write the next postures (CSV).")
 def command(session: Session, arm: Path, data: Path, runs: int, payloads: str | None, output: Output) -> Answer:
     """The next RUNS postures, to distinguish the candidates of an ambiguous diagnosis, and their chance of success."""
     from doe.discrimination.t_optimal import discriminate

@@ -10,11 +10,11 @@ from doe.cli.common import Answer, Session, read_measurements, verb
 from doe.cli.options import FILE, Output, output_options
 
 
-@verb("armcal identify arm.toml data.csv --out calibrated.toml")
+@verb("armcal identify arm.toml data.csv --out calibrated.toml", "Estimate the arm's parameters from measurements.")
 @click.argument("arm", type=FILE)
 @click.argument("data", type=FILE)
 @click.option("--method", help="linear, gauss_newton or paper_steps; left out: the best for the model.")
-@output_options()
+@output_options(out="Write a calibrated arm file (TOML).")
 def command(session: Session, arm: Path, data: Path, method: str | None, output: Output) -> Answer:
     """Estimate the arm's parameters from measurements, with 95 % intervals."""
     from doe.report.identification_tables import identification_tables

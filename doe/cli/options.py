@@ -94,8 +94,8 @@ class Output:
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing file.")
 
 
-def output_options(*, picture: str | None = None, out: bool = True) -> Decorator:
-    """--picture (its help), --out and --force, as the argument `output`."""
+def output_options(*, picture: str | None = None, out: str | None = None) -> Decorator:
+    """--picture and --out, each where its help is given, and --force, as the argument `output`."""
     options = [click.option("--picture", type=FILE, metavar="FILE", help=picture)] if picture else []
-    options += [click.option("--out", type=FILE, metavar="FILE", help="Write the result to this file.")] if out else []
+    options += [click.option("--out", type=FILE, metavar="FILE", help=out)] if out else []
     return grouped(Output, "output", *options, force_option)

@@ -53,12 +53,13 @@ def criterion_options(names: str) -> Decorator:
 posture_options = grouped(
     PostureOptions,
     "postures",
-    click.option("--keep", type=FILE, metavar="FILE", help="Postures measured already; the new ones go around them."),
+    click.option("--keep", type=FILE, metavar="FILE", help="Postures already measured; the plan complements them."),
     click.option("--candidates", type=FILE, metavar="FILE", help="CSV of allowed postures to choose from."),
     click.option("--repeats", is_flag=True, help="A posture may be measured more than once."),
     click.option("--minimum-distance-deg", type=float, help="Postures differ by this in some joint (1 deg)."),
     click.option(
-        "--uncertain", help="average or worst: a plan for an arm known only up to a prior (or its covariance)."
+        "--uncertain",
+        help="average or worst: a plan for an arm known only by a prior (default) or by its calibration covariance.",
     ),
     click.option(
         "--draws", type=click.IntRange(1, 50), default=5, show_default=True, help="Arms drawn for --uncertain."

@@ -34,11 +34,11 @@ relaxation_options = grouped(
 )
 
 
-@verb("armcal relax arm.toml --grid 9 --solver clarabel")
+@verb("armcal relax arm.toml --grid 9 --solver clarabel", "Optimal weights over candidate postures.")
 @click.argument("arm", type=FILE)
 @relaxation_options
-@criterion_options("D, A, I, E or Ds.")
-@output_options()
+@criterion_options("D, A, E, I, Ds or Dstar.")
+@output_options(out="Write the plan with weights (CSV).")
 def command(
     session: Session, arm: Path, chosen: RelaxationOptions, criterion: CriterionOptions, output: Output
 ) -> Answer:

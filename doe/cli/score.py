@@ -18,11 +18,14 @@ if TYPE_CHECKING:
     from identification.arm import Arm
 
 
-@verb("armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png")
+@verb(
+    "armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png",
+    "Judge a plan of your own against the bound.",
+)
 @click.argument("arm", type=FILE)
 @click.argument("plan", type=FILE)
 @click.option("--aliases", type=FILE, metavar="FILE", help="Draw which effects this plan can hardly distinguish.")
-@output_options(picture="Draw the postures (.png, .svg, .pdf).", out=False)
+@output_options(picture="Draw the postures (.png, .svg, .pdf).")
 def command(session: Session, arm: Path, plan: Path, aliases: Path | None, output: Output) -> Answer:
     """Score a PLAN of your own: efficiency against the bound, expected standard deviations, effects it could show."""
     from doe.plan.file import load_plan
@@ -53,7 +56,7 @@ def _scored(arm: Arm, given: Plan, path: Path) -> Design:
     design = score_plan(problem, given)
     if design.outside:
         found = f"{len(design.outside)} of {len(given)} runs are outside joint limits or constraints, the first is run"
-        warnings.warn(f"{path}: {found} {design.outside[0]}: no bound holds for this plan", UserWarning, stacklevel=2)
+        warnings.warn(f"{path}: {found} {design.outside[0]}: the bound does not apply", UserWarning, stacklevel=2)
     return design
 
 

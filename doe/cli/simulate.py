@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from identification.arm import Arm
 
 
-@verb("armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv")
+@verb("armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv", "Simulate the measurements of a plan.")
 @click.argument("arm", type=FILE)
 @click.argument("plan", type=FILE)
 @click.option("--truth", type=FILE, required=True, help="Arm file with [calibration] and [[effects]] values.")

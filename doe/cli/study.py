@@ -39,7 +39,7 @@ where study.toml has, for instance (names of files are beside it):
     effects = []"""
 
 
-@verb(EXAMPLE)
+@verb(EXAMPLE, "Run a simulation study, or one that comes with armcal.")
 @click.argument("study", metavar="STUDY.toml|NAME")
 @click.option("--replications", type=click.IntRange(min=1), help="Simulated data sets per cell, instead of the file's.")
 @job_options(workers=None, out="Folder; left out: STUDY.results")

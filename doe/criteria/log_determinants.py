@@ -103,7 +103,7 @@ class Ds(LogDeterminants):
     name: str = "Ds"
 
     def terms(self, parameters: int) -> list[Term]:
-        """All of M, less the nuisance parameters."""
+        """All of M, minus the block of the nuisance parameters."""
         everything = np.arange(parameters)
         return [(1.0, everything), (-1.0, np.setdiff1d(everything, self.subset))]
 
@@ -114,7 +114,7 @@ class DStar(LogDeterminants):
 
     The paper maximises det C' and asks for det S' = 0, C' and S' being the diagonal and off-diagonal blocks of M'
     (eq. 20). Of the base model both diagonal blocks are C', so Phi = 2 log det C' >= log det M', with equality when
-    S' = 0. What the lengths lose to the angles is not counted: prefer D, whose units do not matter either
+    S' = 0. It ignores the correlation between lengths and angles: prefer D, whose units do not matter either
     (doe/README.md, "Criteria"). det S' = 0 alone says nothing for odd n, where every antisymmetric matrix has it, and
     little for even n >= 4, where such a matrix may be singular without being zero: D* agrees with D for 2 links only.
 

@@ -1,1 +1,1 @@
-"""Designs that tell rival models apart: before any data, and after an ambiguous diagnosis."""
+"""Designs that distinguish rival models: before any data, and after an ambiguous diagnosis."""

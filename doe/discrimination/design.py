@@ -1,4 +1,4 @@
-"""Plans that are (nearly) D-optimal AND can tell missing effects apart.
+"""Plans that are (nearly) D-optimal AND can distinguish missing effects.
 
 A D-optimal plan knows nothing of effects that are not in its model: under joint limits its angles sit on two levels,
 where cos q_j, cos 2 q_j and q_j are one and the same column, and on any plan the sag of a link looks much like that of
@@ -124,7 +124,7 @@ def search(
     budget: Budget,
     progress: Progress,
 ) -> tuple[Array, Status]:
-    """(m, n) the plan that tells effects apart, and how the search ended; the best plan if that was interrupted."""
+    """(m, n) the plan that distinguishes effects, and how the search ended; the best plan if that was interrupted."""
     chosen, status = np.array(best.plan.postures), best.status
     if status is Status.interrupted:
         return chosen, status
@@ -147,8 +147,8 @@ def beginnings(
 ) -> Iterator[tuple[Array, Budget]]:
     """Plans from which swaps start, each with its part of the time.
 
-    Under joint limits a D-optimal plan stands in the corners, far from plans that tell effects apart: there is a second
-    beginning with as many random postures as three quarters of the loss allow.
+    Under joint limits a D-optimal plan stands in the corners, far from plans that distinguish effects: there is a
+    second beginning with as many random postures as three quarters of the loss allow.
     """
     problem = extended.base
     part = budget.remaining / 2.0 if narrow(problem) else budget.remaining
@@ -176,7 +176,7 @@ def seen(problem: DesignProblem, library: EffectLibrary, postures: Array) -> Det
 
 
 def start(extended: ExtendedProblem, best: Design, least: float, generator: np.random.Generator) -> Array:
-    """(m, n) the best plan or one from theory, whichever tells effects apart best, off the limits down to `least`."""
+    """(m, n) the best plan or one from theory, whichever distinguishes effects best, off the limits down to `least`."""
     problem, runs = extended.base, len(best.plan.postures)
     plans = [np.array(best.plan.postures)]
     plans += [plan for plan in theory_plans(problem, runs, generator) if feasible_value(problem, plan) >= least]

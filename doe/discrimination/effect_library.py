@@ -1,4 +1,4 @@
-"""Effects that may be missing from a model, as far as a plan decides what can be seen of them."""
+"""The library effects that a plan could reveal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BY_ORDER = frozenset({"time", "directions"})  # what the order of the postures d
 
 @dataclass(frozen=True)
 class EffectLibrary:
-    """Rival effects: what a plan is to tell apart.
+    """Rival effects: what a plan is to distinguish.
 
     own : p, parameters of the model that is to be identified; they come first in the models below
     shown_by_postures : the model with every effect that postures alone can show, K parameters more

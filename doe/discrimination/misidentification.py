@@ -1,6 +1,6 @@
-"""How often the wrong effect would be named: what a plan is chosen by that is to tell missing effects apart.
+"""Bound on the probability that the wrong effect is named: the objective of discriminating plans.
 
-Two effects are told apart by what the base model and one of them leave of the other. With d the length of that in
+Two effects are distinguished by what the base model and one of them leave of the other. With d the length of that in
 standard deviations of the measurement, the likelihood ratio of the two, sizes known, names the wrong one with
 probability Phi(-d / 2), and the sum over all rivals (one of them: nothing at all) bounds the probability of any wrong
 name. The squared length is a Schur complement, so everything follows from the information matrix M of the plan:
@@ -9,7 +9,7 @@ name. The squared length is a Schur complement, so everything follows from the i
 
 with b the base parameters, e those of all effects, v a combination of one effect's parameters and B a basis of the
 rival's. v is scaled such that a random plan of as many runs shows it with a length of `LAMBDA`: effects much larger are
-told apart by any plan, much smaller ones by none.
+distinguished by any plan, much smaller ones by none.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Swaps that make a plan tell missing effects apart, at a D-efficiency that is kept.
+"""Exchange search for discriminating plans at a given D-efficiency.
 
 Runs are exchanged for postures of a pool: random ones of the design space and neighbours of the plan's own. The first
 derivative of the criterion says which swaps to try, the criterion itself which is best; near the least

@@ -37,12 +37,12 @@ NUDGE = 1e-2  # weight of the smooth part of the merit, which leads where the pr
 
 @dataclass(frozen=True)
 class NextPostures:
-    """The measurements that should tell the candidates apart.
+    """The measurements that should distinguish the candidates.
 
     plan : (K) postures in the order of measurement
     payload : (K,) [kg], None if there was no choice;  directions : (K, n) of approach, None if they do not matter
     chance : upper bound on the predicted probability that only the right candidate is left
-    pairs : (candidate, rival) -> expected lambda of telling them apart
+    pairs : (candidate, rival) -> expected lambda between them
     """
 
     plan: Plan
@@ -86,7 +86,7 @@ def discriminate(
     seed: int = 0,
     payloads: tuple[float, ...] | None = None,
 ) -> NextPostures:
-    """The `runs` measurements most likely to settle an ambiguous diagnosis.
+    """The `runs` measurements most likely to resolve an ambiguous diagnosis.
 
     payloads : [kg] that can be hung on the arm, default its own only
 
@@ -96,7 +96,7 @@ def discriminate(
         raise InputError(f"runs: {runs}, allowed: at least 1")
     if len(diagnosis.candidates) < 2:
         raise InputError(
-            f"diagnosis: the verdict is {diagnosis.verdict}, allowed: ambiguous, with candidates to tell apart"
+            f"diagnosis: the verdict is {diagnosis.verdict}, allowed: ambiguous, with candidates to distinguish"
         )
     generator = np.random.default_rng(seed)
     options = _pool(arm, diagnosis, generator, payloads)
@@ -105,7 +105,7 @@ def discriminate(
 
 
 def t_optimal(rivals: Rivals, runs: int) -> list[int]:
-    """Rows of the pool, added one at a time and then exchanged, that settle between the rivals best."""
+    """Rows of the pool, added one at a time and then exchanged, that distinguish the rivals best."""
     chosen: list[int] = []
     for _ in range(runs):
         chosen.append(_best(rivals, chosen))
@@ -187,7 +187,7 @@ def _best(rivals: Rivals, chosen: list[int]) -> int:
 
 
 def _merit(rivals: Rivals, squares: Array) -> Array:
-    """(N,) weighted sum over pairs of the chance to tell them apart, and a little of the logarithm of lambda^2."""
+    """(N,) weighted sum over pairs of the chance to distinguish them, and a little of the logarithm of lambda^2."""
     chance = _pair_chance(rivals, squares)
     count = len(rivals.weights)
     off = 1.0 - np.eye(count)

@@ -1,4 +1,4 @@
-"""Tasks: a function and keys give the same rows to the last bit on any workers.
+"""Reproducible task lists: the rows depend on key and seed, never on workers or order.
 
 A task is a key (what to do, in JSON types); its rows depend on the key and the seed only, never on the number of
 workers or the order. Functions are sent to workers by name and called with keys: what cannot be pickled (CasADi,
@@ -138,7 +138,7 @@ class _Dispatcher:
         self.queue.extendleft(reversed(lost))
 
     def _hand_out(self, executor: Executor, running: dict[Future[Any], Key], ahead: int) -> list[Key]:
-        """Submits until `ahead` tasks are out; suspects go one at a time. Returns what could not be handed out."""
+        """Submits until `ahead` tasks are out; those whose worker died go singly. Returns what could not be handed out."""
         while self.queue and len(running) < (1 if self._suspect(self.queue[0]) else ahead):
             if any(self._suspect(key) for key in running.values()):
                 break

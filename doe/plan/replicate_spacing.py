@@ -1,4 +1,4 @@
-"""Repeats only when asked for: postures of a plan that are too near each other are moved apart, at the least loss."""
+"""Minimum distance between the postures of a plan, and spreading of joints that play no part."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""What is known before the new runs: postures measured already; the covariance of a calibration would enter here too.
+"""Information from earlier measurements, added to every information matrix.
 
-Let K be the sum of B^T B that is known, from k runs. Then m new runs have the information per run
+The covariance of a calibration would enter here too. Let K be the sum of B^T B that is known, from k runs. Then m new
+runs have the information per run
 
     M = (sum_i B_i^T B_i + K) / (m + k)
 

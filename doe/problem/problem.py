@@ -210,7 +210,7 @@ class DesignProblem:
 
     @cached_property
     def active_joints(self) -> tuple[int, ...]:
-        """Joints (from 0) that change B^T B; the others, such as q_1 of the base model, are free for other ends."""
+        """Joints (from 0) that change B^T B; the others, such as q_1 of the base model, are free for other purposes."""
         generator = np.random.default_rng(0)
         base = generator.uniform(self.lower, self.upper, (16, self.joints))
         before = information_of_each(self.scaled_jacobians(base))

@@ -25,7 +25,7 @@ def advice_figure(advice: Advice) -> Figure:
     axes[0].plot(advice.runs, efficiencies, color=AFTER, lw=1)
     colors = [AFTER if m in good else "white" for m in advice.runs]
     axes[0].scatter(advice.runs, efficiencies, c=colors, edgecolors=AFTER, s=30, zorder=3)
-    axes[0].set(xlabel="runs m", ylabel="D-efficiency", title="filled: at the bound (0.999 or better)")
+    axes[0].set(xlabel="runs m", ylabel="D-efficiency", title="filled: within 0.1 % of the bound")
     if known:
         axes[1].plot(advice.runs, accuracies, "o-", color=AFTER, ms=4, lw=1)
         if advice.target is not None:
@@ -43,17 +43,17 @@ def advice_tables(advice: Advice) -> list[Any]:
         m, figures = len(design.plan), (advice.accuracy(design), angle)
         return [str(m), number(design.efficiency, 5), "yes" if m in good else "", *(number(v, 5) for v in figures)]
 
-    headings = ("runs", "efficiency", "at the bound", "largest std of a length [mm]", "of an angle [deg]")
+    headings = ("runs", "efficiency", "within 0.1 % of the bound", "largest std of a length [mm]", "of an angle [deg]")
     return [Text(sentence(advice), style="bold"), table(headings, map(row, advice.designs))]
 
 
 def sentence(advice: Advice) -> str:
     """What to do, in one line."""
     good = ", ".join(map(str, advice.efficient_runs())) or "none of these numbers"
-    efficient = f"Plans at the bound (efficiency 0.999 or better) exist for m = {good}."
+    efficient = f"Plans within 0.1 % of the bound exist for m = {good}."
     if advice.target is None:
         return efficient
     smallest = advice.smallest
     if smallest is None:
         return f"No number of runs up to {max(advice.runs)} reaches {advice.target:g} mm. {efficient}"
-    return f"{len(smallest.plan)} runs reach {advice.target:g} mm. {efficient}"
+    return f"{len(smallest.plan)} runs suffice for {advice.target:g} mm. {efficient}"

@@ -18,10 +18,10 @@ def relax_tables(design: ApproximateDesign) -> list[Any]:
     """Value, bound and efficiency, then the support."""
     where = "all postures" if design.candidates is None else f"{design.candidates} candidates"
     rows = [
-        ("criterion", f"{design.criterion} over {where}, {len(design.plan)} of them carry weight"),
+        ("criterion", f"{design.criterion} over {where}, {len(design.plan)} with positive weight"),
         ("value", number(design.value, 9)),
         ("upper bound", "-" if design.bound is None else str(design.bound)),
-        ("gap (max d - p)", f"{design.gap:.3g}"),
+        (f"gap ({'max d - p' if design.criterion == 'D' else 'max tr(G F) - tr(G M)'})", f"{design.gap:.3g}"),
         ("efficiency at least", number(design.efficiency_lower_bound, 9)),
         ("solver", f"{design.solver} ({design.solver_status}), {design.seconds:.2f} s"),
         ("status", design.status.value),
@@ -42,5 +42,5 @@ def cross_check_table(compared: CrossCheck) -> Table:
     """Independent answers side by side."""
     digits = {"value": 9, "bound": 9, "table_1_max_residual": 6}
     rows = ([row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared.rows())
-    headings = ("method", "over", "value", "upper bound", "Table I residual")
+    headings = ("method", "over", "value", "upper bound", "deviation from orthogonality (Table I)")
     return table(headings, rows, "Cross-check: independent answers", left=("method", "over"))

@@ -59,15 +59,17 @@ def deviation_columns(deviations: ExpectedDeviations) -> dict[str, Array]:
 def summary_table(data: dict[str, Any], sentence: str) -> Table:
     """Value, bound, efficiency: what a person reads first."""
     bound, kind = data["bound"], data["criterion"]
+    known = bound and not data["outside_limits"]  # no bound applies to a plan outside the limits
+    searched = f"{data['starts']} start{'s' * (data['starts'] != 1)}"
     rows = {
         "criterion": f"{kind}, {data['runs']} runs, {data['links']} links",
         f"value of {kind}": None if kind == "D" else number(data["value"], 7),
         "log det M'": number(data["log_det"], 7),
-        "upper bound": f"{number(bound['value'], 7)} ({bound['source']})" if bound else "-",
-        "efficiency": number(data["efficiency"], 6),
+        "upper bound": f"{number(bound['value'], 7)} ({bound['source']})" if known else "-",
+        "efficiency": number(data["efficiency"] if known else None, 6),
         "certified optimal": certified(data),
-        "Table I residual": number(data["table_1_max_residual"], 6),
-        "solver": f"{data['solver']}, {data['starts']} starts, {data['seconds']:.2f} s" if data["solver"] else None,
+        "deviation from orthogonality (Table I)": number(data["table_1_max_residual"], 6),
+        "solver": f"{data['solver']}, {searched}, {data['seconds']:.2f} s" if data["solver"] else None,
         "status": sentence,
     }
     return facts((name, text) for name, text in rows.items() if text is not None)
@@ -100,12 +102,13 @@ def observability_line(indices: Observability) -> Text:
 
 
 def certified(data: dict[str, Any], most: int = 10) -> str:
-    """`yes`, `not proven`, or which runs lie outside the problem, so that no bound applies."""
+    """`yes`, `no`, or which runs lie outside the problem, so that no bound applies."""
     outside = data["outside_limits"]
     if outside:
         more = ", ..." if len(outside) > most else ""
-        return f"no: outside joint limits or constraints are runs {', '.join(map(str, outside[:most]))}{more}"
-    return "yes" if data["certified_optimal"] else "not proven"
+        are = "run {} is" if len(outside) == 1 else "runs {} are"
+        return f"no: {are.format(', '.join(map(str, outside[:most])) + more)} outside joint limits or constraints"
+    return "yes" if data["certified_optimal"] else "no"
 
 
 def design_tables(design: Design) -> list[Any]:

@@ -34,11 +34,11 @@ def preflight_tables(sees: Detectability) -> list[Any]:
 def discriminating_tables(found: DiscriminationDesign) -> list[Any]:
     """What the plan gives up, and what it shows for it."""
     lines = [
-        f"D-efficiency {found.relative_efficiency:.4f} of the best plan found",
+        f"D-efficiency relative to the best plan found: {found.relative_efficiency:.4f}",
         f"probability that a missing effect gets a wrong name: at most {found.wrong:.3f} "
         f"(the best plan: {found.best_wrong:.3f}, random postures: {found.random_wrong:.3f})",
-        f"  for effects that shift the tip by {LAMBDA:g} sigma in all (root of the sum of squares) at as many random "
-        "postures; gear ripple, backlash and drift left out",
+        f"  for effects whose total shift (root sum of squares) at as many random postures is {LAMBDA:g} sigma; "
+        "gear ripple, backlash and drift are left out",
     ]
     if found.sees is None or found.best_sees is None:
         return [Text(line) for line in lines]

@@ -1,4 +1,4 @@
-"""Exact solvers: one method per file, and `solve`, the only door to them."""
+"""Exact solvers: one method per file, and `solve`, the only entry point to them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exact first and second derivatives of a plan's criterion by all of its joint angles, for gradient-based solvers.
+"""Exact first and second derivatives of a plan's criterion with respect to all of its joint angles.
 
     f(q_1, ..., q_m) = Phi(M),   M = (sum_i B_i^T B_i + K) / N
 

@@ -93,9 +93,8 @@ def design_of(
     if result.postures is None:
         if result.status is Status.interrupted:
             raise KeyboardInterrupt
-        raise JobError(
-            f"design: no plan that identifies all {problem.parameters} parameters was found by {solver.name}"
-        )
+        none = f"design: no plan that identifies all {problem.parameters} parameters was found by {solver.name}"
+        raise JobError(getattr(solver, "without_plan", none))
     generator = np.random.default_rng([seed, len(result.postures)])
     postures = problem.clip(spread_free_joints(problem, result.postures, generator))
     plan = Plan(postures, joint_types=problem.model.joint_types)

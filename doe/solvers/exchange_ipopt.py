@@ -1,4 +1,4 @@
-"""The default: exchange for a good pattern, IPOPT to bring the best of them to their exact maximum."""
+"""Default solver: coordinate exchange, best plans polished by IPOPT."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class Fedorov:
 def allowed_choices(problem: DesignProblem, runs: int) -> tuple[Array, Array]:
     """(N, n) choices within limits and constraints, and their scaled Jacobians (N, d, p)."""
     if problem.choices is None:
-        raise InputError("solver: fedorov chooses from a list of postures, none is given, allowed: with candidates")
+        raise InputError("solver: fedorov needs a list of postures, found none, allowed: with --candidates")
     postures = listed(problem, problem.choices).postures
     if problem.minimum_distance > 0.0:
         postures = np.unique(postures, axis=0)

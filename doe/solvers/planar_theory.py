@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
+from typing import ClassVar
 
 import numpy as np
 
@@ -36,6 +37,10 @@ class Analytic:
 
     tries: int = 60
     name: str = "analytic"
+    without_plan: ClassVar[str] = (
+        "solver: analytic has no plan for this criterion, these limits and this number of runs, allowed: leave "
+        "--solver out"
+    )
 
     def starts_for(self, problem: DesignProblem) -> int:
         """One: any such plan is optimal."""

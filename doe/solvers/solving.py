@@ -1,4 +1,4 @@
-"""`solve`, the only door to the exact solvers."""
+"""`solve`, the only entry point to the exact solvers."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def scaled(values: dict, factor: float) -> dict:
 
 
 def column(truth: Truth, run: Session, effect: tuple[str, int | None, dict]) -> np.ndarray:
-    """(2m,) derivative of the position by the amplitude of an effect."""
+    """(2m,) derivative of the position with respect to the amplitude of an effect."""
     name, j, v = effect
     h = 1e-6
     up = position(replace(truth, effects=[(name, j, scaled(v, h))]), run)

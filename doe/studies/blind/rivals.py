@@ -1,4 +1,4 @@
-"""Gaps to compare with: of the true model, of the whole library at once, of a Gaussian process on the residuals."""
+"""Reference gaps: those of the true model, of the whole library at once, of a Gaussian process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The blind study: how often is the diagnosis right about effects that it cannot know?
+"""Running the blind study.
 
 A simulator that shares no code with the models (plain numpy) draws arm, plan, noise and hidden effects and
 hands over what a user has: arm and measurements. What it hid is written to a separate table by separate tasks; the

@@ -91,8 +91,8 @@ def derivative_of_the_sum(generator: np.random.Generator, replications: int) -> 
     by_link = np.real(np.conj(1j * links) * rest[:, None]).sum(axis=0)
     return Erratum(
         "eq. 4",
-        "derivative by dtheta_k: sums over links k..n (printed l = i..n)",
-        "link k alone, as in eq. 8; the sum over k..n is the derivative by the joint offset dq_k",
+        "derivative with respect to dtheta_k: sums over links k..n (printed l = i..n)",
+        "link k alone, as in eq. 8; the sum over k..n is the derivative with respect to the joint offset dq_k",
         distance(by_link[k:].sum(), truth),
         distance(by_link[k], truth),
         1e-7,

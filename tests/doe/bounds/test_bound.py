@@ -8,4 +8,4 @@ from doe.bounds.bound import Bound
 def test_json_and_text() -> None:
     assert Bound(-0.25, "grid").as_dict() == {"value": -0.25, "source": "grid", "rigorous": False}
     assert "numerical" in str(Bound(-0.25, "continuous"))
-    assert "a theorem" in str(Bound(-0.25, "closed_form", rigorous=True))
+    assert "rigorous" in str(Bound(-0.25, "closed_form", rigorous=True))

@@ -86,7 +86,7 @@ def test_aliases_of_too_few_runs(folder: Folder) -> None:
         (["--test-poses", "plan.csv"], ("--test-poses", "criterion D", "criterion I")),
         (["--subset", "length_error:1"], ("--subset", "criterion D", "criterion Ds")),
         (["--criterion", "Ds"], ("subset", "none", "at least one")),
-        (["--solver", "fedorov"], ("fedorov", "list of postures", "allowed: with candidates")),
+        (["--solver", "fedorov"], ("fedorov", "list of postures", "allowed: with --candidates")),
         (["--candidates", "far.csv"], ("far.csv", "0 of 1", "at least one")),
     ],
 )
@@ -237,7 +237,7 @@ def test_a_plan_outside_the_limits_warns(folder: Folder) -> None:
     done = folder.armcal("score", "arm.toml", "fourier.csv")
     assert done.code == 0
     assert "outside joint limits" in done.err
-    assert "no: outside joint limits or constraints are runs 2, 3, 4, 5" in done.out
+    assert "no: runs 2, 3, 4, 5 are outside joint limits or constraints" in done.out
 
 
 @pytest.mark.parametrize(
