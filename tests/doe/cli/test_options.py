@@ -42,9 +42,9 @@ def test_output_options_are_those_asked_for() -> None:
     def names(**chosen: Any) -> list[str | None]:
         return [p.name for p in click.command()(output_options(**chosen)(lambda output: None)).params]
 
-    assert names() == ["out", "force"]
-    assert names(picture="Draw.") == ["picture", "out", "force"]
-    assert names(picture="Draw.", out=False) == ["picture", "force"]
+    assert names(out="Write.") == ["out", "force"]
+    assert names(picture="Draw.", out="Write.") == ["picture", "out", "force"]
+    assert names(picture="Draw.") == ["picture", "force"]
 
 
 def test_output_is_written_once_and_replaced_by_force_only(tmp_path: Path) -> None:
