@@ -138,7 +138,7 @@ class _Dispatcher:
         self.queue.extendleft(reversed(lost))
 
     def _hand_out(self, executor: Executor, running: dict[Future[Any], Key], ahead: int) -> list[Key]:
-        """Submits until `ahead` tasks are out; those whose worker died go singly. Returns what could not be handed out."""
+        """Submits until `ahead` tasks are out; those whose worker died go singly. Returns what could not go out."""
         while self.queue and len(running) < (1 if self._suspect(self.queue[0]) else ahead):
             if any(self._suspect(key) for key in running.values()):
                 break
