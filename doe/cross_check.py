@@ -29,7 +29,7 @@ class CrossCheck:
     closed_form: float | None
 
     @property
-    def cut(self) -> str:
+    def truncation_note(self) -> str:
         """What to say of an exact plan whose search was cut short."""
         return f", cut at {self.exact.seconds:.0f} s" if self.exact.status is Status.time_limit else ""
 
@@ -51,7 +51,7 @@ class CrossCheck:
             for name, space, design in found
             if design is not None
         ]
-        rows[-1]["method"] += self.cut
+        rows[-1]["method"] += self.truncation_note
         if self.closed_form is not None:
             theorem = {"method": "closed form", "space": "all postures", "value": self.closed_form}
             rows.append(theorem | {"bound": self.closed_form, "table_1_max_residual": None})

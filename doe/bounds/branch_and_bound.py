@@ -59,7 +59,7 @@ def maximum(
     best, posture = float(values.max()), known[int(values.argmax())]
     center, half = (0.5 * (lower + upper))[None], (0.5 * (upper - lower))[None]
     promise = np.full(1, np.inf)  # upper bound of every box that waits
-    boxes, settled = 0, -np.inf
+    boxes, discarded_bound = 0, -np.inf
     while len(center) and boxes < most_boxes:
         order = np.argsort(-promise)
         now, later = order[:BATCH], order[BATCH:]
@@ -71,11 +71,11 @@ def maximum(
         if reached.max() > best:
             best, posture = float(reached.max()), point[int(reached.argmax())]
         left = bound > best + tolerance
-        settled = max(settled, float(bound[~left].max(initial=-np.inf)))
+        discarded_bound = max(discarded_bound, float(bound[~left].max(initial=-np.inf)))
         halves = waves.split(shrunk[0][left], shrunk[1][left])
         center, half = np.concatenate([center[later], halves[0]]), np.concatenate([half[later], halves[1]])
         promise = np.concatenate([promise[later], bound[left], bound[left]])
-    highest = max(settled, best, float(promise.max(initial=-np.inf))) + waves.margin
+    highest = max(discarded_bound, best, float(promise.max(initial=-np.inf))) + waves.margin
     inside = np.clip(posture, lower, upper)  # the middle and half of a box are rounded
     return Maximum(best, inside, highest, not len(center), boxes)
 

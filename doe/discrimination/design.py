@@ -131,7 +131,7 @@ def search(
     allowed = extended.base.parameters * float(-np.log1p(-loss))
     status, bound = Status.local_optimum, np.inf
     try:
-        for postures, stop in beginnings(extended, best, allowed, generator, budget):
+        for postures, stop in initial_plans(extended, best, allowed, generator, budget):
             swaps = improving_swaps(extended, postures, best.value - allowed, generator, stop, progress)
             for plan in chain([postures], swaps):
                 if (wrong := extended.wrong(plan)) < bound:
@@ -142,7 +142,7 @@ def search(
     return chosen, status
 
 
-def beginnings(
+def initial_plans(
     extended: ExtendedProblem, best: Design, allowed: float, generator: np.random.Generator, budget: Budget
 ) -> Iterator[tuple[Array, Budget]]:
     """Plans from which swaps start, each with its part of the time.
@@ -156,10 +156,10 @@ def beginnings(
     yield start(extended, best, best.value - allowed / 2.0, generator), Budget(1, stop)
     if narrow(problem):
         corners = start(extended, best, best.value - allowed / 8.0, generator)
-        yield mixed(problem, corners, best.value - 0.75 * allowed, generator), budget
+        yield partly_random(problem, corners, best.value - 0.75 * allowed, generator), budget
 
 
-def mixed(problem: DesignProblem, postures: Array, least: float, generator: np.random.Generator) -> Array:
+def partly_random(problem: DesignProblem, postures: Array, least: float, generator: np.random.Generator) -> Array:
     """The postures with random ones in the place of as many of them as the value `least` allows."""
     plan = np.array(postures)
     for row, drawn in zip(generator.permutation(len(plan)), pool_of(problem, len(plan), generator), strict=True):

@@ -1,6 +1,6 @@
 """Exchange search for discriminating plans at a given D-efficiency.
 
-Runs are exchanged for postures of a pool: random ones of the design space and neighbours of the plan's own. The first
+Runs are exchanged for postures of a pool: random ones of the design space and neighbors of the plan's own. The first
 derivative of the criterion says which swaps to try, the criterion itself which is best; near the least
 D-efficiency the derivative is mixed with that of the base model's log det. The pool is drawn again as long as that
 helps. Every plan that is taken keeps the constraints and the least value, recomputed from the base problem.
@@ -27,7 +27,7 @@ from identification.information import information_matrix
 from identification.progress import Progress, silent
 
 # reasons: doe/README.md, "Misidentification"
-CLOUD, POOL, NEARBY = 512, 1500, 0.15  # postures; neighbours differ by this fraction of a joint's range
+CLOUD, POOL, NEARBY = 512, 1500, 0.15  # postures; neighbors differ by this fraction of a joint's range
 OUTS, INS, MORE_OUTS = 4, 8, 50  # runs and postures that are tried per derivative; runs where those bring nothing
 MULTIPLIERS = (2.0, 10.0)  # of the derivative of log det where little of it is left to lose
 TIGHT = 0.1  # log det above the least that counts as little

@@ -67,13 +67,13 @@ class _Options:
 class Rivals:
     """What is known of K candidates, and what they predict at the N postures of the pool.
 
-    weights : (K,) probabilities;  ahead : (K, K) BIC_j - BIC_i of rival j over truth i
+    weights : (K,) probabilities;  bic_lead : (K, K) BIC_j - BIC_i of rival j over truth i
     positions : (K, N, d) in units of sigma
     jacobians : K times (N, d, p_j) in units of sigma, parameters scaled such that their covariance is the identity
     """
 
     weights: Array
-    ahead: Array
+    bic_lead: Array
     positions: Array
     jacobians: list[Array]
 
@@ -165,7 +165,7 @@ def _noncentrality(rivals: Rivals, chosen: list[int]) -> tuple[Array, Array]:
     """(K, K) lambda^2 of the chosen postures, and (K, K, N) what each posture of the pool would add to it."""
     count = len(rivals.weights)
     _, pool, d = rivals.positions.shape
-    settled, gain = np.zeros((count, count)), np.zeros((count, count, pool))
+    noncentrality, gain = np.zeros((count, count)), np.zeros((count, count, pool))
     for j, jacobian in enumerate(rivals.jacobians):
         given = jacobian[chosen].reshape(-1, jacobian.shape[2])  # (d k, p), prior covariance of the parameters is I
         inner = np.linalg.inv(np.eye(len(given)) + given @ given.T)
@@ -175,15 +175,15 @@ def _noncentrality(rivals: Rivals, chosen: list[int]) -> tuple[Array, Array]:
         for i in range(count):
             delta = rivals.positions[i] - rivals.positions[j]
             known = delta[chosen].ravel()
-            settled[i, j] = known @ inner @ known
+            noncentrality[i, j] = known @ inner @ known
             left = delta - np.einsum("nap,p->na", jacobian, given.T @ (inner @ known))
             gain[i, j] = np.einsum("na,nab,nb->n", left, precision, left)
-    return settled, gain
+    return noncentrality, gain
 
 
 def _best(rivals: Rivals, chosen: list[int]) -> int:
-    settled, gain = _noncentrality(rivals, chosen)
-    return int(np.argmax(_merit(rivals, settled[:, :, None] + gain)))
+    noncentrality, gain = _noncentrality(rivals, chosen)
+    return int(np.argmax(_merit(rivals, noncentrality[:, :, None] + gain)))
 
 
 def _merit(rivals: Rivals, squares: Array) -> Array:
@@ -198,18 +198,18 @@ def _merit(rivals: Rivals, squares: Array) -> Array:
 def _pair_chance(rivals: Rivals, squares: Array) -> Array:
     """(K, K, N) probability that Delta BIC of rival j over truth i exceeds the window."""
     length = np.sqrt(np.maximum(squares, 1e-12))
-    return np.asarray(ndtr((squares + rivals.ahead[:, :, None] - WINDOW) / (2.0 * length)))
+    return np.asarray(ndtr((squares + rivals.bic_lead[:, :, None] - WINDOW) / (2.0 * length)))
 
 
 def _result(
     diagnosis: Diagnosis, rivals: Rivals, options: _Options, chosen: list[int], payloads: tuple[float, ...] | None
 ) -> NextPostures:
-    settled, _ = _noncentrality(rivals, chosen)
-    chance = _pair_chance(rivals, settled[:, :, None])[:, :, 0]
+    noncentrality, _ = _noncentrality(rivals, chosen)
+    chance = _pair_chance(rivals, noncentrality[:, :, None])[:, :, 0]
     np.fill_diagonal(chance, 1.0)
     names = [" + ".join(c.effects) for c in diagnosis.candidates]
     pairs = {
-        (names[i], names[j]): float(np.sqrt(settled[i, j]))
+        (names[i], names[j]): float(np.sqrt(noncentrality[i, j]))
         for i in range(len(names))
         for j in range(len(names))
         if i != j

@@ -100,7 +100,7 @@ def length(cost: Array, path: Path) -> float:
 
 
 def starts(cost: Array) -> list[Path]:
-    """The order given, and the nearest-neighbour path from every posture (from some, of many)."""
+    """The order given, and the nearest-neighbor path from every posture (from some, of many)."""
     m = len(cost)
     paths = [np.arange(m)]
     for first in range(0, m, max(1, m // 20)):
@@ -159,16 +159,16 @@ def exact_path(cost: Array) -> Path | None:
 
 def closed_loops(first: Path, second: Path, count: int) -> list[list[int]]:
     """Loops of a graph with two edges at every node, each as its nodes in order from its last one (the dummy)."""
-    neighbours: list[list[int]] = [[] for _ in range(count)]
+    neighbors: list[list[int]] = [[] for _ in range(count)]
     for a, b in zip(first.tolist(), second.tolist(), strict=True):
-        neighbours[a].append(b)
-        neighbours[b].append(a)
+        neighbors[a].append(b)
+        neighbors[b].append(a)
     left, loops = set(range(count)), []
     while left:
         node = max(left)
         loop = [node]
         left.discard(node)
-        while onward := [k for k in neighbours[loop[-1]] if k in left]:
+        while onward := [k for k in neighbors[loop[-1]] if k in left]:
             loop.append(onward[0])
             left.discard(onward[0])
         loops.append(loop)

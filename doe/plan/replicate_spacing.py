@@ -71,7 +71,7 @@ def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
     blocked = 1 if capacity == 1.0 else 2  # places on a free joint within the distance of a measured posture
     near += blocked * (gaps(searched, searched_part(problem, problem.kept)) < distance).sum(axis=1)
     if capacity > 1.0:
-        most = near + neighbours(searched, distance)
+        most = near + neighbors(searched, distance)
         if most.max() < capacity or len(postures) > MANY:
             return np.flatnonzero(most >= capacity)
     rows = max(1, CHUNK // max(1, searched.size))
@@ -81,7 +81,7 @@ def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
     return np.flatnonzero(near >= capacity)
 
 
-def neighbours(points: Array, distance: float) -> NDArray[np.intp]:
+def neighbors(points: Array, distance: float) -> NDArray[np.intp]:
     """(m,) number of other rows nearer than the distance in every column."""
     tree = _tree(points)
     if tree is None:

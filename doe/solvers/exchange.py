@@ -135,7 +135,7 @@ class GridBatch(Batch):
         starts = np.arange(len(self.running))
         old = self.jacobians[self.running, run]
         without = self.information[self.running] - information_of_each(old) / self.total
-        postures = self.neighbours(self.plans[self.running, run])
+        postures = self.neighbors(self.plans[self.running, run])
         jacobians = self.problem.scaled_jacobians(postures)
         offered = np.concatenate([old[:, None], jacobians], axis=1) / np.sqrt(self.total)
         values = values_after_adding(self.criterion, without, offered)
@@ -160,7 +160,7 @@ class GridBatch(Batch):
                 allowed &= np.abs(offered - other[:, None]).max(axis=-1) >= self.distance
         return allowed
 
-    def neighbours(self, postures: Array) -> Array:
+    def neighbors(self, postures: Array) -> Array:
         """(s, c, n) postures that differ from those given (s, n) in one joint, on the grid."""
         levels = self.grid.shape[1]
         joints = self.problem.searched_joints

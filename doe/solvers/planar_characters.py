@@ -2,12 +2,12 @@
 
 Number the b runs of such a plan by the elements of a group Z_2^t x Z_(b / 2^t), and write z_j in C^b for the column of
 exp(i theta_j). The planar theorem (doe/README.md) says when the bound is attained: every new column, less
-its projection on its neighbour, is orthogonal to all columns so far. Going from any link to the left or to the right,
+its projection on its neighbor, is orthogonal to all columns so far. Going from any link to the left or to the right,
 
 - *wide* joint (range pi or more): the new column itself is orthogonal. It is tried as a character times any earlier
   column, and taken where the angles it asks of the joint fit into the range; their common phase stays free.
 - *narrow* joint: always at one of its limits, exp(i q_j) = exp(i middle) (cos h + i s sin h), 2 h the range, with the
-  signs s a character of order two such that s times the neighbour is orthogonal.
+  signs s a character of order two such that s times the neighbor is orthogonal.
 
 A phase of a wide joint changes no |H_jk| and leaves H_jk = 0 across that joint. So plans of any sizes and phases can
 be put together: the mean of their matrices H is optimal again.
@@ -94,27 +94,27 @@ class Construction:
 
     def _next(self, columns: Columns, joint: int, *, to_right: bool) -> Columns | None:
         """The column beyond a joint, whose angles are noted."""
-        neighbour = columns[:, -1 if to_right else 0]
+        neighbor = columns[:, -1 if to_right else 0]
         if self.widths[joint] < np.pi - ROUNDING:
-            return self._two_levels(columns, neighbour, joint, to_right=to_right)
+            return self._two_levels(columns, neighbor, joint, to_right=to_right)
         offered = (self._characters()[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
         for k in self._orthogonal(columns, offered):
             new = offered[:, k]
-            angles, needed = arc(np.angle(new / neighbour if to_right else neighbour / new))
+            angles, needed = arc(np.angle(new / neighbor if to_right else neighbor / new))
             if needed <= self.widths[joint] + ROUNDING:
                 self.angles[:, joint] = angles
                 self.free_phase[joint] = max(self.widths[joint] - needed, 0.0)
                 return np.asarray(new)
         return None
 
-    def _two_levels(self, columns: Columns, neighbour: Columns, joint: int, *, to_right: bool) -> Columns | None:
+    def _two_levels(self, columns: Columns, neighbor: Columns, joint: int, *, to_right: bool) -> Columns | None:
         signs = self._signs()
-        found = self._orthogonal(columns, signs * neighbour[:, None])
+        found = self._orthogonal(columns, signs * neighbor[:, None])
         if not len(found):
             return None
         sign, half = signs[:, found[0]], self.widths[joint] / 2.0
         self.angles[:, joint] = np.where((sign > 0) == to_right, self.widths[joint], 0.0)
-        return np.asarray(neighbour * np.exp(1j * half * sign))
+        return np.asarray(neighbor * np.exp(1j * half * sign))
 
     def _orthogonal(self, columns: Columns, offered: Columns) -> NDArray[np.intp]:
         """Offered columns that are orthogonal to all so far, in random order."""

@@ -140,12 +140,12 @@ class Composition:
             some = list(islice(self._character_plans(size), PATTERNS))
             if some:
                 found[size] = some
-            if found and makes(list(found), self.runs)[self.runs]:
+            if found and reachable_sums(list(found), self.runs)[self.runs]:
                 return found
         return {}
 
 
-def makes(sizes: list[int], runs: int) -> list[bool]:
+def reachable_sums(sizes: list[int], runs: int) -> list[bool]:
     """(runs + 1) True for numbers that are sums of these sizes."""
     made = [True] + [False] * runs
     for total in range(1, runs + 1):
@@ -155,7 +155,7 @@ def makes(sizes: list[int], runs: int) -> list[bool]:
 
 def composed(sizes: list[int], runs: int, generator: np.random.Generator) -> list[int]:
     """Random sizes that add up to the number of runs, which they can make."""
-    made, chosen, left = makes(sizes, runs), [], runs
+    made, chosen, left = reachable_sums(sizes, runs), [], runs
     while left:
         fitting = [size for size in sizes if size <= left and made[left - size]]
         chosen.append(fitting[generator.integers(len(fitting))])

@@ -190,7 +190,7 @@ def select(search: HypothesisSearch, draws: int, generator: np.random.Generator)
     shorter = backward(search, chosen)
     if len(shorter) < len(chosen):
         chosen, tested = shorter, search.tested(shorter, draws, generator)
-    return Selection(chosen, neighbours(search, chosen), first, tested)
+    return Selection(chosen, neighbors(search, chosen), first, tested)
 
 
 def pair(search: HypothesisSearch, tested: HypothesisTest, generator: np.random.Generator) -> Choice | None:
@@ -260,7 +260,7 @@ def backward(search: HypothesisSearch, chosen: Choice) -> Choice:
     return chosen
 
 
-def neighbours(search: HypothesisSearch, chosen: Choice) -> tuple[tuple[Choice, float], ...]:
+def neighbors(search: HypothesisSearch, chosen: Choice) -> tuple[tuple[Choice, float], ...]:
     """Sets of the same length within `WINDOW` of the best BIC, one per set of names, best first."""
     if not chosen:
         return ()

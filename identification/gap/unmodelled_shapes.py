@@ -1,6 +1,6 @@
 """General shapes that no effect of the library has, by place: what an unknown effect may look like.
 
-An unknown effect at a joint is some function of that joint (or of its neighbours), acting through the joint's lever
+An unknown effect at a joint is some function of that joint (or of its neighbors), acting through the joint's lever
 arm; one in time is a step, a bend or a wave of the base; one in the workspace is a smooth warp or a local dent of the
 measured positions. Each shape has few columns; a place is said to hold an unknown effect when the best of its shapes
 explains what is left, after correction for all shapes of all places.

@@ -28,7 +28,7 @@ def test_three_answers_agree() -> None:
     assert found.continuous.value == pytest.approx(EXPECTED, abs=1e-8)
     assert found.exact.value == pytest.approx(EXPECTED, abs=1e-7)
     assert len(found.rows()) == 4
-    assert found.cut == ""
+    assert found.truncation_note == ""
 
 
 def test_a_long_search_is_cut_and_says_so() -> None:

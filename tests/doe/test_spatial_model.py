@@ -457,8 +457,8 @@ def test_the_postures_that_settle_between_two_models() -> None:
         return settled(rows, 0) + settled(rows, 1)
 
     chosen = tuple(t_optimal(rivals, 2))
-    neighbours = [(row, chosen[1]) for row in range(12)] + [(chosen[0], row) for row in range(12)]
-    assert merit(chosen) >= 0.98 * max(merit(rows) for rows in neighbours)
+    neighbors = [(row, chosen[1]) for row in range(12)] + [(chosen[0], row) for row in range(12)]
+    assert merit(chosen) >= 0.98 * max(merit(rows) for rows in neighbors)
     assert merit(chosen) > np.median([merit(rows) for rows in combinations(range(12), 2)])
 
 

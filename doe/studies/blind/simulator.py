@@ -144,7 +144,7 @@ def angle_error(truth: Truth, run: Session, name: str, j: int | None, v: dict) -
         out[:, j - 1] = v["h"] * np.exp(-0.5 * (np.angle(np.exp(1j * (q - v["at"]))) / v["width"]) ** 2)
     elif name == "cubic":
         out[:, j - 1] = v["c"] * q**3
-    elif name == "cable_pull":  # a cable along the arm pulls joint j harder the more joint j and its neighbour wind it
+    elif name == "cable_pull":  # a cable along the arm pulls joint j harder the more joint j and its neighbor wind it
         other = run.q[:, j] if j < truth.n else run.q[:, j - 2]
         out[:, j - 1] = v["c"] * q * other
     return out

@@ -191,7 +191,7 @@ def test_sampling_first_gives_the_same_answer() -> None:
 
 
 @pytest.mark.parametrize("name", ["A", "I", "Ds", "E"])
-def test_other_criteria_have_no_better_neighbour(name: str) -> None:
+def test_other_criteria_have_no_better_neighbor(name: str) -> None:
     """Directional derivatives of Phi towards every candidate are <= 0, by differences of Phi itself."""
     generator = np.random.default_rng(2)
     base = problem(FOUR)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from doe.design import Design
-from doe.discrimination.design import DiscriminationDesign, beginnings, discrimination_design
+from doe.discrimination.design import DiscriminationDesign, discrimination_design, initial_plans
 from doe.discrimination.effect_library import effect_library
 from doe.discrimination.swaps import Swaps, extended_problem, improving_swaps
 from doe.problem.constraints import InsideBox
@@ -280,14 +280,14 @@ def test_under_limits_a_second_beginning_away_from_the_corners() -> None:
     problem = DesignProblem.of(Model(arm))
     wide, best = extended_problem(problem, effect_library(arm)), solve(problem, 20, seconds=5.0)
     allowed = -8.0 * np.log(0.9)
-    starts = [plan for plan, _ in beginnings(wide, best, allowed, np.random.default_rng(0), Budget(1))]
+    starts = [plan for plan, _ in initial_plans(wide, best, allowed, np.random.default_rng(0), Budget(1))]
     assert len(starts) == 2
     assert log_det(starts[1]) >= log_det(best.plan.postures) - 0.75 * allowed - 1e-9
     inside = [np.mean(np.abs(np.degrees(plan)) < 60.0) for plan in (best.plan.postures, starts[1])]
     assert inside[1] > inside[0] + 0.1
     free = Arm(LENGTHS, sigma=0.1)
     plan = solve(DesignProblem.of(Model(free)), 20)
-    several = beginnings(
+    several = initial_plans(
         extended_problem(DesignProblem.of(Model(free)), effect_library(free)),
         plan,
         allowed,

@@ -229,7 +229,7 @@ def test_the_seed_moves_the_data_and_nothing_else_does() -> None:
     assert blind.hide({**key, "seed": 1}, np.random.SeedSequence(1)) != one
 
 
-def test_designed_plans_are_shared_by_neighbouring_sets() -> None:
+def test_designed_plans_are_shared_by_neighboring_sets() -> None:
     cell = "one, lambda 6, discriminating plan"
     arm, runs = cells.to_be_planned(cell, 0)
     postures = np.random.default_rng(1).uniform(arm.lower, arm.upper, (runs, arm.links))
