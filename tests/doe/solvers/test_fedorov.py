@@ -55,7 +55,7 @@ def test_choices_outside_the_limits_are_not_chosen() -> None:
 def test_bad_input() -> None:
     with pytest.raises(InputError, match="ipopt cannot choose from a list"):
         solve(problem(FOUR, choices=LIST), 6, "ipopt")
-    with pytest.raises(InputError, match="none is given"):
+    with pytest.raises(InputError, match="found none, allowed: with --candidates"):
         solve(problem(FOUR), 6, Fedorov())
     with pytest.raises(InputError, match=r"allowed: \(N, 4\)"):
         solve(problem(FOUR, choices=LIST[:, :3]), 6)
