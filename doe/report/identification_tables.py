@@ -19,7 +19,7 @@ def identification_tables(found: Identification) -> list[Any]:
     """Everything about a fit, the summary first."""
     data = found.to_json()
     summary = [
-        ("method", f"{data['method']}: {found.status.value}"),
+        ("method", f"{data['method']}: {found.outcome}"),
         ("RMS", f"{number(data['rms_before_mm'])} -> {number(data['rms_after_mm'])} mm"),
         ("largest", f"{number(data['max_before_mm'])} -> {number(data['max_after_mm'])} mm"),
         ("sigma", f"{number(data['sigma_mm'], 5)} mm per axis, {data['dof']} degrees of freedom"),

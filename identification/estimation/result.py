@@ -175,6 +175,12 @@ class Identification:
             for p, *figures in rows
         ]
 
+    @property
+    def outcome(self) -> str:
+        """How the fit ended, in a sentence."""
+        closed = self.method == "linear" and self.status is Status.converged
+        return "Closed form, the exact global minimum." if closed else self.status.value
+
     def __str__(self) -> str:
         lines = [f"{'parameter':<32} {'value':>12} {'std':>10} {'95 % low':>12} {'95 % high':>12}  unit"]
         for row in self._rows():
@@ -188,8 +194,7 @@ class Identification:
         lines.append(f"sigma {sigma}, {self.dof} degrees of freedom{chi2}")
         lines.append(f"RMS {self.rms_before:.4g} -> {self.rms_after:.4g} mm")
         lines.append(f"max {self.max_before:.4g} -> {self.max_after:.4g} mm")
-        closed = self.method == "linear" and self.status is Status.converged
-        lines.append(f"{self.method}: {'Closed form, the exact global minimum.' if closed else self.status.value}")
+        lines.append(f"{self.method}: {self.outcome}")
         return "\n".join(lines)
 
     __repr__ = __str__
