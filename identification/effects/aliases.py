@@ -18,7 +18,7 @@ class MeasurementScale(Effect):
     alias = "a common factor of all link lengths"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("s", "1", scale=self.reach),)
+        return (self.parameter("s", "1", scale=self.reach, typical=5e-5),)
 
     def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX:
         return values[0] * position
@@ -33,7 +33,7 @@ class ToolOffset(Effect):
     alias = "the length and the joint offset of the last link"
 
     def define(self) -> tuple[Parameter, ...]:
-        return tuple(self.parameter(short, "mm", scale=1.0) for short in ("x", "y"))
+        return tuple(self.parameter(short, "mm", scale=1.0, typical=1.0) for short in ("x", "y"))
 
     def tool(self, chain: Chain, values: ca.SX) -> ca.SX:
         return values
@@ -48,7 +48,7 @@ class BaseRotation(Effect):
     alias = "the offset of joint 1"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("angle", "rad", scale=float(self.lengths[0])),)
+        return (self.parameter("angle", "rad", scale=float(self.lengths[0]), typical=1e-3),)
 
     def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX:
         return values[0]

@@ -69,9 +69,18 @@ class Effect:
         settings = ";".join(f"{name}={value}" for name, value in self.chosen.items())
         return EffectSpec(self.name, self.joint).key + (f"[{settings}]" if settings else "")
 
-    def parameter(self, short: str, unit: str, *, scale: float, lower: float = -inf, upper: float = inf) -> Parameter:
-        """A parameter of this effect, with its full name."""
-        return Parameter(f"{self.key}.{short}", unit, lower, upper, scale, joint=self.joint)
+    def parameter(
+        self,
+        short: str,
+        unit: str,
+        *,
+        scale: float,
+        lower: float = -inf,
+        upper: float = inf,
+        typical: float | None = None,
+    ) -> Parameter:
+        """A parameter of this effect, with its full name; `typical` and the rest as of `Parameter`."""
+        return Parameter(f"{self.key}.{short}", unit, lower, upper, scale, joint=self.joint, typical=typical)
 
     @property
     def link_length(self) -> float:

@@ -17,7 +17,7 @@ class AxesSkew(Effect):
     family = "axes_skew"
 
     def define(self) -> tuple[Parameter, ...]:
-        return tuple(self.parameter(short, "1", scale=self.reach) for short in ("a", "b"))
+        return tuple(self.parameter(short, "1", scale=self.reach, typical=5e-5) for short in ("a", "b"))
 
     def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX:
         x, y = position[0], position[1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import MappingProxyType
+from typing import ClassVar
 
 import casadi as ca
 
@@ -29,7 +30,7 @@ class JointCompliance(Effect):
         return tuple(self._compliance(f"c{j}", length) for j, length in enumerate(self.lengths, start=1))
 
     def _compliance(self, short: str, length: float) -> Parameter:
-        return self.parameter(short, "rad/(N m)", scale=float(length) * NOMINAL_TORQUE, lower=0.0)
+        return self.parameter(short, "rad/(N m)", scale=float(length) * NOMINAL_TORQUE, lower=0.0, typical=1e-5)
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
         if self.joint is None:
@@ -41,9 +42,10 @@ class _Harmonic(Effect):
     """a cos(k q_j) + b sin(k q_j) at one joint."""
 
     per_joint = "required"
+    typical: ClassVar[float]  # of a and b [rad]
 
     def define(self) -> tuple[Parameter, ...]:
-        return tuple(self.parameter(short, "rad", scale=self.link_length) for short in ("a", "b"))
+        return tuple(self.parameter(short, "rad", scale=self.link_length, typical=self.typical) for short in ("a", "b"))
 
     def order(self) -> int:
         """k, periods per turn."""
@@ -61,6 +63,7 @@ class EncoderEccentricity(_Harmonic):
     name = "encoder_eccentricity"
     summary = "encoder disc off centre, once per turn"
     family = "encoder_eccentricity"
+    typical = 5e-4
 
     def order(self) -> int:
         return 1
@@ -73,6 +76,7 @@ class EncoderSecondHarmonic(_Harmonic):
     name = "encoder_second_harmonic"
     summary = "encoder disc tilted or oval, twice per turn"
     family = "encoder_second_harmonic"
+    typical = 2e-4
 
     def order(self) -> int:
         return 2
@@ -85,6 +89,7 @@ class TransmissionRipple(_Harmonic):
     name = "transmission_ripple"
     summary = "gear ripple, k times per turn"
     family = "transmission_ripple"
+    typical = 1e-4
     settings = MappingProxyType({"k": (3, 64)})
 
     def order(self) -> int:
@@ -101,7 +106,7 @@ class GearRatio(Effect):
     family = "gear_ratio"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("e", "1", scale=self.link_length),)
+        return (self.parameter("e", "1", scale=self.link_length, typical=1e-4),)
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
         return self.at_joint(values[0] * chain.q[self.joint_index], chain)
@@ -118,7 +123,7 @@ class JointCoupling(Effect):
     family = "joint_coupling"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("c", "1", scale=self.link_length),)
+        return (self.parameter("c", "1", scale=self.link_length, typical=1e-4),)
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
         return self.at_joint(values[0] * chain.q[self.joint_index - 1], chain)
@@ -135,7 +140,7 @@ class Backlash(Effect):
     family = "backlash"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("b", "rad", scale=self.link_length),)
+        return (self.parameter("b", "rad", scale=self.link_length, typical=1.5e-4),)
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
         return self.at_joint(values[0] * chain.directions[self.joint_index], chain)
@@ -152,7 +157,7 @@ class GravityBacklash(Effect):
     family = "gravity"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("b", "rad", scale=self.link_length, lower=0.0),)
+        return (self.parameter("b", "rad", scale=self.link_length, lower=0.0, typical=1.5e-4),)
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
         return self.at_joint(values[0] * ca.sign(chain.torques[self.joint_index]), chain)

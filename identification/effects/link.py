@@ -25,7 +25,7 @@ class LinkBending(Effect):
     def define(self) -> tuple[Parameter, ...]:
         # one unit of 1/(EI) under some 100 N at the end of links of some length: L^3 / 3 [m^3] * 100 N * 1000 mm/m
         scale = float(sum((length / 1000.0) ** 3 for length in self.lengths)) / 3.0 * 1e5
-        return (self.parameter("flexibility", "1/(N m^2)", scale=scale, lower=0.0),)
+        return (self.parameter("flexibility", "1/(N m^2)", scale=scale, lower=0.0, typical=1e-5),)
 
     def bending(self, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
         deflections, slopes = [], []
@@ -56,7 +56,7 @@ class ThermalGrowth(Effect):
     family = "thermal_growth"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("a", "1/K", scale=self.reach),)
+        return (self.parameter("a", "1/K", scale=self.reach, typical=2e-5),)
 
     def extensions(self, chain: Chain, values: ca.SX, lengths: ca.SX) -> ca.SX:
         return lengths * values[0] * chain.temperature

@@ -18,7 +18,7 @@ class BaseOffset(Effect):
     family = "base_offset"
 
     def define(self) -> tuple[Parameter, ...]:
-        return tuple(self.parameter(short, "mm", scale=1.0) for short in ("x0", "y0"))
+        return tuple(self.parameter(short, "mm", scale=1.0, typical=1.0) for short in ("x0", "y0"))
 
     def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
         return values
@@ -34,7 +34,7 @@ class BaseDrift(Effect):
     family = "base_drift"
 
     def define(self) -> tuple[Parameter, ...]:
-        return tuple(self.parameter(short, "mm/session", scale=1.0) for short in ("vx", "vy"))
+        return tuple(self.parameter(short, "mm/session", scale=1.0, typical=0.05) for short in ("vx", "vy"))
 
     def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
         return values * chain.time
@@ -50,7 +50,7 @@ class BaseRotationDrift(Effect):
     family = "base_rotation_drift"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("w", "rad/session", scale=self.reach),)
+        return (self.parameter("w", "rad/session", scale=self.reach, typical=5e-5),)
 
     def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX:
         return values[0] * chain.time

@@ -49,7 +49,7 @@ class JointNoise(NoiseEffect):
     family = "joint_noise"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("std", "rad", scale=self.link_length, lower=0.0),)
+        return (self.parameter("std", "rad", scale=self.link_length, lower=0.0, typical=5e-5),)
 
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
         angles = values.get("std", 0.0) * generator.standard_normal(len(errors))
@@ -65,7 +65,7 @@ class ReachNoise(NoiseEffect):
     family = "reach_noise"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("g", "1", scale=1.0, lower=0.0),)
+        return (self.parameter("g", "1", scale=1.0, lower=0.0, typical=1.0),)
 
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
         share = np.linalg.norm(scene.positions, axis=1) / self.reach
@@ -81,7 +81,7 @@ class TimeNoise(NoiseEffect):
     family = "time_noise"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("g", "1", scale=1.0),)
+        return (self.parameter("g", "1", scale=1.0, typical=0.5),)
 
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
         return errors * np.exp(values.get("g", 0.0) * scene.time)[:, None]
@@ -97,8 +97,8 @@ class Outliers(NoiseEffect):
 
     def define(self) -> tuple[Parameter, ...]:
         return (
-            self.parameter("share", "1", scale=1.0, lower=0.0, upper=1.0),
-            self.parameter("size", "1", scale=1.0, lower=0.0),
+            self.parameter("share", "1", scale=1.0, lower=0.0, upper=1.0, typical=0.02),
+            self.parameter("size", "1", scale=1.0, lower=0.0, typical=10.0),
         )
 
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
@@ -119,7 +119,7 @@ class SerialCorrelation(NoiseEffect):
     family = "serial_correlation"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("rho", "1", scale=1.0, lower=-0.99, upper=0.99),)
+        return (self.parameter("rho", "1", scale=1.0, lower=-0.99, upper=0.99, typical=0.5),)
 
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
         rho = values.get("rho", 0.0)

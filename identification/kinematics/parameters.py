@@ -44,6 +44,8 @@ class Parameter:
     scale : length [mm] that one unit moves the tip by, in order of magnitude; criteria that are not invariant to units
         divide by it (lengths 1, angles of joint j the best known length of link j)
     kind : `length_error`, `joint_offset` or `effect`;  joint : from 1, None: of the whole arm
+    typical : standard deviation over arms as they are built, from catalogues (identification/README.md, "Typical
+        sizes"), API unit; None: not known
     """
 
     name: str
@@ -53,6 +55,7 @@ class Parameter:
     scale: float = 1.0
     kind: str = EFFECT
     joint: int | None = None
+    typical: float | None = None
 
     @property
     def short(self) -> str:
@@ -114,6 +117,11 @@ class ParameterSet:
     def scales(self) -> Array:
         """(p,) length per unit [mm/unit]."""
         return readonly([p.scale for p in self.items])
+
+    @cached_property
+    def typical(self) -> Array:
+        """(p,) typical standard deviations, infinite where none is known."""
+        return readonly([inf if p.typical is None else p.typical for p in self.items])
 
     @cached_property
     def lower(self) -> Array:
