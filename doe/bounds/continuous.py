@@ -104,18 +104,19 @@ class ContinuousSet:
         Starts are `near` (j, n) and the best of the landmarks; with a generator, a search as thorough as is affordable:
         the best of many fresh random postures, and others whatever their value, for a high maximum may be narrow.
         """
-        if generator is None:
-            values = self.sensitivities(self.starts, gradient)
-            top = self.starts[np.argsort(-values)[:CLIMBERS]]
-        else:
-            fresh = self.random(generator, THOROUGH)
-            values = self.sensitivities(fresh, gradient)
-            top = np.concatenate([fresh[np.argsort(-values)[: 4 * CLIMBERS]], fresh[: 4 * CLIMBERS]])
-        postures = self.climb(np.concatenate([near, top]), gradient)
+        postures = self.climb(np.concatenate([near, self._promising(gradient, generator)]), gradient)
         values = self.sensitivities(postures, gradient)
         order = np.argsort(-values)
         order = order[distinct(self.problem.comparable(postures[order]))]
         return postures[order], values[order]
+
+    def _promising(self, gradient: Array, generator: np.random.Generator | None) -> Array:
+        if generator is None:
+            values = self.sensitivities(self.starts, gradient)
+            return self.starts[np.argsort(-values)[:CLIMBERS]]
+        fresh = self.random(generator, THOROUGH)
+        values = self.sensitivities(fresh, gradient)
+        return np.concatenate([fresh[np.argsort(-values)[: 4 * CLIMBERS]], fresh[: 4 * CLIMBERS]])
 
     def climb(self, postures: Array, gradient: Array) -> Array:
         """Every posture moved uphill to a local maximum, within limits and constraints."""

@@ -155,13 +155,11 @@ class _Dispatcher:
 
     def _collect(self, future: Future[Any], key: Key) -> Key | None:
         """Stores a finished task; returns its key if its worker died and it is to be tried again."""
-        text = canonical(key)
         if future.cancelled():
             return key
         error = future.exception()
         if isinstance(error, BrokenExecutor):
-            self.deaths[text] = self.deaths.get(text, 0) + 1
-            if self.deaths[text] <= TRIES:
+            if self._may_try_again(canonical(key)):
                 return key
             error = RuntimeError("the worker process died each time it ran this task")
         # an error here is the executor's own: a dask worker killed several times over, rows that cannot travel
@@ -171,6 +169,10 @@ class _Dispatcher:
         self.failed += rows[0]["status"] != "done"
         self._report()
         return None
+
+    def _may_try_again(self, text: str) -> bool:
+        self.deaths[text] = self.deaths.get(text, 0) + 1
+        return self.deaths[text] <= TRIES
 
     def _report(self) -> None:
         self.progress(self.done, self.total, f"{self.failed} failed" if self.failed else "")

@@ -101,17 +101,20 @@ def separated(problem: DesignProblem, postures: Array) -> Array:
     crowded = too_near(problem, plan)
     for row in crowded if len(crowded) * len(plan) <= CHUNK else ():
         others = np.vstack([np.delete(plan, row, axis=0), problem.kept])
-        places = around(problem, plan[row])
-        distances = gaps(searched_part(problem, places), searched_part(problem, others))
-        near = distances < problem.minimum_distance / ROUNDING
-        places = places[near.sum(axis=1) < replicates_allowed(problem)]
-        places = places[problem.feasible(places)] if len(places) else places
-        if len(places):
+        if len(places := _free_places(problem, plan[row], others)):
             information = information_matrix(problem.scaled_jacobians(others)) / len(others)
             jacobians = problem.scaled_jacobians(places) / np.sqrt(len(others))
             values = values_after_adding(surrogate(problem.criterion), information[None], jacobians[None])[0]
             plan[row] = places[np.argmax(values)]
     return plan
+
+
+def _free_places(problem: DesignProblem, posture: Array, others: Array) -> Array:
+    """Feasible places around a posture (n,) that have room for one more beside the `others` (j, n)."""
+    places = around(problem, posture)
+    near = gaps(searched_part(problem, places), searched_part(problem, others)) < problem.minimum_distance / ROUNDING
+    places = places[near.sum(axis=1) < replicates_allowed(problem)]
+    return places[problem.feasible(places)] if len(places) else places
 
 
 def around(problem: DesignProblem, posture: Array) -> Array:

@@ -66,19 +66,21 @@ def climb(problem: DesignProblem, postures: Array, generator: np.random.Generato
     miss = shortfall(problem, postures)
     best = postures[np.argsort(miss)[:64]]
     miss = np.sort(miss)[:64]
-    width = problem.upper - problem.lower
     for k in range(CLIMBS):
-        steps = generator.standard_normal((16, *best.shape)) * width * 0.2 * 0.85**k
-        trials = problem.clip(best + steps)
-        values = shortfall(problem, trials.reshape(-1, problem.joints)).reshape(16, -1)
-        pick = np.argmin(values, axis=0)
-        better = values.min(axis=0) < miss
-        best[better] = trials[pick, np.arange(len(best))][better]
-        miss = np.minimum(miss, values.min(axis=0))
+        _step(problem, best, miss, generator.standard_normal((16, *best.shape)) * 0.2 * 0.85**k)
     feasible = best[problem.feasible(best)]
     if not len(feasible):
         raise infeasible(tuple(problem.constraints), np.concatenate([postures, best]))
     return feasible
+
+
+def _step(problem: DesignProblem, best: Array, miss: Array, steps: Array) -> None:
+    """Moves each posture (j, n) of `best` by the step (s, j, n), in widths of the limits, that helps most, in place."""
+    trials = problem.clip(best + steps * (problem.upper - problem.lower))
+    values = shortfall(problem, trials.reshape(-1, problem.joints)).reshape(len(steps), -1)
+    better = values.min(axis=0) < miss
+    best[better] = trials[np.argmin(values, axis=0), np.arange(len(best))][better]
+    miss[better] = values.min(axis=0)[better]
 
 
 def vary(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.text import Text
 
@@ -20,18 +21,22 @@ def advice_figure(advice: Advice) -> Figure:
     known = all(accuracy is not None for accuracy in accuracies)
     figure = Figure(figsize=(10.0, 3.6) if known else (6.0, 3.6), layout="constrained")
     axes = figure.subplots(1, 2 if known else 1, squeeze=False)[0]
-    good = set(advice.efficient_runs())
-    efficiencies = [design.efficiency or float("nan") for design in advice.designs]
-    axes[0].plot(advice.runs, efficiencies, color=AFTER, lw=1)
-    colors = [AFTER if m in good else "white" for m in advice.runs]
-    axes[0].scatter(advice.runs, efficiencies, c=colors, edgecolors=AFTER, s=30, zorder=3)
-    axes[0].set(xlabel="runs m", ylabel="D-efficiency", title="filled: within 0.1 % of the bound")
+    _draw_efficiencies(axes[0], advice)
     if known:
         axes[1].plot(advice.runs, accuracies, "o-", color=AFTER, ms=4, lw=1)
         if advice.target is not None:
             axes[1].axhline(advice.target, color=BEFORE, ls="--", lw=1)
         axes[1].set(xlabel="runs m", ylabel="largest std of a length [mm]", ylim=(0, None))
     return figure
+
+
+def _draw_efficiencies(axes: Axes, advice: Advice) -> None:
+    good = set(advice.efficient_runs())
+    efficiencies = [design.efficiency or float("nan") for design in advice.designs]
+    axes.plot(advice.runs, efficiencies, color=AFTER, lw=1)
+    colors = [AFTER if m in good else "white" for m in advice.runs]
+    axes.scatter(advice.runs, efficiencies, c=colors, edgecolors=AFTER, s=30, zorder=3)
+    axes.set(xlabel="runs m", ylabel="D-efficiency", title="filled: within 0.1 % of the bound")
 
 
 def advice_tables(advice: Advice) -> list[Any]:

@@ -78,6 +78,14 @@ def label(setting: Setting) -> str:
     return f"{solver}, {starts} start{'s' if starts > 1 else ''}"
 
 
+def _with_time_ratios(rows: pl.DataFrame) -> pl.DataFrame:
+    """The rows with `ratio`, their time over the fastest hit's of the instance; infinite where a run is no hit."""
+    time = pl.when("hit").then("seconds").otherwise(float("inf"))
+    rows = with_hits(rows).with_columns(time.alias("time"))
+    ratio = pl.col("time") / pl.col("time").min().over(*PROBLEM, "repeat")
+    return rows.with_columns(pl.when(pl.col("time").is_finite()).then(ratio).otherwise(float("inf")).alias("ratio"))
+
+
 def performance_profile(rows: pl.DataFrame) -> dict[Setting, Curve]:
     """Setting -> (tau, fraction): fraction of the instances that it solved within tau times the fastest setting's time.
 
@@ -85,12 +93,8 @@ def performance_profile(rows: pl.DataFrame) -> dict[Setting, Curve]:
     E. D. Dolan, J. J. More, Benchmarking optimization software with performance profiles, Math. Program. 91 (2002),
     equations 1 and 2.
     """
-    time = pl.when("hit").then("seconds").otherwise(float("inf"))
-    rows = with_hits(rows).with_columns(time.alias("time"))
-    ratio = pl.col("time") / pl.col("time").min().over(*PROBLEM, "repeat")
-    rows = rows.with_columns(pl.when(pl.col("time").is_finite()).then(ratio).otherwise(float("inf")).alias("ratio"))
     curves = {}
-    for part in rows.partition_by(*SETTING, maintain_order=True):
+    for part in _with_time_ratios(rows).partition_by(*SETTING, maintain_order=True):
         ratios = np.sort(part["ratio"].to_numpy())
         tau = np.unique(ratios[np.isfinite(ratios)])
         setting = part["solver"][0], part["starts"][0]

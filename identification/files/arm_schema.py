@@ -269,7 +269,15 @@ def check_covariance(matrix: Array, names: list[str]) -> None:
         k = int(np.argmax(variances < 0.0))
         raise InputError(f"calibration.covariance: found variance {variances[k]:g} of {names[k]}, allowed: >= 0")
     largest = np.outer(np.sqrt(variances), np.sqrt(variances))
+    _check_pairs(matrix, largest, names)
     scale = np.where(largest > 0.0, largest, 1.0)
+    if matrix.size and (least := float(np.linalg.eigvalsh(matrix / scale)[0])) < -ROUNDED * len(matrix):
+        found = f"a matrix of correlations with eigenvalue {least:.3g}"
+        raise InputError(f"calibration.covariance: found {found}, allowed: positive semidefinite")
+
+
+def _check_pairs(matrix: Array, largest: Array, names: list[str]) -> None:
+    """Correlations and symmetry;  largest : (p, p) covariances at a correlation of one."""
     beyond = np.abs(matrix) > (1.0 + ROUNDED) * largest
     uneven = np.abs(matrix - matrix.T) > ROUNDED * largest
     for wrong, allowed in ((beyond, "a correlation of -1 to 1"), (uneven, "a symmetric matrix")):
@@ -277,6 +285,3 @@ def check_covariance(matrix: Array, names: list[str]) -> None:
             i, j = (int(k) for k in np.argwhere(wrong)[0])
             found = f"{matrix[i, j]:g} and {matrix[j, i]:g} of {names[i]} and {names[j]}"
             raise InputError(f"calibration.covariance: found {found}, allowed: {allowed}")
-    if matrix.size and (least := float(np.linalg.eigvalsh(matrix / scale)[0])) < -ROUNDED * len(matrix):
-        found = f"a matrix of correlations with eigenvalue {least:.3g}"
-        raise InputError(f"calibration.covariance: found {found}, allowed: positive semidefinite")

@@ -127,13 +127,17 @@ def _header(path: PathLike, content: bytes) -> list[str]:
         if separator in first and "," not in first:
             raise InputError(f"{path}: columns are separated by {name}, allowed: commas (and points in the numbers)")
     header = [cell.strip() for cell in next(csv.reader([first]))]
+    _check_names(path, header)
+    return header
+
+
+def _check_names(path: PathLike, header: list[str]) -> None:
     for cell in header:
         if _is_number(cell):
             raise InputError(f"{path}: line 1 has the number {cell!r}, allowed: the names of the columns")
     for cell in filter(None, header):
         if header.count(cell) > 1:
             raise InputError(f"{path}: column {cell!r} is there {header.count(cell)} times, allowed: once")
-    return header
 
 
 def _is_number(cell: str) -> bool:
