@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.estimation.levenberg_marquardt import Index, LeastSquares
+from identification.estimation.prior import Prior
 from identification.information import RANK_TOLERANCE
 from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.measurements import Conditions, Measurements
@@ -26,6 +27,7 @@ class Problem:
     positions : (K, m, d) measured [mm]
     weights : (m,) of the rows, 1/sigma_i^2 where sigma is known
     tolerance : singular values below this share of the largest do not count; along them nothing is estimated
+    prior : of the parameters, r rows more;  noise : standard deviation of weighted residuals, 1 where sigma is known
     """
 
     model: Model
@@ -34,6 +36,8 @@ class Problem:
     positions: Array
     weights: Array
     tolerance: float = RANK_TOLERANCE
+    prior: Prior | None = None
+    noise: float = 1.0
 
     @classmethod
     def of(cls, model: Model, measurements: Measurements, weights: Array) -> Problem:
@@ -45,7 +49,7 @@ class Problem:
     def exact_form(self) -> PlanarClosedForm | None:
         """The model's closed form if that is the solution; None: there is none, or it is a start only."""
         form = self.model.closed_form
-        return form if form is not None and form.exact else None
+        return form if form is not None and form.exact and self.prior is None else None
 
     def rows(self, index: Index | NDArray[np.bool_] | slice) -> Problem:
         """The problem of some of the data sets."""
@@ -74,6 +78,12 @@ class Problem:
         """(K,) norms of the weighted residuals that rounding errors of coordinates of this size make."""
         return ROUNDING * np.sqrt(np.einsum("kmd,m->k", self.positions**2, self.weights))
 
+    @cached_property
+    def prior_rows(self) -> Array:
+        """(r, p) rows of the prior in the Jacobian, see `Prior.rows`."""
+        nothing = np.zeros((0, len(self.model.parameters)))
+        return nothing if self.prior is None else self.prior.rows(self.model.parameters, self.noise)
+
     @property
     def least_squares(self) -> LeastSquares:
         """What the solver sees."""
@@ -88,20 +98,24 @@ class Problem:
         return np.einsum("kmd,m->k", self.residuals(parameters) ** 2, self.weights)
 
     def linearize(self, parameters: Array, index: Index) -> tuple[Array, Array]:
-        """(k, m d) weighted residuals of the data sets numbered (k,) and the (k, m d, p) weighted Jacobian."""
+        """(k, m d + r) weighted residuals of the data sets numbered (k,) and the (k, m d + r, p) weighted Jacobian."""
         some = self if len(index) == len(self.positions) else self.rows(index)
         position, jacobian = self.model.linearize(some.postures, parameters, some.conditions)
         residuals = self.root_weights * (some.positions - position)
         jacobian = self.root_weights[:, :, None] * jacobian
         k, m, d, p = jacobian.shape
-        return residuals.reshape(k, m * d), jacobian.reshape(k, m * d, p)
+        residuals, jacobian = residuals.reshape(k, m * d), jacobian.reshape(k, m * d, p)
+        if len(rows := self.prior_rows) == 0:
+            return residuals, jacobian
+        more = np.broadcast_to(rows, (k, *rows.shape))
+        return np.concatenate([residuals, -parameters @ rows.T], axis=1), np.concatenate([jacobian, more], axis=1)
 
     def linearize_at(self, parameters: Array) -> tuple[Array, Array]:
-        """(m d,) weighted residuals of the first data set and the (m d, p) weighted Jacobian, at parameters (p,)."""
+        """(m d + r,) weighted residuals of the first data set and the (m d + r, p) Jacobian, at parameters (p,)."""
         residuals, jacobian = self.linearize(parameters[None], np.arange(1))
         return residuals[0], jacobian[0]
 
     def jacobian(self, parameters: Array) -> Array:
-        """(m d, p) weighted Jacobian of the plan that the data sets share, at parameters (p,)."""
+        """(m d, p) weighted Jacobian of the plan that the data sets share, at parameters (p,), without the prior."""
         jacobian = self.root_weights[:, :, None] * self.model.jacobian(self.postures, parameters, self.conditions)
         return jacobian.reshape(-1, jacobian.shape[-1])

@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.estimation.levenberg_marquardt import Index, levenberg_marquardt
 from identification.estimation.methods import starts
+from identification.estimation.prior import Prior, effective_count
 from identification.estimation.problem import Problem
 from identification.gap.whitening import Rows
 from identification.information import Spectrum, column_space, spectrum
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.status import Status
+
+# reasons: identification/README.md, "Constants"
+NOISE_STEPS, NOISE_STEADY = 50, 1e-4
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,7 @@ class Fit:
 
     values : (p,) parameters;  residual : (N,);  jacobian : (N, p);  free : (p,) no bound is active
     count : number of values estimated, fewer than p if some are tied to be equal
+    prior_rows : (r, p) of a prior, in units of the noise (see `Prior.rows`); None without one
     """
 
     model: Model
@@ -35,6 +40,7 @@ class Fit:
     free: NDArray[np.bool_]
     count: int
     status: Status
+    prior_rows: Array | None = None
 
     @property
     def squares(self) -> float:
@@ -51,15 +57,20 @@ class Fit:
         """Number of parameter combinations that the data determine."""
         return int(self.basis.shape[1])
 
+    @cached_property
+    def effective(self) -> float:
+        """Number of parameters that the data determine: the rank, less what a prior determines."""
+        return self.rank if self.prior_rows is None else effective_count(self.jacobian, self.prior_rows)
+
     @property
     def freedom(self) -> int:
         """Degrees of freedom left; directions that the data do not determine cost none."""
-        return len(self.residual) - self.rank
+        return len(self.residual) - round(self.effective)
 
     @property
     def sigma(self) -> float:
         """Scale of the noise [mm] estimated from the residuals."""
-        return float(np.sqrt(self.squares / max(self.freedom, 1)))
+        return float(np.sqrt(self.squares / max(len(self.residual) - self.effective, 1.0)))
 
     @property
     def by_name(self) -> dict[str, float]:
@@ -82,22 +93,57 @@ class Fit:
         return full
 
     def _spectrum(self, free: NDArray[np.bool_]) -> Spectrum:
-        return spectrum(self.jacobian[:, free], self.model.scales[free])
+        rows = self.jacobian if self.prior_rows is None else np.concatenate([self.jacobian, self.prior_rows])
+        return spectrum(rows[:, free], self.model.scales[free])
 
 
-def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None, ties: Sequence[Sequence[str]] = ()) -> Fit:
+def fit(
+    model: Model,
+    rows: Rows,
+    start: Mapping[str, float] | None = None,
+    ties: Sequence[Sequence[str]] = (),
+    prior: Prior | None = None,
+    noise: float | None = None,
+) -> Fit:
     """Least squares within the parameters' bounds.
 
     start : parameter name -> value, zero where missing; None: see `estimation.methods.starts`
     ties : groups of parameters that are equal
+    prior : of the parameters;  noise : scale of the whitened residuals [mm] that it is weighed against; None: estimated
+        as sum of squares over degrees of freedom, the maximum of the marginal likelihood (MacKay 1992)
     """
-    plain = Problem(model, rows.postures, rows.conditions, rows.positions[None], np.ones(len(rows)))
+    if prior is None or noise is not None:
+        return _fitted(model, rows, start, ties, prior, noise or 1.0)
+    found = _fitted(model, rows, start, ties, prior, float(np.std(rows.positions)))
+    for _ in range(NOISE_STEPS):
+        before = found.sigma
+        found = _fitted(model, rows, found.by_name, ties, prior, before)
+        if abs(found.sigma - before) <= NOISE_STEADY * before:
+            break
+    return found
+
+
+def _fitted(
+    model: Model,
+    rows: Rows,
+    start: Mapping[str, float] | None,
+    ties: Sequence[Sequence[str]],
+    prior: Prior | None,
+    noise: float,
+) -> Fit:
+    weights = np.ones(len(rows))
+    plain = Problem(model, rows.postures, rows.conditions, rows.positions[None], weights, prior=prior, noise=noise)
 
     def linearize(values: Array, _: Index) -> tuple[Array, Array]:
         position, jacobian = model.linearize(rows.postures, values[0], rows.conditions)
         return rows.whiten(rows.positions - position)[None], rows.whiten(jacobian)[None]
 
-    problem, spread = replace(plain.least_squares, linearize=linearize).tied(
+    def with_prior(values: Array, index: Index) -> tuple[Array, Array]:
+        residual, jacobian = linearize(values, index)
+        more = plain.prior_rows
+        return np.hstack([residual, -values @ more.T]), np.concatenate([jacobian, more[None]], axis=1)
+
+    problem, spread = replace(plain.least_squares, linearize=with_prior).tied(
         [[model.parameters.index(name) for name in group] for group in ties]
     )
     values = starts(plain)[0] if start is None else model.parameters.vector(start)
@@ -105,4 +151,5 @@ def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None, ties
     values = spread @ found.parameters[0]
     residual, jacobian = linearize(values[None], np.arange(1))
     free = spread @ ~found.active[0] > 0.0
-    return Fit(model, values, residual[0], jacobian[0], free, spread.shape[1], found.status[0])
+    prior_rows = None if prior is None else plain.prior_rows
+    return Fit(model, values, residual[0], jacobian[0], free, spread.shape[1], found.status[0], prior_rows)
