@@ -20,30 +20,28 @@ def candidate_sheet(diagnosis: Diagnosis) -> Sheet:
     """The ambiguity set, or what is named beside an unknown effect: F, adjusted p, Delta BIC, 95 % intervals."""
     rows = [
         [
-            " + ".join(c.effects),
+            c.title,
             f"{c.f:.1f}",
             f"{c.p_adjusted:.2g}",
             f"{c.delta_bic:.1f}",
-            ", ".join([*setting_texts(c), *(estimate_text(p, full=len(c.effects) > 1) for p in c.parameters)]),
+            estimates_text(c),
         ]
         for c in diagnosis.candidates or (diagnosis.named,)
     ]
     return Sheet(["effects", "F", "adjusted p", "Delta BIC", "estimates [95 %, sigma from residuals]"], rows)
 
 
-def setting_texts(candidate: Candidate) -> list[str]:
-    """`k = 12`: what was chosen and not estimated, where the name does not say it already."""
-    full = len(candidate.effects) > 1
-    named = zip(candidate.effects, candidate.specs, strict=True)
-    shown = ((f"{key}.{name}" if full else name, value) for key, spec in named for name, value in spec.values.items())
-    return [f"{name} = {value:g}" for name, value in shown if f"[{name.rpartition('.')[2]}=" not in name]
+def estimates_text(candidate: Candidate) -> str:
+    """`a = 0.061 [0.052, 0.071] deg, ...`; of several effects a line for each, with its label."""
+    several = len(candidate.effects) > 1
+    rows = ((label, ", ".join(map(estimate_text, found))) for label, found in candidate.estimates.items())
+    return "\n".join(f"{label}: {text}" if several else text for label, text in rows)
 
 
-def estimate_text(estimate: Estimate, full: bool = False) -> str:
-    """`a = 0.061 [0.052, 0.071] deg`; in `full` with the name of the effect."""
-    name = estimate.name if full else estimate.name.rpartition(".")[2]
+def estimate_text(estimate: Estimate) -> str:
+    """`a = 0.061 [0.052, 0.071] deg`."""
     unit = "" if estimate.unit == "1" else f" {estimate.unit}"
-    return f"{name} = {estimate.value:.4g} [{estimate.low_95:.4g}, {estimate.high_95:.4g}]{unit}"
+    return f"{estimate.short} = {estimate.value:.4g} [{estimate.low_95:.4g}, {estimate.high_95:.4g}]{unit}"
 
 
 def gap_sheet(diagnosis: Diagnosis) -> Sheet:

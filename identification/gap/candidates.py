@@ -29,10 +29,11 @@ def candidate(
     """A set of effects with its estimates;  delta : its BIC less the lowest."""
     found = search.fit(chosen)
     covariance = found.covariance(bounded=False)
-    effects = found.model.effects[len(found.model.effects) - len(chosen) :]  # their names depend on the others
+    added = len(found.model.effects) - len(chosen)  # the arm's own come first
+    effects, specs = found.model.effects[added:], found.model.arm.effects[-len(chosen) :] if chosen else ()
     return Candidate(
-        tuple(effect.key for effect in effects),
-        tuple(h.spec for h in chosen),
+        tuple(effect.label for effect in effects),
+        specs,
         tuple(sorted({h.family for h in chosen})),
         delta,
         *trial_of(search, chosen, draws, generator),
@@ -56,7 +57,7 @@ def trial_list(found: Findings) -> tuple[Trial, ...]:
     best: dict[str, Trial] = {}
     for k, h in enumerate(test.members):
         trial = Trial(
-            h.key,
+            h.label,
             float(test.omnibus_test.f[k]),
             float(test.omnibus_test.p[k]),
             float(test.omnibus_test.adjusted[k]),

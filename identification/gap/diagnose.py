@@ -95,9 +95,9 @@ def diagnosis_of(
     base, chosen = found.search.fit(()), found.unknown.chosen
     fitted = found.search.fit(chosen)
     candidates = candidate_list(found, draws, generator)
-    named = next((c for c in candidates if c.specs == tuple(h.spec for h in chosen)), None)
+    named = next((c for c in candidates if set(c.effects) == {h.label for h in chosen}), None)
     named = named or candidate(found.search, chosen, 0.0, draws, generator)
-    hidden = hidden_orders(found.search, dict(zip(named.effects, chosen, strict=True)))
+    hidden = hidden_orders(found.search, {h.label: h for h in chosen})
     detectable = assess_data(found)
     gap = confirm(base, fitted, measurements, ~found.outlier, holdout)
     return Diagnosis(

@@ -90,6 +90,14 @@ class HypothesisSet:
     aliases: Mapping[str, str]
 
     @cached_property
+    def _places(self) -> dict[str, int]:
+        return {h.label: k for k, h in enumerate(self.members)}
+
+    def place(self, hypothesis: Hypothesis) -> int:
+        """Place of a hypothesis among the members, the order in which effects stand in models, results and files."""
+        return self._places.get(hypothesis.label, len(self.members))
+
+    @cached_property
     def wide(self) -> Model:
         """The arm with its own effects and all unscanned hypotheses at once."""
         return Model(self.arm.with_effects(*self.arm.effects, *(h.spec for h in self.unscanned)))

@@ -10,7 +10,7 @@ from identification.arm import Arm
 from identification.gap.detectability import EXACT, NEAR, Detectability, likenesses
 from identification.gap.holdout import Gap
 from identification.gap.hypotheses import Hypothesis
-from identification.gap.result import Candidate, titled
+from identification.gap.result import Candidate
 from identification.gap.selection import HypothesisSearch
 from identification.gap.workflow import Findings
 from identification.measurements import Measurements
@@ -40,7 +40,7 @@ def hidden_orders(search: HypothesisSearch, named: Mapping[str, Hypothesis]) -> 
             if i != mine and other.spec.values and other.spec.joint == member.spec.joint:
                 likeness = likenesses(against, [mine, i])[0, 1]
                 if likeness >= NEAR:
-                    listed.append((name, titled(other.key, other.spec), float(likeness)))
+                    listed.append((name, other.label, float(likeness)))
     return tuple(sorted(listed, key=lambda row: -round(row[2], 4)))
 
 

@@ -25,15 +25,21 @@ class Estimate:
     low_95: float
     high_95: float
 
+    @property
+    def short(self) -> str:
+        """The name inside its effect: `a`."""
+        return self.name.rpartition(".")[2]
+
     def __str__(self) -> str:
-        return f"{self.name} = {self.value:.4g} +- {self.high_95 - self.value:.2g} {self.unit}"
+        return f"{self.short} = {self.value:.4g} +- {self.high_95 - self.value:.2g} {self.unit}"
 
 
 @dataclass(frozen=True)
 class Candidate:
     """A set of effects that explains the data about as well as the best.
 
-    effects : names;  specs : how they stand in an arm file (settings, no estimates)
+    effects : labels, `transmission_ripple:2[k=17]`;  specs : in the same order, as they stand in an arm file
+        (settings, no estimates)
     f, p_adjusted : F statistic and adjusted p-value of the member that enters last
     parameters : estimates of the effects' parameters;  calibration : everything estimated, with its covariance
     """
@@ -49,13 +55,26 @@ class Candidate:
 
     @property
     def title(self) -> str:
-        """The effects with the settings that were found: `transmission_ripple:2 (k = 18)`."""
-        return " + ".join(titled(key, spec) for key, spec in zip(self.effects, self.specs, strict=True))
+        """The effects with the settings that were found: `axes_skew + transmission_ripple:2[k=18]`."""
+        return " + ".join(self.effects)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """What and where, without the settings: `transmission_ripple:2`."""
+        return tuple(spec.key for spec in self.specs)
+
+    @property
+    def estimates(self) -> Mapping[str, tuple[Estimate, ...]]:
+        """Effect (its label) -> the estimates of its parameters."""
+        owners = [p.name.rpartition(".")[0] for p in self.parameters]
+        rows = list(zip(owners, self.parameters, strict=True))
+        return {
+            label: tuple(p for owner, p in rows if owner in (label, key))
+            for label, key in zip(self.effects, self.keys, strict=True)
+        }
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `candidates` (identification/files/README.md, "JSON keys")."""
-        named = zip(self.effects, self.specs, strict=True)
-        settings = {f"{key}.{name}": value for key, spec in named for name, value in spec.values.items()}
         return {
             "effects": list(self.effects),
             "classes": list(self.classes),
@@ -63,14 +82,15 @@ class Candidate:
             "f": self.f,
             "p_adjusted": self.p_adjusted,
             "parameters": [vars(p) for p in self.parameters],
-            "settings": settings,
+            "settings": self._settings(),
         }
 
-
-def titled(key: str, spec: EffectSpec) -> str:
-    """An effect with its settings, for people."""
-    settings = ", ".join(f"{name} = {value:g}" for name, value in spec.values.items())
-    return f"{key} ({settings})" if settings and "[" not in key else key
+    def _settings(self) -> dict[str, float]:
+        """`transmission_ripple:2.k` -> 17: the settings, named as the parameters of the same effect are."""
+        owners = {p.name.rpartition(".")[0] for p in self.parameters}
+        named = zip(self.effects, self.specs, strict=True)
+        prefixes = [(label if label in owners else spec.key, spec) for label, spec in named]
+        return {f"{prefix}.{name}": value for prefix, spec in prefixes for name, value in spec.values.items()}
 
 
 @dataclass(frozen=True)
@@ -193,7 +213,8 @@ class Diagnosis:
             if not c.effects:
                 continue
             figures = f"F = {c.f:.1f}, p = {c.p_adjusted:.2g}, Delta BIC = {c.delta_bic:.1f}"
-            lines.append(f"  {c.title}: {figures}; {'; '.join(str(p) for p in c.parameters)}")
+            lines.append(f"  {c.title}: {figures}")
+            lines += [f"    {label}: {', '.join(map(str, found))}" for label, found in c.estimates.items()]
         lines += [f"  scatter: {f}" for f in self.scatter]
         if self.outlier_rows:
             lines.append(f"  left out as outliers: rows {', '.join(map(str, self.outlier_rows))}")

@@ -66,7 +66,8 @@ class HypothesisSearch:
         key = frozenset(h.label for h in chosen)
         if key not in self.fits:
             arm = self.hypotheses.arm
-            model = Model(arm.with_effects(*arm.effects, *(h.spec for h in chosen)))
+            ordered = sorted(chosen, key=self.hypotheses.place)
+            model = Model(arm.with_effects(*arm.effects, *(h.spec for h in ordered)))
             start = model.parameters.mapping(model.values) | self.fit(()).by_name if chosen else None
             ties = [[p.name for p in h.effect.parameters] for h in chosen if h.tied]
             self.fits[key] = fit(model, self.rows, start, ties)

@@ -140,8 +140,8 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[f
 def _said(found: Diagnosis) -> Row:
     return {
         "verdict": found.verdict,
-        "named": sorted(found.effects),
-        "candidates": [" + ".join(sorted(candidate.effects)) for candidate in found.candidates],
+        "named": sorted(found.named.keys),
+        "candidates": [" + ".join(sorted(candidate.keys)) for candidate in found.candidates],
         "where": found.where,
         "outlier_rows": list(found.outlier_rows),
         "scatter": [finding.name for finding in found.scatter],
@@ -157,7 +157,11 @@ def _measured_further(data: DataSet, found: Diagnosis, number: int, draws: int) 
             longer, chance = _appended(data, found, runs, how == "random", payloads, number)
             again = diagnose(data.arm, longer, seed=number, draws=draws)
             name = f"{how}_{runs}"
-            row |= {f"{name}_verdict": again.verdict, f"{name}_named": sorted(again.effects), f"{name}_chance": chance}
+            row |= {
+                f"{name}_verdict": again.verdict,
+                f"{name}_named": sorted(again.named.keys),
+                f"{name}_chance": chance,
+            }
     return row
 
 

@@ -6,7 +6,7 @@ from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 
-from doe.report.gap_page import estimate_text, setting_texts
+from doe.report.gap_page import estimate_text, estimates_text
 from doe.report.next_postures import missing_payload
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.gap.result import Candidate, Estimate
@@ -15,25 +15,37 @@ from identification.measurements import Measurements
 NOTHING = Calibration.of(np.zeros(2), np.zeros(2), MappingProxyType({}), (), np.zeros((0, 0)), MappingProxyType({}))
 
 
-def candidate(*named: tuple[str, EffectSpec]) -> Candidate:
-    keys, specs = zip(*named, strict=True)
-    return Candidate(keys, specs, keys, 0.0, 10.0, 0.001, (), NOTHING)
+RIPPLE = "transmission_ripple:2"
 
 
-def test_the_number_of_periods_is_shown_once() -> None:
+def candidate(named: dict[str, EffectSpec], *parameters: str) -> Candidate:
+    estimates = tuple(Estimate(name, "deg", 0.03, 0.01, 0.01, 0.05) for name in parameters)
+    return Candidate(tuple(named), tuple(named.values()), (), 0.0, 10.0, 0.001, estimates, NOTHING)
+
+
+def test_the_number_of_periods_is_part_of_the_name_of_the_effect() -> None:
     six, seven = (EffectSpec("transmission_ripple", 2, MappingProxyType({"k": k})) for k in (6.0, 7.0))
-    slope = ("gear_ratio:1", EffectSpec("gear_ratio", 1))
-    assert setting_texts(candidate(("transmission_ripple:2", six))) == ["k = 6"]
-    assert setting_texts(candidate(("transmission_ripple:2", six), slope)) == ["transmission_ripple:2.k = 6"]
-    two = candidate(("transmission_ripple:2[k=6]", six), ("transmission_ripple:2[k=7]", seven))
-    assert setting_texts(two) == []
-    assert setting_texts(candidate(slope)) == []
+    play, figures = {"backlash:1": EffectSpec("backlash", 1)}, "0.03 [0.01, 0.05] deg"
+
+    one = candidate({f"{RIPPLE}[k=6]": six}, f"{RIPPLE}.a")
+    assert (one.title, one.keys) == (f"{RIPPLE}[k=6]", (RIPPLE,))
+    assert one.to_json()["settings"] == {f"{RIPPLE}.k": 6.0}
+    assert estimates_text(one) == f"a = {figures}"
+
+    beside = candidate(play | {f"{RIPPLE}[k=6]": six}, "backlash:1.b", f"{RIPPLE}.a")
+    assert beside.title == f"backlash:1 + {RIPPLE}[k=6]"
+    assert estimates_text(beside) == f"backlash:1: b = {figures}\n{RIPPLE}[k=6]: a = {figures}"
+
+    # two at one joint: parameters and settings carry the label, too
+    two = candidate({f"{RIPPLE}[k=6]": six, f"{RIPPLE}[k=7]": seven}, f"{RIPPLE}[k=6].a", f"{RIPPLE}[k=7].a")
+    assert two.to_json()["settings"] == {f"{RIPPLE}[k=6].k": 6.0, f"{RIPPLE}[k=7].k": 7.0}
+    assert estimates_text(two) == f"{RIPPLE}[k=6]: a = {figures}\n{RIPPLE}[k=7]: a = {figures}"
 
 
 def test_estimates_say_their_unit_unless_it_is_one() -> None:
     angle = Estimate("backlash:3.b", "deg", 0.03, 0.01, 0.01, 0.05)
     assert estimate_text(angle) == "b = 0.03 [0.01, 0.05] deg"
-    assert estimate_text(angle, full=True) == "backlash:3.b = 0.03 [0.01, 0.05] deg"
+    assert str(angle) == "b = 0.03 +- 0.02 deg"
     assert estimate_text(Estimate("gear_ratio:1.e", "1", 0.5, 0.1, 0.3, 0.7)) == "e = 0.5 [0.3, 0.7]"
 
 

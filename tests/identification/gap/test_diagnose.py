@@ -60,7 +60,8 @@ CLEAR = [
 def test_names_a_clear_effect_and_the_extended_arm_has_nothing_missing(name: str) -> None:
     found = diagnosed(name)
     joint = None if name in hidden_effects.LIBRARY_WHOLE else 2
-    assert found.effects == (name if joint is None else f"{name}:2",)
+    settings = "[k=45]" if name == "transmission_ripple" else ""  # as drawn in `measured`
+    assert found.effects == (name if joint is None else f"{name}:2{settings}",)
     assert found.gap.rms_after < found.gap.rms_before
     again = diagnose(found.extended_arm(), measured(name), draws=399)
     assert again.verdict == "none"
@@ -91,11 +92,13 @@ def test_two_ripples_of_one_joint_are_named_beside_a_third() -> None:
     found = diagnose(ARM, rippled(), draws=399)
     ripple = "transmission_ripple"
     assert found.verdict == "named"
-    assert set(found.effects) == {f"{ripple}:1", f"{ripple}:2[k=20]", f"{ripple}:2[k=29]"}
+    assert set(found.effects) == {f"{ripple}:1[k=12]", f"{ripple}:2[k=20]", f"{ripple}:2[k=29]"}
     truth = {f"{ripple}:2[k=20].a": 9e-4, f"{ripple}:2[k=29].b": -8e-4, f"{ripple}:1.a": 4e-4, f"{ripple}:1.b": 4e-4}
     for estimate in found.named.parameters:
         assert abs(estimate.value - np.degrees(truth.get(estimate.name, 0.0))) < 4.0 * estimate.std
     said = found.to_json()["candidates"][0]
+    assert [f"{spec.key}[k={spec.values['k']:g}]" for spec in found.named.specs] == list(found.effects)  # same order
+    assert found.extended_arm().effects == found.named.specs
     assert said["settings"] == {f"{ripple}:1.k": 12.0, f"{ripple}:2[k=20].k": 20.0, f"{ripple}:2[k=29].k": 29.0}
     assert diagnose(found.extended_arm(), rippled(), draws=399).verdict == "none"
 
@@ -413,9 +416,9 @@ def test_on_a_grid_the_ripples_that_an_effect_imitates_are_told() -> None:
     found = diagnose(ARM, simulator.measure(truth, run, rng, "white"), draws=399)
     assert found.effects == ("encoder_eccentricity:2",)
     like = {other: alike for own, other, alike in found.aliases if own == "encoder_eccentricity:2"}
-    assert like["transmission_ripple:2 (k = 35)"] == pytest.approx(1.0)
-    assert like["transmission_ripple:2 (k = 37)"] == pytest.approx(1.0)
-    assert any("cannot be distinguished from transmission_ripple:2 (k = 35)" in note for note in found.notes)
+    assert like["transmission_ripple:2[k=35]"] == pytest.approx(1.0)
+    assert like["transmission_ripple:2[k=37]"] == pytest.approx(1.0)
+    assert any("cannot be distinguished from transmission_ripple:2[k=35]" in note for note in found.notes)
     assert not any("cannot be distinguished from" in note for note in diagnosed("encoder_eccentricity").notes)
 
 
