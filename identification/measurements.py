@@ -52,6 +52,12 @@ def rms_distance(residuals: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
 
 
+def joint_range(postures: Array) -> list[list[float]]:
+    """Smallest and largest angle of each joint [deg] of postures (m, n) [rad]."""
+    limits = np.degrees([np.min(postures, axis=0), np.max(postures, axis=0)]).T
+    return [[float(f"{angle:.9g}") for angle in pair] for pair in limits]
+
+
 def session_time(order: Array) -> Array:
     """`order` or time stamps scaled to -0.5..0.5 (identification/README.md, "Effects"); 0 if all are equal."""
     low, high = float(np.min(order)), float(np.max(order))
@@ -98,11 +104,21 @@ def _numbers(name: str, values: Any) -> Array:
         raise InputError(f"measurements.{name}: not an array of numbers, allowed: real numbers") from None
 
 
-def _check_values(name: str, array: Array, good: NDArray[np.bool_], allowed: str) -> None:
+def _names(name: str, values: Any, m: int) -> NDArray[np.str_]:
+    """(m,) read-only texts; raises `InputError` for another shape or an empty one."""
+    array = np.array(values, dtype=np.str_)
+    if array.shape != (m,):
+        raise InputError(f"measurements.{name}: shape {array.shape} for {m} postures, allowed: ({m},)")
+    _check_values(name, array, array != "", "a name")
+    array.setflags(write=False)
+    return array
+
+
+def _check_values(name: str, array: NDArray[Any], good: NDArray[np.bool_], allowed: str) -> None:
     """Raises `InputError` naming the first row that is not good."""
     if not good.all():
         row = int(np.argmin(np.all(good.reshape(len(good), -1), axis=1)))
-        raise InputError(f"measurements.{name}: row {row + 1} has {array[row].tolist()}, allowed: {allowed}")
+        raise InputError(f"measurements.{name}: row {row + 1} has {array[row].tolist()!r}, allowed: {allowed}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +130,7 @@ class Measurements(ByValue):
     order : (m,) order or time stamps; rows in order if the file has none
     sigma : (m,) standard deviation per row and axis [mm], None: not given per row
     repeats : (m,) equal numbers mark repeats of one posture, None: not given
+    session : (m,) name of the session of each row, between which the arm or the instrument was set up anew; None: one
 
     Raises `InputError` for no rows, other shapes (nothing is broadcast), and values that no measurement can have.
     """
@@ -126,6 +143,7 @@ class Measurements(ByValue):
     directions: Array | None = None
     sigma: Array | None = None
     repeats: NDArray[np.int64] | None = None
+    session: NDArray[np.str_] | None = None
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
@@ -152,6 +170,8 @@ class Measurements(ByValue):
         if self.repeats is not None:
             object.__setattr__(self, "repeats", self.repeats.astype(np.int64))
             self.repeats.setflags(write=False)
+        if self.session is not None:
+            object.__setattr__(self, "session", _names("session", self.session, m))
 
     def __len__(self) -> int:
         return len(self.postures)
@@ -168,16 +188,46 @@ class Measurements(ByValue):
 
     @property
     def given(self) -> frozenset[str]:
-        """Names of the optional columns the data has: payload, temperature, directions, order, sigma, repeats."""
-        return frozenset(name for name in _OPTIONAL if getattr(self, name) is not None)
+        """Names of the optional columns the data has: those of order, sigma and so on, and session."""
+        return frozenset(name for name in (*_OPTIONAL, "session") if getattr(self, name) is not None)
+
+    @property
+    def sessions(self) -> tuple[str, ...]:
+        """Names of the sessions in the order of their first rows; empty if the data do not name them."""
+        return () if self.session is None else tuple(dict.fromkeys(self.session.tolist()))
+
+    @property
+    def session_rows(self) -> tuple[NDArray[np.int64], ...]:
+        """Row numbers of every session; of all rows where the data name none."""
+        if self.session is None:
+            return (np.arange(len(self)),)
+        return tuple(np.flatnonzero(self.session == name) for name in self.sessions)
+
+    @property
+    def sequence(self) -> NDArray[np.int64]:
+        """(m,) row numbers in the order of measurement, one session after another."""
+        order = np.arange(len(self), dtype=float) if self.order is None else self.order
+        return np.concatenate([rows[np.argsort(order[rows], kind="stable")] for rows in self.session_rows])
 
     @property
     def conditions(self) -> Conditions:
-        """Conditions for the model: time and directions follow from the order where they are not given."""
+        """Conditions for the model: time and directions follow, in each session, from the order where not given."""
         order = np.arange(len(self), dtype=float) if self.order is None else self.order
-        directions = directions_from_order(self.postures, self.order) if self.directions is None else self.directions
+        directions = np.empty_like(self.postures) if self.directions is None else self.directions
+        time = np.empty(len(self))
+        for rows in self.session_rows:
+            time[rows] = session_time(order[rows])
+            if self.directions is None:
+                directions[rows] = directions_from_order(self.postures[rows], order[rows])
         temperature = None if self.temperature is None else self.temperature - np.mean(self.temperature)
-        return Conditions(self.payload, temperature, session_time(order), directions)
+        return Conditions(self.payload, temperature, time, directions)
+
+    @property
+    def origin(self) -> dict[str, Any]:
+        """What a calibration keeps of its data: file and hash, number of rows, range of each joint [deg], mean
+        temperature [deg C]."""
+        kept = {**self.provenance, "rows": len(self), "joint_range_deg": joint_range(self.postures)}
+        return kept if self.temperature is None else {**kept, "mean_temperature_C": float(np.mean(self.temperature))}
 
     def rows(self, index: Any) -> Self:
         """Some of the rows (any numpy index), as a session of their own.
@@ -185,4 +235,5 @@ class Measurements(ByValue):
         Directions stay what they were among all rows; session time and the mean temperature are those of the subset.
         """
         frozen = replace(self, directions=self.conditions.directions)
-        return replace(frozen, **{n: getattr(frozen, n)[index] for n in _VALUES if getattr(frozen, n) is not None})
+        columns = [name for name in (*_VALUES, "session") if getattr(frozen, name) is not None]
+        return replace(frozen, **{name: getattr(frozen, name)[index] for name in columns})

@@ -22,6 +22,7 @@ from doe.cli import (
     score,
     simulate,
     study,
+    validate,
 )
 from doe.cli.common import no_output
 from identification.errors import nearest
@@ -82,6 +83,20 @@ def main() -> None:
     """
 
 
-VERBS = (demo, design, score, advise, compare, relax, study, simulate, identify, diagnose, discriminate, compensate)
+VERBS = (
+    demo,
+    design,
+    score,
+    advise,
+    compare,
+    relax,
+    study,
+    simulate,
+    identify,
+    diagnose,
+    discriminate,
+    validate,
+    compensate,
+)
 for module in VERBS:
     main.add_command(module.command)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -166,5 +167,5 @@ def _result(
         method=method,
         status=Status.not_identifiable if found.combinations else solution.status[0],
         iterations=int(solution.iterations[0]),
-        provenance=data.provenance,
+        provenance=MappingProxyType(data.origin),
     )

@@ -22,7 +22,7 @@ from identification.files.io import PathLike, decode, read_bytes
 FINITE = "a finite number"
 # columns that mean something by themselves: none of them is a misspelling of another
 KNOWN = re.compile(
-    r"q\d+_(deg|rad)|direction\d+|(x|y|sigma)_mm?|order|time_s|temperature_C|payload_kg|posture|run|weight"
+    r"q\d+_(deg|rad)|direction\d+|(x|y|sigma)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
 )
 Test = Callable[[Array], NDArray[np.bool_]]
 
@@ -88,6 +88,15 @@ class Table:
             found = "an empty cell" if text[row] is None else repr(text[row])
             raise InputError(f"{self.place(row, column)}: found {found}, allowed: {allowed}")
         return values
+
+    def texts(self, column: str) -> NDArray[np.str_]:
+        """(m,) the column as texts, spaces around them cut off. Raises `InputError` naming the first empty row."""
+        self.require([column])
+        text = self.frame[column].str.strip_chars().fill_null("")
+        empty = (text == "").to_numpy()
+        if empty.any():
+            raise InputError(f"{self.place(int(np.argmax(empty)), column)}: found an empty cell, allowed: a name")
+        return np.array(text.to_list(), dtype=np.str_)
 
 
 def _numbers(text: pl.Series) -> Array:

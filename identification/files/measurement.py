@@ -20,7 +20,7 @@ from identification.measurements import Measurements
 
 _JOINT = re.compile(r"q([1-9]\d*)_(deg|rad)")
 _DIRECTION = re.compile(r"direction([1-9]\d*)")
-_OPTIONAL = ("order", "time_s", "temperature_C", "payload_kg", "posture", "sigma_mm")
+_OPTIONAL = ("order", "time_s", "temperature_C", "payload_kg", "posture", "session", "sigma_mm")
 _OF_PLANS = ("run",)  # a plan with the positions added is a measurement file
 _WHOLE = 2.0**53  # above it a float cannot count
 
@@ -41,6 +41,7 @@ def load_measurements(path: PathLike, links: int | None = None) -> Measurements:
         **read_conditions(table, n),
         sigma=_sigma(table),
         repeats=_repeats(table),
+        session=table.texts("session") if "session" in table else None,
         provenance=MappingProxyType({"file": table.file_name, "sha256": table.sha256}),
     )
     lengths = [f"{name}_{unit}" for name in ("x", "y", "sigma") for unit in ("mm", "m")]
@@ -62,6 +63,7 @@ def measurement_text(measurements: Measurements) -> str:
         "payload_kg": measurements.payload,
         **{f"direction{j}": column for j, column in enumerate(directions, start=1)},
         "posture": measurements.repeats,
+        "session": measurements.session,
         "sigma_mm": measurements.sigma,
     }
     return csv_text(columns | {name: values for name, values in optional.items() if values is not None})
@@ -117,7 +119,10 @@ def csv_text(columns: dict[str, NDArray[np.generic]]) -> str:
     for name, values in columns.items():
         counts = name == "order" or _DIRECTION.fullmatch(name)
         small = counts and bool(np.all(np.abs(values) < _WHOLE))
-        series.append(pl.Series(name, values.astype(np.int64) if small else np.ascontiguousarray(values)))
+        if values.dtype.kind == "U":
+            series.append(pl.Series(name, values.tolist()))
+        else:
+            series.append(pl.Series(name, values.astype(np.int64) if small else np.ascontiguousarray(values)))
     return pl.DataFrame(series).write_csv()
 
 

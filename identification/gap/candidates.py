@@ -13,6 +13,7 @@ from identification.gap.fit import Fit
 from identification.gap.result import Candidate, Estimate, Trial
 from identification.gap.selection import Choice, HypothesisSearch, trial_of
 from identification.gap.workflow import Findings
+from identification.measurements import joint_range
 
 
 def candidate_list(found: Findings, draws: int, generator: np.random.Generator) -> tuple[Candidate, ...]:
@@ -31,6 +32,7 @@ def candidate(
     covariance = found.covariance(bounded=False)
     added = len(found.model.effects) - len(chosen)  # the arm's own come first
     effects, specs = found.model.effects[added:], found.model.arm.effects[-len(chosen) :] if chosen else ()
+    origin = {"source": "armcal diagnose", "joint_range_deg": joint_range(search.rows.postures)}
     return Candidate(
         tuple(effect.label for effect in effects),
         specs,
@@ -38,7 +40,7 @@ def candidate(
         delta,
         *trial_of(search, chosen, draws, generator),
         estimates(found, covariance, {p.name for effect in effects for p in effect.parameters}),
-        Calibration(found.by_name, found.model.names, covariance, MappingProxyType({"source": "armcal diagnose"})),
+        Calibration(found.by_name, found.model.names, covariance, MappingProxyType(origin)),
     )
 
 

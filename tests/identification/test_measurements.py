@@ -70,6 +70,8 @@ def changed(values: np.ndarray, row: int, value: float) -> np.ndarray:
         ({"directions": np.ones(20)}, "measurements.directions: shape (20,) for 20 postures of 4 joints, allowed: (20"),
         ({"directions": changed(np.ones((20, 4)), 4, 0.0)}, "measurements.directions: row 5 has [0.0, 0.0, 0.0, 0.0]"),
         ({"sigma": np.zeros(20)}, "measurements.sigma: row 1 has 0.0, allowed: numbers > 0 [mm]"),
+        ({"session": ["a"] * 19}, "measurements.session: shape (19,) for 20 postures, allowed: (20,)"),
+        ({"session": ["a", ""] * 10}, "measurements.session: row 2 has '', allowed: a name"),
         ({"repeats": np.full(20, 0.5)}, "measurements.repeats: row 1 has 0.5, allowed: whole numbers"),
     ],
 )
@@ -91,3 +93,32 @@ def test_lists_are_measurements_too_and_nothing_can_be_written_to() -> None:
     for name in ("postures", "positions", "sigma", "directions", "repeats"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(measured, name)[0] = 1
+
+
+def test_each_session_has_its_own_time_and_directions() -> None:
+    """Rows of two sessions in any order, the order counted anew in each, give what each session gives alone."""
+    generator = np.random.default_rng(11)
+    q, session = generator.normal(size=(12, 3)), np.array(["b", "a", "a", "b"] * 3)
+    order = np.empty(12)
+    for name in "ab":
+        order[session == name] = generator.permutation(6)
+    data = Measurements(q, np.ones((12, 2)), order, session=session)
+    assert data.sessions == ("b", "a")
+    for name, rows in zip(data.sessions, data.session_rows, strict=True):
+        alone = Measurements(q[session == name], np.ones((6, 2)), order[session == name])
+        np.testing.assert_array_equal(data.conditions.time[rows], alone.conditions.time)
+        np.testing.assert_array_equal(data.conditions.directions[rows], alone.conditions.directions)
+        assert data.rows(rows).sessions == (name,)
+    assert data.session[data.sequence].tolist() == ["b"] * 6 + ["a"] * 6
+    np.testing.assert_array_equal(order[data.sequence], [*range(6), *range(6)])
+
+
+def test_origin_says_where_a_calibration_may_be_used() -> None:
+    q = np.radians([[10.0, -20.0], [-30.0, 40.0]])
+    data = Measurements(q, np.ones((2, 2)), temperature=[20.0, 23.0], provenance={"file": "a.csv"})
+    assert data.origin == {
+        "file": "a.csv",
+        "rows": 2,
+        "joint_range_deg": [[-30.0, 10.0], [-20.0, 40.0]],
+        "mean_temperature_C": 21.5,
+    }

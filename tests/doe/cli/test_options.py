@@ -89,6 +89,7 @@ def test_verbs_that_write_files_are_all_there() -> None:
         "diagnose",
         "discriminate",
         "compensate",
+        "validate",
     }
 
 

@@ -51,6 +51,7 @@ def test_optional_columns(tmp_path: Path) -> None:
         direction2=(-1, "+1"),
         direction1=(1, -1.0),
         posture=(7, 7),
+        session=("monday", " 2 "),
         sigma_mm=(0.1, 0.2),
         run=(1, 2),
     )
@@ -62,6 +63,9 @@ def test_optional_columns(tmp_path: Path) -> None:
     assert data.repeats.tolist() == [7, 7]
     assert data.repeats.dtype == np.int64
     assert data.sigma.tolist() == [0.1, 0.2]
+    assert data.session.tolist() == ["monday", "2"]
+    (tmp_path / "again.csv").write_text(measurement_text(data))
+    assert load_measurements(tmp_path / "again.csv").session.tolist() == ["monday", "2"]
 
 
 def test_radians_and_metres_are_converted(tmp_path: Path) -> None:
@@ -103,6 +107,7 @@ BAD = [
     (PLAIN.replace("-3", "nan"), ["row 2 (line 3), column x_mm", "found 'nan'", "allowed: a finite length"]),
     (PLAIN.replace("-60", "left"), ["row 1 (line 2), column q2_deg", "found 'left'", "allowed: a finite angle"]),
     (PLAIN.replace("2.5", ""), ["row 1 (line 2), column y_mm", "an empty cell", "allowed"]),
+    (with_columns(session=("monday", " ")), ["row 2 (line 3), column session", "an empty cell", "allowed: a name"]),
     (with_columns(payload_kg=(0, -1)), ["row 2 (line 3), column payload_kg", "found '-1'", "allowed: a number >= 0"]),
     (with_columns(sigma_mm=(0.1, 0)), ["row 2 (line 3), column sigma_mm", "found '0'", "allowed: a number > 0"]),
     (with_columns(temperature_C=("x", 0)), ["row 1 (line 2), column temperature_C", "found 'x'", "allowed"]),

@@ -1,0 +1,45 @@
+"""`armcal validate`: how well a calibrated model predicts other measurements."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import click
+
+from doe.cli.common import Answer, Session, read_measurements, verb
+from doe.cli.options import FILE, Output, output_options
+
+REFITS = ("base", "offsets", "none")
+
+
+@verb(
+    "armcal validate calibrated.toml other_session.csv --picture transfer.png",
+    "How well a calibrated model predicts other measurements.",
+)
+@click.argument("model", type=FILE)
+@click.argument("data", type=FILE)
+@click.option(
+    "--refit",
+    type=click.Choice(REFITS),
+    default="base",
+    show_default=True,
+    help="What is fitted to DATA: where the base stands, that and all joint offsets, or nothing.",
+)
+@output_options(picture="Draw residuals against time and over the workspace (PNG, SVG, PDF).")
+def command(session: Session, model: Path, data: Path, refit: str, output: Output) -> Answer:
+    """Compare the calibrated MODEL (an arm file with [calibration]) with other measurements DATA.
+
+    All that was identified stays as it is; the drawing, refitted in the same way, stands beside it. A session column
+    in DATA has the base refitted in each session.
+    """
+    from doe.report.validation import validation_figure, validation_tables
+    from identification.files.arm import load_arm
+    from identification.validate import validate
+
+    arm = load_arm(model)
+    found = validate(arm, read_measurements(data, arm), refit)
+    output.draw(lambda: validation_figure(found))
+    for note in found.notes:
+        warnings.warn(f"{data}: {note}", UserWarning, stacklevel=1)
+    return Answer(found.to_json(), validation_tables(found))

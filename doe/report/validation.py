@@ -1,0 +1,61 @@
+"""What a calibrated model leaves of other measurements: tables for a terminal, and a picture."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from doe.report.gap_figures import MANY, binned_rms
+from doe.report.pictures import AFTER, BEFORE, draw_residual_arrows
+from doe.report.terminal import number, table
+from identification.validate import Figures, Validation
+
+REFITTED = {
+    "base": "position and rotation of the base refitted",
+    "offsets": "joint offsets and position of the base refitted",
+    "none": "nothing refitted",
+}
+
+
+def validation_tables(found: Validation) -> list[Any]:
+    """Drawing and model over all rows, then block by block."""
+    sessions = f" in each of {len(found.refitted)} sessions" if len(found.refitted) > 1 else ""
+    summary = f"{len(found.residuals)} rows, {REFITTED[found.refit]}{sessions}; everything else as in the file"
+    figures_of = ("RMS", "mean", "95 % below", "largest")
+    rows = ((name, *_cells(figures)) for name, figures in (("drawing", found.nominal), ("model", found.model)))
+    shown: list[Any] = [summary, table(("", *figures_of), rows, "Distances in mm", left=("",))]
+    if blocks := found.blocks:
+        lines = (
+            [block.kind, block.name, str(block.rows), number(block.nominal.rms), *_cells(block.model)]
+            for block in blocks
+        )
+        headings = ("block", "which", "rows", "RMS drawing", *figures_of)
+        shown.append(table(headings, lines, "Block by block, in mm", left=("block", "which")))
+    return shown
+
+
+def _cells(figures: Figures) -> list[str]:
+    return [number(value) for value in vars(figures).values()]
+
+
+def validation_figure(found: Validation) -> Figure:
+    """Distances of drawing and model in the order of measurement, and their residuals over the workspace."""
+    figure = Figure(figsize=(10.0, 7.4), layout="constrained")
+    top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.0, 1.7]))
+    pairs = ((found.nominal_residuals, BEFORE, "drawing"), (found.residuals, AFTER, "model"))
+    axis, row = top.subplots(), np.arange(1.0, len(found.residuals) + 1.0)
+    sequence = found.measurements.sequence
+    for residuals, color, name in pairs:
+        distance = np.linalg.norm(residuals[sequence], axis=1)
+        style = {"ms": 3, "alpha": 0.5} if len(distance) <= MANY else {"ms": 1, "alpha": 0.2, "rasterized": True}
+        axis.plot(row, distance, ".", color=color, **style)
+        axis.plot(*binned_rms(row, distance), color=color, lw=1.8, label=name)
+    axis.set(xlabel="measurement, in order", ylabel="distance [mm]", ylim=(0, None))
+    axis.legend(frameon=False, fontsize=8)
+    largest = max(float(np.linalg.norm(residuals, axis=1).max()) for residuals, _, _ in pairs) or 1.0
+    scale = 0.12 * float(found.arm.lengths.sum()) / largest
+    for axis, (residuals, color, name) in zip(bottom.subplots(1, 2, sharex=True, sharey=True), pairs, strict=True):
+        draw_residual_arrows(axis, found.measurements.positions, residuals, color, name, scale)
+    return figure

@@ -1,0 +1,313 @@
+"""Validation: how well a calibrated model predicts other measurements, with nothing refitted but where the arm stands.
+
+Everything that was identified stays as it is; the drawing, refitted in the same way, is what it is compared with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arm import Arm, EffectSpec
+from identification.arrays import Array, readonly
+from identification.errors import InputError, nearest
+from identification.estimation.levenberg_marquardt import levenberg_marquardt
+from identification.estimation.problem import Problem
+from identification.information import spectrum
+from identification.kinematics.parameters import JOINT_OFFSET
+from identification.measurements import Conditions, Measurements
+from identification.model import Model
+
+BASE = ("base_offset.x0", "base_offset.y0", f"{JOINT_OFFSET}:1")  # position and rotation of the base
+REFITS = ("base", "offsets", "none")
+QUARTERS = 4  # blocks of time; the quadrants of the workspace are as many
+FEWEST = 3 * QUARTERS  # rows from which blocks are formed
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Of the distances between model and measurement [mm], over rows."""
+
+    rms: float
+    mean: float
+    p95: float
+    max: float
+
+    @classmethod
+    def of(cls, distances: Array) -> Figures:
+        """Of (m,) distances; `p95` is their 95th percentile."""
+        rms, p95 = np.sqrt(np.mean(distances**2)), np.percentile(distances, 95.0)
+        return cls(float(rms), float(np.mean(distances)), float(p95), float(np.max(distances)))
+
+    def to_json(self) -> dict[str, float]:
+        """`rms_mm, mean_mm, p95_mm, max_mm`."""
+        return {f"{name}_mm": value for name, value in vars(self).items()}
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some of the rows: a session, a quarter of the time, a quadrant of the workspace, or the postures inside or
+    outside the range of angles that the model was identified on.
+
+    kind : `session`, `time`, `workspace` or `range`;  nominal : the drawing, refitted in the same way
+    """
+
+    kind: str
+    name: str
+    rows: int
+    model: Figures
+    nominal: Figures
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `blocks` (identification/files/README.md, "JSON keys")."""
+        figures = self.model.to_json() | {"rms_nominal_mm": self.nominal.rms}
+        return {"kind": self.kind, "name": self.name, "rows": self.rows, **figures}
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """What a calibrated model leaves of other measurements, beside the drawing.
+
+    refit : what was refitted, `base`, `offsets` or `none`, in each session anew
+    refitted : for each session the refitted parameters, name -> value [API unit]
+    residuals, nominal_residuals : (m, d) measured less computed [mm], by the model and by the drawing
+    """
+
+    arm: Arm
+    measurements: Measurements
+    refit: str
+    refitted: tuple[Mapping[str, float], ...]
+    residuals: Array
+    nominal_residuals: Array
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("residuals", "nominal_residuals"):
+            object.__setattr__(self, name, readonly(getattr(self, name)))
+
+    @property
+    def model(self) -> Figures:
+        """Of the calibrated model, over all rows."""
+        return Figures.of(np.linalg.norm(self.residuals, axis=1))
+
+    @property
+    def nominal(self) -> Figures:
+        """Of the drawing, refitted in the same way, over all rows."""
+        return Figures.of(np.linalg.norm(self.nominal_residuals, axis=1))
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """The rows by session, time, workspace, and range of the identification."""
+        return tuple(self._block(*group) for group in _groups(self.arm, self.measurements))
+
+    def _block(self, kind: str, name: str, rows: NDArray[np.int64]) -> Block:
+        figures = (Figures.of(np.linalg.norm(r[rows], axis=1)) for r in (self.residuals, self.nominal_residuals))
+        return Block(kind, name, len(rows), *figures)
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of `validate` (identification/files/README.md, "JSON keys")."""
+        return {
+            "rows": len(self.residuals),
+            "refit": self.refit,
+            **self.model.to_json(),
+            **{f"{name}_nominal_mm": value for name, value in vars(self.nominal).items()},
+            "blocks": [block.to_json() for block in self.blocks],
+            "refitted": self._refitted_parameters(),
+            "notes": list(self.notes),
+        }
+
+    def _refitted_parameters(self) -> list[dict[str, Any]]:
+        """One entry for each session and parameter, in file units."""
+        parameters = {p.name: p for p in Model(standing(self.arm)).all_parameters}
+        sessions = self.measurements.sessions or (None,)
+        return [
+            {
+                "session": session,
+                "name": name,
+                "unit": parameters[name].file_unit,
+                "value": v * parameters[name].to_file,
+            }
+            for session, values in zip(sessions, self.refitted, strict=True)
+            for name, v in values.items()
+        ]
+
+    def __str__(self) -> str:
+        refit = "nothing refitted" if self.refit == "none" else f"{self.refit} refitted"
+        lines = [f"{len(self.residuals)} rows, {refit}; distances [mm]:"]
+        lines.append(f"  {'':<10} {'RMS':>8} {'mean':>8} {'95 %':>8} {'maximum':>8}")
+        for name, figures in (("drawing", self.nominal), ("model", self.model)):
+            lines.append(f"  {name:<10} " + " ".join(f"{value:8.4f}" for value in vars(figures).values()))
+        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(str(self))}</pre>"
+
+
+def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Validation:
+    """Compares a calibrated arm with measurements that were not used to identify it.
+
+    arm : with a calibration, or with known effect values; all of it stays as it is but for
+    refit : `base`, position and rotation of the base (three numbers, the arm may not have had a base offset before);
+        `offsets`, every joint offset and the position of the base; `none`, nothing. In each session anew
+
+    Raises `InputError` for an arm without calibration, another `refit`, data of another arm, too few rows.
+    """
+    if refit not in REFITS:
+        raise InputError(f"refit: unknown name {refit!r}, {nearest(refit, REFITS)}")
+    if arm.calibration is None and not any(spec.values for spec in arm.effects):
+        raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
+    check(Model(arm), measurements)
+    drawing = replace(arm, effects=(), calibration=None)
+    residuals, nominal = np.empty((2, *measurements.positions.shape))
+    refitted, free = [], 0
+    for rows in measurements.session_rows:
+        session, conditions = measurements.rows(rows), conditions_of(arm, measurements).rows(rows)
+        values, residuals[rows], determined = _refitted(arm, session, conditions, refit)
+        nominal[rows] = _refitted(drawing, session, conditions, refit)[1]
+        refitted.append(values)
+        free += len(values) - determined
+    return Validation(
+        arm, measurements, refit, tuple(refitted), residuals, nominal, tuple(_notes(arm, measurements, free))
+    )
+
+
+def check(model: Model, measurements: Measurements) -> None:
+    """Raises `InputError` for measurements of another arm, and for effects without gravity."""
+    for what, found, needed in (
+        ("joints", measurements.links, model.joints),
+        ("coordinates", measurements.dimension, model.dimension),
+    ):
+        if found != needed:
+            raise InputError(f"measurements: found {found} {what}, allowed: {needed}, as the arm has")
+    if "gravity" in model.needs and model.arm.gravity is None:
+        raise InputError("gravity: an effect of the arm needs it, allowed: an arm file with a [gravity] table")
+
+
+# -- refitting where the arm stands ------------------------------------------------------------------------------------
+def standing(arm: Arm) -> Arm:
+    """The arm with a base offset among its effects, its value to be estimated."""
+    others = tuple(spec for spec in arm.effects if spec.name != "base_offset")
+    return arm.with_effects(*others, EffectSpec("base_offset"))
+
+
+def refitted_names(arm: Arm, refit: str) -> tuple[str, ...]:
+    """Names of the parameters that a refit estimates."""
+    offsets = tuple(f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + 1)) if refit == "offsets" else ()
+    return () if refit == "none" else (*BASE, *offsets)
+
+
+def _refitted(
+    arm: Arm, measurements: Measurements, conditions: Conditions, refit: str
+) -> tuple[dict[str, float], Array, int]:
+    """Values of the refitted parameters, (m, d) residuals, and how many combinations the data determine."""
+    if refit == "none":
+        model = Model(arm)
+        return {}, measurements.positions - model.position(measurements.postures, None, conditions), 0
+    known, names = Model(arm).best_known, refitted_names(arm, refit)
+    if (equations := measurements.positions.size) < len(names):
+        allowed = f"allowed: at least {-(-len(names) // measurements.dimension)} rows in each session"
+        raise InputError(f"measurements: {equations} equations for {len(names)} refitted parameters, {allowed}")
+    model = Model(standing(arm), {name: value for name, value in known.items() if name not in names})
+    weights = np.ones(len(measurements)) if measurements.sigma is None else measurements.sigma**-2.0
+    problem = Problem(model, measurements.postures, conditions, measurements.positions[None], weights)
+    start = model.parameters.vector(known)
+    start = moved(start, model, model.position(measurements.postures, start, conditions), measurements.positions)
+    values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]
+    residuals, jacobian = problem.residuals(values)[0], problem.jacobian(values)
+    return model.parameters.mapping(values), residuals, spectrum(jacobian, model.scales).rank
+
+
+def moved(start: Array, model: Model, computed: Array, measured: Array) -> Array:
+    """(p,) start with the rotation and shift of the base that bring (m, 2) computed tips nearest to measured ones.
+
+    Exact where nothing but the chain depends on where the base stands; otherwise a start for least squares.
+    """
+    place = {name: model.parameters.index(name) for name in BASE}
+    x0, y0, turn = (place[name] for name in BASE)
+    from_base = (computed - start[[x0, y0]]) @ [1.0, 1.0j]
+    goal = measured @ np.array([1.0, 1.0j])
+    angle = float(np.angle(np.vdot(from_base - from_base.mean(), goal - goal.mean())))
+    shift = complex(np.mean(goal - np.exp(1.0j * angle) * from_base))
+    found = start.copy()
+    found[turn] += angle
+    found[[x0, y0]] = shift.real, shift.imag
+    return found
+
+
+def conditions_of(arm: Arm, measurements: Measurements) -> Conditions:
+    """Conditions with the temperature counted from the mean of the data of the identification, where it is known."""
+    conditions, mean = measurements.conditions, identified(arm).get("mean_temperature_C")
+    if measurements.temperature is None or mean is None:
+        return conditions
+    return replace(conditions, temperature=measurements.temperature - float(mean))
+
+
+def identified(arm: Arm) -> Mapping[str, Any]:
+    """What the arm's calibration says of the data it comes from."""
+    return {} if arm.calibration is None else arm.calibration.provenance
+
+
+# -- blocks and notes --------------------------------------------------------------------------------------------------
+def outside(arm: Arm, measurements: Measurements) -> NDArray[np.bool_] | None:
+    """(m, n) True where a joint is outside the angles of the identification; None where they are not known."""
+    limits = np.array(identified(arm).get("joint_range_deg", ()), dtype=float)
+    if limits.shape != (arm.links, 2):
+        return None
+    degrees = np.round(np.degrees(measurements.postures), 6)
+    return (degrees < limits[:, 0] - 1e-6) | (degrees > limits[:, 1] + 1e-6)
+
+
+def _groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str, NDArray[np.int64]]]:
+    """Kind, name and row numbers of every block; none of them is empty."""
+    m = len(measurements)
+    for name, rows in zip(measurements.sessions, measurements.session_rows, strict=False):
+        yield "session", name, rows
+    if m < FEWEST:
+        return
+    if not measurements.sessions:
+        for k, rows in enumerate(np.array_split(measurements.sequence, QUARTERS), start=1):
+            yield "time", f"quarter {k}", rows
+    x, y = np.median(measurements.positions[:, :2], axis=0)
+    right, above = (measurements.positions[:, :2] > [x, y]).T
+    for name, there in (
+        (f"x > {x:.0f}, y > {y:.0f}", right & above),
+        (f"x < {x:.0f}, y > {y:.0f}", ~right & above),
+        (f"x < {x:.0f}, y < {y:.0f}", ~right & ~above),
+        (f"x > {x:.0f}, y < {y:.0f}", right & ~above),
+    ):
+        if there.any():
+            yield "workspace", name, np.flatnonzero(there)
+    out = outside(arm, measurements)
+    if out is not None and 0 < int(out.any(axis=1).sum()) < m:
+        yield "range", "inside", np.flatnonzero(~out.any(axis=1))
+        yield "range", "outside", np.flatnonzero(out.any(axis=1))
+
+
+def _notes(arm: Arm, measurements: Measurements, undetermined: int) -> Iterator[str]:
+    """What to know before these figures are believed."""
+    sha = identified(arm).get("sha256")
+    if sha is not None and sha == measurements.provenance.get("sha256"):
+        yield "these are the measurements that the model was identified from: this says nothing about others"
+    out = outside(arm, measurements)
+    if out is not None and out.any():
+        joints = ", ".join(f"joint {j + 1} in {int(out[:, j].sum())}" for j in np.flatnonzero(out.any(axis=0)))
+        found = (
+            f"{int(out.any(axis=1).sum())} of {len(out)} rows are outside the angles that the model was identified on"
+        )
+        yield f"{found} ({joints}): there it extrapolates"
+    model = Model(arm)
+    for effect in model.effects:
+        for need, column in (("temperature", "temperature_C"), ("time", "order or time_s")):
+            missing = measurements.temperature is None if need == "temperature" else measurements.order is None
+            if need in effect.needs and missing:
+                instead = "the mean temperature" if need == "temperature" else "the order of the rows"
+                yield f"{effect.key} needs the column {column}, which the measurements lack: {instead} is taken"
+    if undetermined:
+        yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"
