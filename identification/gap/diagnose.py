@@ -17,6 +17,7 @@ from identification.gap.holdout import check_holdout, check_same_arm, confirm
 from identification.gap.hypotheses import hypotheses
 from identification.gap.noise import repeat_finding
 from identification.gap.notes import alias_list, hidden_orders, notes, order_notes
+from identification.gap.order_range import order_ranges
 from identification.gap.result import Diagnosis, Residuals
 from identification.gap.selection import ALPHA_NEXT, LEVEL_FACTOR, HypothesisSearch
 from identification.gap.whitening import Rows
@@ -115,6 +116,7 @@ def diagnosis_of(
         detectability=detectable,
         residuals=show_residuals(arm, measurements, base, fitted),
         sigma=fitted.sigma,
+        shapes=order_ranges(fitted, found.search.rows, named.effects),
         notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap)),
     )
 

@@ -12,6 +12,7 @@ from identification.arrays import Array
 from identification.gap.detectability import Detectability, Size
 from identification.gap.holdout import Gap
 from identification.gap.noise import Finding
+from identification.gap.order_range import OrderRange, in_words
 
 
 @dataclass(frozen=True)
@@ -128,6 +129,7 @@ class Diagnosis:
     """Whether model and data disagree, where, which effect is missing, and what is left with it in the model.
 
     verdict : `none`, `named`, `ambiguous` or `unknown`;  where : place of an unknown effect, with the shape seen there
+    shapes : named waves that the range of their joint cannot tell from their neighbors
     trials : every effect against the base model;  detectability : what the plan could show
     """
 
@@ -146,6 +148,7 @@ class Diagnosis:
     residuals: Residuals
     sigma: float
     notes: tuple[str, ...] = ()
+    shapes: tuple[OrderRange, ...] = ()
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -177,7 +180,7 @@ class Diagnosis:
             where=f"{self.where}{shape}",
             beside=beside,
         )
-        return verdict + wide
+        return "; ".join((verdict + wide, *in_words(self.shapes)))
 
     def extended_arm(self, candidate: Candidate | None = None) -> Arm:
         """The arm with the effects of the best set (or of `candidate`) in its model, to be estimated, and the fitted
@@ -197,6 +200,7 @@ class Diagnosis:
             "aliases": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.aliases],
             "where": self.where,
             "shape": self.shape,
+            "shapes": [shape.to_json() for shape in self.shapes],
             "scatter": [{"finding": f.name, "p": f.p, "size": f.size} for f in self.scatter],
             "outlier_rows": list(self.outlier_rows),
             "excluded": {name: vars(size) for name, size in self.excluded.items()},
