@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.effects import Chain, Effect, build_all, measured_position
+from identification.effects.places import position_and_state, widths
 from identification.errors import InputError
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, ParameterSet, chain_parameters
 from identification.kinematics.planar import DIMENSION, joint_points, symbolic_points
@@ -209,6 +210,15 @@ class Model:
         return vectorize(ca.Function("levers", [q, c, p], [ca.cse(levers)]))
 
     @cached_property
+    def _place_levers(self) -> Callable[..., tuple[np.ndarray, ...]]:
+        """Of (q, c, p): the derivative with respect to what is added at each place, (d, P), and the state."""
+        q, c, p, _ = self.symbols
+        added = ca.SX.sym("added", sum(widths(self.joints).values()))
+        position, state = position_and_state(Chain.of(self.arm, q, c), self.effects, self._everything(p), added)
+        found = ca.substitute([ca.jacobian(position, added), state], [added], [ca.SX.zeros(added.numel())])
+        return vectorize(ca.Function("place_levers", [q, c, p], ca.cse(found)))
+
+    @cached_property
     def _position(self) -> Callable[..., tuple[np.ndarray, ...]]:
         return vectorize(self.position_function)
 
@@ -248,6 +258,14 @@ class Model:
         if len(offsets) == self.joints:  # compiled already: they are columns of the Jacobian
             return self.jacobian(postures, parameters, conditions)[..., offsets]
         return self._levers(*self._arguments(postures, parameters, conditions))[0]
+
+    def place_levers(
+        self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
+    ) -> tuple[Array, Array]:
+        """What effects act through: (m, d, P) derivative of the positions by what is added at each place of the chain,
+        and (m, S) the state that it may depend on (effects/places.py)."""
+        levers, state = self._place_levers(*self._arguments(postures, parameters, conditions))
+        return levers, state[..., 0]
 
     def points(self, postures: ArrayLike) -> Array:
         """(m, n + 1, d) base, joints and tip [mm] at (m, n) postures [rad], at the best known lengths and offsets.

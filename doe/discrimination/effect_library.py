@@ -45,7 +45,7 @@ def effect_library(arm: Arm) -> EffectLibrary:
     An effect that acts at every joint alike has one size for all of them: that is what is seen first.
     """
     known = hypotheses(arm, frozenset())
-    shown = [h for h in known.members if not h.spec.values and not h.effect.needs & BY_ORDER]
+    shown = [h for h in known.members if not h.scanned and not h.effect.needs & BY_ORDER]
     alike = {h.key for h in shown if h.tied}
     model = Model(arm.with_effects(*arm.effects, *(h.spec for h in shown if not h.tied)))
     own = len(Model(arm).parameters)

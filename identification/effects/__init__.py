@@ -17,8 +17,10 @@ import numpy as np
 from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.effects import aliases, instrument, joint, link, mounting, noise  # noqa: F401  (they register themselves)
-from identification.effects.base import _LIBRARY, Effect, measured_position, register
+from identification.effects.base import _LIBRARY, Effect, register
 from identification.effects.chain import Chain
+from identification.effects.places import measured_position
+from identification.effects.settings import Scope, Setting
 from identification.errors import InputError, nearest
 from identification.kinematics.parameters import Parameter
 
@@ -26,6 +28,8 @@ __all__ = [
     "Chain",
     "Effect",
     "Parameter",
+    "Scope",
+    "Setting",
     "build",
     "build_all",
     "library",
@@ -92,10 +96,9 @@ def _check_joint(cls: type[Effect], spec: EffectSpec, links: int) -> None:
         raise InputError(f"effects: {spec.name} at joint {spec.joint}, allowed: {cls.first_joint} to {links}")
 
 
-def _check_setting(cls: type[Effect], name: str, spec: EffectSpec) -> int:
-    low, high = cls.settings[name]
-    value = spec.values.get(name)
-    if value is None or value != int(value) or not low <= value <= high:
+def _check_setting(cls: type[Effect], name: str, spec: EffectSpec) -> int | float:
+    setting, value = Setting.of(cls.settings[name]), spec.values.get(name)
+    if value is None or not setting.allows(value):
         found = "is missing" if value is None else f"= {value:g}"
-        raise InputError(f"effects: {spec.key}: {name} {found}, allowed: a whole number {low} to {high}")
-    return int(value)
+        raise InputError(f"effects: {spec.key}: {name} {found}, allowed: {setting.allowed}")
+    return int(value) if setting.whole else float(value)

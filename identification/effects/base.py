@@ -2,16 +2,16 @@
 
     commanded joint angle -> real joint angle -> links -> position in the base -> measured position
 
-An effect overrides the hook of its place; `measured_position` adds up what the hooks return.
-A new effect is one class: see `register`.
+An effect overrides the hook of its place, or several; `measured_position` (effects/places.py) adds up what the hooks
+return. A new effect is one class: see `register`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import inf
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -19,9 +19,9 @@ import numpy as np
 from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.effects.chain import Chain
+from identification.effects.settings import Setting
 from identification.errors import InputError
 from identification.kinematics.parameters import Parameter
-from identification.kinematics.planar import rotate, symbolic_chain
 
 
 class Effect:
@@ -31,7 +31,8 @@ class Effect:
     per_joint : `required`, `optional` or `none`: whether the effect applies to one joint
     needs : what the arm or the data must have: gravity, directions, temperature, time
     family : effects of one family are rivals for the same physical cause (`diagnose` merges them when it must)
-    settings : whole numbers that are chosen, not estimated, with their range
+    settings : numbers that are chosen, not estimated; a pair is every whole number from the first to the last.
+        In formulas `self.chosen[name]` is the number, or a CasADi symbol that stands for all values tried
     alias : why no measurement of the tip can tell this effect from the base parameters, or None
     scatter : True for an effect on the noise, which the model of the mean ignores (`identification.effects.noise`)
 
@@ -45,12 +46,12 @@ class Effect:
     first_joint: ClassVar[int] = 1
     needs: ClassVar[frozenset[str]] = frozenset()
     family: ClassVar[str] = ""
-    settings: ClassVar[Mapping[str, tuple[int, int]]] = MappingProxyType({})
+    settings: ClassVar[Mapping[str, Setting | tuple[int, int]]] = MappingProxyType({})
     alias: ClassVar[str | None] = None
     scatter: ClassVar[bool] = False
 
     def __init__(
-        self, lengths: Array, joint: int | None = None, chosen: Mapping[str, int] | None = None, tagged: bool = False
+        self, lengths: Array, joint: int | None = None, chosen: Mapping[str, Any] | None = None, tagged: bool = False
     ) -> None:
         self.lengths = lengths
         self.joint = joint
@@ -66,7 +67,7 @@ class Effect:
     @property
     def label(self) -> str:
         """What makes two effects one and the same: name, joint and settings, `transmission_ripple:2[k=6]`."""
-        settings = ";".join(f"{name}={value}" for name, value in self.chosen.items())
+        settings = ";".join(f"{name}={value:g}" for name, value in self.chosen.items())
         return EffectSpec(self.name, self.joint).key + (f"[{settings}]" if settings else "")
 
     def parameter(
@@ -78,9 +79,11 @@ class Effect:
         lower: float = -inf,
         upper: float = inf,
         typical: float | None = None,
+        start: float | None = None,
     ) -> Parameter:
-        """A parameter of this effect, with its full name; `typical` and the rest as of `Parameter`."""
-        return Parameter(f"{self.key}.{short}", unit, lower, upper, scale, joint=self.joint, typical=typical)
+        """A parameter of this effect, with its full name; `typical`, `start` and the rest as of `Parameter`."""
+        name = f"{self.key}.{short}"
+        return Parameter(name, unit, lower, upper, scale, joint=self.joint, typical=typical, start=start)
 
     @property
     def link_length(self) -> float:
@@ -110,6 +113,14 @@ class Effect:
         """The parameters, in the order in which the hooks receive them."""
         raise NotImplementedError
 
+    def payload(self, chain: Chain, values: ca.SX) -> ca.SX | float:
+        """What is added to the payload [kg] that every effect of gravity sees."""
+        return 0.0
+
+    def gravity_turn(self, chain: Chain, values: ca.SX) -> ca.SX | float:
+        """Angle [rad] by which gravity is turned for every effect of gravity."""
+        return 0.0
+
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX | float:
         """(n,) what is added to the commanded joint angles [rad]."""
         return 0.0
@@ -137,33 +148,6 @@ class Effect:
     def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX | float:
         """(2,) what the instrument adds to the true position [mm]."""
         return 0.0
-
-
-def measured_position(chain: Chain, effects: Sequence[Effect], values: ca.SX) -> ca.SX:
-    """(2,) measured position [mm]: joints -> links -> mounting -> instrument (identification/README.md, "Effects").
-
-    values : length errors (n), joint offsets (n), then the parameters of the effects in order
-    """
-    n, parts = chain.links, _with_values(effects, values[2 * chain.links :])
-    angles = chain.q + values[n : 2 * n] + sum(e.joint_angles(chain, v) for e, v in parts)
-    lengths: ca.SX = ca.SX(ca.DM(chain.lengths)) + values[:n]
-    lengths += sum((e.extensions(chain, v, lengths) for e, v in parts), ca.SX.zeros(n))
-    bent = [e.bending(chain, v) for e, v in parts]
-    deflections, slopes = (ca.SX.zeros(n) + sum(b[k] for b in bent) for k in range(2))
-    points, theta = symbolic_chain(lengths, angles, deflections, slopes)
-    tip = points[-1] + rotate(theta, ca.SX.zeros(2) + sum(e.tool(chain, v) for e, v in parts))
-    turn = sum(e.base_rotation(chain, v) for e, v in parts)
-    tip = rotate(turn, tip) + sum(e.base_translation(chain, v) for e, v in parts)
-    return tip + sum(e.instrument(tip, v) for e, v in parts)
-
-
-def _with_values(effects: Sequence[Effect], values: ca.SX) -> list[tuple[Effect, ca.SX]]:
-    """Every effect with the values of its own parameters."""
-    parts, start = [], 0
-    for effect in effects:
-        parts.append((effect, values[start : start + len(effect.parameters)]))
-        start += len(effect.parameters)
-    return parts
 
 
 _LIBRARY: dict[str, type[Effect]] = {}

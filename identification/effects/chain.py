@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -10,7 +10,7 @@ import casadi as ca
 from identification.arm import Arm, Gravity
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.kinematics.planar import symbolic_points
+from identification.kinematics.planar import rotate, symbolic_points
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,16 @@ class Chain:
     temperature: ca.SX  # [K] above the mean
     time: ca.SX  # -0.5..0.5 over the session
     directions: ca.SX  # (n,) +1 or -1
+    turn: ca.SX | float = 0.0  # [rad] of gravity, against the arm's own
 
     @classmethod
     def of(cls, arm: Arm, q: ca.SX, c: ca.SX) -> Chain:
         """An arm at a posture q (n) under conditions c (3 + n, the columns of `Conditions.table`)."""
         return cls(arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3:])
+
+    def loaded(self, payload: ca.SX, turn: ca.SX) -> Chain:
+        """The same arm with another payload [kg] and gravity turned by an angle [rad]."""
+        return replace(self, payload=payload, turn=turn)
 
     @property
     def links(self) -> int:
@@ -54,7 +59,7 @@ class Chain:
 
     def load_moment(self, link: int, fraction: float, beyond: int) -> ca.SX:
         """Moment [N m], out of the plane, of the loads on links >= `beyond` about a point of `link`, nominal pose."""
-        ax, ay = (float(a) for a in self.required_gravity.acceleration)
+        ax, ay = self.acceleration[0], self.acceleration[1]
         pivot = self._point(link, fraction)
         moment = ca.SX(0)
         for mass, k, at in self.loads:
@@ -66,12 +71,18 @@ class Chain:
     def load_force(self, beyond: int) -> ca.SX:
         """(2,) force [N] of all loads on links >= `beyond`."""
         total = sum((mass for mass, k, _ in self.loads if k >= beyond), ca.SX(0))
-        return total * ca.DM(self.required_gravity.acceleration)
+        return total * self.acceleration
 
     @cached_property
     def torques(self) -> ca.SX:
         """(n,) gravity torques tau_j about joints j [N m] at the posture (identification/README.md, "Effects")."""
         return ca.vertcat(*(self.load_moment(j, 0.0, beyond=j) for j in range(self.links)))
+
+    @cached_property
+    def acceleration(self) -> ca.SX:
+        """(2,) of gravity [m/s^2], turned."""
+        given = ca.SX(ca.DM(self.required_gravity.acceleration))
+        return given if ca.SX(self.turn).is_zero() else rotate(self.turn, given)
 
     @property
     def required_gravity(self) -> Gravity:

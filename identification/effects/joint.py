@@ -9,6 +9,7 @@ import casadi as ca
 
 from identification.effects.base import Effect, register
 from identification.effects.chain import Chain
+from identification.effects.settings import Setting
 from identification.kinematics.parameters import Parameter
 
 NOMINAL_TORQUE = 100.0  # [N m] order of magnitude, for the scale of compliance parameters only
@@ -47,7 +48,7 @@ class _Harmonic(Effect):
     def define(self) -> tuple[Parameter, ...]:
         return tuple(self.parameter(short, "rad", scale=self.link_length, typical=self.typical) for short in ("a", "b"))
 
-    def order(self) -> int:
+    def order(self) -> float | ca.SX:
         """k, periods per turn."""
         raise NotImplementedError
 
@@ -65,7 +66,7 @@ class EncoderEccentricity(_Harmonic):
     family = "encoder_eccentricity"
     typical = 5e-4
 
-    def order(self) -> int:
+    def order(self) -> float | ca.SX:
         return 1
 
 
@@ -78,7 +79,7 @@ class EncoderSecondHarmonic(_Harmonic):
     family = "encoder_second_harmonic"
     typical = 2e-4
 
-    def order(self) -> int:
+    def order(self) -> float | ca.SX:
         return 2
 
 
@@ -90,9 +91,9 @@ class TransmissionRipple(_Harmonic):
     summary = "gear ripple, k times per turn"
     family = "transmission_ripple"
     typical = 1e-4
-    settings = MappingProxyType({"k": (3, 64)})
+    settings = MappingProxyType({"k": Setting(3, 64, whole=True)})
 
-    def order(self) -> int:
+    def order(self) -> float | ca.SX:
         return self.chosen["k"]
 
 

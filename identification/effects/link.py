@@ -43,7 +43,7 @@ class LinkBending(Effect):
         """(2,) the payload hangs on the tip of the last link, so it is beyond that link too; its moment there is 0."""
         if link < chain.links - 1:
             return ca.SX.zeros(2)
-        return chain.payload * ca.DM(chain.required_gravity.acceleration)
+        return chain.payload * chain.acceleration
 
 
 @register

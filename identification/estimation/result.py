@@ -105,7 +105,7 @@ class Identification:
     def joint_offset_std(self) -> Array:
         """(n,) standard deviations of dq_j [rad]; zero where known, NaN where not estimable."""
         every = self.model.all_parameters
-        return readonly(every.vector(self.model.parameters.mapping(self.std))[every.indices(JOINT_OFFSET)])
+        return readonly(every.vector(self.model.parameters.mapping(self.std), default=0.0)[every.indices(JOINT_OFFSET)])
 
     @cached_property
     def orientation_std(self) -> Array:

@@ -113,8 +113,8 @@ def _effect_table(spec: EffectSpec, effect: Effect) -> Plain:
     for short, value in spec.values.items():
         if short in parameters:
             entry[parameters[short].toml_key] = _in_file(value, parameters[short].to_file)
-        else:  # a setting, a whole number
-            entry[short] = int(value)
+        else:  # a setting
+            entry[short] = int(value) if value == int(value) else float(value)
     return entry
 
 

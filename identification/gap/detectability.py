@@ -17,6 +17,7 @@ from identification.gap.f_tests import Dictionary
 from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses, projected
 from identification.gap.whitening import Rows
 from identification.information import column_space
+from identification.kinematics.planar import DIMENSION
 from identification.measurements import Conditions, directions_from_order, session_time
 
 # reasons: identification/README.md, "Constants"
@@ -109,8 +110,8 @@ def detectability(
     than 4 residual degrees of freedom.
     """
     given = frozenset() if conditions is None or conditions.temperature is None else frozenset({"temperature"})
-    library = library or hypotheses(arm, given)
-    rows = _planned(postures, conditions, library.base.dimension)
+    rows = _planned(postures, conditions, DIMENSION)
+    library = library or hypotheses(arm, given, rows)
     noise = sigma or arm.sigma or 1.0
     return assess(library, rows, library.base.jacobian(rows.postures, None, rows.conditions), {}, noise)
 
@@ -145,7 +146,7 @@ def assess(
     model_basis = column_space(white, library.base.scales)
     freedom = len(white) - model_basis.shape[1]
     require_spare(freedom, len(rows))
-    raw = [rows.whiten(c) for c in library.columns(rows, values, library.slopes(rows))]
+    raw = [rows.whiten(c) for c in library.columns(rows, values)]
     members = library.members
     tested = projected(model_basis, members, raw)
     threshold = LEVEL / sum(h.weight for h in members) if level is None else level
@@ -155,7 +156,7 @@ def assess(
         if not hypothesis.tied:
             size = _detectable(hypothesis, columns, tested, sigma, threshold * hypothesis.weight, limit)
             sizes.setdefault(hypothesis.key, []).append(size)
-    plain = [k for k, h in enumerate(members) if not h.spec.values and not h.tied]
+    plain = [k for k, h in enumerate(members) if not h.scanned and not h.tied]
     return Detectability(
         tuple(members[k].key for k in plain),
         readonly(tested.norm_fractions[plain]),

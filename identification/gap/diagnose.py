@@ -52,8 +52,8 @@ def diagnose(
     if draws < FEWEST_DRAWS:
         raise InputError(f"draws: {draws}, allowed: at least {FEWEST_DRAWS}, or no effect can pass the strictest test")
     check_input(arm, measurements, holdout)
-    library = hypotheses(arm, varying(measurements))
     rows = Rows.of(measurements)
+    library = hypotheses(arm, varying(measurements), rows)
     first = HypothesisSearch(library, rows).fit(())
     require_spare(first.freedom, len(rows))
     if holdout is not None:

@@ -1,27 +1,28 @@
 """What could be missing: every effect of the library that this arm and these data can show, with its columns.
 
-A hypothesis is one effect at one joint (or of the whole arm). Effects with a whole-number setting (the order k of a
-gear ripple) are scanned: each value is a hypothesis, and together they weigh as much as one unscanned effect.
+A hypothesis is one effect at one joint (or of the whole arm). Effects with settings (the order k of a gear ripple, the
+time of a step) are scanned: each value is a hypothesis, and together they weigh as much as one unscanned effect.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
-import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.effects import Chain, Effect, build, build_all, library
+from identification.effects import Effect, Scope, Setting, build, build_all, library
+from identification.effects.places import state_size
+from identification.gap.columns import Bundle, bundles
 from identification.gap.f_tests import Dictionary, dictionary
 from identification.gap.whitening import Rows
-from identification.measurements import Conditions
 from identification.model import Model
+
+Slopes = list[Array | None]  # per bundle (m, K, Z), None where they depend on the fitted model
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,11 @@ class Hypothesis:
     def free(self) -> Hypothesis:
         """The hypothesis that is named when this one is found."""
         return replace(self, tied=False) if self.tied else self
+
+    @property
+    def scanned(self) -> bool:
+        """True if it has a setting."""
+        return bool(self.effect.chosen)
 
     @property
     def key(self) -> str:
@@ -98,11 +104,6 @@ class HypothesisSet:
         return self._places.get(hypothesis.label, len(self.members))
 
     @cached_property
-    def wide(self) -> Model:
-        """The arm with its own effects and all unscanned hypotheses at once."""
-        return Model(self.arm.with_effects(*self.arm.effects, *(h.spec for h in self.unscanned)))
-
-    @cached_property
     def base(self) -> Model:
         """The arm as it is modelled now."""
         return Model(self.arm)
@@ -110,59 +111,46 @@ class HypothesisSet:
     @cached_property
     def unscanned(self) -> tuple[Hypothesis, ...]:
         """Hypotheses without a scanned setting."""
-        return tuple(h for h in self.members if not h.spec.values and not h.tied)
+        return tuple(h for h in self.members if not h.scanned and not h.tied)
 
     @cached_property
-    def scanned(self) -> tuple[Hypothesis, ...]:
-        """Hypotheses with a setting; they act on joint angles."""
-        return tuple(h for h in self.members if h.spec.values)
+    def _bundles(self) -> tuple[Bundle, ...]:
+        return bundles(self.arm, [(number, h.effect) for number, h in enumerate(self.members) if not h.tied])
 
-    @cached_property
-    def _scan(self) -> Callable[[ArrayLike, Conditions | None], Array]:
-        return self.base.on_chain(lambda chain: _angle_slopes(chain, tuple(h.effect for h in self.scanned)))
+    def slopes(self, rows: Rows) -> Slopes:
+        """The part of the columns that needs no fit, to be computed once for all fits to the same rows."""
+        table, state = self._table(rows), np.zeros((len(rows), state_size(self.arm.links)))
+        return [b.slopes(rows.postures, table, state) if b.fixed else None for b in self._bundles]
 
-    def slopes(self, rows: Rows) -> Array:
-        """(m, S) derivative of the joint angles by the parameters of the scanned hypotheses, which need no fit."""
-        if not self.scanned:
-            return np.zeros((len(rows), 0))
-        return self._scan(rows.postures, rows.conditions)
+    def _table(self, rows: Rows) -> Array:
+        neutral = self.base.neutral_conditions
+        return rows.conditions.table(len(rows), self.arm.links, float(neutral[0]))
 
-    def columns(self, rows: Rows, values: Mapping[str, float], slopes: Array) -> list[Array]:
-        """Per member, (m, d, size) derivative of the position by its parameters, at these values (others 0)."""
-        parameters = self.wide.parameters.vector(values)
-        jacobian = self.wide.jacobian(rows.postures, parameters, rows.conditions)
-        scanned = self._scanned_columns(self.wide.joint_levers(rows.postures, parameters, rows.conditions), slopes)
-        return [next(scanned) if h.spec.values else self._plain_columns(h, jacobian) for h in self.members]
+    def columns(
+        self, rows: Rows, values: Mapping[str, float], slopes: Slopes | None = None, model: Model | None = None
+    ) -> list[Array]:
+        """Per member, (m, d, size) derivative of the position by its parameters.
 
-    def _plain_columns(self, hypothesis: Hypothesis, jacobian: Array) -> Array:
-        columns = jacobian[:, :, [self.wide.parameters.index(p.name) for p in hypothesis.effect.parameters]]
-        return columns.sum(axis=2, keepdims=True) if hypothesis.tied else columns
-
-    def _scanned_columns(self, levers: Array, slopes: Array) -> Iterator[Array]:
-        start = 0
-        for hypothesis in self.scanned:
-            joint = hypothesis.effect.joint_index
-            part = slopes[:, start : start + hypothesis.size]  # (m, size)
-            yield levers[:, :, joint, None] * part[:, None, :]
-            start += hypothesis.size
+        At these values of a model (None: of the arm as it is), and where nothing is known of the effect's own
+        parameters: 0, or what their bounds allow.  slopes : of these rows, from the method of that name
+        """
+        model = model or self.base
+        at = (rows.postures, model.parameters.vector(values), rows.conditions)
+        levers, state = model.place_levers(*at)
+        known = slopes or self.slopes(rows)
+        found: dict[int, Array] = {}
+        for bundle, given in zip(self._bundles, known, strict=True):
+            given = bundle.slopes(rows.postures, self._table(rows), state) if given is None else given
+            found |= bundle.columns(levers, given)
+        free = {h.label: found[k] for k, h in enumerate(self.members) if not h.tied}
+        return [free[h.free.label].sum(axis=2, keepdims=True) if h.tied else free[h.label] for h in self.members]
 
 
-def _angle_slopes(chain: Chain, effects: tuple[Effect, ...]) -> ca.SX:
-    """Per effect and parameter, the derivative of its own joint's angle."""
-    v = ca.SX.sym("v", sum(len(effect.parameters) for effect in effects))
-    total, start = ca.SX(0), 0
-    for effect in effects:
-        own = v[start : start + len(effect.parameters)]
-        total += ca.SX(effect.joint_angles(chain, own))[effect.joint_index]
-        start += len(effect.parameters)
-    # every parameter turns one joint only, so the gradient of the sum holds each one's own slope
-    return ca.substitute(ca.gradient(total, v), v, ca.SX.zeros(v.numel()))
-
-
-def hypotheses(arm: Arm, given: frozenset[str]) -> HypothesisSet:
+def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> HypothesisSet:
     """Every effect that arm and data can show.
 
     given : what the data have beyond time and directions (which follow from the order): `temperature`
+    rows : the data, from which the values of settings may follow; None: those that suit any data
     """
     available = {"time", "directions"} | ({"gravity"} if arm.gravity is not None else set()) | (given & {"temperature"})
     shown = {name: cls for name, cls in library().items() if cls.alias is None and not cls.scatter}
@@ -175,7 +163,7 @@ def hypotheses(arm: Arm, given: frozenset[str]) -> HypothesisSet:
             continue
         for joint in _joints(cls, arm.links):
             spec = EffectSpec(name, joint)
-            found = [h for h in _with_settings(cls, spec, arm) if h.effect.label not in own]
+            found = [h for h in _with_settings(cls, spec, _scope(arm, joint, rows)) if h.effect.label not in own]
             members += found
             if not found:
                 skipped[spec.key] = "already in the arm's model"
@@ -189,14 +177,20 @@ def _joints(cls: type[Effect], links: int) -> list[int | None]:
     return by_kind[cls.per_joint]
 
 
-def _with_settings(cls: type[Effect], spec: EffectSpec, arm: Arm) -> list[Hypothesis]:
+def _scope(arm: Arm, joint: int | None, rows: Rows | None) -> Scope:
+    return Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
+
+
+def _with_settings(cls: type[Effect], spec: EffectSpec, scope: Scope) -> list[Hypothesis]:
     """The hypotheses of one effect at one joint: one for each setting, or free and tied."""
-    ranges = [range(low, high + 1) for low, high in cls.settings.values()]
-    settings = [dict(zip(cls.settings, map(float, chosen), strict=True)) for chosen in product(*ranges)]
-    specs = [replace(spec, values=chosen) for chosen in settings]
-    weight = (1.0 if spec.joint is None else 1.0 / np.sqrt(arm.links)) * (1.0 / len(specs))
+    arm, scans = scope.arm, [Setting.of(setting).scan(scope) for setting in cls.settings.values()]
+    specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
+    weight = (1.0 if spec.joint is None else 1.0 / np.sqrt(arm.links)) / max(len(specs), 1)
     found = [Hypothesis(build(s, arm.links, arm.lengths), s, weight) for s in specs]
-    parameters = found[0].effect.parameters
-    if not cls.settings and len(parameters) > 1 and all(p.lower == 0.0 for p in parameters):
+    if not cls.settings and len(found[0].effect.parameters) > 1 and _not_negative(found[0].effect):
         found.append(replace(found[0], tied=True))
     return found
+
+
+def _not_negative(effect: Effect) -> bool:
+    return all(p.lower == 0.0 for p in effect.parameters)

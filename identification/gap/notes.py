@@ -37,7 +37,7 @@ def hidden_orders(search: HypothesisSearch, named: Mapping[str, Hypothesis]) -> 
         if mine is None or member.spec.joint is None:
             continue
         for i, other in enumerate(members):
-            if i != mine and other.spec.values and other.spec.joint == member.spec.joint:
+            if i != mine and other.scanned and other.spec.joint == member.spec.joint:
                 likeness = likenesses(against, [mine, i])[0, 1]
                 if likeness >= NEAR:
                     listed.append((name, other.label, float(likeness)))

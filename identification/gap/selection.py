@@ -11,7 +11,7 @@ from scipy.special import fdtrc
 
 from identification.gap.f_tests import Dictionary
 from identification.gap.fit import Fit, fit
-from identification.gap.hypotheses import Hypothesis, HypothesisSet, projected
+from identification.gap.hypotheses import Hypothesis, HypothesisSet, Slopes, projected
 from identification.gap.noise import homoscedastic
 from identification.gap.omnibus_test import OmnibusTest, Scatter, omnibus_test
 from identification.gap.whitening import Rows
@@ -52,8 +52,8 @@ class HypothesisSearch:
     tests: dict[frozenset[str], HypothesisTest] = field(default_factory=dict)
 
     @cached_property
-    def slopes(self) -> np.ndarray:
-        """What the scanned hypotheses add to the joint angles, see `HypothesisSet.slopes`."""
+    def slopes(self) -> Slopes:
+        """The part of all columns that needs no fit, see `HypothesisSet.slopes`."""
         return self.hypotheses.slopes(self.rows)
 
     @property
@@ -119,7 +119,7 @@ class HypothesisSearch:
     def rivals(self, chosen: Choice) -> tuple[list[Hypothesis], Dictionary]:
         """Hypotheses that can still be added to a set, projected off its fit."""
         found, used = self.fit(chosen), {h.effect.label for h in chosen}
-        columns = self.hypotheses.columns(self.rows, found.by_name, self.slopes)
+        columns = self.hypotheses.columns(self.rows, found.by_name, self.slopes, found.model)
         left = [h.effect.label not in used and h.size < found.freedom for h in self.hypotheses.members]
         members = list(compress(self.hypotheses.members, left))
         full = projected(found.basis, members, [self.rows.whiten(c) for c in compress(columns, left)])

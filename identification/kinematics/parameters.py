@@ -46,6 +46,7 @@ class Parameter:
     kind : `length_error`, `joint_offset` or `effect`;  joint : from 1, None: of the whole arm
     typical : standard deviation over arms as they are built, from catalogues (identification/README.md, "Typical
         sizes"), API unit; None: not known
+    start : where fits begin and derivatives of an effect that may be missing are taken, None: see `neutral`
     """
 
     name: str
@@ -56,6 +57,15 @@ class Parameter:
     kind: str = EFFECT
     joint: int | None = None
     typical: float | None = None
+    start: float | None = None
+
+    @property
+    def neutral(self) -> float:
+        """The value where nothing is known: `start`, else 0, else inside the bounds, far from both."""
+        if self.start is not None or self.lower <= 0.0 <= self.upper:
+            return self.start or 0.0
+        near, far = sorted((self.lower, self.upper), key=abs)
+        return 2.0 * near if np.isinf(far) else float(np.sign(near) * np.sqrt(near * far))
 
     @property
     def short(self) -> str:
@@ -147,9 +157,13 @@ class ParameterSet:
         """Places of all parameters of a kind, in order."""
         return np.array([k for k, p in enumerate(self.items) if p.kind == kind], dtype=np.int64)
 
-    def vector(self, values: Mapping[str, float], default: float = 0.0) -> Array:
-        """(p,) the values in order, `default` where the mapping has none; names of other parameters do not matter."""
-        return np.array([values.get(name, default) for name in self.names], dtype=float)
+    def vector(self, values: Mapping[str, float], default: float | None = None) -> Array:
+        """(p,) the values in order; where the mapping has none `default`, None: `Parameter.neutral`, mostly 0.
+
+        Names of other parameters do not matter.
+        """
+        missing = [p.neutral if default is None else default for p in self.items]
+        return np.array([values.get(p.name, other) for p, other in zip(self.items, missing, strict=True)], dtype=float)
 
     def mapping(self, vector: ArrayLike) -> dict[str, float]:
         """Name -> value of a (p,) vector; raises `ValueError` for another length."""

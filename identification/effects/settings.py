@@ -1,0 +1,70 @@
+"""Settings of effects: numbers that are chosen, not estimated, and which values of them are worth trying."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.measurements import Conditions
+
+DIGITS = 6  # of a value, significant: labels and files hold it exactly
+
+
+@dataclass(frozen=True)
+class Scope:
+    """What the values of a setting may be computed from: the arm, the joint (from 1), and the data if there are any.
+
+    postures : (m, n) [rad];  conditions : of these rows
+    """
+
+    arm: Arm
+    joint: int | None = None
+    postures: Array | None = None
+    conditions: Conditions = field(default_factory=Conditions)
+
+
+Values = Sequence[float] | Callable[[Scope], Sequence[float]]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A number that is chosen, not estimated: the order of a wave, the time of a step, a time constant.
+
+    low, high : what an arm file may say
+    values : what `diagnose` tries, a list or a function of `Scope`; None: every whole number from low to high
+    whole : whole numbers only
+    symbolic : the effect's formula takes a CasADi symbol for it, so one function gives the columns of all values;
+        False: the formula needs the number itself, as in `range(k)`
+    """
+
+    low: float
+    high: float
+    values: Values | None = None
+    whole: bool = False
+    symbolic: bool = True
+
+    @classmethod
+    def of(cls, given: Setting | tuple[int, int]) -> Setting:
+        """A setting as it stands; a pair (low, high) is every whole number from low to high."""
+        return given if isinstance(given, cls) else cls(*given, whole=True, symbolic=False)  # type: ignore[misc]
+
+    def scan(self, scope: Scope) -> list[float]:
+        """The values to try, each once, in order, as they stand in labels and files."""
+        if self.values is None:
+            return [float(k) for k in range(int(self.low), int(self.high) + 1)]
+        found = self.values(scope) if callable(self.values) else self.values
+        kept = {float(f"{value:.{DIGITS}g}") for value in found if self.allows(value)}
+        return sorted(kept)
+
+    def allows(self, value: float) -> bool:
+        """Whether an arm file may say this value."""
+        return self.low <= value <= self.high and not (self.whole and value != np.round(value))
+
+    @property
+    def allowed(self) -> str:
+        """For error messages."""
+        return f"a {'whole ' if self.whole else ''}number {self.low:g} to {self.high:g}"
