@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from identification.arm import EffectSpec
-from identification.effects import Effect, Parameter, build, library
+from identification.effects import Effect, Parameter, Setting, build, library
 from identification.kinematics.parameters import ParameterSet, chain_parameters
 
 TABLE = (Path(__file__).parents[3] / "identification" / "README.md").read_text().partition("### Typical sizes")[2]
