@@ -17,10 +17,11 @@ MOST_TRIALS = 12
 
 
 def candidate_sheet(diagnosis: Diagnosis) -> Sheet:
-    """The ambiguity set, or what is named beside an unknown effect: F, adjusted p, Delta BIC, 95 % intervals."""
+    """The ambiguity set, or what is named beside an unknown effect: how likely, the tests, 95 % intervals."""
     rows = [
         [
             c.title,
+            number(c.probability, 2),
             f"{c.f:.1f}",
             f"{c.p_adjusted:.2g}",
             f"{c.delta_bic:.1f}",
@@ -28,7 +29,18 @@ def candidate_sheet(diagnosis: Diagnosis) -> Sheet:
         ]
         for c in diagnosis.candidates or (diagnosis.named,)
     ]
-    return Sheet(["effects", "F", "adjusted p", "Delta BIC", "estimates [95 %, sigma from residuals]"], rows)
+    headings = ["effects", "probability", "F", "adjusted p", "Delta BIC", "estimates [95 %, sigma from residuals]"]
+    return Sheet(headings, rows)
+
+
+def probability_sheet(diagnosis: Diagnosis) -> Sheet:
+    """Every explanation that is not unlikely, with those that are no candidates."""
+    explanations = diagnosis.probability | {f"unknown: {n}": p for n, p in diagnosis.other_sets.items()}
+    credible = set(diagnosis.credible_set)
+    rows = [
+        [n, number(p, 2), "yes" if n.removeprefix("unknown: ") in credible else ""] for n, p in explanations.items()
+    ]
+    return Sheet(["explanation", "probability", "in the 90 % set"], rows)
 
 
 def estimates_text(candidate: Candidate) -> str:
@@ -77,6 +89,7 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     """Verdict first, then candidates, gap, and what else a person should know."""
     effects = candidate_sheet(diagnosis) if diagnosis.effects else excluded_sheet(diagnosis)
     shown: list[Any] = [Text(diagnosis.sentence, style="bold"), as_table(gap_sheet(diagnosis)), as_table(effects)]
+    shown.append(Text(diagnosis.likely))
     shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
     if diagnosis.outlier_rows:
         shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
@@ -99,7 +112,7 @@ def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
         Section(
             "What is missing",
             "Every explanation within 6 BIC units of the best one; a single row means a single explanation.",
-            [*candidates, trial_sheet(diagnosis)],
+            [*candidates, probability_sheet(diagnosis), trial_sheet(diagnosis)],
         ),
         Section(
             "The gap",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -18,6 +19,7 @@ from identification.gap.hypotheses import hypotheses
 from identification.gap.noise import repeat_finding
 from identification.gap.notes import alias_list, hidden_orders, notes, order_notes
 from identification.gap.order_range import order_ranges
+from identification.gap.probabilities import probabilities
 from identification.gap.result import Diagnosis, Residuals
 from identification.gap.selection import ALPHA_NEXT, LEVEL_FACTOR, HypothesisSearch
 from identification.gap.whitening import Rows
@@ -95,7 +97,8 @@ def diagnosis_of(
     """What was found, with its candidates, aliases, the gap before and after, and notes."""
     base, chosen = found.search.fit(()), found.unknown.chosen
     fitted = found.search.fit(chosen)
-    candidates = candidate_list(found, draws, generator)
+    likely = probabilities(found)
+    candidates = tuple(replace(c, probability=likely.of(c.keys)) for c in candidate_list(found, draws, generator))
     named = next((c for c in candidates if set(c.effects) == {h.label for h in chosen}), None)
     named = named or candidate(found.search, chosen, 0.0, draws, generator)
     hidden = hidden_orders(found.search, {h.label: h for h in chosen})
@@ -117,6 +120,7 @@ def diagnosis_of(
         residuals=show_residuals(arm, measurements, base, fitted),
         sigma=fitted.sigma,
         shapes=order_ranges(fitted, found.search.rows, named.effects),
+        probabilities=likely,
         notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap)),
     )
 

@@ -104,6 +104,11 @@ class HypothesisSet:
         return self._places.get(hypothesis.label, len(self.members))
 
     @cached_property
+    def total_weight(self) -> float:
+        """Sum of the prior weights of all effects."""
+        return float(sum(h.weight for h in self.members if not h.tied))
+
+    @cached_property
     def base(self) -> Model:
         """The arm as it is modelled now."""
         return Model(self.arm)

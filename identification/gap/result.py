@@ -13,6 +13,7 @@ from identification.gap.detectability import Detectability, Size
 from identification.gap.holdout import Gap
 from identification.gap.noise import Finding
 from identification.gap.order_range import OrderRange, in_words
+from identification.gap.probabilities import Probabilities
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class Candidate:
         (settings, no estimates)
     f, p_adjusted : F statistic and adjusted p-value of the member that enters last
     parameters : estimates of the effects' parameters;  calibration : everything estimated, with its covariance
+    probability : that these effects are missing and no others; None where it was not computed
     """
 
     effects: tuple[str, ...]
@@ -53,6 +55,7 @@ class Candidate:
     p_adjusted: float
     parameters: tuple[Estimate, ...]
     calibration: Calibration
+    probability: float | None = None
 
     @property
     def title(self) -> str:
@@ -79,6 +82,7 @@ class Candidate:
         return {
             "effects": list(self.effects),
             "classes": list(self.classes),
+            "probability": self.probability,
             "delta_bic": self.delta_bic,
             "f": self.f,
             "p_adjusted": self.p_adjusted,
@@ -147,6 +151,7 @@ class Diagnosis:
     detectability: Detectability
     residuals: Residuals
     sigma: float
+    probabilities: Probabilities
     notes: tuple[str, ...] = ()
     shapes: tuple[OrderRange, ...] = ()
 
@@ -182,6 +187,32 @@ class Diagnosis:
         )
         return "; ".join((verdict + wide, *in_words(self.shapes)))
 
+    @property
+    def probability(self) -> dict[str, float]:
+        """Of `none`, of every candidate (its title) and of `unknown`, which is anything else; they sum to 1."""
+        found = {"none": self.probabilities.none} | {c.title: c.probability or 0.0 for c in self.candidates}
+        return found | {"unknown": max(0.0, 1.0 - sum(found.values()))}
+
+    @property
+    def likely(self) -> str:
+        """The probabilities in one line, with the sets of effects that are no candidates but not unlikely."""
+        other = ", ".join(f"{name} {p:.2f}" for name, p in self.other_sets.items())
+        text = ", ".join(f"{name} {p:.2f}" for name, p in self.probability.items())
+        return f"probability: {text}" + (f" (of that {other})" if other else "")
+
+    @property
+    def other_sets(self) -> dict[str, float]:
+        """Sets of effects that are no candidates but not unlikely: parts of the probability of `unknown`."""
+        return {" + ".join(names): p for names, p in self.probabilities.beside(c.keys for c in self.candidates).items()}
+
+    @property
+    def credible_set(self) -> dict[str, float]:
+        """The fewest explanations that together have a probability of 90 %, likeliest first."""
+        titles = {tuple(sorted(c.keys)): c.title for c in self.candidates}
+        titles |= {(): "none"}
+        found = self.probabilities.credible.items()
+        return {"unknown" if n is None else titles.get(n, " + ".join(n)): p for n, p in found}
+
     def extended_arm(self, candidate: Candidate | None = None) -> Arm:
         """The arm with the effects of the best set (or of `candidate`) in its model, to be estimated, and the fitted
         values as its calibration."""
@@ -196,6 +227,9 @@ class Diagnosis:
             "effects": list(self.effects),
             "named": self.named.to_json(),
             "candidates": [c.to_json() for c in self.candidates],
+            "probabilities": self.probability,
+            "credible_set": list(self.credible_set),
+            "other_sets": [{"effects": name.split(" + "), "probability": p} for name, p in self.other_sets.items()],
             "classes": list(self.classes),
             "aliases": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.aliases],
             "where": self.where,
@@ -219,6 +253,7 @@ class Diagnosis:
             figures = f"F = {c.f:.1f}, p = {c.p_adjusted:.2g}, Delta BIC = {c.delta_bic:.1f}"
             lines.append(f"  {c.title}: {figures}")
             lines += [f"    {label}: {', '.join(map(str, found))}" for label, found in c.estimates.items()]
+        lines.append(f"  {self.likely}")
         lines += [f"  scatter: {f}" for f in self.scatter]
         if self.outlier_rows:
             lines.append(f"  left out as outliers: rows {', '.join(map(str, self.outlier_rows))}")

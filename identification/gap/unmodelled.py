@@ -40,18 +40,19 @@ class Unknown:
 
 
 @dataclass(frozen=True)
-class _Shapes:
+class Shapes:
     """General shapes projected off a fit."""
 
     listed: list[GeneralShape]
     against: Dictionary
+    reductions: Array  # (shapes,) of the sum of squares
     bic: Array  # (shapes,) of the fit with the shape added
     smallest: float  # weighted p-value
 
 
 def find_unmodelled(search: HypothesisSearch, chosen: Choice, generator: np.random.Generator) -> Unknown:
     """General block test after the last accepted effect, then the place by BIC."""
-    after = _shapes(search, chosen)
+    after = shapes_beside(search, chosen)
     p = _adjusted(after, search, chosen, generator) if after.listed else 1.0
     best = search.bic(chosen)
     options = _options(search, chosen, after)
@@ -92,9 +93,9 @@ def _joint_with_series(chosen: Choice) -> str | None:
     return None
 
 
-def _options(search: HypothesisSearch, chosen: Choice, after: _Shapes) -> list[_Option]:
+def _options(search: HypothesisSearch, chosen: Choice, after: Shapes) -> list[_Option]:
     """A shape added to the chosen set, or put in the place of some of its members; few rows may leave none."""
-    sets = [(chosen, after), *((rest, _shapes(search, rest)) for rest in _reduced(chosen))]
+    sets = [(chosen, after), *((rest, shapes_beside(search, rest)) for rest in _reduced(chosen))]
     lowest = [(rest, shapes, int(np.argmin(shapes.bic))) for rest, shapes in sets if shapes.listed]
     return [_Option(float(shapes.bic[k]), rest, shapes.listed[k]) for rest, shapes, k in lowest]
 
@@ -114,7 +115,8 @@ def place_of(key: str) -> str:
     return f"joint:{joint}" if joint else PLACES.get(name, name)
 
 
-def _shapes(search: HypothesisSearch, chosen: Choice) -> _Shapes:
+def shapes_beside(search: HypothesisSearch, chosen: Choice) -> Shapes:
+    """What no effect of the library has, tested on what a set of effects leaves."""
     found = search.fit(chosen)
     listed = [a for a in general_shapes(found, search.rows) if a.columns.shape[2] < found.freedom - 1]
     counts = Counter(a.place for a in listed)
@@ -127,10 +129,10 @@ def _shapes(search: HypothesisSearch, chosen: Choice) -> _Shapes:
     reductions = against.reductions(residual)
     bic = search.bic(chosen) + bic_change(reductions[:, 0], against, len(residual), found.squares)
     smallest = against.smallest_weighted(reductions, np.square(residual).sum(axis=0))[0]
-    return _Shapes([listed[k] for k in keep], against, bic, float(smallest))
+    return Shapes([listed[k] for k in keep], against, reductions[:, 0], bic, float(smallest))
 
 
-def _adjusted(shapes: _Shapes, search: HypothesisSearch, chosen: Choice, generator: np.random.Generator) -> float:
+def _adjusted(shapes: Shapes, search: HypothesisSearch, chosen: Choice, generator: np.random.Generator) -> float:
     """Adjusted p-value of the best shape under white Gaussian noise, if the wild bootstrap does not object.
 
     The wild bootstrap alone would have no power against a shape that moves a few postures only (their signs come out
@@ -149,6 +151,6 @@ def _adjusted(shapes: _Shapes, search: HypothesisSearch, chosen: Choice, generat
     return max(white, scatter)
 
 
-def _tail(shapes: _Shapes, drawn: Array) -> float:
+def _tail(shapes: Shapes, drawn: Array) -> float:
     smallest = shapes.against.smallest_weighted(shapes.against.reductions(drawn), np.square(drawn).sum(axis=0))
     return float((1.0 + np.sum(smallest <= shapes.smallest)) / (1.0 + drawn.shape[1]))

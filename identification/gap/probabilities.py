@@ -1,0 +1,175 @@
+"""The posterior probability of every explanation of the data: nothing missing, sets of effects, something else.
+
+Compared are the base model, every single effect, the chosen set and its rivals, each of these with one effect more, the
+chosen set with one effect less, and a shape outside the library beside each of them. Sets that were refitted count with
+their fit, the others with the linear one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from math import lgamma
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp
+
+from identification.gap.hypotheses import Hypothesis
+from identification.gap.marginal_likelihood import Explained, explained, log_bayes_factor
+from identification.gap.selection import Choice, HypothesisSearch
+from identification.gap.unmodelled import shapes_beside
+from identification.gap.workflow import Findings
+
+# reasons: identification/README.md, "Constants"
+FIRST = 1.0  # prior odds of one missing effect to none
+NEXT = 0.03  # prior odds of a further effect, for each that is there already
+OUTSIDE = 0.02  # prior odds of a shape outside the library to an effect of it
+CREDIBLE = 0.9  # probability of the credible set
+LISTED = 0.01  # less likely sets are not listed by name
+Names = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Probabilities:
+    """Of all explanations; they sum to 1.
+
+    none : nothing is missing that could be detected;  sets : of effects, by their sorted keys
+    outside : something that the library does not have
+    """
+
+    none: float
+    sets: Mapping[Names, float]
+    outside: float
+
+    def of(self, keys: Iterable[str]) -> float:
+        """Probability that these effects are missing and no others."""
+        names = tuple(sorted(keys))
+        return self.sets.get(names, 0.0) if names else self.none
+
+    def beside(self, candidates: Iterable[Names]) -> dict[Names, float]:
+        """Sets of effects that are no candidates but not unlikely, likeliest first."""
+        known = {tuple(sorted(keys)) for keys in candidates}
+        rest = [(names, p) for names, p in self.sets.items() if p >= LISTED and names not in known]
+        return dict(sorted(rest, key=lambda pair: -pair[1]))
+
+    @property
+    def credible(self) -> dict[Names | None, float]:
+        """The fewest explanations that together have a probability of `CREDIBLE`, likeliest first.
+
+        () is nothing missing, None something outside the library.
+        """
+        every: list[tuple[Names | None, float]] = [((), self.none), *self.sets.items(), (None, self.outside)]
+        ordered = sorted(every, key=lambda pair: -pair[1])
+        before = np.cumsum([0.0, *(p for _, p in ordered)])
+        return {names: p for (names, p), already in zip(ordered, before, strict=False) if already < CREDIBLE}
+
+
+class _Option(NamedTuple):
+    """labels tell sets apart, names are how they are called; log_odds to the base model."""
+
+    labels: frozenset[str]
+    names: Names
+    log_odds: float
+    refitted: bool
+
+
+def probabilities(found: Findings) -> Probabilities:
+    """Posterior probabilities after the loop of naming and screening."""
+    search, chosen = found.search, found.selection.chosen
+    fewer = [chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))]
+    beside = list(dict.fromkeys([(), *fewer, chosen]))
+    sets: dict[frozenset[str], _Option] = {}
+    for anchor in dict.fromkeys([*beside, *(rival for rival, _ in found.selection.rivals)]):
+        for option in [_refitted(search, anchor), *_longer(search, anchor)]:
+            known = sets.get(option.labels)
+            if known is None or (option.refitted, option.log_odds) > (known.refitted, known.log_odds):
+                sets[option.labels] = option
+    outside = float(logsumexp([_outside(search, anchor) for anchor in beside]))
+    return _normalized(list(sets.values()), outside)
+
+
+def _normalized(options: list[_Option], outside: float) -> Probabilities:
+    total = logsumexp([outside, *(option.log_odds for option in options)])
+    sets: dict[Names, float] = {}
+    for option in options:
+        sets[option.names] = sets.get(option.names, 0.0) + float(np.exp(option.log_odds - total))
+    none = sets.pop(())
+    return Probabilities(none, sets, float(np.exp(outside - total)))
+
+
+def _refitted(search: HypothesisSearch, chosen: Choice) -> _Option:
+    """A set with its own fit."""
+    found, base = search.fit(chosen), search.fit(())
+    labels, names = _labels(chosen), tuple(sorted(h.key for h in chosen))
+    if not chosen:
+        return _Option(labels, names, 0.0, refitted=True)
+    factor = log_bayes_factor(_explained(search, chosen), np.array(found.squares), base.squares, base.freedom)
+    return _Option(labels, names, float(factor) + _log_prior(search, chosen), refitted=True)
+
+
+def _longer(search: HypothesisSearch, chosen: Choice) -> Iterator[_Option]:
+    """A set with each effect that could be added, from its fit where there is one."""
+    found, base = search.fit(chosen), search.fit(())
+    members, against = search.rivals(chosen)
+    reductions = against.reductions(found.residual[:, None])[:, 0]
+    groups = _explained(search, chosen).with_each(against.sizes, reductions)
+    factors = log_bayes_factor(groups, found.squares - reductions, base.squares, base.freedom)
+    families = _families(search)
+    for member, factor, reduction in zip(members, factors, reductions, strict=True):
+        longer = (*chosen, member.free)
+        if _labels(longer) in search.fits:
+            yield _refitted(search, longer)
+        elif member.tied or member.key not in families:  # a family as one value, until it is fitted
+            opposite = np.log(2.0) if member.one_sided and reduction == 0.0 else 0.0
+            names = tuple(sorted(h.key for h in longer))
+            log_odds = float(factor) + _log_prior(search, (*chosen, member)) - opposite
+            yield _Option(_labels(longer), names, log_odds, refitted=False)
+
+
+def _outside(search: HypothesisSearch, chosen: Choice) -> float:
+    """Log odds of a shape outside the library beside a set; -inf where too few rows are left for one."""
+    base, found = search.fit(()), search.fit(chosen)
+    shapes = shapes_beside(search, chosen)
+    if not shapes.listed:
+        return -np.inf
+    groups = _explained(search, chosen).with_each(shapes.against.sizes, shapes.reductions)
+    factors = log_bayes_factor(groups, found.squares - shapes.reductions, base.squares, base.freedom)
+    prior = np.log(OUTSIDE * (NEXT * len(chosen) if chosen else FIRST)) + _log_prior(search, chosen)
+    return float(logsumexp(factors + np.log(shapes.against.weights)) + prior)
+
+
+def _labels(chosen: Choice) -> frozenset[str]:
+    return frozenset(h.label for h in chosen)
+
+
+def _explained(search: HypothesisSearch, chosen: Choice) -> Explained:
+    found = search.fit(chosen)
+    added = len(found.model.effects) - len(chosen)  # the arm's own come first
+    families = {h.label for h in search.hypotheses.members if not h.tied and h.key in _families(search)}
+    effects = found.model.effects[added:]
+    names = [[p.name for p in effect.parameters] for effect in effects]
+    return explained(found, names, [effect.label in families for effect in effects])
+
+
+def _families(search: HypothesisSearch) -> set[str]:
+    """Keys of effects that have a parameter at every joint, alike in size."""
+    return {h.key for h in search.hypotheses.members if h.tied}
+
+
+def _log_prior(search: HypothesisSearch, chosen: Choice) -> float:
+    """Log prior odds of a set to nothing missing: one effect `FIRST`, each further one `NEXT` times those before it.
+
+    Where several effects are missing another one is likelier (Polya's urn). An effect of one sign only counts twice:
+    its prior has half the width.
+    """
+    if not chosen:
+        return 0.0
+    share = np.log([h.weight / search.hypotheses.total_weight for h in chosen])
+    sign = [np.log(2.0) * _one_sign(h) for h in chosen]
+    number = np.log(FIRST) + (len(chosen) - 1) * np.log(NEXT) + lgamma(len(chosen))
+    return float(number + share.sum() + sum(sign))
+
+
+def _one_sign(hypothesis: Hypothesis) -> bool:
+    return all(p.lower == 0.0 for p in hypothesis.effect.parameters)
