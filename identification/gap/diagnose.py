@@ -108,7 +108,7 @@ def diagnosis_of(
         arm=arm,
         verdict=verdict_of(found),
         candidates=candidates,
-        named=named,
+        named=replace(named, probability=likely.of(named.keys)),
         aliases=(*hidden, *alias_list(detectable, candidates)),
         where=found.unknown.place,
         shape=found.unknown.shape,
