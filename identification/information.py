@@ -83,8 +83,12 @@ class Spectrum:
     @property
     def covariance(self) -> Array:
         """(p, p) (J^T J)^-1 on the estimable directions, zero on the others: pseudo-inverse in scaled parameters."""
-        root = self.estimable / self.values[: self.rank] / self.lengths[:, None]
-        return root @ root.T
+        return self.root @ self.root.T
+
+    @property
+    def root(self) -> Array:
+        """(p, rank) whose product with its transpose is the covariance; J @ root has orthonormal columns."""
+        return self.estimable / self.values[: self.rank] / self.lengths[:, None]
 
 
 def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE) -> Spectrum:

@@ -210,6 +210,13 @@ class Measurements(ByValue):
         return np.concatenate([rows[np.argsort(order[rows], kind="stable")] for rows in self.session_rows])
 
     @property
+    def posture_numbers(self) -> NDArray[np.int64]:
+        """(m,) number of each row's posture, 0, 1, ...; rows of one number are repeats."""
+        if self.repeats is not None:
+            return np.unique(self.repeats, return_inverse=True)[1]
+        return np.unique(np.round(self.postures, 9), axis=0, return_inverse=True)[1].ravel()
+
+    @property
     def conditions(self) -> Conditions:
         """Conditions for the model: time and directions follow, in each session, from the order where not given."""
         order = np.arange(len(self), dtype=float) if self.order is None else self.order

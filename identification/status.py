@@ -24,6 +24,7 @@ class Status(Enum):
         "Some parameters are not identifiable; the others hold. Measure more varied postures, or fix one "
         "per combination."
     )
+    implausible = "Converged to an arm that cannot be the real one; check arm, frame and units before using it."
     infeasible = "No feasible point was found."
 
     @property

@@ -2,20 +2,38 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import click
 
 from doe.cli.common import Answer, Session, read_measurements, verb
 from doe.cli.options import FILE, Output, output_options
+from identification.status import Status
+
+if TYPE_CHECKING:
+    from identification.estimation import Identification
 
 
 @verb("armcal identify arm.toml data.csv --out calibrated.toml", "Estimate the arm's parameters from measurements.")
 @click.argument("arm", type=FILE)
 @click.argument("data", type=FILE)
 @click.option("--method", help="linear, gauss_newton or paper_steps; left out: the best for the model.")
+@click.option(
+    "--sigma",
+    type=click.Choice(["given", "estimated"]),
+    help="What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.",
+)
 @output_options(out="Write a calibrated arm file (TOML).")
-def command(session: Session, arm: Path, data: Path, method: str | None, output: Output) -> Answer:
+def command(
+    session: Session,
+    arm: Path,
+    data: Path,
+    method: str | None,
+    sigma: Literal["given", "estimated"] | None,
+    output: Output,
+) -> Answer:
     """Estimate the arm's parameters from measurements, with 95 % intervals."""
     from doe.report.identification_tables import identification_tables
     from identification.estimation import estimate
@@ -26,10 +44,25 @@ def command(session: Session, arm: Path, data: Path, method: str | None, output:
 
     loaded = load_arm(arm)
     measurements = read_measurements(data, loaded)
-    found = estimate(Model(loaded), measurements, method=method)
-    shown = identification_tables(found)
-    if output.out is not None and found.not_identifiable:
-        shown.append(f"{output.out} was not written: not every parameter is estimable from the data")
+    found = estimate(Model(loaded), measurements, method=method, sigma=sigma)
+    for sentence in found.warnings:
+        warnings.warn(sentence, UserWarning, stacklevel=2)
+    shown, failed = identification_tables(found), bool(found.not_identifiable)
+    if output.out is not None and (reason := no_file(found, output.force)) is not None:
+        shown.append(f"{output.out} was not written: {reason}")
+        failed = True
     elif output.out is not None:
         shown += output.write(with_calibration(read_text(arm), found.calibration()), "calibrated arm")
-    return Answer(found.to_json(), shown, exit_code=1 if found.not_identifiable else 0)
+    return Answer(found.to_json(), shown, exit_code=1 if failed else 0)
+
+
+def no_file(found: Identification, force: bool) -> str | None:
+    """Why a fit is not written into an arm file, None where it is."""
+    if found.not_identifiable:
+        return "not every parameter is estimable from the data"
+    if found.status is not Status.implausible:
+        return None
+    lengths = (found.model.arm.lengths + found.length_errors).tolist()
+    if min(lengths) <= 0.0:
+        return f"link {lengths.index(min(lengths)) + 1} would have no positive length"
+    return None if force else "the fit is implausible; --force writes it all the same"

@@ -12,39 +12,34 @@ from doe.report.terminal import facts, number, significant, table
 from identification.compensate import Compensation
 from identification.estimation import Identification
 
-MISFIT = 0.01  # p-value of chi2 below which the reader is warned
-
 
 def identification_tables(found: Identification) -> list[Any]:
-    """Everything about a fit, the summary first."""
+    """Everything about a fit: what must be read first, the summary, the parameters."""
     data = found.to_json()
+    given = "given" if found.sigma_known else "from the residuals"
     summary = [
         ("method", f"{data['method']}: {found.outcome}"),
         ("RMS", f"{number(data['rms_before_mm'])} -> {number(data['rms_after_mm'])} mm"),
         ("largest", f"{number(data['max_before_mm'])} -> {number(data['max_after_mm'])} mm"),
-        ("sigma", f"{number(data['sigma_mm'], 5)} mm per axis, {data['dof']} degrees of freedom"),
+        ("sigma", f"{number(data['sigma_mm'], 5)} mm per axis ({given}), {data['dof']} degrees of freedom"),
     ]
     if data["p_value"] is not None:
-        summary.append(("chi2", f"{data['chi2']:.2f}, p = {data['p_value']:.3g}"))
-        if data["p_value"] < MISFIT:
-            summary.append(("misfit", misfit(data)))
-    shown: list[Any] = [facts(summary), parameter_table(data)]
+        scatter = f"the residuals scatter {number(data['scatter_mm'], 5)} mm"
+        summary.append(("chi2", f"{data['chi2']:.2f}, p = {data['p_value']:.3g}: {scatter}"))
+    summary.append(("95 % intervals", found.uncertainty.sentence))
+    warned = [Text(warning, style="bold") for warning in found.warnings]
+    shown: list[Any] = [*warned, facts(summary), parameter_table(found)]
     if data["not_identifiable"]:
         shown.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         shown.extend(Text(f"  {combination}") for combination in data["not_identifiable"])
     return shown
 
 
-def misfit(data: dict[str, Any]) -> str:
-    """What a small p-value means for the intervals."""
-    found = f"residuals are too large for sigma = {number(data['sigma_mm'], 3)} mm (p = {data['p_value']:.1g})"
-    return f"{found}: the model is incomplete or sigma too small, and the intervals are too narrow; see armcal diagnose"
-
-
-def parameter_table(data: dict[str, Any]) -> Table:
+def parameter_table(found: Identification) -> Table:
     """Parameters with 95 % intervals, in file units."""
     keys = ("value", "std", "low_95", "high_95")
-    rows = ([p["name"], *(significant(p[key], p["std"]) for key in keys), p["unit"]] for p in data["parameters"])
+    named = zip(found.shown_names, found.to_json()["parameters"], strict=True)
+    rows = ([name, *(significant(p[key], p["std"]) for key in keys), p["unit"]] for name, p in named)
     return table(("name", "value", "std", "low 95 %", "high 95 %", "unit"), rows, "Parameters", left=("name", "unit"))
 
 

@@ -13,28 +13,35 @@ from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
 from identification.estimation.levenberg_marquardt import Solution
 from identification.estimation.methods import METHODS
+from identification.estimation.plausibility import doubts
 from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
+from identification.estimation.uncertainty import FittedRows, uncertainty
 from identification.information import RANK_TOLERANCE, Spectrum, identifiability_of, spectrum
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.status import Status
 
+RELIANCE = ("given", "estimated")
 LARGEST_SHARE = 0.1  # a combination whose standard deviation exceeds this share of the arm's reach is not estimable
 
 
 class Noise(NamedTuple):
-    """Weights of the rows and the standard deviation of one coordinate; `sigma` is None where it must be estimated."""
+    """Weights of the rows and the standard deviation of one coordinate; `sigma` is None where it must be estimated.
+
+    reliance : what the intervals rely on, see `uncertainty`
+    """
 
     weights: Array  # (m,) 1/sigma_i^2 where sigma is known, else relative
     sigma: float | None  # root mean square over rows [mm]
+    reliance: str | None = None
 
 
 def estimate(
     model: Model,
     measurements: Measurements,
     method: str | None = None,
-    sigma: ArrayLike | Literal["estimated"] | None = None,
+    sigma: ArrayLike | Literal["given", "estimated"] | None = None,
     weights: ArrayLike | None = None,
 ) -> Identification:
     """Least-squares estimates of the model's parameters (eq. 3), with covariance (eq. 16) and 95 % intervals.
@@ -43,8 +50,10 @@ def estimate(
         closed_form, position and linearize
     method : `linear` (closed form, the default where the model is linear in its links), `gauss_newton` (the default
         for every other model) or `paper_steps`
-    sigma : standard deviation of one coordinate [mm], one number or (m,); "estimated": from the residuals, whatever
-        the data say. Left out: the data's sigma per row, else the arm's, else estimated
+    sigma : standard deviation of one coordinate [mm], one number or (m,), which intervals then rely on; "given": the
+        same with the data's sigma per row, else the arm's; "estimated": from the residuals, whatever the data say. Left
+        out: as "given" as long as chi2 does not contradict it; where it does, or where none is given, the scatter of
+        the residuals, robustly where something is left unexplained (`Identification.uncertainty`)
     weights : (m,) relative weights >= 0 of the rows, on top of sigma: the variance of row i is sigma^2 / weights_i, so
         a row of weight 3 moves the estimates as three equal rows would; rows of weight 0 are left out
 
@@ -105,20 +114,25 @@ def weighting(
     relative = np.ones(m) if weights is None else np.asarray(weights, dtype=float)
     if relative.shape != (m,) or not np.all(np.isfinite(relative) & (relative >= 0.0)) or not np.any(relative):
         raise InputError(f"weights: shape {relative.shape}, allowed: ({m},) finite numbers >= 0, not all zero")
-    if isinstance(sigma, str):
-        if sigma != "estimated":
-            raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm] or 'estimated'")
-        return Noise(relative, None)
-    given = next((s for s in (sigma, measurements.sigma, model.sigma) if s is not None), None)
-    return Noise(relative, None) if given is None else _known_noise(relative, np.asarray(given, dtype=float))
+    if isinstance(sigma, str) and sigma not in RELIANCE:
+        raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}")
+    reliance = sigma if isinstance(sigma, str) else None if sigma is None else "given"
+    if reliance == "estimated":
+        return Noise(relative, None, reliance)
+    numbers = None if isinstance(sigma, str) else sigma
+    given = next((s for s in (numbers, measurements.sigma, model.sigma) if s is not None), None)
+    if given is None and reliance == "given":
+        allowed = "measurement.sigma_mm in the arm file, or a column sigma_mm in the measurements"
+        raise InputError(f"sigma: 'given', but none is given, allowed: {allowed}")
+    return Noise(relative, None) if given is None else _known_noise(relative, np.asarray(given, dtype=float), reliance)
 
 
-def _known_noise(relative: Array, deviations: Array) -> Noise:
+def _known_noise(relative: Array, deviations: Array, reliance: str | None) -> Noise:
     """From relative weights (m,) and one standard deviation [mm] or (m,) of them."""
     m = len(relative)
     if deviations.shape not in ((), (m,)) or not np.all(np.isfinite(deviations) & (deviations > 0.0)):
         raise InputError(f"sigma_mm: shape {deviations.shape}, allowed: one number or ({m},), each finite and > 0")
-    return Noise(relative / deviations**2, float(np.sqrt(np.mean(deviations**2))))
+    return Noise(relative / deviations**2, float(np.sqrt(np.mean(deviations**2))), reliance)
 
 
 def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spectrum, Problem]:
@@ -148,24 +162,40 @@ def _result(
     model, parameters = problem.model, solution.parameters[0]
     found = identifiability_of(decomposed, model.names, model.scales)
     before, after = problem.residuals(problem.start)[0], problem.residuals(parameters)[0]
-    weighted = (problem.root_weights * after)[problem.weights > 0.0]
-    known = noise.sigma is not None
-    sigma = noise.sigma if known else _estimated(weighted, found.rank)
-    unit = 1.0 if known else (np.nan if sigma is None else sigma)
+    rows, known = fitted_rows(problem, data, parameters, decomposed), noise.sigma is not None
+    made = uncertainty(rows, decomposed, known=known, reliance=noise.reliance)
+    scale = float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
+    scatter = scale if noise.sigma is None or scale is None else noise.sigma * scale
+    doubtful = doubts(model, parameters, found.identifiable, after, data)
+    status = Status.not_identifiable if found.combinations else solution.status[0]
     return Identification(
         model=model,
         parameters=parameters,
-        covariance=unit**2 * decomposed.covariance,
+        covariance=made.covariance,
         identifiable=found.identifiable,
         not_identifiable=found.combinations,
-        sigma=sigma,
+        sigma=noise.sigma if known else scatter,
         sigma_known=known,
-        chi2=float(np.sum(weighted**2)) if known else None,
-        dof=weighted.size - found.rank,
+        chi2=rows.squares if known else None,
+        dof=rows.freedom,
         residuals_before=before,
         residuals_after=after,
         method=method,
-        status=Status.not_identifiable if found.combinations else solution.status[0],
+        status=Status.implausible if doubtful.implausible else status,
         iterations=int(solution.iterations[0]),
         provenance=MappingProxyType(data.origin),
+        uncertainty=made,
+        scatter=scatter,
+        doubts=doubtful.sentences,
     )
+
+
+def fitted_rows(problem: Problem, data: Measurements, parameters: Array, decomposed: Spectrum) -> FittedRows:
+    """The rows of weight above zero with what the fit left of them."""
+    kept = problem.weights > 0.0
+    position, jacobian = problem.model.linearize(problem.postures, parameters, problem.conditions)
+    residual = problem.root_weights * (problem.positions[0] - position)
+    weighted = problem.root_weights[:, :, None] * jacobian
+    postures = np.unique(data.posture_numbers[kept], return_inverse=True)[1]
+    sequence = np.cumsum(kept)[data.sequence[kept[data.sequence]]] - 1
+    return FittedRows(weighted[kept], residual[kept], decomposed.rank, sequence, postures)

@@ -15,6 +15,7 @@ from scipy.special import chdtrc
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.estimation.intervals import limits_95
+from identification.estimation.uncertainty import LEVEL, Uncertainty
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint
 from identification.kinematics.planar import orientation_transform
 from identification.measurements import rms_distance
@@ -28,8 +29,8 @@ class Identification:
 
     parameters : (p,) estimates; along what is not estimable, values of the size of the others (from the nominal arm and
         the model without effects), good for computing positions and for nothing else
-    covariance : (p, p) sigma^2 (sum J^T W J)^-1 (eq. 16), zero along what is not estimable; NaN if sigma is unknown and
-        no equation is left over to estimate it
+    covariance : (p, p) sigma^2 (sum J^T W J)^-1 (eq. 16) or the one that holds with misfit (see `uncertainty`), zero
+        along what is not estimable; NaN if sigma is unknown and no equation is left over to estimate it
     identifiable : (p,) True where the parameter itself is estimable from the data
     not_identifiable : combinations of parameters that the data do not determine, in words
     sigma : standard deviation of one coordinate [mm] (with sigma per row: their root mean square; with relative
@@ -38,6 +39,10 @@ class Identification:
     chi2 : weighted sum of squares in units of sigma^2, None if sigma was not known
     dof : d m equations minus the number of estimable combinations
     residuals_before, residuals_after : (m, d) measured minus computed [mm], with the arm as it was and as identified
+    uncertainty : what covariance and intervals rely on: the sigma given, the scatter, or a sandwich that is robust to
+        what is left unexplained
+    scatter : standard deviation of one coordinate that the residuals show [mm], None without spare equations
+    doubts : what is doubtful about the fit, in sentences
     """
 
     model: Model
@@ -53,6 +58,9 @@ class Identification:
     residuals_after: Array
     method: str
     status: Status
+    uncertainty: Uncertainty
+    scatter: float | None
+    doubts: tuple[str, ...] = ()
     iterations: int = 1
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -76,15 +84,38 @@ class Identification:
     def intervals(self) -> Array:
         """(p, 2) 95 % confidence limits, cut at the physical bounds; NaN where a parameter is not estimable.
 
-        Normal quantile where sigma is known, Student's t with `dof` where it is estimated from the same residuals.
+        Normal quantile where they rely on a given sigma, else Student's t.
         """
-        dof = None if self.sigma_known else self.dof
-        return readonly(limits_95(self.model.parameters, self.parameters, self.std, dof))
+        return readonly(limits_95(self.model.parameters, self.parameters, self.std, self.uncertainty.freedom))
 
     @property
     def p_value(self) -> float | None:
         """Probability of a chi2 at least this large if model and sigma are right; None if sigma was not known."""
         return None if self.chi2 is None or self.dof == 0 else float(chdtrc(self.dof, self.chi2))
+
+    @property
+    def misfit(self) -> str | None:
+        """What chi2 says where it rejects the model or the sigma given, and what follows for the intervals."""
+        if self.p_value is None or self.p_value >= LEVEL or self.scatter is None or not self.sigma:
+            return None
+        figures = f"chi2 {self.chi2:.4g} with {self.dof} degrees of freedom (p = {_chance(self.p_value)})"
+        found = f"{figures}: the residuals scatter {self.scatter / self.sigma:.3g} times sigma_mm = {self.sigma:.4g}"
+        cause = "the model is incomplete or sigma_mm too small"
+        relied = self.uncertainty.kind == "given"
+        follows = "the intervals rely on sigma_mm and are too narrow" if relied else "the intervals do not rely on it"
+        return f"misfit: {found}; {cause}, {follows}; armcal diagnose looks for what is missing"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What must be read before the figures."""
+        misfit = (self.misfit,) if self.misfit else ()
+        return (*self.doubts, *misfit) if self.status is Status.implausible else (*misfit, *self.doubts)
+
+    @cached_property
+    def shown_names(self) -> tuple[str, ...]:
+        """(p) names for people, in which an effect always has its settings: `transmission_ripple:2[k=17].a`."""
+        full = {p.name: f"{effect.label}.{p.short}" for effect in self.model.effects for p in effect.parameters}
+        return tuple(full.get(name, name) for name in self.names)
 
     @cached_property
     def _everything(self) -> dict[str, float]:
@@ -141,7 +172,7 @@ class Identification:
     def calibration(self) -> Calibration:
         """What an arm file keeps of this: all of `parameters`, and the known values."""
         cov = self.covariance if np.all(np.isfinite(self.covariance)) else None
-        figures = {k: v for k, v in self.to_json().items() if v is not None and k not in ("parameters", "p_value")}
+        figures = {k: v for k, v in self.to_json().items() if v is not None and k not in _NOT_KEPT}
         provenance = MappingProxyType({**self.provenance, **figures})
         return Calibration(self._everything, self.names, cov, provenance)
 
@@ -163,6 +194,12 @@ class Identification:
             "max_before_mm": self.max_before,
             "max_after_mm": self.max_after,
             "method": self.method,
+            "status": self.status.name,
+            "warnings": list(self.warnings),
+            "scatter_mm": self.scatter,
+            "intervals": self.uncertainty.kind,
+            "clusters": self.uncertainty.clusters
+            and {"kind": self.uncertainty.clusters, "count": self.uncertainty.count},
         }
 
     def _rows(self) -> list[dict[str, Any]]:
@@ -182,16 +219,20 @@ class Identification:
         return "Closed form, the exact global minimum." if closed else self.status.value
 
     def __str__(self) -> str:
-        lines = [f"{'parameter':<32} {'value':>12} {'std':>10} {'95 % low':>12} {'95 % high':>12}  unit"]
-        for row in self._rows():
+        lines = [
+            *self.warnings,
+            f"{'parameter':<32} {'value':>12} {'std':>10} {'95 % low':>12} {'95 % high':>12}  unit",
+        ]
+        for name, row in zip(self.shown_names, self._rows(), strict=True):
             cells = [_cell(row[key], width) for key, width in zip(_COLUMNS, (12, 10, 12, 12), strict=True)]
-            lines.append(f"{row['name']:<32} {' '.join(cells)}  {row['unit']}")
+            lines.append(f"{name:<32} {' '.join(cells)}  {row['unit']}")
         lines += [f"not identifiable: {combination}" for combination in self.not_identifiable]
         sigma = (
             "unknown" if self.sigma is None else f"{self.sigma:.4g} mm ({'given' if self.sigma_known else 'estimated'})"
         )
         chi2 = "" if self.p_value is None else f", chi2 {self.chi2:.4g}, p-value {self.p_value:.3g}"
         lines.append(f"sigma {sigma}, {self.dof} degrees of freedom{chi2}")
+        lines.append(f"95 % intervals: {self.uncertainty.sentence}")
         lines.append(f"RMS {self.rms_before:.4g} -> {self.rms_after:.4g} mm")
         lines.append(f"max {self.max_before:.4g} -> {self.max_after:.4g} mm")
         lines.append(f"{self.method}: {self.outcome}")
@@ -203,11 +244,16 @@ class Identification:
         return f"<pre>{html.escape(str(self))}</pre>"
 
 
+_NOT_KEPT = ("parameters", "p_value", "status", "warnings", "clusters")  # by a calibration
 _COLUMNS = ("value", "std", "low_95", "high_95")
 
 
 def _cell(value: float | None, width: int) -> str:
     return f"{'-' if value is None else format(value, '.6g'):>{width}}"
+
+
+def _chance(p: float) -> str:
+    return f"{p:.2g}" if p > 0.0 else "0 to 300 digits"
 
 
 def _number(value: float) -> float | None:

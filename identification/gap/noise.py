@@ -247,6 +247,4 @@ def _pure_error(residual: Array, groups: NDArray[np.int64]) -> float:
 
 def same_posture(measurements: Measurements) -> NDArray[np.int64]:
     """(m,) number of each row's posture; rows of one number are repeats."""
-    if measurements.repeats is not None:
-        return np.unique(measurements.repeats, return_inverse=True)[1]
-    return np.unique(np.round(measurements.postures, 9), axis=0, return_inverse=True)[1].ravel()
+    return measurements.posture_numbers

@@ -1,0 +1,105 @@
+"""What makes a fit doubtful before its figures are read: links that flip, another frame, postures out of the limits."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc
+
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.estimation.uncertainty import LEVEL
+from identification.information import RANK_TOLERANCE
+from identification.kinematics.parameters import LENGTH_ERROR
+from identification.kinematics.planar_linear import PlanarClosedForm
+from identification.measurements import Measurements, rms_distance
+from identification.model import Model
+
+# reasons: identification/README.md, "Doubtful fits"
+FLIPPED = 0.5  # of a link's nominal length: no drawing and no machining is that wrong
+FAR = 0.05  # of the reach: residuals of another arm, frame or unit
+FALL = 2.0  # of the RMS, when the position of the base is added: the data are in another frame
+OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
+SPARE = 4  # degrees of freedom
+
+
+class Doubts(NamedTuple):
+    """sentences : what is doubtful, worst first;  implausible : the fit is no result to work with."""
+
+    sentences: tuple[str, ...]
+    implausible: bool
+
+
+def doubts(
+    model: Model, parameters: Array, identifiable: NDArray[np.bool_], residual: Array, measurements: Measurements
+) -> Doubts:
+    """What is doubtful about a fit; parameters, identifiable : (p,);  residual : (m, d) [mm]."""
+    arm = getattr(model, "arm", None)  # other models have none
+    bad = [*far_off(residual, model.reach), *([] if arm is None else flipped(model, parameters, identifiable))]
+    if arm is None:
+        return Doubts(tuple(bad), bool(bad))
+    said = [*bad, *another_frame(arm, measurements), *outside_limits(arm, measurements)]
+    return Doubts(tuple(said), bool(bad))
+
+
+def far_off(residual: Array, reach: float) -> list[str]:
+    """Residuals that no effect of an arm explains."""
+    left = rms_distance(residual)
+    if left <= FAR * reach:
+        return []
+    share = f"{100.0 * left / reach:.0f} % of the reach"
+    return [f"implausible: the fit leaves {left:.4g} mm RMS, {share}; another arm, frame, unit or order of joints?"]
+
+
+def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) -> list[str]:
+    """Links whose length changes sign or by the order of the length itself."""
+    said = []
+    for p, value, told in zip(model.parameters, parameters, identifiable, strict=True):
+        if p.kind == LENGTH_ERROR and p.joint is not None and told:
+            length = float(model.arm.lengths[p.joint - 1])
+            if abs(value) > FLIPPED * length:
+                found = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
+                said.append(f"implausible: {found}; another arm, frame or unit?")
+    return said
+
+
+def another_frame(arm: Arm, measurements: Measurements) -> list[str]:
+    """The offer of `base_offset` where the residuals fall by a large factor with it.
+
+    Any rotation of the frame is the offset of joint 1, so that only the position of the base can be missing.
+    """
+    spare = measurements.positions.size - 2 * (arm.links + 1)
+    if measurements.dimension != 2 or spare < SPARE or any(e.name == "base_offset" for e in arm.effects):
+        return []
+    without, with_base = (_left(arm, measurements, offset) for offset in (False, True))
+    if not without > FALL**2 * with_base:
+        return []
+    if fdtrc(2, spare, (without - with_base) / 2.0 / max(with_base / spare, np.finfo(float).tiny)) > LEVEL:
+        return []
+    before, after = (np.sqrt(squares / len(measurements)) for squares in (without, with_base))
+    fall = f"the RMS falls from {before:.4g} to {after:.4g} mm where the position of the base is estimated, too"
+    return [f'the data are in another frame than the arm: {fall}; add [[effects]] name = "base_offset" to the arm file']
+
+
+def _left(arm: Arm, measurements: Measurements, offset: bool) -> float:
+    """Sum of squares [mm^2] that the closed form leaves, with or without a base offset."""
+    form = PlanarClosedForm(arm.lengths, offset, np.arange(0), exact=True)
+    solve = form.solver(measurements.postures, np.ones(len(measurements)), RANK_TOLERANCE)
+    return float(solve(measurements.positions[None])[1][0])
+
+
+def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
+    """How many postures lie outside the joint limits, and the first of them; limits left out do not count."""
+    given = (np.abs(arm.lower + np.pi) > OVERSHOOT) | (np.abs(arm.upper - np.pi) > OVERSHOOT)
+    q = measurements.postures
+    outside = given & ((q < arm.lower - OVERSHOOT) | (q > arm.upper + OVERSHOOT))
+    if not outside.any():
+        return []
+    row = int(np.argmax(outside.any(axis=1)))
+    joint = int(np.argmax(outside[row]))
+    low, high, angle = (np.degrees(v[joint]) for v in (arm.lower, arm.upper, q[row]))
+    count = int(outside.any(axis=1).sum())
+    first = f"row {row + 1}: joint {joint + 1} at {angle:.5g} deg, allowed {low:g} to {high:g}"
+    return [f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}"]

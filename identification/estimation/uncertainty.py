@@ -1,0 +1,173 @@
+"""How sure estimates are: from a sigma that the residuals do not contradict, from their scatter, or robustly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, fdtrc
+
+from identification.arrays import Array
+from identification.estimation.sandwich import Sandwich, sandwich
+from identification.information import Spectrum
+
+# reasons: identification/README.md, "Covariance and intervals"
+BELIEVED = (0.1, 0.99)  # p-values of chi2 between which intervals rely on the sigma that is given
+LEVEL = 0.01  # of misfit that is said, of lack of fit and of serial correlation
+FEWEST = 2.0  # degrees of freedom: with no more, Student's t has no variance
+STRETCHES = 40  # of a session whose rows are correlated; Student's quantile is then within 4 % of the normal one
+
+
+@dataclass(frozen=True)
+class FittedRows:
+    """m rows of d whitened coordinates with what a fit left of them.
+
+    jacobian : (m, d, p);  residual : (m, d);  rank : number of combinations estimated
+    sequence : (m,) row numbers in the order of measurement;  postures : (m,) equal numbers mark repeats of one posture
+    """
+
+    jacobian: Array
+    residual: Array
+    rank: int
+    sequence: NDArray[np.int64]
+    postures: NDArray[np.int64]
+
+    @property
+    def freedom(self) -> int:
+        """Equations less combinations estimated."""
+        return self.residual.size - self.rank
+
+    @property
+    def squares(self) -> float:
+        """Sum of squared whitened residuals."""
+        return float(np.sum(self.residual**2))
+
+    @property
+    def p_value(self) -> float | None:
+        """Probability of a sum of squares at least this large, if noise is white with variance one."""
+        return float(chdtrc(self.freedom, self.squares)) if self.freedom > 0 else None
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """How sure estimates are.
+
+    kind : `given` (sigma is known), `scatter` (of the residuals, taken as white), `sandwich` (robust)
+    covariance : (p, p);  freedom : (p,) degrees of freedom of Student's t, infinite where sigma is given
+    clusters, count : what is taken as independent (`rows`, `postures`, `stretches` of time), and how many of them
+    """
+
+    kind: str
+    covariance: Array
+    freedom: Array
+    clusters: str | None = None
+    count: int = 0
+
+    @property
+    def sentence(self) -> str:
+        """Where the intervals come from, in words."""
+        if self.kind == "given":
+            return "from the sigma given"
+        if self.kind == "scatter":
+            return "from the scatter of the residuals"
+        return f"from the scatter, robust to what is left unexplained (sandwich over {self.count} {self.clusters})"
+
+
+def uncertainty(rows: FittedRows, decomposed: Spectrum, *, known: bool, reliance: str | None = None) -> Uncertainty:
+    """The covariance that holds, and the degrees of freedom of its intervals.
+
+    known : the rows are divided by a sigma that is given
+    reliance : `given` or `estimated`: what the intervals rely on, whatever the residuals say; None: the sigma given as
+        long as chi2 does not contradict it; else the scatter, robustly where something is left unexplained
+    """
+    p, plain = rows.p_value, decomposed.covariance
+    trusted = p is None or BELIEVED[0] <= p <= BELIEVED[1]
+    if known and (reliance == "given" or (reliance is None and trusted)):
+        return Uncertainty("given", plain, np.full(len(plain), np.inf))
+    robust = None
+    if reliance is None and p is not None and not (known and p > BELIEVED[1]):
+        robust = _robust(rows, decomposed, known)
+    if robust is not None:
+        return robust
+    variance = rows.squares / rows.freedom if rows.freedom > 0 else np.nan
+    return Uncertainty("scatter", variance * plain, np.full(len(plain), float(rows.freedom)))
+
+
+def _robust(rows: FittedRows, decomposed: Spectrum, misfit: bool) -> Uncertainty | None:
+    """The widest sandwich over postures or stretches of time; None with too few rows, or where nothing asks for it."""
+    root = decomposed.root
+    length = correlated(rows, root)
+    if not (misfit or length > 1 or lack_of_fit(rows) < LEVEL):
+        return None
+    found = [(kind, groups, made) for kind, groups, made in _made(rows, root, length) if made is not None]
+    if not found:
+        return None
+    kind, groups, widest = max(found, key=lambda one: _size(one[2], root))
+    return Uncertainty("sandwich", widest.covariance, widest.freedom, kind, int(groups.max()) + 1)
+
+
+def _made(rows: FittedRows, root: Array, length: int) -> list[tuple[str, NDArray[np.int64], Sandwich | None]]:
+    """Sandwiches over rows or postures and, where rows are correlated in time, over stretches of time."""
+    single = int(rows.postures.max()) + 1 == len(rows.postures)
+    found = [("rows" if single else "postures", rows.postures, _enough(rows, root, rows.postures))]
+    while length > 1:
+        groups = stretches(rows.sequence, length)
+        if (made := _enough(rows, root, groups)) is not None:
+            return [*found, ("stretches", groups, made)]
+        length //= 2
+    return found
+
+
+def _enough(rows: FittedRows, root: Array, groups: NDArray[np.int64]) -> Sandwich | None:
+    made = sandwich(rows.jacobian, rows.residual, root, groups)
+    return made if made is not None and made.freedom.min() >= FEWEST else None
+
+
+def _size(made: Sandwich, root: Array) -> float:
+    """Mean logarithm of the variances over those of white noise; the order of sandwiches by width."""
+    plain = np.sum(root**2, axis=1)
+    seen = plain > 0.0
+    ratio = np.diag(made.covariance)[seen] / plain[seen]
+    return float(np.mean(np.log(np.maximum(ratio, np.finfo(float).tiny))))
+
+
+def correlated(rows: FittedRows, root: Array) -> int:
+    """Number of successive rows to be taken together: 1 where what they say of the parameters is uncorrelated.
+
+    The lag-1 correlation of the scores Q_i^T r_i, with its standard error if their signs were random. The length is
+    that of E. Carlstein (1986) for a first-order autoregression, m^(1/3) (2 rho / (1 - rho^2))^(2/3), and no less than
+    leaves `STRETCHES` stretches.
+    """
+    scores = np.einsum("mdr,md->mr", rows.jacobian @ root, rows.residual)[rows.sequence]
+    products = np.sum(scores[1:] * scores[:-1], axis=1)
+    error = float(np.sqrt(np.sum(products**2)))
+    if error == 0.0 or products.sum() <= NORMAL_99 * error:
+        return 1
+    rho, m = min(float(products.sum() / np.sum(scores**2)), 0.99), len(scores)
+    carlstein = m ** (1.0 / 3.0) * (2.0 * rho / (1.0 - rho**2)) ** (2.0 / 3.0)
+    return int(np.ceil(max(carlstein, m / STRETCHES)))
+
+
+NORMAL_99 = 2.3263478740408408  # one-sided, of `LEVEL`
+
+
+def stretches(sequence: NDArray[np.int64], length: int) -> NDArray[np.int64]:
+    """(m,) number of the stretch of time of each row: as many stretches of about `length` successive rows as fit."""
+    m = len(sequence)
+    groups = np.empty(m, dtype=np.int64)
+    groups[sequence] = np.arange(m) * max(m // length, 1) // m
+    return groups
+
+
+def lack_of_fit(rows: FittedRows) -> float:
+    """p-value of the F test of lack of fit against the scatter of repeats; 1 where too few postures are repeated."""
+    d, count = rows.residual.shape[1], int(rows.postures.max()) + 1
+    sizes = np.bincount(rows.postures)[:, None]
+    means = np.stack([np.bincount(rows.postures, column) for column in rows.residual.T], axis=1) / sizes
+    pure = float(np.sum((rows.residual - means[rows.postures]) ** 2))
+    pure_freedom, fit_freedom = d * (len(rows.residual) - count), d * count - rows.rank
+    if pure_freedom < 1 or fit_freedom < 1 or pure == 0.0:
+        return 1.0
+    ratio = (rows.squares - pure) / fit_freedom / (pure / pure_freedom)
+    return float(fdtrc(fit_freedom, pure_freedom, max(ratio, 0.0)))

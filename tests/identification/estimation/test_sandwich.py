@@ -1,0 +1,113 @@
+"""The clustered sandwich against textbook formulas, dense matrices from the definition, and exact expectations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import sqrtm
+
+from identification.estimation.sandwich import sandwich
+
+GROUPS = np.array([0, 0, 0, 1, 2, 2, 3, 3, 3, 3, 4, 4, 5, 5, 6, 7])  # of 16 rows, of different sizes
+
+
+def problem(seed: int = 0, d: int = 2, p: int = 3) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(m, d, p) Jacobian, (m, d) residuals of a fit and (p, p) root of the covariance (not triangular, any will do)."""
+    rng = np.random.default_rng(seed)
+    jacobian = rng.standard_normal((len(GROUPS), d, p))
+    flat = jacobian.reshape(-1, p)
+    hat = flat @ np.linalg.pinv(flat)
+    residual = (np.eye(len(flat)) - hat) @ rng.standard_normal(len(flat))
+    return jacobian, residual.reshape(-1, d), np.linalg.cholesky(np.linalg.inv(flat.T @ flat))
+
+
+def dense(jacobian: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance and degrees of freedom from the definition, with (N, N) matrices."""
+    m, d, p = jacobian.shape
+    j, e, member = jacobian.reshape(-1, p), residual.reshape(-1), np.repeat(GROUPS, d)
+    bread = np.linalg.inv(j.T @ j)
+    rest = np.eye(m * d) - j @ bread @ j.T
+    added, products = [], []
+    for g in range(GROUPS.max() + 1):
+        own = member == g
+        root = np.linalg.inv(np.real(sqrtm(rest[np.ix_(own, own)])))
+        added.append(bread @ j[own].T @ root @ e[own])
+        products.append(rest[:, own] @ root @ j[own] @ bread)  # (N, p): column k is P_g of parameter k
+    freedom = []
+    for k in range(p):
+        rows = np.stack([one[:, k] for one in products])
+        values = np.linalg.eigvalsh(rows @ rows.T)
+        freedom.append(values.sum() ** 2 / np.sum(values**2))
+    return np.stack(added).T @ np.stack(added), np.array(freedom)
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_equals_the_definition(d: int) -> None:
+    jacobian, residual, root = problem(d, d)
+    found = sandwich(jacobian, residual, root, GROUPS)
+    assert found is not None
+    covariance, freedom = dense(jacobian, residual)
+    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-9)
+    np.testing.assert_allclose(found.freedom, freedom, rtol=1e-9)
+
+
+def test_unbiased_under_white_noise() -> None:
+    """E cov over white noise, exactly: the mean of a quadratic form of the noise is its sum over unit vectors."""
+    jacobian, _, root = problem(4)
+    flat = jacobian.reshape(-1, 3)
+    rest = np.eye(len(flat)) - flat @ np.linalg.pinv(flat)
+    total = np.zeros((3, 3))
+    for column in rest.T:
+        found = sandwich(jacobian, column.reshape(-1, 2), root, GROUPS)
+        assert found is not None
+        total += found.covariance
+    np.testing.assert_allclose(total, np.linalg.inv(flat.T @ flat), rtol=1e-9)
+
+
+def test_order_of_rows_and_numbering_of_groups_do_not_matter() -> None:
+    jacobian, residual, root = problem(5)
+    order = np.random.default_rng(1).permutation(len(GROUPS))
+    renamed = np.random.default_rng(2).permutation(GROUPS.max() + 1)[GROUPS]
+    one, other = (
+        sandwich(jacobian, residual, root, GROUPS),
+        sandwich(jacobian[order], residual[order], root, renamed[order]),
+    )
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-10)
+    np.testing.assert_allclose(other.freedom, one.freedom, rtol=1e-10)
+
+
+def test_of_a_mean_it_is_the_textbook_variance_over_clusters() -> None:
+    """Mean of G equal clusters: variance of the G cluster means over G, with G - 1 degrees of freedom."""
+    data = np.random.default_rng(6).standard_normal((7, 4))
+    ones, residual = np.ones((28, 1, 1)), (data - data.mean()).reshape(28, 1)
+    found = sandwich(ones, residual, np.full((1, 1), 1.0 / np.sqrt(28.0)), np.repeat(np.arange(7), 4))
+    assert found is not None
+    assert found.covariance[0, 0] == pytest.approx(np.var(data.mean(axis=1), ddof=1) / 7.0)
+    assert found.freedom[0] == pytest.approx(6.0)
+
+
+def test_of_two_means_it_is_welch() -> None:
+    """A constant and a difference between two samples of 5 and 12: their variances add (Welch)."""
+    rng = np.random.default_rng(7)
+    one, two = rng.standard_normal(5), 9.0 * rng.standard_normal(12)
+    columns = np.column_stack([np.ones(17), np.repeat([0.0, 1.0], [5, 12])])
+    residual = np.r_[one - one.mean(), two - two.mean()]
+    root = np.linalg.cholesky(np.linalg.inv(columns.T @ columns))
+    found = sandwich(columns[:, None, :], residual[:, None], root, np.arange(17))
+    assert found is not None
+    variances = np.array([np.var(one, ddof=1) / 5.0, np.var(two, ddof=1) / 12.0])
+    assert found.covariance[1, 1] == pytest.approx(variances.sum())
+    assert found.covariance[0, 0] == pytest.approx(variances[0])
+    # degrees of freedom under equal variances
+    shares = np.array([1.0 / 5.0, 1.0 / 12.0])
+    assert found.freedom[1] == pytest.approx(shares.sum() ** 2 / np.sum(shares**2 / np.array([4.0, 11.0])))
+    assert found.freedom[0] == pytest.approx(4.0)
+
+
+def test_a_group_that_alone_determines_a_parameter_gives_none() -> None:
+    jacobian = np.concatenate([np.ones((5, 1, 1)), np.zeros((5, 1, 1))], axis=2)
+    jacobian[0, 0, 1] = 1.0
+    root = np.linalg.cholesky(np.linalg.inv(jacobian[:, 0].T @ jacobian[:, 0]))
+    assert sandwich(jacobian, np.zeros((5, 1)), root, np.arange(5)) is None

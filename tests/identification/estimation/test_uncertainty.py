@@ -1,0 +1,174 @@
+"""What intervals rely on: a sigma that holds, the scatter, a sandwich; and what is taken as independent."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from identification.errors import InputError
+from identification.estimation import estimate
+from identification.estimation.intervals import quantile_95
+from identification.estimation.uncertainty import FittedRows, correlated, lack_of_fit, stretches, uncertainty
+from identification.information import spectrum
+from identification.measurements import Measurements
+from identification.model import Model
+from tests.identification.estimation.cases import SIGMA, TRUTH, arm, data, plan
+
+
+def fitted(
+    columns: np.ndarray, values: np.ndarray, postures: np.ndarray | None = None
+) -> tuple[FittedRows, np.ndarray]:
+    """Rows (m, p) of one coordinate, fitted to values (m,), and (p, rank) root of the covariance."""
+    residual = values - columns @ np.linalg.lstsq(columns, values)[0]
+    m, p = columns.shape
+    numbers = np.arange(m) if postures is None else postures
+    rows = FittedRows(columns[:, None, :], residual[:, None], p, np.arange(m), numbers)
+    return rows, spectrum(columns, np.ones(p)).root
+
+
+# -- which one is used -------------------------------------------------------------------------------------------------
+def test_a_sigma_that_holds_is_relied_upon() -> None:
+    model = Model(arm(sigma=SIGMA))
+    found = estimate(model, data(model, plan(30)))
+    assert found.p_value is not None
+    assert 0.1 < found.p_value < 0.99
+    assert (found.uncertainty.kind, found.warnings) == ("given", ())
+    said = estimate(model, data(model, plan(30)), sigma=SIGMA)
+    np.testing.assert_array_equal(found.intervals, said.intervals)
+
+
+def test_a_sigma_that_chi2_rejects_is_not() -> None:
+    model, measurements = Model(arm(sigma=SIGMA / 4.0)), data(Model(arm()), plan(30))
+    found, free = estimate(model, measurements), estimate(model, measurements, sigma="estimated")
+    assert found.uncertainty.kind == "sandwich"
+    assert found.to_json()["clusters"] == {"kind": "rows", "count": 30}
+    assert found.sigma == SIGMA / 4.0  # as given
+    assert found.scatter == pytest.approx(free.sigma)
+    assert free.uncertainty.kind == "scatter"
+    assert str(found).startswith("misfit: chi2 ")
+    assert found.to_json()["warnings"] == [found.misfit]
+    # of the same size as from the scatter: the model is complete
+    assert np.all((found.std / free.std > 0.5) & (found.std / free.std < 2.0))
+    np.testing.assert_allclose(
+        np.diff(found.intervals, axis=1)[:, 0], 2.0 * quantile_95(found.uncertainty.freedom) * found.std
+    )
+
+
+def test_given_and_estimated_choose() -> None:
+    model, measurements = Model(arm(sigma=SIGMA / 4.0)), data(Model(arm()), plan(30))
+    given = estimate(model, measurements, sigma="given")
+    assert given.uncertainty.kind == "given"
+    assert given.misfit is not None
+    assert "too narrow" in given.misfit
+    np.testing.assert_array_equal(given.intervals, estimate(model, measurements, sigma=SIGMA / 4.0).intervals)
+    assert estimate(model, measurements, sigma="estimated").misfit is None
+    with pytest.raises(InputError, match="sigma: 'given', but none is given"):
+        estimate(Model(arm()), measurements, sigma="given")
+
+
+def test_a_sigma_that_is_too_large_is_no_misfit() -> None:
+    model = Model(arm(sigma=4.0 * SIGMA))
+    found = estimate(model, data(model, plan(30)))
+    assert (found.uncertainty.kind, found.misfit) == ("scatter", None)
+
+
+def test_too_few_rows_for_a_sandwich_leave_the_scatter() -> None:
+    """Of 5 postures with 8 parameters each determines much by itself."""
+    model = Model(arm(sigma=SIGMA / 100.0))
+    found = estimate(model, data(Model(arm()), plan(5)))
+    assert found.misfit is not None
+    assert found.uncertainty.kind == "scatter"
+    assert found.to_json()["clusters"] is None
+
+
+@pytest.mark.parametrize(("factor", "ripple"), [(1.0, 0.0), (0.3, 0.0), (3.0, 0.0), (1.0, 2e-3)])
+def test_intervals_hold_whatever_sigma_is_and_with_a_ripple_that_is_not_modelled(factor: float, ripple: float) -> None:
+    """Coverage of 8 parameters in 150 sets of 20 postures; 3.5 standard errors, sets counting as independent."""
+    rng, model, held = np.random.default_rng(8), Model(arm(sigma=factor * SIGMA)), []
+    for _ in range(150):
+        q = rng.uniform(-np.pi, np.pi, (20, 4))
+        real = q + ripple * np.cos(17.0 * q)
+        measured = Measurements(q, model.position(real, TRUTH) + SIGMA * rng.standard_normal((20, 2)))
+        low, high = estimate(model, measured).intervals.T
+        held.append(np.mean((low <= TRUTH) & (high >= TRUTH)))
+    assert abs(np.mean(held) - 0.95) < 3.5 * np.std(held) / np.sqrt(len(held)) + 0.005
+
+
+# -- what is independent -----------------------------------------------------------------------------------------------
+def test_repeats_of_one_posture_are_taken_together() -> None:
+    """What is left unexplained is the same in each repeat: as many facts as postures, not as rows."""
+    rng, model = np.random.default_rng(9), Model(arm(sigma=SIGMA / 10.0))
+    q, times = rng.uniform(-np.pi, np.pi, (30, 4)), np.tile(np.arange(30), 5)
+    error = SIGMA * rng.standard_normal((30, 2))
+    exact = model.position(q, TRUTH)
+    noise = SIGMA / 10.0 * rng.standard_normal((150, 2))
+    found = estimate(model, Measurements(q[times], (exact + error)[times] + noise))
+    assert found.to_json()["clusters"] == {"kind": "postures", "count": 30}
+    once = estimate(model, Measurements(q, exact + error), sigma="estimated")
+    assert np.all((found.std / once.std > 0.5) & (found.std / once.std < 2.0))
+    unaware = estimate(Model(arm()), Measurements(q[times], (exact + error)[times] + noise))
+    assert unaware.uncertainty.kind == "sandwich"  # lack of fit against the repeats, without any sigma
+
+
+def autoregression(rng: np.random.Generator, m: int, rho: float) -> np.ndarray:
+    """Stationary, of variance one."""
+    noise = rng.standard_normal(m)
+    for k in range(1, m):
+        noise[k] = rho * noise[k - 1] + np.sqrt(1.0 - rho**2) * noise[k]
+    return noise
+
+
+def test_rows_that_are_correlated_in_time_are_taken_in_stretches() -> None:
+    """A mean and a slope: the exact variance of the estimates under an autoregression, from its covariance matrix."""
+    m, rho = 800, 0.8
+    columns = np.column_stack([np.ones(m), np.linspace(-1.0, 1.0, m)])
+    bread = np.linalg.inv(columns.T @ columns)
+    exact = bread @ columns.T @ rho ** np.abs(np.subtract.outer(np.arange(m), np.arange(m))) @ columns @ bread
+    rng, variances = np.random.default_rng(10), []
+    for _ in range(60):
+        rows, root = fitted(columns, autoregression(rng, m, rho))
+        found = uncertainty(rows, spectrum(columns, np.ones(2)), known=False)
+        assert (found.kind, found.clusters) == ("sandwich", "stretches")
+        assert found.count == m // correlated(rows, root)
+        variances.append(np.diag(found.covariance))
+    # stretches of finite length miss the correlation across their ends: some tenth of it
+    np.testing.assert_allclose(np.mean(variances, axis=0), np.diag(exact), rtol=0.25)
+    assert np.all(np.diag(exact) > 8.0 * np.diag(bread))
+
+
+def test_white_noise_is_seldom_taken_for_correlated() -> None:
+    rng, columns = np.random.default_rng(11), np.column_stack([np.ones(60), np.linspace(-1.0, 1.0, 60)])
+    taken = [correlated(*fitted(columns, rng.standard_normal(60))) > 1 for _ in range(400)]
+    assert np.mean(taken) < 0.03
+
+
+def test_length_of_the_stretches() -> None:
+    """Carlstein's, and no more than 40 of them; 12 rows in stretches of 5 are two of 6."""
+    columns = np.ones((4000, 1))
+    rows, root = fitted(columns, autoregression(np.random.default_rng(12), 4000, 0.5))
+    assert correlated(rows, root) == 100  # 4000 / 40; Carlstein's 16 (1 / 0.75)^(2/3) = 19
+    short, root = fitted(columns[:100], autoregression(np.random.default_rng(12), 100, 0.9))
+    (scores,) = (short.residual.T * root[0, 0],)
+    rho = np.sum(scores[0, 1:] * scores[0, :-1]) / np.sum(scores**2)
+    assert correlated(short, root) == int(np.ceil(100.0 ** (1.0 / 3.0) * (2.0 * rho / (1.0 - rho**2)) ** (2.0 / 3.0)))
+    order = np.random.default_rng(13).permutation(12)
+    groups = stretches(order, 5)
+    assert groups[order].tolist() == [0] * 6 + [1] * 6
+
+
+def test_lack_of_fit_is_the_f_test_of_the_analysis_of_variance() -> None:
+    """A constant fitted to 4 samples: Fisher's one-way analysis of variance."""
+    rng = np.random.default_rng(14)
+    samples = [rng.standard_normal(size) + shift for size, shift in ((3, 0.0), (5, 0.6), (2, -0.4), (6, 0.1))]
+    numbers = np.repeat(np.arange(4), [3, 5, 2, 6])
+    rows, _ = fitted(np.ones((16, 1)), np.concatenate(samples), numbers)
+    assert lack_of_fit(rows) == pytest.approx(stats.f_oneway(*samples).pvalue)
+    assert lack_of_fit(replace(rows, postures=np.arange(16))) == 1.0
+
+
+def test_quantiles() -> None:
+    expected = [stats.norm.ppf(0.975), stats.t.ppf(0.975, 3.7), np.nan]
+    np.testing.assert_allclose(quantile_95([np.inf, 3.7, 0.0]), expected, rtol=1e-9)
