@@ -1,0 +1,220 @@
+"""URDF files: the chain of joints from a base to a tip link, and a corrected chain written back.
+
+Read by the standard library; declarations of a document type or of entities are refused. Only the `origin` elements of
+the chain's joints are written anew, everything else of the file stays as it is, byte for byte. URDF speaks metres and
+radians (http://wiki.ros.org/urdf/XML/joint).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from xml.etree import ElementTree
+from xml.parsers import expat
+
+import numpy as np
+
+from identification.arrays import Array
+from identification.errors import InputError, nearest
+from identification.files.io import PathLike, decode, read_bytes
+from identification.kinematics.frames import from_roll_pitch_yaw, pose, roll_pitch_yaw
+from identification.kinematics.parameters import PRISMATIC, REVOLUTE
+from identification.kinematics.spatial import Joint, SpatialChain
+
+METER = 1000.0  # [mm]
+MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
+FIXED = "fixed"
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """A file that was read: its joints by the name of the link that they carry."""
+
+    path: str
+    text: str
+    by_child: Mapping[str, ElementTree.Element]
+    links: tuple[str, ...]
+
+    def elements(self, base: str, tip: str) -> list[ElementTree.Element]:
+        """The joints from a base link to a tip link. Raises `InputError` where there is no such way."""
+        for link in (base, tip):
+            if link not in self.links:
+                raise InputError(f"{self.path}: there is no link {link!r}, {nearest(link, self.links)}")
+        found: list[ElementTree.Element] = []
+        link = tip
+        while link != base:
+            if link not in self.by_child or len(found) > len(self.by_child):
+                raise InputError(f"{self.path}: link {tip!r} is not below {base!r}, allowed: a tip below the base")
+            found.append(self.by_child[link])
+            link = self._attribute(found[-1], "parent", "link")
+        return found[::-1]
+
+    def chain(self, base: str, tip: str) -> SpatialChain:
+        """The chain of moving joints; fixed joints between them belong to the next one's origin."""
+        joints: list[Joint] = []
+        before = np.eye(4)
+        for element in self.elements(base, tip):
+            before = before @ self._origin(element)
+            if element.get("type") == FIXED:
+                continue
+            joints.append(self._joint(element, before))
+            before = np.eye(4)
+        if not joints:
+            raise InputError(f"{self.path}: no joint moves between {base!r} and {tip!r}, allowed: at least one")
+        return SpatialChain(tuple(joints), before)
+
+    def _joint(self, element: ElementTree.Element, origin: Array) -> Joint:
+        name, kind = str(element.get("name")), str(element.get("type"))
+        if kind not in MOVING:
+            allowed = f"allowed: {', '.join(MOVING)} and {FIXED}"
+            raise InputError(f"{self.path}: joint {name!r} of the chain is of type {kind!r}, {allowed}")
+        if element.find("mimic") is not None:
+            raise InputError(f"{self.path}: joint {name!r} of the chain mimics another, allowed: joints of their own")
+        axis = self._numbers(element, "axis", "xyz", (1.0, 0.0, 0.0))
+        if not np.any(axis):
+            raise InputError(f"{self.path}: joint {name!r}: axis 0 0 0, allowed: a direction")
+        return Joint(name, origin, axis, MOVING[kind], *self._limits(element, kind))
+
+    def _limits(self, element: ElementTree.Element, kind: str) -> tuple[float, float]:
+        if kind == "continuous":
+            return -np.pi, np.pi
+        name, limit = element.get("name"), element.find("limit")
+        if limit is None or limit.get("lower") is None or limit.get("upper") is None:
+            missing = "limit, lower or upper is missing"
+            raise InputError(f"{self.path}: joint {name!r}: {missing}, allowed: both for a {kind} joint")
+        lower, upper = (self._number(f"joint {name!r}: limit", str(limit.get(key))) for key in ("lower", "upper"))
+        if lower >= upper:
+            raise InputError(f"{self.path}: joint {name!r}: limits {lower:g} to {upper:g}, allowed: lower < upper")
+        unit = METER if kind == "prismatic" else 1.0
+        return lower * unit, upper * unit
+
+    def _origin(self, element: ElementTree.Element) -> Array:
+        """(4, 4) [mm]."""
+        place = self._numbers(element, "origin", "xyz", (0.0, 0.0, 0.0)) * METER
+        return pose(place, from_roll_pitch_yaw(*self._numbers(element, "origin", "rpy", (0.0, 0.0, 0.0))))
+
+    def _numbers(self, element: ElementTree.Element, tag: str, key: str, default: Sequence[float]) -> Array:
+        """(3,) numbers of an attribute."""
+        part = element.find(tag)
+        text = None if part is None else part.get(key)
+        if text is None:
+            return np.asarray(default)
+        where = f"joint {element.get('name')!r}: {tag} {key}"
+        if len(words := text.split()) != 3:
+            raise InputError(f"{self.path}: {where} has {text!r}, allowed: three numbers")
+        return np.array([self._number(where, word) for word in words])
+
+    def _number(self, where: str, word: str) -> float:
+        try:
+            value = float(word)
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            raise InputError(f"{self.path}: {where} has {word!r}, allowed: finite numbers")
+        return value
+
+    def _attribute(self, element: ElementTree.Element, tag: str, key: str) -> str:
+        part = element.find(tag)
+        if part is None or part.get(key) is None:
+            raise InputError(f"{self.path}: joint {element.get('name')!r} has no {tag} {key}, allowed: one")
+        return str(part.get(key))
+
+
+def read_urdf(path: PathLike) -> Urdf:
+    """Reads a URDF file.
+
+    Raises `InputError` for a missing file, text that is no XML or has a document type, links or joints of equal names,
+    links with two parents.
+    """
+    text = decode(path, read_bytes(path))
+    if found := re.search(r"<!(DOCTYPE|ENTITY)", text):
+        raise InputError(f"{path}: found {found.group()}, allowed: XML without document types and entities")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: not XML: {error}, allowed: a URDF file") from None
+    if root.tag != "robot":
+        raise InputError(f"{path}: the root element is <{root.tag}>, allowed: <robot>")
+    links = tuple(str(link.get("name")) for link in root.findall("link"))
+    by_child: dict[str, ElementTree.Element] = {}
+    found_file = Urdf(str(path), text, by_child, links)
+    for joint in root.findall("joint"):
+        child = found_file._attribute(joint, "child", "link")
+        if child in by_child:
+            raise InputError(f"{path}: link {child!r} hangs on two joints, allowed: one")
+        by_child[child] = joint
+    _check_once(path, "joint", [str(joint.get("name")) for joint in by_child.values()])
+    _check_once(path, "link", links)
+    return found_file
+
+
+def _check_once(path: PathLike, what: str, names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{path}: {what} {name!r} is there {names.count(name)} times, allowed: once")
+
+
+def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> str:
+    """The file's text with the moving joints of the chain at other origins.
+
+    origins : (4, 4) [mm] pose of each joint's frame in that of the moving joint before, as in `SpatialChain`
+    """
+    corrected: dict[str, Array] = {}
+    remaining, fixed = list(origins), np.eye(4)
+    for element in urdf.elements(base, tip):
+        if element.get("type") == FIXED:
+            fixed = fixed @ urdf._origin(element)
+        else:
+            corrected[str(element.get("name"))] = np.linalg.inv(fixed) @ remaining.pop(0)
+            fixed = np.eye(4)
+    text = urdf.text.encode()
+    for start, end, name, closed in sorted(_origin_places(text, corrected), reverse=True):
+        text = text[:start] + _origin_element(corrected[name], closed).encode() + text[end:]
+    return text.decode()
+
+
+def _origin_element(matrix: Array, closed: bool) -> str:
+    place = " ".join(f"{float(x):.17g}" for x in matrix[:3, 3] / METER)
+    turn = " ".join(f"{float(x):.17g}" for x in roll_pitch_yaw(matrix[:3, :3]))
+    return f'<origin xyz="{place}" rpy="{turn}"{"/>" if closed else ">"}'
+
+
+def _origin_places(text: bytes, names: Mapping[str, Array]) -> Iterator[tuple[int, int, str, bool]]:
+    """Where the start tags of the joints' `origin` elements begin and end; a joint without one: right after its tag."""
+    parser = expat.ParserCreate()
+    path: list[str] = []
+    places: dict[str, tuple[int, int, bool]] = {}
+    opened: dict[str, int] = {}
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        at = parser.CurrentByteIndex
+        if len(path) == 1 and tag == "joint":
+            path.append(attributes.get("name", ""))
+            opened[path[-1]] = _tag_end(text, at)
+            return
+        if len(path) == 2 and tag == "origin" and path[1] in names and path[1] not in places:
+            end = _tag_end(text, at)
+            places[path[1]] = (at, end, text[:end].endswith(b"/>"))
+        path.append(tag)
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda tag: path.pop()
+    parser.Parse(text, True)
+    for name in names:
+        at, end, closed = places.get(name, (opened[name], opened[name], True))
+        yield at, end, name, closed
+
+
+def _tag_end(text: bytes, start: int) -> int:
+    """Index after the `>` that closes the tag that begins at `start`; those inside quotes do not count."""
+    quote = b""
+    for at in range(start, len(text)):
+        byte = text[at : at + 1]
+        if quote:
+            quote = b"" if byte == quote else quote
+        elif byte in (b'"', b"'"):
+            quote = byte
+        elif byte == b">":
+            return at + 1
+    return len(text)

@@ -1,0 +1,85 @@
+"""Rigid transformations in space: (4, 4) homogeneous matrices in numpy, and elementary motions in CasADi.
+
+Rotations by roll, pitch and yaw (r, p, y) are those of URDF: Rz(y) Ry(p) Rx(r), about fixed axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identification.arrays import Array
+
+AXES = "xyz"
+
+
+def pose(translation: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Array:
+    """(4, 4) from a translation (3,) and a rotation matrix (3, 3)."""
+    found = np.eye(4)
+    found[:3, 3] = translation
+    if rotation is not None:
+        found[:3, :3] = rotation
+    return found
+
+
+def rotation_about(axis: ArrayLike, angle: float) -> Array:
+    """(3, 3) rotation by an angle [rad] about a unit vector (3,) (Rodrigues)."""
+    x, y, z = np.asarray(axis, dtype=float)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+
+
+def from_roll_pitch_yaw(roll: float, pitch: float, yaw: float) -> Array:
+    """(3, 3) Rz(yaw) Ry(pitch) Rx(roll)."""
+    x, y, z = np.eye(3)
+    return rotation_about(z, yaw) @ rotation_about(y, pitch) @ rotation_about(x, roll)
+
+
+def roll_pitch_yaw(rotation: Array) -> Array:
+    """(3,) angles [rad] with `from_roll_pitch_yaw` of them the rotation (3, 3); yaw is zero where only a sum counts."""
+    pitch = float(np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0])))
+    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-12:
+        roll = float(np.arctan2(-np.sign(rotation[2, 0]) * rotation[0, 1], rotation[1, 1]))
+        return np.array([roll, pitch, 0.0])
+    roll = float(np.arctan2(rotation[2, 1], rotation[2, 2]))
+    return np.array([roll, pitch, float(np.arctan2(rotation[1, 0], rotation[0, 0]))])
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame in CasADi symbols:  origin : (3,) SX;  axes : (3, 3) SX, the columns its x, y and z axes."""
+
+    origin: ca.SX
+    axes: ca.SX
+
+    @classmethod
+    def world(cls) -> Frame:
+        """The frame that everything is measured in."""
+        return cls(ca.SX.zeros(3), ca.SX.eye(3))
+
+    def moved(self, axis: int, distance: ca.SX | float) -> Frame:
+        """Shifted along an own axis."""
+        return Frame(self.origin + self.axes[:, axis] * distance, self.axes)
+
+    def turned(self, axis: int, angle: ca.SX | float) -> Frame:
+        """Turned by an angle [rad] about an own axis."""
+        cosine, sine = ca.cos(angle), ca.sin(angle)
+        columns = [self.axes[:, k] for k in range(3)]
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        columns[first], columns[second] = (
+            cosine * columns[first] + sine * columns[second],
+            cosine * columns[second] - sine * columns[first],
+        )
+        return Frame(self.origin, ca.horzcat(*columns))
+
+    def placed(self, matrix: Array) -> Frame:
+        """A frame whose pose (4, 4) in this one is constant."""
+        placed = ca.SX(ca.DM(np.where(np.abs(matrix) < 1e-15, 0.0, matrix)))
+        return Frame(self.origin + ca.mtimes(self.axes, placed[:3, 3]), ca.mtimes(self.axes, placed[:3, :3]))
+
+    def point(self, place: ca.SX) -> ca.SX:
+        """(3,) position of a point (3,) that is given in this frame."""
+        return self.origin + ca.mtimes(self.axes, place)

@@ -1,0 +1,160 @@
+"""A chain of revolute and prismatic joints in space, with the errors that a calibration may find.
+
+    tip = base * error_0 * prod_j [origin_j * error_j * motion_j(q_j + offset_j)] * end * (tool + its error)
+
+`origin_j` is the nominal pose of joint j's frame in the frame of the joint before (as in URDF). `error_j` are six local
+corrections in the frame of joint j before it moves: translations along x, y, z, then rotations about x, y, z. `base` is
+the pose of the arm's base in the frame of the instrument, `tool` a measured point in the frame at the end of the chain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from identification.arrays import Array, ByValue, readonly
+from identification.errors import InputError
+from identification.kinematics.frames import AXES, Frame, rotation_about
+from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE, Parameter, ParameterSet
+
+DIMENSION = 3  # coordinates of a point
+TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
+ALIGNED = 1.0 - 1e-12  # cosine from which an axis is one of the frame's own
+
+
+@dataclass(frozen=True, eq=False)
+class Joint(ByValue):
+    """One joint that moves.
+
+    origin : (4, 4) pose of its frame in that of the joint before [mm];  axis : (3,) direction in its own frame
+    lower, upper : limits [rad, mm]
+    """
+
+    name: str
+    origin: Array
+    axis: Array
+    type: str = REVOLUTE
+    lower: float = -np.pi
+    upper: float = np.pi
+
+    def __post_init__(self) -> None:
+        if self.type not in (REVOLUTE, PRISMATIC):
+            raise InputError(f"joint {self.name}: type {self.type!r}, allowed: {REVOLUTE} or {PRISMATIC}")
+        length = float(np.linalg.norm(self.axis))
+        if not length > 0.0:
+            raise InputError(f"joint {self.name}: axis {np.asarray(self.axis).tolist()}, allowed: not zero")
+        object.__setattr__(self, "origin", readonly(self.origin))
+        object.__setattr__(self, "axis", readonly(np.asarray(self.axis, dtype=float) / length))
+
+    def moved(self, frame: Frame, q: ca.SX) -> Frame:
+        """The joint's frame after it moved by q [rad, mm]."""
+        k = int(np.argmax(np.abs(self.axis)))
+        if abs(self.axis[k]) < ALIGNED:
+            # turned so that its own z axis is the joint's: one symbolic rotation instead of Rodrigues' formula
+            turned = frame.placed(_to_z(self.axis))
+            turned = turned.turned(2, q) if self.type == REVOLUTE else turned.moved(2, q)
+            return turned.placed(_to_z(self.axis).T)
+        signed = q if self.axis[k] > 0.0 else -q
+        return frame.turned(k, signed) if self.type == REVOLUTE else frame.moved(k, signed)
+
+
+def _to_z(axis: Array) -> Array:
+    """(4, 4) rotation that turns the z axis into a unit vector (3,)."""
+    cross = np.array([-axis[1], axis[0], 0.0])  # z x axis
+    found = np.eye(4)
+    if (sine := float(np.linalg.norm(cross))) > 0.0:
+        found[:3, :3] = rotation_about(cross / sine, float(np.arctan2(sine, axis[2])))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class SpatialChain(ByValue):
+    """Joints from base to tip.
+
+    end : (4, 4) pose of the tip's frame in that of the last joint [mm];  base : (4, 4) pose of the base as known
+    tools : name of each measured point -> (3,) its place in the tip's frame as known [mm]
+    """
+
+    joints: tuple[Joint, ...]
+    end: Array
+    base: Array = field(default_factory=lambda: np.eye(4))
+    tools: Mapping[str, Array] = field(default_factory=lambda: {"1": np.zeros(3)})
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "end", readonly(self.end))
+        object.__setattr__(self, "base", readonly(self.base))
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    @cached_property
+    def reach(self) -> float:
+        """Largest distance [mm] between base and tip that the parts of the chain could add up to."""
+        sliding = (max(abs(j.lower), abs(j.upper)) for j in self.joints if j.type == PRISMATIC)
+        return float(sum(self._steps) + sum(sliding))
+
+    @cached_property
+    def levers(self) -> Array:
+        """(n,) distances [mm] from joint to tip that the parts could add up to, not below a tenth of the reach."""
+        beyond = np.cumsum(self._steps[::-1])[::-1][1:]
+        return np.maximum(beyond, self.reach / 10.0)
+
+    @cached_property
+    def _steps(self) -> list[float]:
+        return [float(np.linalg.norm(matrix[:3, 3])) for matrix in (*(j.origin for j in self.joints), self.end)]
+
+    @cached_property
+    def parameters(self) -> ParameterSet:
+        """All of the geometry: base (6), tools (3 each), and for each joint its offset and six errors."""
+        found = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)
+        for name in self.tools:
+            found += [Parameter(f"tool[{name}].{axis}", "mm", kind=TOOL) for axis in AXES]
+        kinds = TRANSLATION_ERROR, ROTATION_ERROR
+        for j, (joint, lever) in enumerate(zip(self.joints, self.levers.tolist(), strict=True), start=1):
+            unit, scale = ("rad", lever) if joint.type == REVOLUTE else ("mm", 1.0)
+            found.append(Parameter(f"joint_offset:{j}", unit, scale=scale, kind=JOINT_OFFSET, joint=j))
+            found += _six("translation_", "rotation_", f":{j}", lever, kinds, j)
+        return ParameterSet.of(found)
+
+    def frames(self, q: ca.SX, values: Mapping[str, ca.SX | float]) -> list[Frame]:
+        """n + 2 frames in CasADi symbols: base, each joint after it moved, tip.
+
+        q : (n,) positions of the joints [rad, mm];  values : parameter name -> value, zero where missing
+        """
+        frame = _corrected(Frame.world().placed(self.base), values, "base.", "base.r", "")
+        found = [frame]
+        for j, joint in enumerate(self.joints, start=1):
+            frame = _corrected(frame.placed(joint.origin), values, "translation_", "rotation_", f":{j}")
+            frame = joint.moved(frame, q[j - 1] + values.get(f"joint_offset:{j}", 0.0))
+            found.append(frame)
+        return [*found, frame.placed(self.end)]
+
+    def tool(self, frame: Frame, name: str, values: Mapping[str, ca.SX | float]) -> ca.SX:
+        """(3,) position of a measured point of the tip's frame."""
+        errors = [values.get(f"tool[{name}].{axis}", 0.0) for axis in AXES]
+        return frame.point(ca.DM(self.tools[name]) + ca.vertcat(*errors))
+
+
+def _six(
+    translation: str, rotation: str, suffix: str, lever: float, kinds: Sequence[str], joint: int | None
+) -> list[Parameter]:
+    found = [Parameter(f"{translation}{axis}{suffix}", "mm", kind=kinds[0], joint=joint) for axis in AXES]
+    turns = (f"{rotation}{axis}{suffix}" for axis in AXES)
+    return found + [Parameter(name, "rad", scale=lever, kind=kinds[1], joint=joint) for name in turns]
+
+
+def _corrected(
+    frame: Frame, values: Mapping[str, ca.SX | float], translation: str, rotation: str, suffix: str
+) -> Frame:
+    """The frame after its six local corrections."""
+    for k, axis in enumerate(AXES):
+        if (name := f"{translation}{axis}{suffix}") in values:
+            frame = frame.moved(k, values[name])
+    for k, axis in enumerate(AXES):
+        if (name := f"{rotation}{axis}{suffix}") in values:
+            frame = frame.turned(k, values[name])
+    return frame

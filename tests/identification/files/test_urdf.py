@@ -1,0 +1,90 @@
+"""URDF files: what is read (see also tests/identification/kinematics/test_spatial.py), written back, and refused."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.files.urdf import read_urdf, with_origins
+from identification.kinematics.frames import from_roll_pitch_yaw, pose
+
+URDF = Path(__file__).parents[2] / "data" / "spatial" / "six_axis.urdf"
+ENDS = ("world", "tool0")
+
+
+def corrected(seed: int) -> list[Array]:
+    """Origins of the moving joints, each a little off."""
+    generator = np.random.default_rng(seed)
+    errors = (pose(generator.normal(size=3), from_roll_pitch_yaw(*generator.normal(size=3) * 0.01)) for _ in range(9))
+    return [joint.origin @ error for joint, error in zip(read_urdf(URDF).chain(*ENDS).joints, errors, strict=False)]
+
+
+def test_a_chain_is_read() -> None:
+    chain = read_urdf(URDF).chain(*ENDS)
+    assert [joint.name for joint in chain.joints] == ["slide", "pan", "lift", "elbow", "tilted", "roll"]
+    assert (chain.joints[0].lower, chain.joints[0].upper) == (-400.0, 600.0)  # mm
+    assert (chain.joints[1].lower, chain.joints[1].upper) == (-np.pi, np.pi)
+    np.testing.assert_allclose(chain.end[:3, 3], [115.7, 20.0, 0.0])
+
+
+def test_corrected_origins_come_back_and_nothing_else_changes(tmp_path: Path) -> None:
+    origins = corrected(1)
+    text = with_origins(read_urdf(URDF), *ENDS, origins)
+    (tmp_path / "corrected.urdf").write_text(text)
+    back = read_urdf(tmp_path / "corrected.urdf").chain(*ENDS)
+    for joint, origin in zip(back.joints, origins, strict=True):
+        np.testing.assert_allclose(joint.origin, origin, atol=1e-9)
+    removed = re.compile(r"<origin[^>]*>")
+    assert removed.sub("", text) == removed.sub("", URDF.read_text())
+    assert '<origin xyz="9 9 9"/>' in text  # of a transmission, not of a joint
+    assert '<origin rpy="0.1 -0.2 0.3" xyz="0.01 0.02 0.03"/>' in text  # of a fixed joint
+
+
+def test_a_joint_without_an_origin_gets_one(tmp_path: Path) -> None:
+    plain = tmp_path / "plain.urdf"
+    plain.write_text(URDF.read_text().replace('<origin xyz="0 0 0.12"/>', ""))
+    origins = corrected(2)
+    (tmp_path / "corrected.urdf").write_text(with_origins(read_urdf(plain), *ENDS, origins))
+    back = read_urdf(tmp_path / "corrected.urdf").chain(*ENDS)
+    np.testing.assert_allclose(back.joints[0].origin, origins[0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "found"),
+    [
+        ("<?xml", "<!DOCTYPE robot [<!ENTITY a 'b'>]><?xml", r"found <!DOCTYPE, allowed: XML without document types"),
+        ("</robot>", "", r"not XML: no element found.*allowed: a URDF file"),
+        ('name="lift" type="revolute"', 'name="lift" type="floating"', r"'lift' of the chain is of type 'floating'"),
+        ('<axis xyz="1 0 0"/>', '<axis xyz="1 0 0"/><mimic joint="pan"/>', r"'roll' of the chain mimics another"),
+        ('<axis xyz="0 1 0"/>\n    <limit', '<axis xyz="0 0 0"/>\n    <limit', r"axis 0 0 0, allowed: a direction"),
+        ('lower="-0.4" ', "", r"'slide': limit, lower or upper is missing, allowed: both for a prismatic joint"),
+        ('lower="-2.8"', 'lower="2.9"', r"'elbow': limits 2.9 to 2.8, allowed: lower < upper"),
+        ('xyz="0 0 0.12"', 'xyz="0 0 nan"', r"'slide': origin xyz has 'nan', allowed: finite numbers"),
+        ('xyz="0 0 0.12"', 'xyz="0 0.12"', r"'slide': origin xyz has '0 0.12', allowed: three numbers"),
+        ('<child link="hand"/>', '<child link="wrist"/>', r"link 'wrist' hangs on two joints, allowed: one"),
+        ('name="roll"', 'name="lift"', r"joint 'lift' is there 2 times, allowed: once"),
+        ('<parent link="wrist"/>', "", r"joint 'roll' has no parent link, allowed: one"),
+        ('<parent link="wrist"/>', '<parent link="tool0"/>', r"link 'tool0' is not below 'world'"),
+    ],
+)
+def test_bad_files_are_one_line(tmp_path: Path, old: str, new: str, found: str) -> None:
+    text = URDF.read_text()
+    assert old in text
+    path = tmp_path / "bad.urdf"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=found) as error:
+        read_urdf(path).chain(*ENDS)
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)
+
+
+def test_links_that_are_not_there() -> None:
+    with pytest.raises(InputError, match=r"there is no link 'tool', did you mean 'tool0'"):
+        read_urdf(URDF).chain("world", "tool")
+    with pytest.raises(InputError, match=r"link 'world' is not below 'tool0', allowed: a tip below the base"):
+        read_urdf(URDF).chain("tool0", "world")
