@@ -15,6 +15,7 @@ from rich.text import Text
 
 from doe.report.pictures import save
 from doe.report.terminal import table
+from doe.studies.blind.reliability import ALL
 from doe.studies.blind.score import BlindStudy
 from identification.arrays import Array
 
@@ -33,13 +34,21 @@ COLORS = {"met": "green", "within its error": "yellow", "missed": "red"}
 
 def blind_tables(found: BlindStudy) -> list[Any]:
     """Verdict, cells, further postures, targets, and the most frequent mistakes."""
-    return [str(found), cell_table(found.cells), *further_tables(found.cells), bar_table(found.bars), *mistakes(found)]
+    return [
+        str(found),
+        cell_table(found.cells),
+        *further_tables(found.cells),
+        *reliability_tables(found),
+        bar_table(found.bars),
+        *mistakes(found),
+    ]
 
 
 def cell_table(cells: pl.DataFrame) -> Table:
     """One row per cell, with the largest standard error of its rates; each figure's own is in the file."""
     headings = ["hidden", "sets", *COLUMNS.values(), "+-"]
-    rows = map(_cell_row, cells.partition_by("cell", maintain_order=True))
+    of_cells = cells.filter(pl.col("cell") != ALL).partition_by("cell", maintain_order=True)
+    rows = map(_cell_row, of_cells)
     return table(
         headings, rows, "Blind study", left=("hidden",), no_wrap=headings, box=SIMPLE_HEAD, padding=(0, 0, 0, 1)
     )
@@ -65,7 +74,7 @@ def further_tables(cells: pl.DataFrame) -> list[Table]:
     if not rows:
         return []
     count = next(iter(rows.values()))["count"]
-    shown = []
+    shown = [["none", with_error(rows["next_0 right"]), "", "", "", "", ""]] if "next_0 right" in rows else []
     for way, label in WAYS.items():
         names = [f"{way} {measure}" for measure in FURTHER_MEASURES]
         if names[0] in rows:
@@ -82,7 +91,23 @@ WAYS = {
     "next_8": "8 of armcal discriminate",
     "loaded_8": "8, two payloads",
     "random_8": "8 at random",
+    "next_16": "16 of armcal discriminate",
+    "loaded_16": "16, two payloads",
+    "random_16": "16 at random",
 }
+
+
+def reliability_tables(found: BlindStudy) -> list[Table]:
+    """What was said with which probability, and how often it was right."""
+    if not len(found.reliability):
+        return []
+    rows = (
+        [f"{row['from']:g} to {row['to']:g}", f"{row['said']:.3f}", f"{row['right']:.3f}", str(row["count"])]
+        for row in found.reliability.iter_rows(named=True)
+    )
+    error = found.value(ALL, "calibration error")
+    title = f"Said with probability p: right in p? Expected calibration error {error:.3f}"
+    return [table(("said", "mean", "right", "sets"), rows, title, left=("said",))]
 
 
 def bar_table(bars: pl.DataFrame) -> Table:
@@ -111,9 +136,32 @@ def _flagged(row: dict[str, Any]) -> bool:
 
 # -- picture -----------------------------------------------------------------------------------------------------------
 def write_pictures(folder: Path, found: BlindStudy) -> None:
-    """confusion.png in the folder, replaced if it is there."""
+    """confusion.png and reliability.png in the folder, replaced if they are there."""
     if len(found.confusion):
         save(confusion_figure(found.confusion), folder / "confusion.png", force=True)
+    if len(found.reliability):
+        save(reliability_figure(found.reliability), folder / "reliability.png", force=True)
+
+
+def reliability_figure(rows: pl.DataFrame) -> Figure:
+    """Share that was right against the probability that was said, bars of two standard errors, and number of sets."""
+    said, right, count = (rows[name].to_numpy() for name in ("said", "right", "count"))
+    error = 2.0 * np.sqrt(np.maximum(right * (1.0 - right), 0.25 / count) / count)
+    figure = Figure(figsize=(5.0, 5.6), layout="constrained")
+    axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
+    axes.plot([0.0, 1.0], [0.0, 1.0], color="gray", linewidth=1.0, label="as often as said")
+    axes.errorbar(said, right, error, fmt="o", markersize=5, capsize=3, label="data sets, +- 2 standard errors")
+    axes.set_ylabel("share that was right")
+    axes.set_ylim(0.0, 1.02)
+    axes.legend(loc="upper left", frameon=False)
+    axes.set_title("How often is it right what was said with probability p?")
+    low, high = rows["from"].to_numpy(), rows["to"].to_numpy()
+    below.bar(low, count, high - low, align="edge", edgecolor="white")
+    below.set_yscale("log")
+    below.set_ylabel("data sets")
+    below.set_xlabel("probability that was said")
+    below.set_xlim(0.0, 1.02)
+    return figure
 
 
 def confusion_figure(confusion: pl.DataFrame) -> Figure:

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from doe.studies.blind.hidden_effects import OUTSIDE, family, key, outside_effect, place_of, random_effect
+from doe.studies.blind.hidden_effects import (
+    OUTSIDE,
+    family,
+    key,
+    outside_effect,
+    parameters_of,
+    place_of,
+    random_effect,
+)
 from doe.studies.blind.simulator import (
     Drawn,
     G,
@@ -32,6 +40,8 @@ class DataSet:
     effects : keys of the hidden effects that the library has;  place : where an effect outside the library sits
     specs : the hidden effects as an arm file has them, to fit the true model
     wrong_rows : outliers, counted from 1
+    values : parameter name -> true value of base and hidden effects [API units], to judge intervals; empty where the
+        arm's maker is wrong about it or the library has no such effect
     more : (postures, payload or None, directions or None, number) -> the data with further measurements at their end
     """
 
@@ -42,6 +52,7 @@ class DataSet:
     place: str | None = None
     specs: tuple[EffectSpec, ...] = ()
     wrong_rows: tuple[int, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
     more: Callable[[Array, Array | None, Array | None, int], Measurements] | None = None
 
 
@@ -138,6 +149,18 @@ def shared_truth(cell: str, seed: int) -> Truth:
     return truth_of(CELLS[cell], rng)
 
 
+def true_values(truth: Truth) -> dict[str, float]:
+    """Parameter name -> true value, named as the library names its parameters [API units]."""
+    pairs = zip(truth.length_errors, truth.joint_offsets, strict=True)
+    base = [(j + 1, float(length), float(offset)) for j, (length, offset) in enumerate(pairs)]
+    values = {f"length_error:{j}": length for j, length, _ in base}
+    values |= {f"joint_offset:{j}": offset for j, _, offset in base}
+    for effect in truth.effects:
+        for name, value in parameters_of(effect).items():
+            values[f"{key(effect)}.{name}"] = value
+    return values
+
+
 def data_set(cell: str, seed: int, planned: np.ndarray | None = None) -> DataSet:
     """Data set number `seed` of a cell; 200 fresh postures of the same session are held out.
 
@@ -173,5 +196,6 @@ def data_set(cell: str, seed: int, planned: np.ndarray | None = None) -> DataSet
         place_of(outside[0]) if outside else None,
         tuple(EffectSpec(e[0], e[1], {"k": float(e[2]["k"])} if "k" in e[2] else {}) for e in inside),
         tuple(map(int, wrong)),
+        {} if spec.wrong_masses or outside else true_values(truth),
         more,
     )

@@ -158,3 +158,16 @@ def family(effect: tuple[str, int | None, dict]) -> str:
 
 def place_of(effect: tuple[str, int | None, dict]) -> str:
     return {"step_drift": "time", "barrel": "workspace"}.get(effect[0], f"joint:{effect[1]}")
+
+
+def parameters_of(effect: Drawn) -> dict[str, float]:
+    """The parameters of an effect of the library by the library's names, without settings."""
+    name, joint, values = effect
+    if name == "joint_compliance" and joint is None:
+        return {f"c{j + 1}": float(c) for j, c in enumerate(values["c"])}
+    names = {
+        "link_bending": {"f": "flexibility"},
+        "base_offset": {"x": "x0", "y": "y0"},
+        "base_drift": {"x": "vx", "y": "vy"},
+    }.get(name, {})
+    return {names.get(own, own): float(value) for own, value in values.items() if own != "k"}

@@ -27,6 +27,7 @@ from doe.studies.blind.cells import DataSet
 from doe.studies.blind.rivals import has_processes, library_gap, process_gap, true_gap
 from doe.studies.blind.score import BARS, BlindStudy, score
 from identification.errors import InputError, nearest
+from identification.estimation.intervals import quantile_95
 from identification.gap.diagnose import diagnose
 from identification.gap.result import Diagnosis
 from identification.model import Model
@@ -118,7 +119,8 @@ def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[floa
         wrong = list(data.wrong_rows)
         gap = None if data.holdout is None or data.place is not None else true_gap(data)
         hidden = {"hidden": sorted(data.effects), "place": data.place, "wrong_rows": wrong, "gap_true_mm": gap}
-        rows.append({"set": number, "links": data.arm.links, **hidden})
+        values = {"parameters": list(data.values), "values": list(data.values.values())}
+        rows.append({"set": number, "links": data.arm.links, **hidden, **values})
     return rows
 
 
@@ -127,7 +129,7 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[f
     rows = []
     for number, data in _data_sets(key, planned):
         found = diagnose(data.arm, data.measurements, data.holdout, seed=number, draws=key["draws"])
-        row = {"set": number, **_said(found), "gap_before_mm": found.gap.held_out_before}
+        row = {"set": number, **_said(found), **_intervals(found), "gap_before_mm": found.gap.held_out_before}
         row["gap_named_mm"] = found.gap.held_out_after
         if key["cell"] in COMPARED:
             row |= {"gap_library_mm": library_gap(data), "gap_process_mm": process_gap(data)}
@@ -142,17 +144,46 @@ def _said(found: Diagnosis) -> Row:
         "verdict": found.verdict,
         "named": sorted(found.named.keys),
         "candidates": [" + ".join(sorted(candidate.keys)) for candidate in found.candidates],
+        "probability": _probability(found),
+        "credible_set": [_explanation(names) for names in found.probabilities.credible],
         "where": found.where,
         "outlier_rows": list(found.outlier_rows),
         "scatter": [finding.name for finding in found.scatter],
     }
 
 
+def _probability(found: Diagnosis) -> float:
+    """Of what the verdict says."""
+    if found.verdict in ("none", "unknown"):
+        return found.probability[found.verdict]
+    return found.probabilities.of(found.named.keys)
+
+
+def _explanation(names: tuple[str, ...] | None) -> str:
+    return "unknown" if names is None else " + ".join(names) or "none"
+
+
+def _intervals(found: Diagnosis) -> Row:
+    """95 % limits of base and effects [API units]."""
+    parameters = Model(found.extended_arm()).parameters
+    fitted = found.named.calibration
+    assert fitted.covariance is not None  # a diagnosis has one
+    half = quantile_95(found.detectability.freedom) * np.sqrt(np.diag(fitted.covariance))
+    limits = {
+        name: (fitted.values[name] - h, fitted.values[name] + h)
+        for name, h in zip(fitted.parameter_names, half, strict=True)
+    }
+    units = {p.name: p.to_file for p in parameters}
+    limits |= {p.name: (p.low_95 / units[p.name], p.high_95 / units[p.name]) for p in found.named.parameters}
+    low, high = zip(*limits.values(), strict=True)
+    return {"interval_of": list(limits), "low_95": list(low), "high_95": list(high)}
+
+
 def _measured_further(data: DataSet, found: Diagnosis, number: int, draws: int) -> Row:
-    """The ambiguous set again after 2 and 8 more postures: chosen ones, with a choice of payload, and random ones."""
+    """The ambiguous set again after 2, 8 and 16 more postures: chosen ones, with two payloads, and random ones."""
     row: Row = {}
     payload = 0.0 if data.arm.gravity is None else data.arm.gravity.payload
-    for runs in (2, 8):
+    for runs in (2, 8, 16):
         for how, payloads in (("next", None), ("loaded", (0.0, payload)), ("random", None)):
             longer, chance = _appended(data, found, runs, how == "random", payloads, number)
             again = diagnose(data.arm, longer, seed=number, draws=draws)
