@@ -23,6 +23,7 @@ class Conditions(ByValue):
     temperature : (m,) [K] deviation from the mean temperature, None: 0
     time : (m,) position in the session, -0.5..0.5, None: 0
     directions : (m, n) sign of the last motion of each joint, +1 or -1, None: +1
+    session : (m,) number of the session of each row, from 0, None: 0
     For K sessions at once, (K, m) and (K, m, n).
     """
 
@@ -30,15 +31,22 @@ class Conditions(ByValue):
     temperature: Array | None = None
     time: Array | None = None
     directions: Array | None = None
+    session: Array | None = None
+
+    @staticmethod
+    def columns(n: int) -> int:
+        """Number of columns of the table for n joints."""
+        return 4 + n
 
     def table(self, m: int | tuple[int, ...], n: int, payload: float) -> Array:
-        """(m, 3 + n) columns payload [kg], temperature [K], time, directions, with the neutral values filled in;
-        (K, m, 3 + n) for m = (K, m)."""
-        table = np.empty((*np.atleast_1d(m), 3 + n))
+        """(m, 4 + n) columns payload [kg], temperature [K], time, session, directions, with the neutral values filled
+        in; (K, m, 4 + n) for m = (K, m)."""
+        table = np.empty((*np.atleast_1d(m), self.columns(n)))
         table[..., 0] = payload if self.payload is None else self.payload
         table[..., 1] = 0.0 if self.temperature is None else self.temperature
         table[..., 2] = 0.0 if self.time is None else self.time
-        table[..., 3:] = 1.0 if self.directions is None else self.directions
+        table[..., 3] = 0.0 if self.session is None else self.session
+        table[..., 4:] = 1.0 if self.directions is None else self.directions
         return table
 
     def rows(self, index: Any) -> Conditions:
@@ -131,6 +139,7 @@ class Measurements(ByValue):
     sigma : (m,) standard deviation per row and axis [mm], None: not given per row
     repeats : (m,) equal numbers mark repeats of one posture, None: not given
     session : (m,) name of the session of each row, between which the arm or the instrument was set up anew; None: one
+    session_names : the sessions in the order of their numbers, also where only some of them are among these rows
 
     Raises `InputError` for no rows, other shapes (nothing is broadcast), and values that no measurement can have.
     """
@@ -144,6 +153,7 @@ class Measurements(ByValue):
     sigma: Array | None = None
     repeats: NDArray[np.int64] | None = None
     session: NDArray[np.str_] | None = None
+    session_names: tuple[str, ...] = ()
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
@@ -172,6 +182,9 @@ class Measurements(ByValue):
             self.repeats.setflags(write=False)
         if self.session is not None:
             object.__setattr__(self, "session", _names("session", self.session, m))
+            object.__setattr__(
+                self, "session_names", tuple(dict.fromkeys((*self.session_names, *self.session.tolist())))
+            )
 
     def __len__(self) -> int:
         return len(self.postures)
@@ -193,8 +206,9 @@ class Measurements(ByValue):
 
     @property
     def sessions(self) -> tuple[str, ...]:
-        """Names of the sessions in the order of their first rows; empty if the data do not name them."""
-        return () if self.session is None else tuple(dict.fromkeys(self.session.tolist()))
+        """Names of the sessions that rows are of, in the order of their numbers; empty if the data do not name them."""
+        there = set() if self.session is None else set(self.session.tolist())
+        return tuple(name for name in self.session_names if name in there)
 
     @property
     def session_rows(self) -> tuple[NDArray[np.int64], ...]:
@@ -202,6 +216,14 @@ class Measurements(ByValue):
         if self.session is None:
             return (np.arange(len(self)),)
         return tuple(np.flatnonzero(self.session == name) for name in self.sessions)
+
+    @property
+    def _session_numbers(self) -> Array | None:
+        """(m,) number of each row's session, from 0; None where there is but one."""
+        if self.session is None or len(self.session_names) < 2:
+            return None
+        number = {name: float(k) for k, name in enumerate(self.session_names)}
+        return np.array([number[name] for name in self.session.tolist()])
 
     @property
     def sequence(self) -> NDArray[np.int64]:
@@ -227,7 +249,7 @@ class Measurements(ByValue):
             if self.directions is None:
                 directions[rows] = directions_from_order(self.postures[rows], order[rows])
         temperature = None if self.temperature is None else self.temperature - np.mean(self.temperature)
-        return Conditions(self.payload, temperature, time, directions)
+        return Conditions(self.payload, temperature, time, directions, self._session_numbers)
 
     @property
     def origin(self) -> dict[str, Any]:

@@ -163,8 +163,11 @@ class Model:
     # -- symbols ---------------------------------------------------------------------------------------------------
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """SX of postures q (n), conditions c (3+n, see `Conditions.table`), parameters (p) and position (d)."""
-        q, c, p = ca.SX.sym("q", self.joints), ca.SX.sym("c", 3 + self.joints), ca.SX.sym("p", len(self.parameters))
+        """SX of postures q (n), conditions c (see `Conditions.table`), parameters (p) and position (d)."""
+        q, c, p = (
+            ca.SX.sym(name, k)
+            for name, k in (("q", self.joints), ("c", Conditions.columns(self.joints)), ("p", len(self.parameters)))
+        )
         return q, c, p, self._measured(q, c, self._everything(p))
 
     def _everything(self, p: ca.SX) -> ca.SX:
@@ -284,7 +287,8 @@ class Model:
 
     @property
     def neutral_conditions(self) -> Array:
-        """(3+n,) conditions where nothing is said: the arm's payload, mean temperature, mid-session, approach +1."""
+        """(4+n,) conditions where nothing is said: the arm's payload, mean temperature, the middle of session 1,
+        approach +1."""
         payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
         return Conditions().table(1, self.joints, payload)[0]
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import Arm, EffectSpec
+from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError, nearest
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
@@ -22,8 +22,8 @@ from identification.information import spectrum
 from identification.kinematics.parameters import JOINT_OFFSET
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
+from identification.sessions import BASE, moved, standing
 
-BASE = ("base_offset.x0", "base_offset.y0", f"{JOINT_OFFSET}:1")  # position and rotation of the base
 REFITS = ("base", "offsets", "none")
 QUARTERS = 4  # blocks of time; the quadrants of the workspace are as many
 FEWEST = 3 * QUARTERS  # rows from which blocks are formed
@@ -191,12 +191,6 @@ def check(model: Model, measurements: Measurements) -> None:
 
 
 # -- refitting where the arm stands ------------------------------------------------------------------------------------
-def standing(arm: Arm) -> Arm:
-    """The arm with a base offset among its effects, its value to be estimated."""
-    others = tuple(spec for spec in arm.effects if spec.name != "base_offset")
-    return arm.with_effects(*others, EffectSpec("base_offset"))
-
-
 def refitted_names(arm: Arm, refit: str) -> tuple[str, ...]:
     """Names of the parameters that a refit estimates."""
     offsets = tuple(f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + 1)) if refit == "offsets" else ()
@@ -222,23 +216,6 @@ def _refitted(
     values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]
     residuals, jacobian = problem.residuals(values)[0], problem.jacobian(values)
     return model.parameters.mapping(values), residuals, spectrum(jacobian, model.scales).rank
-
-
-def moved(start: Array, model: Model, computed: Array, measured: Array) -> Array:
-    """(p,) start with the rotation and shift of the base that bring (m, 2) computed tips nearest to measured ones.
-
-    Exact where nothing but the chain depends on where the base stands; otherwise a start for least squares.
-    """
-    place = {name: model.parameters.index(name) for name in BASE}
-    x0, y0, turn = (place[name] for name in BASE)
-    from_base = (computed - start[[x0, y0]]) @ [1.0, 1.0j]
-    goal = measured @ np.array([1.0, 1.0j])
-    angle = float(np.angle(np.vdot(from_base - from_base.mean(), goal - goal.mean())))
-    shift = complex(np.mean(goal - np.exp(1.0j * angle) * from_base))
-    found = start.copy()
-    found[turn] += angle
-    found[[x0, y0]] = shift.real, shift.imag
-    return found
 
 
 def conditions_of(arm: Arm, measurements: Measurements) -> Conditions:

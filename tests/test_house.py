@@ -35,6 +35,7 @@ LAYERS = {
     "identification.simulate": 4,
     "identification.estimation": 5,
     "identification.compensate": 6,
+    "identification.sessions": 5,
     "identification.validate": 6,
     "identification.gap": 6,
     "doe.criteria": 11,

@@ -29,11 +29,12 @@ class Effect:
 
     name : as in the arm file;  summary : one line for people
     per_joint : `required`, `optional` or `none`: whether the effect applies to one joint
-    needs : what the arm or the data must have: gravity, directions, temperature, time
+    needs : what the arm or the data must have: gravity, directions, temperature, time, session
     family : effects of one family are rivals for the same physical cause (`diagnose` merges them when it must)
     settings : numbers that are chosen, not estimated; a pair is every whole number from the first to the last.
         In formulas `self.chosen[name]` is the number, or a CasADi symbol that stands for all values tried
     alias : why no measurement of the tip can tell this effect from the base parameters, or None
+    nuisance : True for what is no fault of the arm, which `diagnose` does not look for
     scatter : True for an effect on the noise, which the model of the mean ignores (`identification.effects.noise`)
 
     tagged : whether the names say the settings, `transmission_ripple:1[k=20].a`: where an arm has another such effect
@@ -48,6 +49,7 @@ class Effect:
     family: ClassVar[str] = ""
     settings: ClassVar[Mapping[str, Setting | tuple[int, int]]] = MappingProxyType({})
     alias: ClassVar[str | None] = None
+    nuisance: ClassVar[bool] = False
     scatter: ClassVar[bool] = False
 
     def __init__(

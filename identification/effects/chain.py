@@ -23,13 +23,14 @@ class Chain:
     payload: ca.SX  # [kg]
     temperature: ca.SX  # [K] above the mean
     time: ca.SX  # -0.5..0.5 over the session
+    session: ca.SX  # number of the session, from 0
     directions: ca.SX  # (n,) +1 or -1
     turn: ca.SX | float = 0.0  # [rad] of gravity, against the arm's own
 
     @classmethod
     def of(cls, arm: Arm, q: ca.SX, c: ca.SX) -> Chain:
-        """An arm at a posture q (n) under conditions c (3 + n, the columns of `Conditions.table`)."""
-        return cls(arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3:])
+        """An arm at a posture q (n) under conditions c (4 + n, the columns of `Conditions.table`)."""
+        return cls(arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3], c[4:])
 
     def loaded(self, payload: ca.SX, turn: ca.SX) -> Chain:
         """The same arm with another payload [kg] and gravity turned by an angle [rad]."""

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import casadi as ca
 
 from identification.effects.base import Effect, register
 from identification.effects.chain import Chain
 from identification.kinematics.parameters import Parameter
+
+MAX_SESSIONS = 99
 
 
 @register
@@ -54,3 +58,42 @@ class BaseRotationDrift(Effect):
 
     def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX:
         return values[0] * chain.time
+
+
+@register
+class SessionBase(Effect):
+    """Each session after the first has its own base: + (x, y), rotation by w, relative to that of the first.
+
+    Nothing physical is missing: arm or instrument was set up anew. `identify` and `diagnose` add it by themselves
+    where the data name sessions, and leave it out of what they write.
+    """
+
+    name = "session_base"
+    summary = "arm or instrument set up anew for each session"
+    needs = frozenset({"session"})
+    family = "session_base"
+    settings = MappingProxyType({"sessions": (2, MAX_SESSIONS)})
+    nuisance = True
+
+    def define(self) -> tuple[Parameter, ...]:
+        """Of every session after the first, in turn."""
+        return tuple(
+            self.parameter(f"{short}{number}", unit, scale=scale, typical=typical)
+            for number in range(2, int(self.chosen["sessions"]) + 1)
+            for short, unit, scale, typical in (
+                ("x", "mm", 1.0, 1000.0),
+                ("y", "mm", 1.0, 1000.0),
+                ("w", "rad", self.reach, 3.0),
+            )
+        )
+
+    def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return ca.dot(self._sessions(chain), values[2::3])
+
+    def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
+        there = self._sessions(chain)
+        return ca.vertcat(ca.dot(there, values[0::3]), ca.dot(there, values[1::3]))
+
+    def _sessions(self, chain: Chain) -> ca.SX:
+        """1 for the session of the row, 0 for every other."""
+        return ca.vertcat(*(chain.session == number for number in range(1, int(self.chosen["sessions"]))))

@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Iterable
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -34,11 +35,12 @@ def load_measurements(path: PathLike, links: int | None = None) -> Measurements:
     table = read_table(path)
     postures = read_postures(table, links)
     n = postures.shape[1]
+    conditions: dict[str, Any] = dict(read_conditions(table, n))
     measurements = Measurements(
         postures=postures,
         positions=np.column_stack([_millimetres(table, "x"), _millimetres(table, "y")]),
         order=_order(table),
-        **read_conditions(table, n),
+        **conditions,
         sigma=_sigma(table),
         repeats=_repeats(table),
         session=table.texts("session") if "session" in table else None,

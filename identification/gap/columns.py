@@ -19,6 +19,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.effects import Chain, Effect, Setting
 from identification.effects.places import contributions, state_size
+from identification.measurements import Conditions
 from identification.vectorize import vectorize
 
 
@@ -52,7 +53,7 @@ class Bundle:
         """Per template (P, size), with the symbols of posture, conditions and state."""
         n = self.arm.links
         q, state = ca.SX.sym("q", n), ca.SX.sym("state", state_size(n))
-        c = ca.SX.sym("c", 3 + n)
+        c = ca.SX.sym("c", Conditions.columns(n))
         chain = Chain.of(self.arm, q, c)
         return [_slopes(template.effect, chain, state) for template in self.templates], q, c, state
 

@@ -158,7 +158,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
     rows : the data, from which the values of settings may follow; None: those that suit any data
     """
     available = {"time", "directions"} | ({"gravity"} if arm.gravity is not None else set()) | (given & {"temperature"})
-    shown = {name: cls for name, cls in library().items() if cls.alias is None and not cls.scatter}
+    shown = {name: cls for name, cls in library().items() if not (cls.alias or cls.scatter or cls.nuisance)}
     own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths)}
     members: list[Hypothesis] = []
     skipped: dict[str, str] = {}

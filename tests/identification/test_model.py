@@ -60,7 +60,7 @@ def beam(arm: Arm, q: np.ndarray, payload: float, flexibility: float) -> tuple[n
 def reference(arm: Arm, q: np.ndarray, row: np.ndarray, value: dict[str, float]) -> np.ndarray:
     """(2,) tip [mm] of one posture; row is payload, temperature, time, directions."""
     n = arm.links
-    payload, temperature, time, directions = row[0], row[1], row[2], row[3:]
+    payload, temperature, time, directions = row[0], row[1], row[2], row[4:]
     angles = q + [value[f"joint_offset:{j + 1}"] for j in range(n)]
     lengths = arm.lengths + [value[f"length_error:{j + 1}"] for j in range(n)]
     deflection, slope, tool, turn, shift, skew, scale = np.zeros(n), np.zeros(n), 0j, 0.0, 0j, 0j, 0.0
@@ -229,7 +229,7 @@ def test_second_derivatives_by_the_posture_are_exact(n: int) -> None:
     q, c, p, position = Model(arm).symbols
     hessians = ca.Function("h", [q, c, p], [ca.hessian(position[0], q)[0], ca.hessian(position[1], q)[0]])
     angles = generator.uniform(-np.pi, np.pi, n)
-    found_x, found_y = (h.full() for h in hessians(angles, np.zeros(3 + n), np.zeros(2 * n)))
+    found_x, found_y = (h.full() for h in hessians(angles, np.zeros(4 + n), np.zeros(2 * n)))
     links = arm.lengths * np.exp(1j * np.cumsum(angles))
     beyond = np.cumsum(links[::-1])[::-1]  # sum over links k..n
     expected = -beyond[np.maximum.outer(np.arange(n), np.arange(n))]

@@ -16,7 +16,7 @@ POSTURE, PAYLOAD = np.array([0.7, -1.9]), 4.0
 
 
 def chain(arm: Arm = ARM) -> Chain:
-    return Chain.of(arm, ca.SX(POSTURE), ca.SX([PAYLOAD, 1.5, -0.25, 1.0, -1.0]))
+    return Chain.of(arm, ca.SX(POSTURE), ca.SX([PAYLOAD, 1.5, -0.25, 2.0, 1.0, -1.0]))
 
 
 def number(expression: ca.SX) -> np.ndarray:
@@ -47,8 +47,10 @@ def test_loads_beyond_a_link() -> None:
 
 def test_conditions_stand_where_their_table_has_them() -> None:
     made = chain()
-    values = [number(part).tolist() for part in (made.payload, made.temperature, made.time, made.directions)]
-    assert values == [[PAYLOAD], [1.5], [-0.25], [1.0, -1.0]]
+    values = [
+        number(part).tolist() for part in (made.payload, made.temperature, made.time, made.session, made.directions)
+    ]
+    assert values == [[PAYLOAD], [1.5], [-0.25], [2.0], [1.0, -1.0]]
     np.testing.assert_allclose(number(made.orientations), np.cumsum(POSTURE))
 
 

@@ -1,0 +1,132 @@
+"""Several sessions of one arm: each with a base of its own, everything else shared."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arm import Arm, Calibration, EffectSpec
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.kinematics.parameters import JOINT_OFFSET
+from identification.measurements import Measurements
+from identification.model import Model
+
+BASE = ("base_offset.x0", "base_offset.y0", f"{JOINT_OFFSET}:1")  # position and rotation of the base
+SESSIONS = "session_base"
+
+
+# -- one table of several ----------------------------------------------------------------------------------------------
+def pooled(tables: Mapping[str, Measurements]) -> Measurements:
+    """Sessions by name as one table; a table that names sessions of its own keeps them, its name before theirs.
+
+    Columns that not every table has are left out, with a warning (`UserWarning`). Raises `InputError` for tables of
+    different arms.
+    """
+    parts = [replace(table, session=_labels(name, table), session_names=()) for name, table in tables.items()]
+    first = parts[0]
+    for name, part in zip(tables, parts, strict=True):
+        if (part.links, part.dimension) != (first.links, first.dimension):
+            found = f"found {part.links} joints and {part.dimension} coordinates"
+            raise InputError(f"{name}: {found}, allowed: {first.links} and {first.dimension} as in the other data")
+    given = frozenset.intersection(*(part.given for part in parts))
+    if lost := sorted(frozenset.union(*(part.given for part in parts)) - given):
+        warnings.warn(f"not in all of the data, and left out: {', '.join(lost)}", UserWarning, stacklevel=2)
+    columns = {name: [getattr(part, name) for part in parts] for name in ("postures", "positions", *given)}
+    if "repeats" in given:
+        columns["repeats"] = _apart(columns["repeats"])
+    joined: dict[str, Any] = {name: np.concatenate(values) for name, values in columns.items()}
+    files = ", ".join(str(part.provenance["file"]) for part in parts if "file" in part.provenance)
+    return Measurements(**joined, provenance=MappingProxyType({"file": files} if files else {}))
+
+
+def _labels(name: str, table: Measurements) -> NDArray[np.str_]:
+    """(m,) session of each row."""
+    if table.session is not None and len(table.sessions) > 1:
+        return np.array([f"{name}/{own}" for own in table.session.tolist()])
+    return np.full(len(table), name)
+
+
+def _apart(numbers: Sequence[Array]) -> list[Array]:
+    """Numbers of repeats such that no two tables share one."""
+    ends = np.cumsum([0, *(int(np.ptp(own)) + 1 for own in numbers)])
+    return [own - own.min() + start for own, start in zip(numbers, ends, strict=False)]
+
+
+# -- the arm with a base for each session ------------------------------------------------------------------------------
+def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
+    """The arm with a base offset, and a base for each session after the first, where the data name several.
+
+    Best known values of the bases are those that bring the best known arm nearest to each session's positions.
+    """
+    count = len(measurements.session_names)
+    if count < 2:
+        return arm
+    wide = standing(arm)
+    spec = EffectSpec(SESSIONS, values={"sessions": float(count)})
+    known = Model(wide).best_known
+    bases = base_of_each_session(wide, measurements)
+    values = known | bases[0]
+    shift = complex(values[BASE[0]], values[BASE[1]])
+    for number, base in enumerate(bases[1:], start=2):
+        # tip = R(w) (tip of the first session, before its shift) + shift of the first + (x, y)
+        there = complex(base[BASE[0]], base[BASE[1]]) - shift
+        named = {"x": there.real, "y": there.imag, "w": base[BASE[2]] - values[BASE[2]]}
+        values |= {f"{SESSIONS}.{short}{number}": value for short, value in named.items()}
+    provenance = {} if arm.calibration is None else arm.calibration.provenance
+    with_bases = wide.with_effects(*wide.effects, spec)
+    return replace(with_bases, calibration=Calibration(values, provenance=provenance))
+
+
+def base_of_each_session(arm: Arm, measurements: Measurements) -> list[dict[str, float]]:
+    """Rotation and shift of the base for each session, by `moved`, of an arm with a base offset."""
+    model, conditions = Model(arm), measurements.conditions
+    start, found = model.parameters.vector(model.best_known), []
+    computed = model.position(measurements.postures, start, replace(conditions, session=None))
+    by_name = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
+    for session in measurements.session_names:
+        rows = by_name.get(session)
+        there = start if rows is None else moved(start, model, computed[rows], measurements.positions[rows])
+        found.append({name: float(there[model.parameters.index(name)]) for name in BASE})
+    return found
+
+
+def without_sessions(calibration: Calibration) -> Calibration:
+    """A calibration without the bases of later sessions: the arm stands as in the first."""
+    keep = [k for k, name in enumerate(calibration.parameter_names) if not name.startswith(f"{SESSIONS}.")]
+    covariance = calibration.covariance
+    return replace(
+        calibration,
+        values={name: value for name, value in calibration.values.items() if not name.startswith(f"{SESSIONS}.")},
+        parameter_names=tuple(calibration.parameter_names[k] for k in keep),
+        covariance=None if covariance is None else covariance[np.ix_(keep, keep)],
+    )
+
+
+def standing(arm: Arm) -> Arm:
+    """The arm with a base offset among its effects, its value to be estimated."""
+    others = tuple(spec for spec in arm.effects if spec.name != "base_offset")
+    return arm.with_effects(*others, EffectSpec("base_offset"))
+
+
+def moved(start: Array, model: Model, computed: Array, measured: Array) -> Array:
+    """(p,) start with the rotation and shift of the base that bring (m, 2) computed tips nearest to measured ones.
+
+    Exact where nothing but the chain depends on where the base stands; otherwise a start for least squares.
+    """
+    place = {name: model.parameters.index(name) for name in BASE}
+    x0, y0, turn = (place[name] for name in BASE)
+    from_base = (computed - start[[x0, y0]]) @ [1.0, 1.0j]
+    goal = measured @ np.array([1.0, 1.0j])
+    angle = float(np.angle(np.vdot(from_base - from_base.mean(), goal - goal.mean())))
+    shift = complex(np.mean(goal - np.exp(1.0j * angle) * from_base))
+    found = start.copy()
+    found[turn] += angle
+    found[[x0, y0]] = shift.real, shift.imag
+    return found
