@@ -55,6 +55,11 @@ class Conditions(ByValue):
         return replace(self, **pick)
 
 
+# [rad] repeats of one posture agree to some thousandths or hundredths of a degree, as the encoders were read. Within
+# this, 0.1 / 202, a wave of 202 periods per turn (two per turn of a gear of 1:101) changes by a tenth of its amplitude.
+SAME_POSTURE = 5e-4
+
+
 def rms_distance(residuals: Array) -> float:
     """Root mean square over rows of the length of (m, d) residuals."""
     return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
@@ -233,10 +238,22 @@ class Measurements(ByValue):
 
     @property
     def posture_numbers(self) -> NDArray[np.int64]:
-        """(m,) number of each row's posture, 0, 1, ...; rows of one number are repeats."""
+        """(m,) number of each row's posture, 0, 1, ...; rows of one number are repeats.
+
+        As the column `posture` says; without it, rows whose angles all lie within `SAME_POSTURE` of the first of them.
+        """
         if self.repeats is not None:
             return np.unique(self.repeats, return_inverse=True)[1]
-        return np.unique(np.round(self.postures, 9), axis=0, return_inverse=True)[1].ravel()
+        from scipy.spatial import KDTree
+
+        near = KDTree(self.postures).query_ball_point(self.postures, SAME_POSTURE, p=np.inf)
+        numbers, count = np.full(len(self), -1), 0
+        for row, others in enumerate(near):
+            if numbers[row] < 0:
+                alike = np.array(others)
+                numbers[alike[numbers[alike] < 0]] = count
+                count += 1
+        return numbers
 
     @property
     def conditions(self) -> Conditions:

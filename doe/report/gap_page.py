@@ -65,6 +65,17 @@ def gap_sheet(diagnosis: Diagnosis) -> Sheet:
     return Sheet(["RMS distance [mm]", "before", "after", "expected"], rows)
 
 
+def gap_text(diagnosis: Diagnosis) -> str:
+    """What the figures of the gap mean, and what the rows say that no fit has seen."""
+    text = (
+        "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: the "
+        f"{diagnosis.gap.floor}. A smaller gap alone does not prove a name."
+    )
+    if diagnosis.confirmation is None:
+        return text
+    return f"{text} Expected on the held-out rows: what the named model predicts. It {diagnosis.confirmation}."
+
+
 def trial_sheet(diagnosis: Diagnosis) -> Sheet:
     """The strongest effects, one at a time against the base model."""
     rows = [
@@ -93,6 +104,8 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
     if diagnosis.outlier_rows:
         shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
+    if diagnosis.confirmation is not None:
+        shown.append(Text(str(diagnosis.confirmation)))
     return [*shown, *(Text(f"note: {note}") for note in diagnosis.notes)]
 
 
@@ -116,9 +129,7 @@ def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
         ),
         Section(
             "The gap",
-            "RMS distance between model and measurement. Expected: what noise alone leaves on new postures, corrected "
-            "for the parameters fitted; on the fitted rows the RMS is smaller. A smaller gap alone does not prove a "
-            "name; the held-out rows were not used for any decision.",
+            gap_text(diagnosis),
             [gap_sheet(diagnosis)],
             [workspace_figure(diagnosis)],
         ),

@@ -13,13 +13,14 @@ from identification.errors import InputError
 from identification.estimation.estimate import check
 from identification.gap.candidates import candidate, candidate_list, trial_list
 from identification.gap.detectability import Detectability, assess, require_spare
-from identification.gap.fit import Fit
-from identification.gap.holdout import check_holdout, check_same_arm, confirm
+from identification.gap.fit import Fit, fit
+from identification.gap.holdout import check_holdout, check_same_arm, confirmation_of, gap_of, held_out
 from identification.gap.hypotheses import hypotheses
-from identification.gap.noise import repeat_finding
+from identification.gap.misfit import misfit
 from identification.gap.notes import alias_list, hidden_orders, notes, order_notes
 from identification.gap.order_range import order_ranges
 from identification.gap.probabilities import probabilities
+from identification.gap.repeats import noise_floor, repeat_finding
 from identification.gap.result import Diagnosis, Residuals
 from identification.gap.selection import ALPHA_NEXT, LEVEL_FACTOR, HypothesisSearch
 from identification.gap.whitening import Rows
@@ -95,7 +96,7 @@ def diagnosis_of(
     generator: np.random.Generator,
 ) -> Diagnosis:
     """What was found, with its candidates, aliases, the gap before and after, and notes."""
-    base, chosen = found.search.fit(()), found.unknown.chosen
+    chosen, kept = found.unknown.chosen, ~found.outlier
     fitted = found.search.fit(chosen)
     likely = probabilities(found)
     candidates = tuple(replace(c, probability=likely.of(c.keys)) for c in candidate_list(found, draws, generator))
@@ -103,7 +104,12 @@ def diagnosis_of(
     named = named or candidate(found.search, chosen, 0.0, draws, generator)
     hidden = hidden_orders(found.search, {h.label: h for h in chosen})
     detectable = assess_data(found)
-    gap = confirm(base, fitted, measurements, ~found.outlier, holdout)
+    base = fit(Model(arm), Rows.of(measurements).pick(kept))  # as `identify` fits it
+    after = fitted if chosen else base
+    there = None if holdout is None else held_out(base, after, measurements, kept, holdout)
+    residuals = show_residuals(arm, measurements, base, after)
+    floor = noise_floor(residuals.after, measurements, kept, arm.sigma)
+    gap = gap_of(residuals.before[kept], residuals.after[kept], there, floor)
     return Diagnosis(
         arm=arm,
         verdict=verdict_of(found),
@@ -112,15 +118,17 @@ def diagnosis_of(
         aliases=(*hidden, *alias_list(detectable, candidates)),
         where=found.unknown.place,
         shape=found.unknown.shape,
-        scatter=(*found.scatter, *repeat_finding(measurements, fitted, ~found.outlier)),
+        scatter=(*found.scatter, *repeat_finding(residuals.after, after.rank, measurements, kept)),
         outlier_rows=tuple(int(k) + 1 for k in np.flatnonzero(found.outlier)),
         gap=gap,
         trials=trial_list(found),
         detectability=detectable,
-        residuals=show_residuals(arm, measurements, base, fitted),
+        residuals=residuals,
         sigma=fitted.sigma,
         shapes=order_ranges(fitted, found.search.rows, named.effects),
         probabilities=likely,
+        misfit=misfit(residuals.after, after.rank, measurements, arm.sigma, kept),
+        confirmation=None if holdout is None or there is None else confirmation_of(measurements, holdout, there),
         notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap)),
     )
 

@@ -9,70 +9,133 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError
+from identification.gap.confirmation import Confirmation, Groups, HeldOut, Mean, confirm, groupings, mean_of
 from identification.gap.fit import Fit
+from identification.gap.repeats import NOTHING_KNOWN, NoiseFloor
 from identification.measurements import Conditions, Measurements, rms_distance
+
+SESSION = "another session"
 
 
 @dataclass(frozen=True)
 class Gap:
     """Root mean square distances between model and measurement [mm]; None where there is nothing to say.
 
-    rms_before, rms_after : on the data, base model and named model refitted (outlier rows left out)
+    rms_before : what `identify` leaves, the base model fitted by least squares
+    rms_after : what the named model leaves;  both without outlier rows
     held_out_before, held_out_after : the same two models on the held-out data
-    noise_floor : RMS that a perfect model would leave on new data, from the residuals and their degrees of freedom
-     predicted : what the named model should leave on held-out data
+    predicted : what the named model should leave on held-out data
+    floor : what no model can go below, where that is known
     """
 
     rms_before: float
     rms_after: float
-    noise_floor: float
+    floor: NoiseFloor = NOTHING_KNOWN
     held_out_before: float | None = None
     held_out_after: float | None = None
     predicted: float | None = None
 
+    @property
+    def noise_floor(self) -> float | None:
+        """Known without any model, from repeats or the instrument's sigma; None where neither exists."""
+        return self.floor.value
+
     def __str__(self) -> str:
-        floor = f"noise floor {self.noise_floor:.4g} mm"
-        line = f"gap: {self.rms_before:.4g} mm before, {self.rms_after:.4g} mm after, {floor}"
+        line = f"gap: {self.rms_before:.4g} mm before, {self.rms_after:.4g} mm after, {self.floor}"
         if self.held_out_after is None:
             return line
         then = f"{self.held_out_before:.4g} mm before, {self.held_out_after:.4g} mm after"
         return f"{line}\nheld out: {then}, {self.predicted:.4g} mm predicted"
 
-    def to_json(self) -> dict[str, float | None]:
+    def to_json(self) -> dict[str, float | str | None]:
         """Keys of `gap` (identification/files/README.md, "JSON keys")."""
-        return {f"{name}_mm": value for name, value in vars(self).items()}
+        names = ("rms_before", "rms_after", "held_out_before", "held_out_after", "predicted")
+        return {f"{name}_mm": getattr(self, name) for name in names} | self.floor.to_json()
 
 
 def held_out_conditions(measurements: Measurements, holdout: Measurements) -> Conditions:
-    """Conditions of the hold-out, its temperature counted from the mean of the identification data."""
+    """Conditions of the hold-out, its temperature counted from the mean of the identification data, and its time on
+    their scale if it belongs to the same session."""
     conditions = holdout.conditions
-    if measurements.temperature is None or holdout.temperature is None:
+    if measurements.temperature is not None and holdout.temperature is not None:
+        conditions = replace(conditions, temperature=holdout.temperature - np.mean(measurements.temperature))
+    own, other = measurements.order, holdout.order
+    if own is None or other is None or transfer_of(measurements, holdout) == SESSION or np.ptp(own) == 0.0:
         return conditions
-    deviation = holdout.temperature - np.mean(measurements.temperature)
-    return replace(conditions, temperature=deviation)
+    return replace(conditions, time=(other - own.min()) / np.ptp(own) - 0.5)
 
 
-def confirm(
-    base: Fit, named: Fit, measurements: Measurements, kept: NDArray[np.bool_], holdout: Measurements | None
-) -> Gap:
-    """The gap before and after, on the data and on the hold-out."""
-    conditions = measurements.conditions
-    before = rms_distance(base.position_residuals(measurements, conditions)[kept])
-    remaining = named.position_residuals(measurements, conditions)[kept]
-    after = rms_distance(remaining)
-    floor = after * float(np.sqrt(remaining.size / max(named.freedom, 1)))
-    if holdout is None:
-        return Gap(before, after, floor)
+def transfer_of(measurements: Measurements, holdout: Measurements) -> str:
+    """What a hold-out tests, as far as the order of measurement tells.
+
+    A number of the order stands for one row of a session, so numbers in both mean two sessions, as does a pause between
+    them that is longer than the data took.
+    """
+    own, other = measurements.order, holdout.order
+    if own is None or other is None:
+        return "other rows"
+    pause = max(other.min() - own.max(), own.min() - other.max())
+    if len(np.intersect1d(own, other)) or pause > np.ptp(own):
+        return SESSION
+    if other.min() > own.max():
+        return "a later time"
+    return "an earlier time" if other.max() < own.min() else "other postures"
+
+
+def gap_of(before: Array, after: Array, there: HeldOut | None, floor: NoiseFloor) -> Gap:
+    """The gap of residuals (m, d) [mm] before and after, and the gap in the hold-out."""
+    own = rms_distance(before), rms_distance(after), floor
+    if there is None:
+        return Gap(*own)
+    squares = (np.mean(there.before), np.mean(there.after), there.predicted.value)
+    return Gap(*own, *(float(np.sqrt(square)) for square in squares))
+
+
+def confirmation_of(measurements: Measurements, holdout: Measurements, there: HeldOut) -> Confirmation:
+    """Whether the hold-out confirms the named model."""
+    every = np.ones(len(holdout), dtype=bool)
+    return confirm(there, groups_of(holdout, every), transfer_of(measurements, holdout))
+
+
+def held_out(
+    base: Fit, named: Fit, measurements: Measurements, kept: NDArray[np.bool_], holdout: Measurements
+) -> HeldOut:
+    """What the two models leave in the hold-out, and what the named one should."""
     there = held_out_conditions(measurements, holdout)
-    held_before, held_after = (rms_distance(fit.position_residuals(holdout, there)) for fit in (base, named))
-    return Gap(before, after, floor, held_before, held_after, predicted_distance(named, floor, holdout, there))
+    before, after = (fit.position_residuals(holdout, there) for fit in (base, named))
+    own = np.square(named.position_residuals(measurements, measurements.conditions)[kept]).sum(axis=1)
+    white = 2.0 * float(np.mean(own)) ** 2 / max(named.freedom, 1)  # the variance that white Gaussian noise gives
+    left = mean_of(own, groups_of(measurements, kept), white)
+    # parameters are adapted to their own rows, where they leave less than in new ones
+    scale = len(own) * named.model.dimension / max(named.freedom, 1)
+    added = parameter_part(named, holdout, there)
+    return HeldOut(
+        np.square(before).sum(axis=1),
+        np.square(after).sum(axis=1),
+        Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom),
+        np.square(before - after).sum(axis=1),
+        float(np.sqrt(scale * left.value / named.model.dimension)),
+        named.model.dimension,
+    )
 
 
-def predicted_distance(found: Fit, floor: float, holdout: Measurements, there: Conditions) -> float:
-    """Root mean square distance [mm] to expect: the floor, and the uncertainty of the predicted positions."""
-    jacobian = found.model.jacobian(holdout.postures, found.values, there)
-    variances = np.einsum("mip,pq,miq->m", jacobian, found.covariance(), jacobian, optimize=True)
-    return float(np.sqrt(floor**2 + np.mean(variances)))
+def groups_of(measurements: Measurements, kept: NDArray[np.bool_]) -> tuple[Groups, Groups]:
+    """Groups of rows that count as independent, among those that are no outliers."""
+    turn = np.empty(len(measurements))
+    turn[measurements.sequence] = np.arange(len(measurements))
+    return groupings(measurements.postures[kept], measurements.posture_numbers[kept], turn[kept])
+
+
+def parameter_part(found: Fit, rows: Measurements, there: Conditions) -> Mean:
+    """Mean square distance [mm^2] in other rows that the errors of the parameters make.
+
+    With G = mean of J_i^T J_i over the rows and C the covariance, the mean of |J_i e|^2 is e^T G e: its expectation is
+    tr(G C), its variance 2 tr(G C G C).
+    """
+    jacobian = found.model.jacobian(rows.postures, found.values, there)
+    tall = jacobian.reshape(-1, jacobian.shape[-1])
+    product = tall.T @ tall / len(rows) @ found.covariance()
+    return Mean(float(np.trace(product)), 2.0 * float(np.trace(product @ product)), np.inf)
 
 
 def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements) -> None:
@@ -82,8 +145,9 @@ def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements)
     part of the workspace stays below, other links or another set-up of base and instrument do not.
     """
     there = held_out_conditions(measurements, holdout)
-    left = rms_distance(base.position_residuals(measurements, measurements.conditions))
-    limit = max(10.0 * predicted_distance(base, left, holdout, there), 0.01 * base.model.reach)
+    left = np.square(base.position_residuals(measurements, measurements.conditions)).sum(axis=1)
+    expected = float(np.sqrt(np.mean(left) + parameter_part(base, holdout, there).value))
+    limit = max(10.0 * expected, 0.01 * base.model.reach)
     # the median, since a few outliers do not make it another arm
     missed = float(np.median(np.linalg.norm(base.position_residuals(holdout, there), axis=1)))
     if missed > limit:

@@ -10,13 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri, fdtrc
+from scipy.special import chdtrc, chdtri
 
 from identification.arrays import Array
 from identification.gap.fit import Fit
 from identification.gap.whitening import Rows
 from identification.information import column_space
-from identification.measurements import Measurements
 
 # reasons: identification/README.md, "Constants"
 OUTLIER = 6.0  # robust standard deviations in a plane, else the same chance; 3 in 10,000 clean data sets have one
@@ -221,30 +220,3 @@ def holm(p: dict[str, float]) -> dict[str, float]:
         running = max(running, min(1.0, (len(p) - rank) * p[name]))
         adjusted[name] = running
     return adjusted
-
-
-def repeat_finding(measurements: Measurements, found: Fit, kept: NDArray[np.bool_]) -> tuple[Finding, ...]:
-    """Lack of fit against pure error, where postures were repeated: a fast ripple looks like noise, but it repeats.
-
-    F = (lack of fit / its degrees of freedom) / (scatter of the repeats about their means / its degrees of freedom).
-    """
-    groups = np.unique(same_posture(measurements)[kept], return_inverse=True)[1]
-    residual = found.position_residuals(measurements, measurements.conditions)[kept]
-    pure, count, d = _pure_error(residual, groups), int(groups.max()) + 1, residual.shape[1]
-    pure_freedom, fit_freedom = d * (len(residual) - count), d * count - found.rank
-    if pure_freedom < 4 or fit_freedom < 1 or pure == 0.0:
-        return ()
-    excess = (float(np.sum(residual**2)) - pure) / fit_freedom / (pure / pure_freedom)
-    p = float(fdtrc(fit_freedom, pure_freedom, excess))
-    return (Finding("repeats", p, excess),) if p <= LEVEL else ()
-
-
-def _pure_error(residual: Array, groups: NDArray[np.int64]) -> float:
-    """Sum of squares of residuals (m, d) about the mean of their group."""
-    means = np.stack([np.bincount(groups, column) for column in residual.T], axis=1) / np.bincount(groups)[:, None]
-    return float(np.sum((residual - means[groups]) ** 2))
-
-
-def same_posture(measurements: Measurements) -> NDArray[np.int64]:
-    """(m,) number of each row's posture; rows of one number are repeats."""
-    return measurements.posture_numbers

@@ -9,8 +9,10 @@ from typing import Any
 
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
+from identification.gap.confirmation import Confirmation
 from identification.gap.detectability import Detectability, Size
 from identification.gap.holdout import Gap
+from identification.gap.misfit import Misfit
 from identification.gap.noise import Finding
 from identification.gap.order_range import OrderRange, in_words
 from identification.gap.probabilities import Probabilities
@@ -119,7 +121,6 @@ class Residuals:
     positions: Array
 
 
-WIDE = 3.0  # times the arm file's sigma: shown with the verdict (identification/README.md, "Constants")
 VERDICTS = {
     "none": "none: no missing effect is detectable in these data; effects larger than the sizes listed are excluded",
     "named": "named: {effects} is missing from the model",
@@ -135,6 +136,7 @@ class Diagnosis:
     verdict : `none`, `named`, `ambiguous` or `unknown`;  where : place of an unknown effect, with the shape seen there
     shapes : named waves that the range of their joint cannot tell from their neighbors
     trials : every effect against the base model;  detectability : what the plan could show
+    misfit : what is left against the sigma given, None without one;  confirmation : by held-out rows, None without
     """
 
     arm: Arm
@@ -152,6 +154,8 @@ class Diagnosis:
     residuals: Residuals
     sigma: float
     probabilities: Probabilities
+    misfit: Misfit | None = None
+    confirmation: Confirmation | None = None
     notes: tuple[str, ...] = ()
     shapes: tuple[OrderRange, ...] = ()
 
@@ -176,8 +180,6 @@ class Diagnosis:
         options = " | ".join(c.title for c in self.candidates)
         beside = f", beside {self.named.title}" if self.effects else ""
         shape = f" (shape: {self.shape})" if self.shape else ""
-        times = 1.0 if self.arm.sigma is None else self.sigma / self.arm.sigma
-        wide = f"; but the scatter is {times:.3g} times sigma_mm" if times > WIDE else ""
         verdict = VERDICTS[self.verdict].format(
             effects=self.named.title,
             count=len(self.candidates),
@@ -185,7 +187,8 @@ class Diagnosis:
             where=f"{self.where}{shape}",
             beside=beside,
         )
-        return "; ".join((verdict + wide, *in_words(self.shapes)))
+        first = "not confirmed: " if self.confirmed is False else ""
+        return "; ".join((first + verdict + self._unexplained, *in_words(self.shapes)))
 
     @property
     def probability(self) -> dict[str, float]:
@@ -213,6 +216,20 @@ class Diagnosis:
         found = self.probabilities.credible.items()
         return {"unknown" if n is None else titles.get(n, " + ".join(n)): p for n, p in found}
 
+    @property
+    def _unexplained(self) -> str:
+        """What is left over the given sigma, where that is more than noise."""
+        if self.misfit is None or not self.misfit.significant:
+            return ""
+        variance = [f.name for f in self.scatter if f.name not in ("repeats", "serial_correlation")]
+        why = f"put down to {', '.join(variance)}" if variance else "not explained"
+        return f"; scatter {self.misfit.ratio:.3g} x sigma_mm, {why}"
+
+    @property
+    def confirmed(self) -> bool | None:
+        """Whether rows not used so far confirm the verdict; None: no such rows, or too few."""
+        return None if self.confirmation is None else self.confirmation.confirmed
+
     def extended_arm(self, candidate: Candidate | None = None) -> Arm:
         """The arm with the effects of the best set (or of `candidate`) in its model, to be estimated, and the fitted
         values as its calibration."""
@@ -239,6 +256,9 @@ class Diagnosis:
             "outlier_rows": list(self.outlier_rows),
             "excluded": {name: vars(size) for name, size in self.excluded.items()},
             "gap": self.gap.to_json(),
+            "confirmed": self.confirmed,
+            "confirmation": None if self.confirmation is None else self.confirmation.to_json(),
+            "misfit": None if self.misfit is None else self.misfit.to_json(),
             "sigma_mm": self.sigma,
             "degrees_of_freedom": self.detectability.freedom,
             "trials": [vars(t) for t in self.trials],
@@ -258,6 +278,8 @@ class Diagnosis:
         if self.outlier_rows:
             lines.append(f"  left out as outliers: rows {', '.join(map(str, self.outlier_rows))}")
         lines += [f"  {line}" for line in str(self.gap).splitlines()]
+        if self.confirmation is not None:
+            lines.append(f"  {self.confirmation}")
         if not self.effects:
             lines += [f"  excluded: {name} > {size}" for name, size in self.excluded.items()]
         return "\n".join([*lines, *(f"  note: {n}" for n in self.notes)])

@@ -14,6 +14,7 @@ from doe.studies.blind import hidden_effects, simulator
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import library
 from identification.errors import InputError
+from identification.estimation import estimate as identify
 from identification.gap.candidates import candidate
 from identification.gap.diagnose import diagnose
 from identification.gap.hypotheses import hypotheses
@@ -21,6 +22,7 @@ from identification.gap.result import Diagnosis
 from identification.gap.selection import HypothesisSearch
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
+from identification.model import Model
 
 RNG = np.random.default_rng(11)
 TRUTH = replace(simulator.random_truth(RNG, 3), sigma=0.05)
@@ -206,11 +208,14 @@ class PlainFit:
 
 def test_held_out_gap_shrinks_to_the_noise() -> None:
     data, (fresh, noise) = eccentric(60, 1)[0], eccentric(200, 2)
-    gap = diagnose(ARM, data, fresh, draws=399).gap
+    found = diagnose(ARM, data, fresh, draws=399)
+    gap = found.gap
+    assert found.confirmation is not None
+    assert found.confirmation.shrinks is True
     before, after = PlainFit(data, eccentric=False), PlainFit(data, eccentric=True)
     assert gap.held_out_before == pytest.approx(before.rms(fresh), rel=1e-6)
     assert gap.held_out_after == pytest.approx(after.rms(fresh), rel=1e-6)
-    assert gap.noise_floor == pytest.approx(np.sqrt(2.0 * after.variance), rel=1e-6)
+    assert gap.noise_floor == pytest.approx(np.sqrt(2.0) * ARM.sigma)  # no repeats here: the instrument's sigma
     columns = after.columns(fresh)
     added = np.sum((columns @ after.covariance) * columns) / len(fresh)
     assert gap.predicted == pytest.approx(np.sqrt(2.0 * after.variance + added), rel=1e-4)
@@ -400,11 +405,40 @@ def test_a_fifth_of_the_rows_are_outliers() -> None:
     assert found.effects == ("backlash:2",)
 
 
-def test_a_scatter_far_above_sigma_stands_in_the_verdict() -> None:
-    assert "times sigma_mm" not in diagnosed(None).sentence
+def test_a_scatter_above_sigma_stands_in_the_verdict() -> None:
+    assert "sigma_mm" not in diagnosed(None).sentence
     rough = measured(None).positions + np.random.default_rng(8).normal(size=(60, 2))  # 1 mm, the arm file says 0.05
-    said = diagnose(ARM, replace(measured(None), positions=rough), draws=399).sentence
-    assert float(said.split("the scatter is ")[1].split(" times")[0]) == pytest.approx(20.0, rel=0.2)
+    found = diagnose(ARM, replace(measured(None), positions=rough), draws=399)
+    assert found.misfit is not None
+    assert found.misfit.ratio == pytest.approx(20.0, rel=0.2)
+    assert found.sentence.endswith(f"; scatter {found.misfit.ratio:.3g} x sigma_mm, not explained")
+    assert found.to_json()["misfit"]["p_value"] < 1e-10
+
+
+def test_before_is_what_identify_leaves() -> None:
+    """Also where outliers are left out, and where the noise is taken for that of one joint."""
+    data = measured(None)
+    model = Model(ARM)
+    shaken = data.positions + (
+        model.jacobian(data.postures)[:, :, 4] * (0.002 * np.random.default_rng(6).normal(size=60))[:, None]
+    )
+    shaken[7] += 4.0
+    found = diagnose(ARM, replace(data, positions=shaken), draws=399)
+    assert found.outlier_rows == (8,)
+    assert found.scatter[0].name.startswith("joint_noise")
+    others = np.arange(60) != 7
+    left = identify(model, replace(data, positions=shaken), weights=others.astype(float)).residuals_after[others]
+    assert found.gap.rms_before == pytest.approx(np.sqrt(np.mean(np.sum(left**2, axis=1))), rel=1e-9)
+
+
+def test_a_hold_out_without_the_effect_refutes_it() -> None:
+    found = diagnose(ARM, measured("backlash"), measured(None, seed=3, m=200), draws=399)
+    assert found.verdict == "named"
+    assert found.confirmed is False
+    assert found.sentence.startswith("not confirmed: named: backlash:2")
+    assert found.to_json()["confirmation"]["shrinks"] is False
+    # the rows of the two have the same numbers: they are of two sessions
+    assert found.to_json()["confirmation"]["transfer"] == "another session"
 
 
 def test_on_a_grid_the_ripples_that_an_effect_imitates_are_told() -> None:

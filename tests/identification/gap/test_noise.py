@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from identification.arm import Arm
 from identification.gap.fit import fit
-from identification.gap.noise import Finding, holm, outliers, repeat_finding, screen, studentised, whitened
+from identification.gap.noise import Finding, holm, outliers, screen, studentised, whitened
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from identification.model import Model
@@ -119,19 +119,6 @@ def test_studentised_squares_are_chi_square_of_all_coordinates(d: int) -> None:
     squares = studentised(residual, columns, np.ones(4000, dtype=bool))
     assert np.median(squares) == pytest.approx(chi2.median(d), rel=1e-9)
     assert np.mean(squares < chi2.ppf(0.9, d)) == pytest.approx(0.9, abs=0.02)
-
-
-def test_repeats_tell_ripple_from_noise() -> None:
-    rng = np.random.default_rng(5)
-    q = np.repeat(rng.uniform(-np.pi, np.pi, (12, 3)), 4, axis=0)
-    model = Model(ARM)
-    shared = np.repeat(0.4 * rng.normal(size=(12, 2)), 4, axis=0)  # a ripple too fast to see: the same at each repeat
-    for ripple, expected in ((0.0, 0), (1.0, 1)):
-        positions = model.position(q) + 0.05 * rng.normal(size=(48, 2)) + ripple * shared
-        measurements = Measurements(q, positions)
-        rows = Rows.of(measurements)
-        found = fit(model, rows)
-        assert len(repeat_finding(measurements, found, np.ones(48, dtype=bool))) == expected
 
 
 def test_holm_by_hand() -> None:

@@ -1,0 +1,209 @@
+"""Is the named model confirmed by rows that were not used: does the gap shrink, and to what was predicted?
+
+Rows of one posture or of one stretch of time share errors that no model explains, so a mean over m rows is not known to
+1 / sqrt(m). The rows are put into up to eight groups, by stretches of time and by regions of posture, and the group
+means are compared by Student's t (R. Ibragimov, U. K. Mueller, "t-statistic based correlation and heterogeneity robust
+inference", 2010: valid whatever the dependence within groups). Of the two groupings the one that is less sure counts,
+and none is surer than white Gaussian noise would be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri, stdtr, stdtrit
+
+from identification.arrays import Array
+
+# reasons: identification/README.md, "Constants"
+GROUPS = 8  # of rows that count as independent
+LEVEL = 0.05  # convention: of each question, both sides together
+POWER = 0.9  # convention: with which a gap of twice the predicted square must be seen
+
+Groups = NDArray[np.int64]
+
+
+class Mean(NamedTuple):
+    """A mean, the variance of this mean, and the degrees of freedom that the variance is known from."""
+
+    value: float
+    variance: float
+    freedom: float
+
+    def __sub__(self, other: Mean) -> Mean:
+        """Of the difference of two independent means (B. L. Welch, 1947)."""
+        variance = self.variance + other.variance
+        parts = sum(m.variance**2 / m.freedom for m in (self, other) if m.variance < np.inf)
+        freedom = variance**2 / parts if parts > 0.0 and variance < np.inf else min(self.freedom, other.freedom)
+        return Mean(self.value - other.value, variance, freedom)
+
+    def p_above(self, limit: float = 0.0) -> float:
+        """Probability of a mean at least this large if the truth is `limit`."""
+        if not 0.0 < self.variance < np.inf:
+            return 1.0 if self.variance else float(self.value <= limit)
+        return float(stdtr(self.freedom, (limit - self.value) / np.sqrt(self.variance)))
+
+    def detects(self, size: float) -> bool:
+        """Whether a truth of this size would be seen with the probability `POWER`."""
+        if not self.variance < np.inf:
+            return False
+        quantiles = stdtrit(self.freedom, 1.0 - LEVEL / 2.0) + stdtrit(self.freedom, POWER)
+        return bool(size >= quantiles * np.sqrt(self.variance))
+
+
+def mean_of(values: Array, groupings: Sequence[Groups], least: float = 0.0) -> Mean:
+    """The mean of (m,) values, with the largest of the variances that the groupings give, and at least this one."""
+    found = max((_grouped(values, groups) for groups in groupings), key=lambda mean: mean.variance)
+    return found._replace(variance=max(found.variance, least))
+
+
+def _grouped(values: Array, groups: Groups) -> Mean:
+    counts = np.bincount(groups)
+    if len(counts) < 2:
+        return Mean(float(np.mean(values)), np.inf, 1.0)
+    means = np.bincount(groups, values) / counts
+    return Mean(float(np.mean(values)), float(np.var(means, ddof=1) / len(means)), len(means) - 1.0)
+
+
+def groupings(postures: Array, repeats: Groups, time: Array) -> tuple[Groups, Groups]:
+    """(m,) group of each row by stretch of time, and by region of posture: up to `GROUPS` of equal size.
+
+    postures : (m, n);  repeats : (m,) rows of one number are one posture;  time : (m,)
+    """
+    stretches = np.empty(len(time), dtype=np.int64)
+    for group, rows in enumerate(np.array_split(np.argsort(time, kind="stable"), min(GROUPS, len(time)))):
+        stretches[rows] = group
+    first = np.unique(repeats, return_index=True)[1]
+    return stretches, regions(postures[first])[np.unique(repeats, return_inverse=True)[1]]
+
+
+def regions(postures: Array) -> Groups:
+    """(m,) region of each posture: halves of halves of halves, each cut at the median of the joint that moves most."""
+    found = np.zeros(len(postures), dtype=np.int64)
+    for _ in range(min(int(np.log2(GROUPS)), int(np.log2(len(postures))))):
+        halves = np.zeros_like(found)
+        for region in np.unique(found):
+            rows = np.flatnonzero(found == region)
+            widest = int(np.argmax(np.ptp(postures[rows], axis=0)))
+            upper = np.argsort(postures[rows, widest], kind="stable")[len(rows) // 2 :]
+            halves[rows[upper]] = 1
+        found = 2 * found + halves
+    return np.asarray(np.unique(found, return_inverse=True)[1])
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """What rows that were not used for the fit say of the named model.
+
+    transfer : where these rows come from: `other postures`, `a later time`, `another session` ..
+    by : `holdout` or `cross-validation`;  rows, groups : how many, and how many count as independent
+    before, after : root mean square distances [mm] of base and named model in these rows;  predicted : for `after`
+    p_shrinks, p_exceeds : one-sided, of a gap that shrinks by so much if in truth it does not, and that exceeds the
+        prediction by so much if in truth it does not
+    shrinks, as_predicted : the answers; None where the rows are too few for one
+    named : False if the named model is the base model, which has nothing to shrink
+    """
+
+    transfer: str
+    by: str
+    rows: int
+    groups: int
+    before: float
+    after: float
+    predicted: float
+    p_shrinks: float | None
+    p_exceeds: float
+    shrinks: bool | None
+    as_predicted: bool | None
+    named: bool = True
+
+    @property
+    def confirmed(self) -> bool | None:
+        """True, False, or None: too few rows."""
+        if self.shrinks is False or self.as_predicted is False:
+            return False
+        return self.shrinks if self.named else self.as_predicted
+
+    @property
+    def answer(self) -> str:
+        """In words."""
+        if self.confirmed is None:
+            return f"too few rows to say whether it holds for {self.transfer}"
+        if self.confirmed:
+            return f"holds for {self.transfer}"
+        grows = ["the gap does not shrink"] if self.shrinks is False else []
+        exceeds = ["the gap exceeds the prediction"] if self.as_predicted is False else []
+        return f"does not hold for {self.transfer}, {' and '.join(grows + exceeds)}"
+
+    def __str__(self) -> str:
+        kind = "held-out" if self.by == "holdout" else "cross-validated"
+        figures = f"{self.before:.4g} mm before, {self.after:.4g} mm after, {self.predicted:.4g} mm predicted"
+        return f"{self.answer}: {figures} ({self.rows} {kind} rows in {self.groups} independent groups)"
+
+    def to_json(self) -> dict[str, object]:
+        """An entry of `confirmation.tests` (identification/files/README.md, "JSON keys")."""
+        lengths = {f"{name}_mm": getattr(self, name) for name in ("before", "after", "predicted")}
+        names = ("transfer", "by", "rows", "groups", "p_shrinks", "p_exceeds", "shrinks", "as_predicted", "confirmed")
+        return {name: getattr(self, name) for name in names} | lengths
+
+
+class HeldOut(NamedTuple):
+    """Squared distances (m,) [mm^2] of base and named model in rows that the fits did not use.
+
+    predicted : mean square to expect of the named model, with its uncertainty
+    moved : (m,) squared distance between the two models;  sigma : of one of the d coordinates [mm]
+    """
+
+    before: Array
+    after: Array
+    predicted: Mean
+    moved: Array
+    sigma: float
+    dimension: int
+
+
+def confirm(
+    rows: HeldOut, by_groups: Sequence[Groups], transfer: str, by: str = "holdout", level: float = LEVEL
+) -> Confirmation:
+    """Test whether the gap shrinks, and whether it exceeds the prediction, each at half this level to one side."""
+    m, variance = len(rows.after), rows.sigma**2
+    gained = mean_of(rows.before - rows.after, by_groups, 4.0 * variance * float(np.mean(rows.moved)) / m)
+    excess = mean_of(rows.after, by_groups, 2.0 * rows.dimension * variance**2 / m) - rows.predicted
+    named = bool(np.any(rows.moved > 0.0))
+    p_exceeds = excess.p_above()
+    exceeds = p_exceeds <= level / 2.0
+    return Confirmation(
+        transfer,
+        by,
+        m,
+        min(int(groups.max()) + 1 for groups in by_groups),
+        float(np.sqrt(np.mean(rows.before))),
+        float(np.sqrt(np.mean(rows.after))),
+        float(np.sqrt(rows.predicted.value)),
+        gained.p_above() if named else None,
+        p_exceeds,
+        shrinks(gained, rows, level) if named else None,
+        False if exceeds else (True if excess.detects(rows.predicted.value) else None),
+        named,
+    )
+
+
+def shrinks(gained: Mean, rows: HeldOut, level: float) -> bool | None:
+    """Whether the gap shrinks.
+
+    gained : before less after, mean of squares
+
+    If the named model is right, the gain of m rows is normal with mean R = mean of `moved` and variance
+    4 sigma^2 R / m, so no gain at all has the probability Phi(-sqrt(m R) / 2 sigma); where that is small, it is no
+    chance.
+    """
+    if gained.p_above() <= level / 2.0:
+        return True
+    if gained._replace(value=-gained.value).p_above() <= level / 2.0:
+        return False
+    apart = float(np.sqrt(np.sum(rows.moved))) / (2.0 * rows.sigma)
+    return False if gained.value <= 0.0 and apart >= -ndtri(level / 2.0) else None

@@ -1,0 +1,151 @@
+"""What repeats of one posture say: the noise floor, known without a model, and whether a misfit is more than noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc
+
+from identification.arrays import Array
+from identification.gap.noise import LEVEL, Finding
+from identification.measurements import Measurements
+
+# reasons: identification/README.md, "Constants"
+FAR = 0.1  # of the session, between two repeats that share no slow error
+FEWEST = 4  # degrees of freedom of a standard deviation worth printing
+
+Groups = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class PureError:
+    """Scatter of repeats about the mean of their posture.
+
+    squares : sum of squares [mm^2] over d coordinates;  freedom : its degrees of freedom
+    """
+
+    squares: float
+    freedom: int
+    dimension: int
+
+    @property
+    def rms(self) -> float | None:
+        """Root mean square distance [mm] that the noise alone makes in one row; None from too few repeats."""
+        return float(np.sqrt(self.dimension * self.squares / self.freedom)) if self.freedom >= FEWEST else None
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """Root mean square distances [mm] that no model of the mean can go below; None where nothing is known.
+
+    repeats : of one posture far apart in time;  close_repeats : within one stretch of time, which share slow errors
+    sigma : of the instrument as given, for all coordinates together
+    """
+
+    repeats: float | None = None
+    close_repeats: float | None = None
+    sigma: float | None = None
+
+    @property
+    def source(self) -> str | None:
+        """What the floor is known from, the surest first."""
+        return next((name for name, value in vars(self).items() if value is not None), None)
+
+    @property
+    def value(self) -> float | None:
+        """The noise floor [mm]."""
+        return None if self.source is None else float(getattr(self, self.source))
+
+    def __str__(self) -> str:
+        if self.source is None:
+            return "noise floor unknown (no repeats, no sigma_mm)"
+        where = {"repeats": "repeats far apart in time", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}
+        return f"noise floor {self.value:.4g} mm ({where[self.source]})"
+
+    def to_json(self) -> dict[str, float | str | None]:
+        """Keys of `gap` (identification/files/README.md, "JSON keys")."""
+        return {
+            "noise_floor_mm": self.value,
+            "noise_floor_from": self.source,
+            "repeats_mm": self.repeats,
+            "close_repeats_mm": self.close_repeats,
+        }
+
+
+NOTHING_KNOWN = NoiseFloor()
+
+
+def far_apart(groups: Groups, time: Array) -> NDArray[np.bool_]:
+    """(m,) rows left when every repeat less than `FAR` of the session after the one kept before it is taken out."""
+    kept = np.zeros(len(groups), dtype=bool)
+    last: dict[int, float] = {}
+    for row in np.argsort(time, kind="stable"):
+        group, now = int(groups[row]), float(time[row])
+        if now - last.get(group, -np.inf) >= FAR:
+            kept[row], last[group] = True, now
+    return kept
+
+
+def pure_error(residual: Array, groups: Groups) -> PureError:
+    """Of residuals (m, d) about the mean of their group."""
+    numbers = np.unique(groups, return_inverse=True)[1]
+    counts = np.bincount(numbers)
+    means = np.stack([np.bincount(numbers, column) for column in residual.T], axis=1) / counts[:, None]
+    m, d = residual.shape
+    return PureError(float(np.sum((residual - means[numbers]) ** 2)), d * (m - len(counts)), d)
+
+
+def noise_floor(
+    residual: Array, measurements: Measurements, kept: NDArray[np.bool_], sigma: float | None
+) -> NoiseFloor:
+    """What repeats and instrument say about the noise.
+
+    residual : (m, d) [mm] of a fitted model, which takes off what the small differences between repeats explain
+    kept : (m,) rows that are no outliers;  sigma : of the arm file [mm], None: unknown
+    """
+    groups, time = repeats_in_time(measurements, kept)
+    far = far_apart(groups, time)
+    stretch = np.floor(time / FAR).astype(np.int64)
+    if measurements.sigma is not None:
+        sigma = float(np.sqrt(np.mean(measurements.sigma[kept] ** 2)))
+    return NoiseFloor(
+        pure_error(residual[kept][far], groups[far]).rms,
+        pure_error(residual[kept], groups * (stretch.max() + 1) + stretch).rms,
+        None if sigma is None else sigma * float(np.sqrt(residual.shape[1])),
+    )
+
+
+def repeats_in_time(measurements: Measurements, kept: NDArray[np.bool_]) -> tuple[Groups, Array]:
+    """(m,) number of the posture, another one in each session, and time from 0 to 1 over the session, of some rows."""
+    sessions = np.empty(len(measurements), dtype=np.int64)
+    for number, rows in enumerate(measurements.session_rows):
+        sessions[rows] = number
+    time = measurements.conditions.time
+    assert time is not None  # measurements know it
+    return (measurements.posture_numbers * len(measurements.session_rows) + sessions)[kept], time[kept] + 0.5
+
+
+def repeat_finding(
+    residual: Array, rank: int, measurements: Measurements, kept: NDArray[np.bool_]
+) -> tuple[Finding, ...]:
+    """Lack of fit against pure error, where postures were repeated: a fast ripple looks like noise, but it repeats.
+
+    F = (lack of fit / its degrees of freedom) / (scatter of the repeats about their means / its degrees of freedom),
+    among repeats far apart in time where there are enough.
+
+    residual : (m, d) of a fitted model of this rank
+    """
+    groups, time = repeats_in_time(measurements, kept)
+    far = far_apart(groups, time)
+    if pure_error(residual[kept][far], groups[far]).rms is None:
+        far[:] = True
+    left, groups = residual[kept][far], groups[far]
+    pure = pure_error(left, groups)
+    fit_freedom = left.size - pure.freedom - rank
+    if pure.rms is None or fit_freedom < 1 or pure.squares == 0.0:
+        return ()
+    excess = (float(np.sum(left**2)) - pure.squares) / fit_freedom / (pure.squares / pure.freedom)
+    p = float(fdtrc(fit_freedom, pure.freedom, excess))
+    return (Finding("repeats", p, excess),) if p <= LEVEL else ()
