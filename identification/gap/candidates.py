@@ -11,7 +11,8 @@ from identification.arrays import Array
 from identification.estimation.intervals import limits_95
 from identification.gap.fit import Fit
 from identification.gap.result import Candidate, Estimate, Trial
-from identification.gap.selection import Choice, HypothesisSearch, trial_of
+from identification.gap.search import Choice, HypothesisSearch
+from identification.gap.selection import trial_of
 from identification.gap.workflow import Findings
 from identification.measurements import joint_range
 

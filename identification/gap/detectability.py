@@ -146,15 +146,15 @@ def assess(
     model_basis = column_space(white, library.base.scales)
     freedom = len(white) - model_basis.shape[1]
     require_spare(freedom, len(rows))
-    raw = [rows.whiten(c) for c in library.columns(rows, values)]
+    columns = library.matrix(rows, values)
     members = library.members
-    tested = projected(model_basis, members, raw)
+    tested = projected(model_basis, members, columns)
     threshold = LEVEL / sum(h.weight for h in members) if level is None else level
     limit = LARGEST * library.base.reach * np.sqrt(len(rows))
     sizes: dict[str, list[Size]] = {}
-    for hypothesis, columns in zip(members, raw, strict=True):
+    for k, hypothesis in enumerate(members):
         if not hypothesis.tied:
-            size = _detectable(hypothesis, columns, tested, sigma, threshold * hypothesis.weight, limit)
+            size = _detectable(hypothesis, tested, k, sigma, threshold * hypothesis.weight, limit)
             sizes.setdefault(hypothesis.key, []).append(size)
     plain = [k for k, h in enumerate(members) if not h.scanned and not h.tied]
     return Detectability(
@@ -171,26 +171,21 @@ def assess(
 
 def likenesses(tested: Dictionary, members: list[int]) -> Array:
     """(H, H) root mean square fraction of each member's visible space that each other member's space holds."""
-    blocks = [tested.block(k) for k in members]
-    matrix = np.zeros((len(blocks), len(blocks)))
-    for i, one in enumerate(blocks):
-        for j, other in enumerate(blocks):
-            if one.shape[1] and other.shape[1]:
-                matrix[i, j] = np.linalg.norm(other.T @ one) / np.sqrt(one.shape[1])
-    return np.minimum(matrix, 1.0)
+    sizes = tested.sizes[members]
+    bases = np.hstack([np.zeros((len(tested.model_basis), 0)), *(tested.block(k) for k in members)])
+    owner = np.repeat(np.eye(len(members)), sizes, axis=0)  # (D, H)
+    squares = owner.T @ np.square(bases.T @ bases) @ owner
+    return np.minimum(np.sqrt(squares / np.maximum(sizes, 1)[:, None]), 1.0)
 
 
-def _detectable(
-    hypothesis: Hypothesis, raw: Array, tested: Dictionary, sigma: float, level: float, limit: float
-) -> Size:
+def _detectable(hypothesis: Hypothesis, tested: Dictionary, k: int, sigma: float, level: float, limit: float) -> Size:
     parameter = hypothesis.effect.parameters[0]
-    projected = raw - tested.model_basis @ (tested.model_basis.T @ raw)
-    visible = np.linalg.svd(projected, compute_uv=False)
-    whole = np.linalg.norm(raw, axis=0).max()
-    if whole == 0.0 or visible[-1] <= 1e-6 * whole or tested.freedom <= hypothesis.size:
+    products, left = tested.products(k)
+    whole, least = (float(np.sqrt(max(x, 0.0))) for x in (np.diag(products).max(), np.linalg.eigvalsh(left)[0]))
+    if whole == 0.0 or least <= 1e-6 * whole or tested.freedom <= hypothesis.size:
         return Size(None, parameter.file_unit)
     needed = detectable_lambda(hypothesis.size, tested.freedom - hypothesis.size, level, hypothesis.one_sided)
-    size = needed * sigma / visible[-1]
+    size = needed * sigma / least
     if size * whole > limit:  # root sum of squares over the rows [mm] of what it would move the tip
         return Size(None, parameter.file_unit)
     return Size(float(size * parameter.to_file), parameter.file_unit)

@@ -22,7 +22,8 @@ from identification.gap.order_range import order_ranges
 from identification.gap.probabilities import probabilities
 from identification.gap.repeats import noise_floor, repeat_finding
 from identification.gap.result import Diagnosis, Residuals
-from identification.gap.selection import ALPHA_NEXT, LEVEL_FACTOR, HypothesisSearch
+from identification.gap.search import LEVEL_FACTOR, HypothesisSearch
+from identification.gap.selection import ALPHA_NEXT
 from identification.gap.whitening import Rows
 from identification.gap.workflow import Findings, investigate
 from identification.measurements import Measurements

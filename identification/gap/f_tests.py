@@ -2,12 +2,15 @@
 
 The columns of a hypothesis, projected off the Jacobian of the fitted model, span what only this hypothesis can
 explain. With U an orthonormal basis of that (N, d), the sum of squares falls by |U^T r|^2 when it is added, and
-F = (|U^T r|^2 / d) / ((|r|^2 - |U^T r|^2) / (dof - d)). All hypotheses share one matrix product, however many.
+F = (|U^T r|^2 / d) / ((|r|^2 - |U^T r|^2) / (dof - d)). All hypotheses share one matrix product, however many, and U is
+never formed: with Q the basis of the model and X the columns, U = (X - Q Q^T X) T with small blocks T, so that
+U^T r = T^T (X^T r - (Q^T X)^T Q^T r) needs products of the columns as they are.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,19 +22,70 @@ from identification.arrays import Array
 # reasons: identification/README.md, "Constants"
 VISIBLE = 1e-4  # fraction of a column's length that must survive projection; less is an alias of what is in the model
 TINY = 1e-300  # smaller p-values count as equal
+CHUNK = 2**20  # numbers worked on at once: eight megabytes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns of hypotheses side by side, which many fitted models can share.
+
+    matrix : (N, C);  sizes : (H,) how many belong to each hypothesis
+    """
+
+    matrix: Array
+    sizes: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, columns: Sequence[Array], rows: int) -> Columns:
+        """From the columns (N, d) of each hypothesis."""
+        sizes = np.array([c.shape[1] for c in columns], dtype=np.int64)
+        return cls(np.concatenate([np.zeros((rows, 0)), *columns], axis=1), sizes)
+
+    @cached_property
+    def starts(self) -> NDArray[np.int64]:
+        """(H,) where each hypothesis begins."""
+        return np.cumsum(self.sizes) - self.sizes
+
+    def places(self, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(h,) hypotheses of a size and (h, size) where their columns are."""
+        members = np.flatnonzero(self.sizes == size)
+        return members, self.starts[members][:, None] + np.arange(size)
+
+    @cached_property
+    def products(self) -> dict[int, Array]:
+        """Size -> (h, size, size) products of the columns of each hypothesis of that size with one another."""
+        found = {}
+        for size in np.unique(self.sizes).tolist():
+            index = self.places(size)[1]
+            found[size] = np.zeros((len(index), size, size))
+            for part in self.chunks():
+                block = self.matrix[part][:, index.ravel()].reshape(-1, *index.shape).transpose(1, 2, 0)
+                found[size] += block @ block.transpose(0, 2, 1)
+        return found
+
+    def chunks(self, multiple: int = 1) -> Iterator[slice]:
+        """Slices of the rows of about `CHUNK` numbers each, starting at multiples."""
+        step = max(CHUNK // max(self.matrix.shape[1], 1) // multiple, 1) * multiple
+        return (slice(k, k + step) for k in range(0, len(self.matrix), step))
+
+
+@dataclass(frozen=True, eq=False)
 class Dictionary:
     """Hypotheses projected off a fitted model.
 
-    bases : (N, C) the orthonormal bases side by side;  starts, sizes : (H,) where each begins, how wide it is
+    columns : of these and perhaps of other hypotheses;  model_basis : (N, r) orthonormal, of the model
+    inside : (r, C) what the model has of each column
+    index, turn : (D, w) basis vector k is sum_j turn[k, j] times the projected column index[k, j]
+    starts, sizes : (H,) where the basis of each hypothesis begins among the D vectors, how many it has
     norm_fractions : (H,) of the columns' norm left after projection off the model
     one_sided : (H,) physics allows one sign only;  weights : (H,) prior weights
     """
 
+    columns: Columns
     model_basis: Array
-    bases: Array
+    inside: Array
+    index: NDArray[np.int64]
+    turn: Array
     starts: NDArray[np.int64]
     sizes: NDArray[np.int64]
     norm_fractions: Array
@@ -48,28 +102,54 @@ class Dictionary:
 
     def subset(self, keep: NDArray[np.int64]) -> Dictionary:
         """Only some of the hypotheses."""
-        owner = np.repeat(np.arange(len(self)), self.sizes)
-        columns = np.isin(owner, keep)
+        chosen = np.concatenate([np.zeros(0, dtype=np.int64), *(self._vectors(k) for k in keep)])
         widths = self.sizes[keep]
-        return Dictionary(
-            self.model_basis,
-            self.bases if columns.all() else self.bases[:, columns],
-            np.cumsum(widths) - widths,
-            widths,
-            self.norm_fractions[keep],
-            self.one_sided[keep],
-            self.weights[keep],
+        return replace(
+            self,
+            index=self.index[chosen],
+            turn=self.turn[chosen],
+            starts=np.cumsum(widths) - widths,
+            sizes=widths,
+            norm_fractions=self.norm_fractions[keep],
+            one_sided=self.one_sided[keep],
+            weights=self.weights[keep],
         )
+
+    def _vectors(self, k: int) -> NDArray[np.int64]:
+        return self.starts[k] + np.arange(self.sizes[k])
 
     def block(self, k: int) -> Array:
         """(N, d) orthonormal basis of one hypothesis."""
-        return self.bases[:, self.starts[k] : self.starts[k] + self.sizes[k]]
+        vectors = self._vectors(k)
+        used = np.unique(self.index[vectors])
+        turn = np.zeros((len(used), len(vectors)))
+        for column, v in enumerate(vectors):
+            np.add.at(turn[:, column], np.searchsorted(used, self.index[v]), self.turn[v])
+        return self.columns.matrix[:, used] @ turn - self.model_basis @ (self.inside[:, used] @ turn)
+
+    def products(self, k: int) -> tuple[Array, Array]:
+        """(d, d) products of the columns of hypothesis k of `columns`, before and after projection off the model."""
+        places = self.columns.starts[k] + np.arange(self.columns.sizes[k])
+        before = self.columns.matrix[:, places].T @ self.columns.matrix[:, places]
+        return before, before - self.inside[:, places].T @ self.inside[:, places]
+
+    def scores(self, raw: Array, model_scores: Array) -> Array:
+        """(D, B) U^T r of vectors r, from X^T r (C, B) and Q^T r (rank, B)."""
+        raw = raw - self.inside.T @ model_scores
+        found = np.zeros((len(self.index), raw.shape[1]))
+        for j in range(self.index.shape[1]):
+            used = np.flatnonzero(self.turn[:, j])
+            found[used] += self.turn[used, j, None] * raw[self.index[used, j]]
+        return found
 
     def reductions(self, residuals: Array) -> Array:
-        """(H, B) reduction of the sum of squares of residuals (N, B) off the model; 0 for the forbidden sign."""
+        """(H, B) reduction of the sum of squares of residuals (N, B); 0 for the forbidden sign."""
+        return self.reductions_of(self.scores(self.columns.matrix.T @ residuals, self.model_basis.T @ residuals))
+
+    def reductions_of(self, scores: Array) -> Array:
+        """`reductions` from the scores (D, B)."""
         if len(self) == 0:
-            return np.zeros((0, residuals.shape[1]))
-        scores = self.bases.T @ residuals
+            return np.zeros((0, scores.shape[1]))
         squares = np.square(scores)
         reductions = np.add.reduceat(squares, self.starts, axis=0) if self.sizes.max() > 1 else squares[self.starts]
         first = scores[self.starts[self.one_sided]]
@@ -79,8 +159,11 @@ class Dictionary:
     @cached_property
     def groups(self) -> list[tuple[int, bool, float, NDArray[np.int64]]]:
         """Hypotheses of one (size, one_sided, weight): in a group the largest reduction has the smallest p-value."""
-        keys = list(zip(self.sizes.tolist(), self.one_sided.tolist(), self.weights.tolist(), strict=True))
-        return [(*key, np.flatnonzero([k == key for k in keys])) for key in sorted(set(keys))]
+        members: dict[tuple[int, bool, float], list[int]] = {}
+        keys = zip(self.sizes.tolist(), self.one_sided.tolist(), self.weights.tolist(), strict=True)
+        for k, key in enumerate(keys):
+            members.setdefault(key, []).append(k)
+        return [(*key, np.array(members[key])) for key in sorted(members)]
 
     def p_values(self, reductions: Array, squares: Array) -> Array:
         """(H, B) p-value of each hypothesis on its own, from the `reductions` (H, B) and the sums of squares (B)."""
@@ -110,47 +193,43 @@ class Dictionary:
         return reductions / sizes / variance
 
 
-def dictionary(model_basis: Array, columns: list[Array], one_sided: NDArray[np.bool_], weights: Array) -> Dictionary:
-    """Project the columns (N, d) of each hypothesis off a fitted model and orthonormalise them.
+def dictionary(model_basis: Array, columns: Columns, one_sided: NDArray[np.bool_], weights: Array) -> Dictionary:
+    """Project the columns of each hypothesis off a fitted model and orthonormalise them.
 
     model_basis : (N, r) orthonormal basis of the columns of the model's Jacobian, `information.column_space`
 
     Directions of which less than `VISIBLE` survives are dropped; a hypothesis that has none left gets size 0, and the
     caller must leave it out.
     """
-    sizes = np.array([c.shape[1] for c in columns], dtype=np.int64)
-    stacked = _projected(model_basis, columns)
-    starts = np.cumsum(sizes) - sizes
-    norm_fractions, widths = np.zeros(len(sizes)), np.zeros(len(sizes), dtype=np.int64)
-    seen = np.zeros(len(stacked), dtype=bool)
-    for size in np.unique(sizes):
-        members = np.flatnonzero(sizes == size)
-        index = starts[members][:, None] + np.arange(size)  # (members, d)
-        stacked[index], lengths = _orthonormalized(stacked[index])
+    inside, widest = model_basis.T @ columns.matrix, int(columns.sizes.max(initial=1))
+    count = int(columns.sizes.sum())
+    index, turn = np.zeros((count, widest), dtype=np.int64), np.zeros((count, widest))
+    norm_fractions, widths = np.zeros(len(columns.sizes)), np.zeros(len(columns.sizes), dtype=np.int64)
+    seen = np.zeros(count, dtype=bool)
+    for size, products in columns.products.items():
+        members, places = columns.places(size)
+        index[places, :size] = places[:, None, :]
+        turn[places, :size], lengths = _orthonormal(products, inside.T[places])
         norm_fractions[members] = lengths[:, 0]
         widths[members] = np.sum(lengths > VISIBLE, axis=1)
-        seen[index] = lengths > VISIBLE
-    bases = stacked.T if seen.all() else stacked[seen].T
-    return Dictionary(model_basis, bases, np.cumsum(widths) - widths, widths, norm_fractions, one_sided, weights)
+        seen[places] = lengths > VISIBLE
+    starts = np.cumsum(widths) - widths
+    found = (index[seen], turn[seen], starts, widths, norm_fractions)
+    return Dictionary(columns, model_basis, inside, *found, one_sided, weights)
 
 
-def _projected(model_basis: Array, columns: list[Array]) -> Array:
-    """(C, N) the columns of all hypotheses scaled to unit length, then projected off the model.
+def _orthonormal(products: Array, inside: Array) -> tuple[Array, Array]:
+    """(h, d, d) what turns the projected columns of each hypothesis into a basis of their span, a row for each basis
+    vector, and (h, d) the lengths of those vectors in columns of unit length, ascending.
 
-    A row for each column, so that what is worked on together lies together in memory.
+    products : (h, d, d) of the columns;  inside : (h, d, r) what the model has of them
     """
-    stacked = np.concatenate([np.zeros((0, len(model_basis))), *(c.T for c in columns)])
-    norms = np.linalg.norm(stacked, axis=1, keepdims=True)
-    stacked /= np.where(norms > 0.0, norms, 1.0)
-    for _ in range(2):  # the second pass removes what rounding left
-        stacked -= (stacked @ model_basis) @ model_basis.T
-    return stacked
-
-
-def _orthonormalized(blocks: Array) -> tuple[Array, Array]:
-    """(H, d, N) orthonormal rows spanning those of each block, and (H, d) their lengths before, ascending."""
-    squares, turn = np.linalg.eigh(blocks @ blocks.transpose(0, 2, 1))
+    norms = np.sqrt(np.einsum("hdd->hd", products))
+    unit = 1.0 / np.where(norms > 0.0, norms, 1.0)
+    left = (products - inside @ inside.transpose(0, 2, 1)) * unit[:, :, None] * unit[:, None, :]
+    squares, directions = np.linalg.eigh(left)
     lengths = np.sqrt(np.maximum(squares, 0.0))
-    if blocks.shape[1] == 1:
-        turn = np.ones_like(turn)  # a positive score is a positive parameter
-    return (turn / np.maximum(lengths, VISIBLE)[:, None, :]).transpose(0, 2, 1) @ blocks, lengths
+    if products.shape[1] == 1:
+        directions = np.ones_like(directions)  # a positive score is a positive parameter
+    scaled = directions / np.maximum(lengths, VISIBLE)[:, None, :] * unit[:, :, None]
+    return scaled.transpose(0, 2, 1), lengths

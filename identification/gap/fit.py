@@ -26,17 +26,19 @@ NOISE_STEPS, NOISE_STEADY = 50, 1e-4
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted model, in whitened coordinates (N = m d).
+    """A fitted model, in whitened coordinates (N = m d). Many fits are kept, so none holds its (N, p) Jacobian.
 
-    values : (p,) parameters;  residual : (N,);  jacobian : (N, p);  free : (p,) no bound is active
+    rows : it is fitted to;  values : (p,) parameters;  residual : (N,);  free : (p,) no bound is active
+    triangle : (p, p) or (N, p) with the products J^T J of the Jacobian's columns
     count : number of values estimated, fewer than p if some are tied to be equal
     prior_rows : (r, p) of a prior, in units of the noise (see `Prior.rows`); None without one
     """
 
     model: Model
+    rows: Rows
     values: Array
     residual: Array
-    jacobian: Array
+    triangle: Array
     free: NDArray[np.bool_]
     count: int
     status: Status
@@ -47,20 +49,25 @@ class Fit:
         """Sum of squared whitened residuals."""
         return float(self.residual @ self.residual)
 
-    @cached_property
+    @property
+    def jacobian(self) -> Array:
+        """(N, p) derivative of the whitened positions by the parameters."""
+        return self.rows.whiten(self.model.jacobian(self.rows.postures, self.values, self.rows.conditions))
+
+    @property
     def basis(self) -> Array:
         """(N, rank) orthonormal basis of the Jacobian's columns."""
         return column_space(self.jacobian, self.model.scales)
 
-    @property
+    @cached_property
     def rank(self) -> int:
         """Number of parameter combinations that the data determine."""
-        return int(self.basis.shape[1])
+        return int(column_space(self.triangle, self.model.scales).shape[1])
 
     @cached_property
     def effective(self) -> float:
         """Number of parameters that the data determine: the rank, less what a prior determines."""
-        return self.rank if self.prior_rows is None else effective_count(self.jacobian, self.prior_rows)
+        return self.rank if self.prior_rows is None else effective_count(self.triangle, self.prior_rows)
 
     @property
     def freedom(self) -> int:
@@ -93,7 +100,7 @@ class Fit:
         return full
 
     def _spectrum(self, free: NDArray[np.bool_]) -> Spectrum:
-        rows = self.jacobian if self.prior_rows is None else np.concatenate([self.jacobian, self.prior_rows])
+        rows = self.triangle if self.prior_rows is None else np.concatenate([self.triangle, self.prior_rows])
         return spectrum(rows[:, free], self.model.scales[free])
 
 
@@ -152,4 +159,5 @@ def _fitted(
     residual, jacobian = linearize(values[None], np.arange(1))
     free = spread @ ~found.active[0] > 0.0
     prior_rows = None if prior is None else plain.prior_rows
-    return Fit(model, values, residual[0], jacobian[0], free, spread.shape[1], found.status[0], prior_rows)
+    triangle = np.asarray(np.linalg.qr(jacobian[0], mode="r"))
+    return Fit(model, rows, values, residual[0], triangle, free, spread.shape[1], found.status[0], prior_rows)

@@ -18,7 +18,7 @@ from identification.arrays import Array
 from identification.effects import Effect, Scope, Setting, build, build_all, library
 from identification.effects.places import state_size
 from identification.gap.columns import Bundle, bundles
-from identification.gap.f_tests import Dictionary, dictionary
+from identification.gap.f_tests import CHUNK, Columns, Dictionary, dictionary
 from identification.gap.whitening import Rows
 from identification.model import Model
 
@@ -76,8 +76,8 @@ class Hypothesis:
         return self.size == 1 and self.effect.parameters[0].lower == 0.0
 
 
-def projected(model_basis: Array, members: Sequence[Hypothesis], columns: list[Array]) -> Dictionary:
-    """Hypotheses with their whitened columns (N, size), projected off a fitted model: see `f_tests.dictionary`."""
+def projected(model_basis: Array, members: Sequence[Hypothesis], columns: Columns) -> Dictionary:
+    """Hypotheses with their whitened columns, projected off a fitted model: see `f_tests.dictionary`."""
     one_sided = np.array([h.one_sided for h in members], dtype=bool)
     return dictionary(model_basis, columns, one_sided, np.array([h.weight for h in members]))
 
@@ -130,6 +130,18 @@ class HypothesisSet:
     def _table(self, rows: Rows) -> Array:
         neutral = self.base.neutral_conditions
         return rows.conditions.table(len(rows), self.arm.links, float(neutral[0]))
+
+    def matrix(
+        self, rows: Rows, values: Mapping[str, float], slopes: Slopes | None = None, model: Model | None = None
+    ) -> Columns:
+        """`columns` of all members side by side, whitened; of many rows built a few at a time."""
+        sizes = np.array([h.size for h in self.members], dtype=np.int64)
+        stacked = np.empty((len(rows), rows.dimension, int(sizes.sum())))
+        step = max(CHUNK // max(stacked[0].size, 1), 1)
+        for part in (slice(k, k + step) for k in range(0, len(rows), step)):
+            known = None if slopes is None else [None if s is None else s[part] for s in slopes]
+            stacked[part] = np.concatenate(self.columns(rows.pick(part), values, known, model), axis=2)
+        return Columns(rows.whiten(stacked), sizes)
 
     def columns(
         self, rows: Rows, values: Mapping[str, float], slopes: Slopes | None = None, model: Model | None = None

@@ -6,6 +6,7 @@ returned under which they are white, so that the tests of the mean can be repeat
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,8 @@ from scipy.special import chdtrc, chdtri
 
 from identification.arrays import Array
 from identification.gap.fit import Fit
+from identification.gap.omnibus_test import MANY
+from identification.gap.quadratic_forms import BlockForm, Form, LagForm, ratio, ratio_moments
 from identification.gap.whitening import Rows
 from identification.information import column_space
 
@@ -107,8 +110,8 @@ class ScatterTests:
 def scatter_tests(found: Fit, rows: Rows, generator: np.random.Generator) -> ScatterTests:
     """Tests of the residuals of a fitted model.
 
-    Every statistic is a quadratic form of the residuals; its distribution under white Gaussian noise is drawn with the
-    same projection off the Jacobian, so it is exact whatever the degrees of freedom.
+    Every statistic is a quadratic form of the residuals over their sum of squares; its distribution under white
+    Gaussian noise is drawn with the same projection off the Jacobian, so it is exact whatever the degrees of freedom.
     """
     position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
     residual, columns = rows.whiten(rows.positions - position), rows.whiten(jacobian)
@@ -116,15 +119,15 @@ def scatter_tests(found: Fit, rows: Rows, generator: np.random.Generator) -> Sca
     forms = variance_forms(rows, position, found.model.joint_levers(rows.postures, found.values, rows.conditions))
     # Holm multiplies the smallest p-value, 1 / (draws + 1), by the number of tests: the level must be within reach
     draws = max(DRAWS, int(np.ceil((len(forms) + 1) / LEVEL - 1e-9)) - 1)
-    drawn = generator.standard_normal((len(residual), draws))
-    sample = np.column_stack([residual, drawn])
-    sample -= q @ (q.T @ sample)
-    sample /= np.sqrt(np.square(sample).mean(axis=0))
-    values = {name: _quadratic(form, sample) for name, form in forms.items()}
+    residual -= q @ (q.T @ residual)
+    residual /= np.sqrt(np.mean(residual**2))
+    tested = {name: BlockForm(form - np.eye(rows.dimension)) for name, form in forms.items()}
+    values = _values(
+        tested | {"serial_correlation": LagForm(rows.sequence, rows.dimension)}, residual, q, draws, generator
+    )
     values["time_noise"] = np.abs(values["time_noise"])
-    values["serial_correlation"] = lag_one(sample, rows)
     p = {name: (1.0 + np.sum(v[1:] >= v[0])) / (draws + 1.0) for name, v in values.items()}
-    return ScatterTests(holm(p), values, forms, sample[:, 0])
+    return ScatterTests(holm(p), values, forms, residual)
 
 
 def homoscedastic(found: Fit, rows: Rows, generator: np.random.Generator) -> bool:
@@ -147,17 +150,23 @@ def variance_forms(rows: Rows, position: Array, levers: Array) -> dict[str, Arra
     return {name: form * (d * len(form) / np.einsum("mii->", form)) for name, form in forms.items()}
 
 
-def _quadratic(form: Array, sample: Array) -> Array:
-    """(B,) sum_i e_i^T (W_i - mean) e_i."""
-    m, d, _ = form.shape
-    e = sample.reshape(m, d, -1)
-    return np.asarray(np.einsum("mib,mij,mjb->b", e, form - np.eye(d), e, optimize=True))
+def _values(
+    tested: Mapping[str, Form], residual: Array, basis: Array, draws: int, generator: np.random.Generator
+) -> dict[str, Array]:
+    """(1 + B,) `ratio` of the residual, then of B draws of white noise off the model of a basis (N, r).
 
-
-def lag_one(sample: Array, rows: Rows) -> Array:
-    """(B,) lag-1 correlation of the residuals in the order of measurement."""
-    e = sample.reshape(len(rows), rows.dimension, -1)[rows.sequence]
-    return np.asarray(np.sum(e[1:] * e[:-1], axis=(0, 1)) / np.sum(e * e, axis=(0, 1)))
+    Of `MANY` rows or more a ratio is drawn from the normal distribution of its exact mean and variance.
+    """
+    observed = {name: ratio(form, residual[:, None]) for name, form in tested.items()}
+    if len(residual) < 2 * MANY:
+        drawn = generator.standard_normal((len(residual), draws))
+        drawn -= basis @ (basis.T @ drawn)
+        return {name: np.concatenate([observed[name], ratio(form, drawn)]) for name, form in tested.items()}
+    values = {}
+    for name, form in tested.items():
+        mean, deviation = ratio_moments(form, basis)
+        values[name] = np.concatenate([observed[name], mean + deviation * generator.standard_normal(draws)])
+    return values
 
 
 def _variance_finding(tests: ScatterTests) -> tuple[Finding, ...]:
@@ -168,7 +177,7 @@ def _variance_finding(tests: ScatterTests) -> tuple[Finding, ...]:
     # standardized, so that findings with the smallest p-value the draws can give can still be ranked
     strength = {n: (values[n][0] - values[n][1:].mean()) / values[n][1:].std() for n in significant}
     name = max(significant, key=lambda n: strength[n])
-    falling = name == "time_noise" and _quadratic(tests.forms[name], tests.residual)[0] < 0.0
+    falling = name == "time_noise" and _falls(tests.forms[name], tests.residual)
     ratio = _variance_ratio(_oriented(tests.forms[name], falling), tests.residual)
     return (Finding(name, tests.adjusted[name], -ratio if falling else ratio),)
 
@@ -196,6 +205,11 @@ def whitened(rows: Rows, found: Fit, findings: tuple[Finding, ...]) -> Rows:
         spread = vectors * deviations[:, None, :] @ vectors.transpose(0, 2, 1)
         rows = replace(rows, spread=spread if rows.spread is None else rows.spread @ spread)
     return rows
+
+
+def _falls(form: Array, residual: Array) -> bool:
+    """Whether the residuals are smaller where the form is large."""
+    return bool(ratio(BlockForm(form - np.eye(form.shape[1])), residual[:, None])[0] < 0.0)
 
 
 def _oriented(form: Array, falling: bool) -> Array:

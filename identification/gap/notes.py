@@ -11,7 +11,7 @@ from identification.gap.detectability import EXACT, NEAR, Detectability, likenes
 from identification.gap.holdout import Gap
 from identification.gap.hypotheses import Hypothesis
 from identification.gap.result import Candidate
-from identification.gap.selection import HypothesisSearch
+from identification.gap.search import HypothesisSearch
 from identification.gap.workflow import Findings
 from identification.measurements import Measurements
 from identification.status import Status

@@ -9,12 +9,16 @@ for leverage first (HC2: MacKinnon & White 1985; wild bootstrap: Wu 1986, Davids
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from identification.arrays import Array
 from identification.gap.f_tests import Dictionary
 
+# reasons: identification/README.md, "Constants"
+MANY = 1000  # postures from which sums over them count as normally distributed
+RIDGE = 1e-12  # of the mean variance: keeps the root of a singular covariance alive
 Scatter = tuple[Array, Array]  # residual (N,) and basis (N, p) of the fit that left it
 
 
@@ -47,23 +51,57 @@ def leverage_corrected(residual: Array, model_basis: Array, dimension: int) -> A
     return np.einsum("mij,mj->mi", matrices, residual.reshape(-1, dimension))
 
 
-def wild_draws(
-    residual: Array,
-    residual_basis: Array,
-    model_basis: Array,
-    dimension: int,
-    draws: int,
-    generator: np.random.Generator,
-) -> Array:
-    """(N, draws) bootstrap residuals: corrected residuals with one random sign per posture, projected off the model.
+class Draws(NamedTuple):
+    """Null data: (D, B) scores of the hypotheses' basis vectors and (B,) sums of squares, projected off the model."""
 
-    residual_basis : of the model that left the residual, whose leverages are corrected for
-    dimension : d, coordinates per posture
+    scores: Array
+    squares: Array
+
+
+def wild_draws(corrected: Array, hypotheses: Dictionary, draws: int, generator: np.random.Generator) -> Draws:
+    """Draws of the wild bootstrap: corrected residuals (m, d) with one random sign per posture, off the model.
+
+    A score is a sum over postures of signs times what each posture contributes. Of `MANY` postures or more it is
+    drawn from the normal distribution with the covariance of those sums, which is known exactly.
     """
-    corrected = leverage_corrected(residual, residual_basis, dimension)
-    signs = generator.integers(0, 2, (len(corrected), draws)) * 2.0 - 1.0
-    drawn = (corrected[:, :, None] * signs[:, None, :]).reshape(len(residual), draws)
-    return drawn - model_basis @ (model_basis.T @ drawn)
+    parts, inside = contributions(corrected, hypotheses)
+    if len(corrected) < MANY or len(hypotheses.index) > draws:  # normal draws take the root of a larger matrix
+        signs = generator.integers(0, 2, (len(corrected), draws)) * 2.0 - 1.0
+        model_scores = inside.T @ signs
+        scores = hypotheses.scores(parts.T @ signs, model_scores)
+    else:
+        together = np.concatenate([hypotheses.scores(parts.T, inside.T), inside.T])
+        normal = generator.standard_normal((len(together), draws))
+        drawn = square_root(together @ together.T) @ normal
+        scores, model_scores = drawn[: -inside.shape[1]], drawn[-inside.shape[1] :]
+    return Draws(scores, np.sum(corrected**2) - np.square(model_scores).sum(axis=0))
+
+
+def white_draws(hypotheses: Dictionary, draws: int, generator: np.random.Generator) -> Draws:
+    """Draws of white Gaussian noise, off the model."""
+    basis, matrix = hypotheses.model_basis, hypotheses.columns.matrix
+    drawn = generator.standard_normal((len(basis), draws))
+    model_scores = basis.T @ drawn
+    scores = hypotheses.scores(matrix.T @ drawn, model_scores)
+    return Draws(scores, np.square(drawn).sum(axis=0) - np.square(model_scores).sum(axis=0))
+
+
+def contributions(corrected: Array, hypotheses: Dictionary) -> tuple[Array, Array]:
+    """(m, C) and (m, r) products of each posture's residuals with its rows of the columns and of the model's basis."""
+    m, d = corrected.shape
+    residual, matrix = corrected.ravel(), hypotheses.columns.matrix
+    parts = np.empty((m, matrix.shape[1]))
+    for rows in hypotheses.columns.chunks(d):
+        weighted = matrix[rows] * residual[rows, None]
+        parts[rows.start // d : rows.stop // d] = weighted.reshape(-1, d, matrix.shape[1]).sum(axis=1)
+    inside = hypotheses.model_basis * residual[:, None]
+    return parts, inside.reshape(m, d, -1).sum(axis=1)
+
+
+def square_root(covariance: Array) -> Array:
+    """Lower triangular root of a covariance that may be singular to rounding."""
+    covariance[np.diag_indices_from(covariance)] += RIDGE * np.trace(covariance) / max(len(covariance), 1)
+    return np.asarray(np.linalg.cholesky(covariance))
 
 
 def omnibus_test(
@@ -83,9 +121,9 @@ def omnibus_test(
     squares = np.square(observed).sum(axis=0)
     reductions = hypotheses.reductions(observed)
     p = hypotheses.p_values(reductions, squares)[:, 0]
-    left, own = scatter or (observed[:, 0], hypotheses.model_basis)
-    drawn = wild_draws(left, own, hypotheses.model_basis, dimension, draws, generator)
-    smallest = np.sort(hypotheses.smallest_weighted(hypotheses.reductions(drawn), np.square(drawn).sum(axis=0)))
+    corrected = leverage_corrected(*(scatter or (observed[:, 0], hypotheses.model_basis)), dimension)
+    drawn = wild_draws(corrected, hypotheses, draws, generator)
+    smallest = np.sort(hypotheses.smallest_weighted(hypotheses.reductions_of(drawn.scores), drawn.squares))
     ranks = np.searchsorted(smallest, p / hypotheses.weights, side="right")
     f = hypotheses.f_values(reductions, squares)[:, 0]
     adjusted = np.asarray((1.0 + ranks) / (draws + 1.0))

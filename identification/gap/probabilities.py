@@ -17,8 +17,8 @@ from scipy.special import logsumexp
 
 from identification.gap.hypotheses import Hypothesis
 from identification.gap.marginal_likelihood import Explained, explained, log_bayes_factor
-from identification.gap.selection import Choice, HypothesisSearch
-from identification.gap.unmodelled import shapes_beside
+from identification.gap.search import Choice, HypothesisSearch
+from identification.gap.unmodelled_survey import shapes_beside
 from identification.gap.workflow import Findings
 
 # reasons: identification/README.md, "Constants"
@@ -133,10 +133,11 @@ def _outside(search: HypothesisSearch, chosen: Choice) -> float:
     shapes = shapes_beside(search, chosen)
     if not shapes.listed:
         return -np.inf
-    groups = _explained(search, chosen).with_each(shapes.against.sizes, shapes.reductions)
-    factors = log_bayes_factor(groups, found.squares - shapes.reductions, base.squares, base.freedom)
+    sizes, reductions = np.array(shapes.sizes), np.array(shapes.reductions)
+    groups = _explained(search, chosen).with_each(sizes, reductions)
+    factors = log_bayes_factor(groups, found.squares - reductions, base.squares, base.freedom)
     prior = np.log(OUTSIDE * (NEXT * len(chosen) if chosen else FIRST)) + _log_prior(search, chosen)
-    return float(logsumexp(factors + np.log(shapes.against.weights)) + prior)
+    return float(logsumexp(factors + np.log(shapes.weights)) + prior)
 
 
 def _labels(chosen: Choice) -> frozenset[str]:

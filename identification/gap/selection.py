@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import cached_property
-from itertools import compress
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import fdtrc
 
-from identification.gap.f_tests import Dictionary
-from identification.gap.fit import Fit, fit
-from identification.gap.hypotheses import Hypothesis, HypothesisSet, Slopes, projected
+from identification.gap.fit import Fit
+from identification.gap.hypotheses import Hypothesis
 from identification.gap.noise import homoscedastic
-from identification.gap.omnibus_test import OmnibusTest, Scatter, omnibus_test
-from identification.gap.whitening import Rows
-from identification.model import Model
+from identification.gap.search import Choice, HypothesisSearch, HypothesisTest
 
 # reasons: identification/README.md, "Constants"
 MOST = 4  # effects at once; more are the series of something else
@@ -23,121 +18,8 @@ ALPHA_FIRST, ALPHA_NEXT = 0.035, 0.005  # of 0.05 in all, screening and the test
 # two effects can mask each other in single tests; both at once must be far beyond chance, one alone not implausible
 ALPHA_PAIR, PAIR_HINT = 1e-5, 0.35
 PAIR_STARTS = 3  # effort: single effects that a pair is built on
-LEVEL_FACTOR = 0.5  # tuned: factor on the levels where the noise model was estimated from the same data
 MARGIN, REFITS = 8.0, 6  # effort: rivals within this linear BIC, and as many at most, are refitted
 WINDOW = 6.0  # Delta BIC of the ambiguity set: odds of 20 to 1
-Choice = tuple[Hypothesis, ...]
-
-
-@dataclass(frozen=True)
-class HypothesisTest:
-    """One omnibus test of all hypotheses that could be added to a set."""
-
-    members: list[Hypothesis]
-    omnibus_test: OmnibusTest
-    change: np.ndarray  # (H,) linear change of BIC
-
-
-@dataclass
-class HypothesisSearch:
-    """Fits of sets of effects to the same rows, kept so that none is made twice.
-
-    noise_estimated : the noise model of the rows comes from the same data, so all levels are multiplied by LEVEL_FACTOR
-    """
-
-    hypotheses: HypothesisSet
-    rows: Rows
-    noise_estimated: bool = False
-    fits: dict[frozenset[str], Fit] = field(default_factory=dict)
-    tests: dict[frozenset[str], HypothesisTest] = field(default_factory=dict)
-
-    @cached_property
-    def slopes(self) -> Slopes:
-        """The part of all columns that needs no fit, see `HypothesisSet.slopes`."""
-        return self.hypotheses.slopes(self.rows)
-
-    @property
-    def level_factor(self) -> float:
-        """On all levels of significance."""
-        return LEVEL_FACTOR if self.noise_estimated else 1.0
-
-    def fit(self, chosen: Choice) -> Fit:
-        """The base model with these effects added, refitted."""
-        key = frozenset(h.label for h in chosen)
-        if key not in self.fits:
-            arm = self.hypotheses.arm
-            ordered = sorted(chosen, key=self.hypotheses.place)
-            model = Model(arm.with_effects(*arm.effects, *(h.spec for h in ordered)))
-            start = model.parameters.mapping(model.values) | self.fit(()).by_name if chosen else None
-            ties = [[p.name for p in h.effect.parameters] for h in chosen if h.tied]
-            self.fits[key] = fit(model, self.rows, start, ties)
-        return self.fits[key]
-
-    def bic(self, chosen: Choice) -> float:
-        """BIC of a set; of a family whose parameters may be equal, the better of the two forms."""
-        forms = [self._bic(chosen)]
-        equal = {h.key: h for h in self.hypotheses.members if h.tied}
-        if any(h.key in equal and not h.tied for h in chosen):
-            forms.append(self._bic(tuple(equal.get(h.key, h) for h in chosen)))
-        return min(forms)
-
-    def _bic(self, chosen: Choice) -> float:
-        """N log(RSS / N) + p log N - 2 log(prior weight); the scan of a setting costs the logarithm of its length."""
-        found = self.fit(chosen)
-        n = len(found.residual)
-        prior = -2.0 * sum(np.log(h.weight) for h in chosen)
-        return float(n * np.log(max(found.squares, 1e-300) / n) + found.count * np.log(n) + prior)
-
-    def tested(self, chosen: Choice, draws: int, generator: np.random.Generator) -> HypothesisTest:
-        """Omnibus test and linear BIC of every hypothesis that could be added to a set."""
-        key = frozenset(h.label for h in chosen)
-        if key not in self.tests:
-            found = self.fit(chosen)
-            members, against = self.rivals(chosen)
-            scatter = self.scatter(chosen, members, against, generator)
-            result = omnibus_test(found.residual, against, self.rows.dimension, draws, generator, scatter)
-            change = bic_change(result.reductions, against, len(found.residual), found.squares)
-            self.tests[key] = HypothesisTest(members, result, change)
-        return self.tests[key]
-
-    def scatter(
-        self, chosen: Choice, members: list[Hypothesis], against: Dictionary, generator: np.random.Generator
-    ) -> Scatter | None:
-        """What is left beside the strongest hypothesis, if that looks like the same noise everywhere; else None.
-
-        An effect that is there makes the residuals larger where it is strong, and a bootstrap of them expects just
-        that of chance. Where the noise itself may be larger at some postures, that caution is right.
-        """
-        if self.noise_estimated or not members:
-            return None
-        found = self.fit(chosen)
-        reductions = against.reductions(found.residual[:, None])
-        p = against.p_values(reductions, np.array([found.squares]))[:, 0] / against.weights
-        best = self.fit((*chosen, members[int(np.argmin(p))]))
-        return (best.residual, best.basis) if homoscedastic(best, self.rows, generator) else None
-
-    def rivals(self, chosen: Choice) -> tuple[list[Hypothesis], Dictionary]:
-        """Hypotheses that can still be added to a set, projected off its fit."""
-        found, used = self.fit(chosen), {h.effect.label for h in chosen}
-        columns = self.hypotheses.columns(self.rows, found.by_name, self.slopes, found.model)
-        left = [h.effect.label not in used and h.size < found.freedom for h in self.hypotheses.members]
-        members = list(compress(self.hypotheses.members, left))
-        full = projected(found.basis, members, [self.rows.whiten(c) for c in compress(columns, left)])
-        keep = np.flatnonzero(full.sizes > 0)  # of the others nothing survives projection
-        return [members[k] for k in keep], full.subset(keep)
-
-    def changes(self, chosen: Choice) -> tuple[list[Hypothesis], np.ndarray]:
-        """Hypotheses that can still be added to a set, and (H,) the change of BIC by each, from the linear fit."""
-        members, against = self.rivals(chosen)
-        residual = self.fit(chosen).residual
-        reductions = against.reductions(residual[:, None])[:, 0]
-        return members, bic_change(reductions, against, len(residual), self.fit(chosen).squares)
-
-
-def bic_change(reductions: np.ndarray, against: Dictionary, n: int, squares: float) -> np.ndarray:
-    """(H,) change of BIC when each hypothesis is added, from the linear fit's reductions of the sum of squares (H,)."""
-    left = np.maximum(1.0 - reductions / squares, 1e-12)
-    return n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights)
 
 
 @dataclass(frozen=True)
@@ -234,7 +116,8 @@ def exchanges(search: HypothesisSearch, chosen: Choice) -> list[Choice]:
     found = []
     for k in range(len(chosen)):
         rest = chosen[:k] + chosen[k + 1 :]
-        members, change = search.changes(rest)
+        state = search.state_without(chosen, chosen[k])
+        members, change = state.members, state.change
         for index in np.argsort(change, kind="stable")[:REFITS]:
             if change[index] <= change.min() + MARGIN + WINDOW:
                 found.append((*rest, members[index].free))

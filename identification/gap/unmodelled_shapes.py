@@ -8,10 +8,12 @@ explains what is left, after correction for all shapes of all places.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.gap.fit import Fit
@@ -36,18 +38,42 @@ class GeneralShape:
     columns: Array
 
 
-def general_shapes(found: Fit, rows: Rows) -> list[GeneralShape]:
-    """All shapes at a fitted model."""
+@dataclass(frozen=True)
+class PlaceShapes:
+    """All shapes at one place.
+
+    shapes : for people;  sizes : (S,) columns of each;  columns : (m, d, K) side by side
+    """
+
+    place: str
+    shapes: tuple[str, ...]
+    sizes: NDArray[np.int64]
+    columns: Array
+
+    @classmethod
+    def of(cls, place: str, listed: list[GeneralShape]) -> PlaceShapes:
+        """From shapes one by one."""
+        columns = np.concatenate([a.columns for a in listed], axis=2)
+        return cls(place, tuple(a.shape for a in listed), np.array([a.columns.shape[2] for a in listed]), columns)
+
+    @classmethod
+    def at_joint(cls, place: str, listed: list[NamedColumns], lever: Array) -> PlaceShapes:
+        """From functions of the joint's angle that act through its lever (m, d)."""
+        values = np.concatenate([v for _, v in listed], axis=1)
+        sizes = np.array([v.shape[1] for _, v in listed])
+        return cls(place, tuple(name for name, _ in listed), sizes, lever[:, :, None] * values[:, None, :])
+
+
+def general_shapes(found: Fit, rows: Rows) -> Iterator[PlaceShapes]:
+    """The shapes at a fitted model, one place after the other, since together they are thousands of columns."""
     at = (rows.postures, found.values, rows.conditions)
     position, levers = found.model.position(*at), found.model.joint_levers(*at)
-    listed: list[GeneralShape] = []
     for j, lever in enumerate(np.moveaxis(levers, 2, 0)):
-        shapes = _joint_shapes(rows.postures, j)
-        listed += [GeneralShape(f"joint:{j + 1}", name, lever[:, :, None] * v[:, None, :]) for name, v in shapes]
+        yield PlaceShapes.at_joint(f"joint:{j + 1}", _joint_shapes(rows.postures, j), lever)
     time = rows.conditions.time
     if time is not None and np.ptp(time) > 0.0:
-        listed += _time_shapes(time, position)
-    return listed + _workspace_shapes(position)
+        yield PlaceShapes.of("time", _time_shapes(time, position))
+    yield PlaceShapes.of("workspace", _workspace_shapes(position))
 
 
 def _joint_shapes(postures: Array, j: int) -> list[NamedColumns]:

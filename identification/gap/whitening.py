@@ -94,7 +94,13 @@ class Rows:
 
     def _decorrelated(self, values: Array) -> Array:
         """Exact for a first-order autoregression: each row less what the row before predicts of it."""
-        rho, sequence, changed = self.correlation, self.sequence, values.copy()
+        rho, sequence, root = self.correlation, self.sequence, np.sqrt(1.0 - self.correlation**2)
+        if np.array_equal(sequence, np.arange(len(sequence))):
+            changed = values / root
+            changed[0] = values[0]
+            changed[1:] -= values[:-1] * (rho / root)
+            return changed
+        changed = values.copy()
         before, after = values[sequence[:-1]], values[sequence[1:]]
-        changed[sequence[1:]] = (after - rho * before) / np.sqrt(1.0 - rho**2)
+        changed[sequence[1:]] = (after - rho * before) / root
         return changed

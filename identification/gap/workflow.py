@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from identification.gap.fit import Fit
 from identification.gap.hypotheses import HypothesisSet
 from identification.gap.noise import Finding, outliers, screen, whitened
-from identification.gap.selection import HypothesisSearch, Selection, select
+from identification.gap.search import HypothesisSearch
+from identification.gap.selection import Selection, select
 from identification.gap.unmodelled import Unknown, find_unmodelled
 from identification.gap.whitening import Rows
 

@@ -8,12 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from identification.gap.f_tests import dictionary
+from identification.gap.f_tests import Columns, Dictionary, dictionary
 from identification.information import column_space
 
 
 def basis(jacobian: np.ndarray) -> np.ndarray:
     return column_space(jacobian, np.ones(jacobian.shape[1]))
+
+
+def beside(jacobian: np.ndarray, columns: list[np.ndarray], one_sided: np.ndarray, weights: np.ndarray) -> Dictionary:
+    return dictionary(basis(jacobian), Columns.of(columns, len(jacobian)), one_sided, weights)
 
 
 def _problem(seed: int, sizes: list[int]) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
@@ -27,7 +31,7 @@ def _problem(seed: int, sizes: list[int]) -> tuple[np.ndarray, list[np.ndarray],
 @settings(max_examples=40)
 def test_f_and_p_are_those_of_two_nested_fits(seed: int, sizes: list[int]) -> None:
     jacobian, columns, y = _problem(seed, sizes)
-    tested = dictionary(basis(jacobian), columns, np.zeros(len(sizes), dtype=bool), np.ones(len(sizes)))
+    tested = beside(jacobian, columns, np.zeros(len(sizes), dtype=bool), np.ones(len(sizes)))
     q = basis(jacobian)
     residual = (y - q @ (q.T @ y))[:, None]
     reductions = tested.reductions(residual)
@@ -49,7 +53,7 @@ def test_forbidden_sign_is_no_evidence_and_the_allowed_one_is_a_one_sided_t_test
     for sign in (1.0, -1.0):
         y = sign * 2.0 * columns[0][:, 0] / np.linalg.norm(columns[0]) + 0.3 * np.random.default_rng(1).normal(size=40)
         residual = (y - q @ (q.T @ y))[:, None]
-        tested = dictionary(basis(jacobian), columns, np.array([True]), np.ones(1))
+        tested = beside(jacobian, columns, np.array([True]), np.ones(1))
         p = tested.p_values(tested.reductions(residual), np.square(residual).sum(axis=0))[0, 0]
         if sign < 0.0:
             assert p == 1.0
@@ -66,14 +70,14 @@ def test_columns_inside_the_model_are_invisible() -> None:
     jacobian, _, _ = _problem(5, [1])
     inside = jacobian @ np.array([[1.0], [2.0], [0.0], [0.0], [0.0], [0.5]])
     half = np.hstack([inside, np.random.default_rng(0).normal(size=(40, 1))])
-    tested = dictionary(basis(jacobian), [inside, half, np.zeros((40, 1))], np.zeros(3, dtype=bool), np.ones(3))
+    tested = beside(jacobian, [inside, half, np.zeros((40, 1))], np.zeros(3, dtype=bool), np.ones(3))
     assert tested.sizes.tolist() == [0, 1, 0]
 
 
 def test_smallest_weighted_p_value_is_the_smallest_over_all() -> None:
     jacobian, columns, _ = _problem(7, [1, 2, 1, 3, 2])
     weights = np.array([1.0, 0.1, 1.0, 1.0, 0.5])
-    tested = dictionary(basis(jacobian), columns, np.array([True, False, False, False, False]), weights)
+    tested = beside(jacobian, columns, np.array([True, False, False, False, False]), weights)
     q = basis(jacobian)
     drawn = np.random.default_rng(8).normal(size=(40, 30))
     drawn -= q @ (q.T @ drawn)
@@ -84,6 +88,30 @@ def test_smallest_weighted_p_value_is_the_smallest_over_all() -> None:
 
 def test_subset_keeps_the_columns_of_its_members() -> None:
     jacobian, columns, y = _problem(9, [2, 1, 3, 1])
-    tested = dictionary(basis(jacobian), columns, np.zeros(4, dtype=bool), np.ones(4))
+    tested = beside(jacobian, columns, np.zeros(4, dtype=bool), np.ones(4))
     part = tested.subset(np.array([0, 2]))
     np.testing.assert_allclose(part.reductions(y[:, None]), tested.reductions(y[:, None])[[0, 2]])
+
+
+@given(seed=st.integers(0, 10_000), sizes=st.lists(st.integers(1, 4), min_size=1, max_size=6))
+@settings(max_examples=20)
+def test_a_block_is_a_basis_of_what_only_its_hypothesis_explains(seed: int, sizes: list[int]) -> None:
+    jacobian, columns, _ = _problem(seed, sizes)
+    tested = beside(jacobian, columns, np.zeros(len(sizes), dtype=bool), np.ones(len(sizes)))
+    q = basis(jacobian)
+    for k, own in enumerate(columns):
+        left = own - q @ (q.T @ own)
+        block = tested.block(k)
+        np.testing.assert_allclose(block.T @ block, np.eye(own.shape[1]), atol=1e-9)
+        np.testing.assert_allclose(block @ (block.T @ left), left, atol=1e-9 * np.abs(left).max())
+        before, after = tested.products(k)
+        np.testing.assert_allclose(before, own.T @ own, rtol=1e-12)
+        np.testing.assert_allclose(after, left.T @ left, rtol=1e-8, atol=1e-9 * np.abs(before).max())
+
+
+def test_columns_in_pieces_are_the_columns() -> None:
+    matrix = np.random.default_rng(4).normal(size=(700, 5000))
+    columns = Columns(matrix, np.full(2500, 2))
+    assert sum(1 for _ in columns.chunks(2)) > 2  # pieces of about a million numbers
+    assert all(part.start % 2 == 0 for part in columns.chunks(2))
+    np.testing.assert_allclose(columns.products[2][7], matrix[:, 14:16].T @ matrix[:, 14:16], rtol=1e-12)

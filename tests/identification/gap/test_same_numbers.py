@@ -14,7 +14,7 @@ from identification.estimation.levenberg_marquardt import LeastSquares
 from identification.gap.diagnose import diagnose
 from identification.gap.hypotheses import hypotheses
 from identification.gap.result import Diagnosis
-from identification.gap.selection import HypothesisSearch
+from identification.gap.search import HypothesisSearch
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from identification.model import Model

@@ -37,7 +37,11 @@ class FakeFit:
 def shapes(d: int, m: int = 40, n: int = 2) -> tuple[Rows, FakeModel, dict]:
     q, model = RNG.uniform(-2.0, 2.0, (m, n)), FakeModel(RNG.normal(size=(m, d)), RNG.normal(size=(m, d, n)))
     rows = Rows(q, model.positions, Conditions(time=np.linspace(-0.5, 0.5, m)), np.arange(m, dtype=float))
-    return rows, model, {(s.place, s.shape): s.columns for s in general_shapes(FakeFit(model), rows)}  # type: ignore[arg-type]
+    listed = {}
+    for place in general_shapes(FakeFit(model), rows):  # type: ignore[arg-type]
+        parts = np.split(place.columns, np.cumsum(place.sizes)[:-1], axis=2)
+        listed |= {(place.place, shape): part for shape, part in zip(place.shapes, parts, strict=True)}
+    return rows, model, listed
 
 
 @pytest.mark.parametrize("d", [2, 3])

@@ -1,0 +1,205 @@
+"""Fits and tests of sets of effects to the same rows, each made once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arrays import Array
+from identification.gap.f_tests import Columns, Dictionary
+from identification.gap.fit import Fit, fit
+from identification.gap.hypotheses import Hypothesis, HypothesisSet, Slopes, projected
+from identification.gap.noise import homoscedastic
+from identification.gap.omnibus_test import OmnibusTest, Scatter, omnibus_test
+from identification.gap.whitening import Rows
+from identification.information import column_space
+from identification.model import Model
+
+# reasons: identification/README.md, "Constants"
+LEVEL_FACTOR = 0.5  # tuned: factor on the levels where the noise model was estimated from the same data
+SAME_COLUMNS = 1000  # effort: rows from which all columns are those at the base fit
+Choice = tuple[Hypothesis, ...]
+
+
+@dataclass(frozen=True)
+class State:
+    """A set of effects, and what could be added to it.
+
+    residual : (N,) left beside the set;  members, against : the hypotheses that can be added, and their columns
+    """
+
+    residual: Array
+    members: list[Hypothesis]
+    against: Dictionary
+
+    @cached_property
+    def squares(self) -> float:
+        """Sum of squared residuals."""
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def reductions(self) -> Array:
+        """(H,) of the sum of squares by each hypothesis, from the linear fit."""
+        return self.against.reductions(self.residual[:, None])[:, 0]
+
+    @cached_property
+    def change(self) -> Array:
+        """(H,) of BIC when each hypothesis is added, from the linear fit."""
+        return bic_change(self.reductions, self.against, len(self.residual), self.squares)
+
+    @property
+    def strongest(self) -> Hypothesis:
+        """The hypothesis of the smallest p-value for its weight."""
+        p = self.against.p_values(self.reductions[:, None], np.array([self.squares]))[:, 0]
+        return self.members[int(np.argmin(p / self.against.weights))]
+
+
+def bic_change(reductions: Array, against: Dictionary, n: int, squares: float) -> Array:
+    """(H,) change of BIC when each hypothesis is added, from the linear fit's reductions of the sum of squares (H,)."""
+    left = np.maximum(1.0 - reductions / squares, 1e-12)
+    return np.asarray(n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights))
+
+
+@dataclass(frozen=True)
+class HypothesisTest:
+    """One omnibus test of all hypotheses that could be added to a set."""
+
+    members: list[Hypothesis]
+    omnibus_test: OmnibusTest
+    change: Array  # (H,) linear change of BIC
+
+
+@dataclass
+class HypothesisSearch:
+    """Fits of sets of effects to the same rows, kept so that none is made twice.
+
+    noise_estimated : the noise model of the rows comes from the same data, so all levels are multiplied by LEVEL_FACTOR
+    """
+
+    hypotheses: HypothesisSet
+    rows: Rows
+    noise_estimated: bool = False
+    fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+    tests: dict[frozenset[str], HypothesisTest] = field(default_factory=dict)
+    surveys: dict[frozenset[str], Any] = field(default_factory=dict)  # of `unmodelled_survey`, for whoever asks again
+
+    @cached_property
+    def slopes(self) -> Slopes:
+        """The part of all columns that needs no fit, see `HypothesisSet.slopes`."""
+        return self.hypotheses.slopes(self.rows)
+
+    @property
+    def level_factor(self) -> float:
+        """On all levels of significance."""
+        return LEVEL_FACTOR if self.noise_estimated else 1.0
+
+    def fit(self, chosen: Choice) -> Fit:
+        """The base model with these effects added, refitted."""
+        key = frozenset(h.label for h in chosen)
+        if key not in self.fits:
+            arm = self.hypotheses.arm
+            ordered = sorted(chosen, key=self.hypotheses.place)
+            model = Model(arm.with_effects(*arm.effects, *(h.spec for h in ordered)))
+            start = model.parameters.mapping(model.values) | self.fit(()).by_name if chosen else None
+            ties = [[p.name for p in h.effect.parameters] for h in chosen if h.tied]
+            self.fits[key] = fit(model, self.rows, start, ties)
+        return self.fits[key]
+
+    def bic(self, chosen: Choice) -> float:
+        """BIC of a set; of a family whose parameters may be equal, the better of the two forms."""
+        forms = [self._bic(chosen)]
+        equal = {h.key: h for h in self.hypotheses.members if h.tied}
+        if any(h.key in equal and not h.tied for h in chosen):
+            forms.append(self._bic(tuple(equal.get(h.key, h) for h in chosen)))
+        return min(forms)
+
+    def _bic(self, chosen: Choice) -> float:
+        """N log(RSS / N) + p log N - 2 log(prior weight); the scan of a setting costs the logarithm of its length."""
+        found = self.fit(chosen)
+        n = len(found.residual)
+        prior = -2.0 * sum(np.log(h.weight) for h in chosen)
+        return float(n * np.log(max(found.squares, 1e-300) / n) + found.count * np.log(n) + prior)
+
+    def tested(self, chosen: Choice, draws: int, generator: np.random.Generator) -> HypothesisTest:
+        """Omnibus test and linear BIC of every hypothesis that could be added to a set."""
+        key = frozenset(h.label for h in chosen)
+        if key not in self.tests:
+            state = self.state(chosen)
+            scatter = self.scatter(chosen, state, generator)
+            result = omnibus_test(state.residual, state.against, self.rows.dimension, draws, generator, scatter)
+            self.tests[key] = HypothesisTest(state.members, result, state.change)
+        return self.tests[key]
+
+    def scatter(self, chosen: Choice, state: State, generator: np.random.Generator) -> Scatter | None:
+        """What is left beside the strongest hypothesis, if that looks like the same noise everywhere; else None.
+
+        An effect that is there makes the residuals larger where it is strong, and a bootstrap of them expects just
+        that of chance. Where the noise itself may be larger at some postures, that caution is right.
+        """
+        if self.noise_estimated or not state.members:
+            return None
+        best = self.fit((*chosen, state.strongest))
+        return (best.residual, best.basis) if homoscedastic(best, self.rows, generator) else None
+
+    def state(self, chosen: Choice) -> State:
+        """What is left beside a set of effects, and what can be added to it.
+
+        Of `SAME_COLUMNS` rows or more, all columns are those at the base fit, computed once for all sets; of fewer,
+        they are those at the fit of the set.
+        """
+        found = self.fit(chosen)
+        if len(self.rows) >= SAME_COLUMNS:
+            return self._linear_state(chosen, found.residual)
+        columns = self.hypotheses.matrix(self.rows, found.by_name, self.slopes, found.model)
+        return self._state(chosen, found.residual, found.basis, columns)
+
+    def state_without(self, chosen: Choice, member: Hypothesis) -> State:
+        """`state` of a set less one member; of many rows from the linear model, without a fit of its own."""
+        rest = tuple(h for h in chosen if h is not member)
+        if len(self.rows) < SAME_COLUMNS or frozenset(h.label for h in rest) in self.fits:
+            return self.state(rest)
+        found = self.fit(chosen)
+        effect = next(e for e in found.model.effects if e.label == member.label)
+        values = np.array([found.by_name[p.name] for p in effect.parameters])
+        return self._linear_state(rest, found.residual + self.base_columns.matrix[:, self._places(member)] @ values)
+
+    def changes(self, chosen: Choice) -> tuple[list[Hypothesis], Array]:
+        """Hypotheses that can still be added to a set, and (H,) the change of BIC by each, from the linear fit."""
+        state = self.state(chosen)
+        return state.members, state.change
+
+    def rivals(self, chosen: Choice) -> tuple[list[Hypothesis], Dictionary]:
+        """Hypotheses that can still be added to a set, projected off its fit."""
+        state = self.state(chosen)
+        return state.members, state.against
+
+    @cached_property
+    def base_columns(self) -> Columns:
+        """Columns of all hypotheses at the base fit."""
+        return self.hypotheses.matrix(self.rows, self.fit(()).by_name, model=self.fit(()).model)
+
+    def _places(self, member: Hypothesis) -> NDArray[np.int64]:
+        """Which of the columns are those of a hypothesis."""
+        k = [h.label for h in self.hypotheses.members].index(member.label)
+        return np.asarray(self.base_columns.starts[k] + np.arange(self.base_columns.sizes[k]))
+
+    def _linear_state(self, chosen: Choice, residual: Array) -> State:
+        """`state` with the columns at the base fit;  residual : (N,) of the set, before it is projected off them."""
+        places = np.concatenate([np.zeros(0, dtype=np.int64), *(self._places(h) for h in chosen)])
+        scales = [p.scale for h in chosen for p in h.effect.parameters]
+        base = self.fit(())
+        columns = np.hstack([base.jacobian, self.base_columns.matrix[:, places]])
+        basis = column_space(columns, np.concatenate([base.model.scales, scales]))
+        return self._state(chosen, residual - basis @ (basis.T @ residual), basis, self.base_columns)
+
+    def _state(self, chosen: Choice, residual: Array, basis: Array, columns: Columns) -> State:
+        used, freedom = {h.effect.label for h in chosen}, len(residual) - basis.shape[1]
+        members = self.hypotheses.members
+        full = projected(basis, members, columns)
+        usable = [h.effect.label not in used and h.size < freedom for h in members]
+        keep = np.flatnonzero((full.sizes > 0) & np.array(usable, dtype=bool))  # of the others nothing can be told
+        return State(residual, [members[k] for k in keep], full.subset(keep))

@@ -1,0 +1,166 @@
+"""What general shapes could explain beside a set of effects, and whether it is more than chance."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import compress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arrays import Array
+from identification.gap.f_tests import Columns, Dictionary, dictionary
+from identification.gap.fit import Fit
+from identification.gap.omnibus_test import Draws, leverage_corrected, white_draws, wild_draws
+from identification.gap.search import SAME_COLUMNS, Choice, HypothesisSearch, bic_change
+from identification.gap.unmodelled_shapes import PlaceShapes, general_shapes
+
+# reasons: identification/README.md, "Constants"
+LEVEL = 0.001  # tuned: `unknown` takes names back
+BOOTSTRAP_LEVEL = 0.05  # tuned: the wild bootstrap has a veto only
+DRAWS = (399, 1999)  # 1 / 2000 is the strictest level; the second number only where the first shows nothing as strange
+SAMPLED = 500  # rows that the draws are made on: correlations of the shapes are then known to 0.04
+FRACTION = 0.02  # of a shape's norm that must survive projection: less is nearly in the model
+
+
+@dataclass
+class Survey:
+    """General shapes beside a set of effects.
+
+    listed : (place, shape);  sizes : (S,) columns of each;  reductions : (S,) of the sum of squares by each
+    changes : (S,) of BIC by each;  p : (S,) of each alone, both without prior weights;  counts : place -> shapes tried
+    """
+
+    fit: Fit
+    listed: list[tuple[str, str]] = field(default_factory=list)
+    sizes: list[int] = field(default_factory=list)
+    reductions: list[float] = field(default_factory=list)
+    changes: list[float] = field(default_factory=list)
+    p: list[float] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+
+    def add(self, place: PlaceShapes, columns: Columns, basis: Array) -> None:
+        """Try the shapes of a place;  basis : (N, r) orthonormal, of the fit's Jacobian"""
+        against, kept = visible(basis, columns)
+        residual = self.fit.residual - basis @ (basis.T @ self.fit.residual)
+        reductions = against.reductions(residual[:, None])
+        self.sizes += against.sizes.tolist()
+        self.reductions += reductions[:, 0].tolist()
+        self.changes += bic_change(reductions[:, 0], against, len(residual), self.fit.squares).tolist()
+        self.p += against.p_values(reductions, np.array([residual @ residual]))[:, 0].tolist()
+        self.listed += [(place.place, place.shapes[k]) for k in kept]
+        self.counts[place.place] = len(columns.sizes)
+
+    @property
+    def weights(self) -> Array:
+        """(S,) prior weights: each place has the same, shared by its shapes."""
+        return np.array([1.0 / (self.counts[place] * len(self.counts)) for place, _ in self.listed])
+
+    @property
+    def bic_changes(self) -> Array:
+        """(S,) of BIC, with the prior weights."""
+        return np.array(self.changes) - 2.0 * np.log(self.weights)
+
+    @property
+    def smallest(self) -> float:
+        """Smallest p-value for its weight."""
+        return float(np.min(np.array(self.p) / self.weights))
+
+
+class Sample:
+    """Columns of all shapes on some of the rows, at most `SAMPLED`, taken at random."""
+
+    def __init__(self, count: int, dimension: int, generator: np.random.Generator):
+        """count, dimension : m rows of d coordinates"""
+        self.rows = np.arange(count)
+        if count > SAMPLED:
+            self.rows = np.sort(generator.permutation(count)[:SAMPLED])
+        self.whole = len(self.rows) == count
+        self.index = (self.rows[:, None] * dimension + np.arange(dimension)).ravel()
+        self.parts: list[Columns] = []
+
+    def add(self, columns: Columns) -> None:
+        """The shapes of one more place."""
+        self.parts.append(columns if self.whole else Columns(columns.matrix[self.index], columns.sizes))
+
+    def against(self, basis: Array) -> Dictionary:
+        """The shapes projected off a model of this basis (N, r) of all rows, on these rows."""
+        basis = basis if self.whole else np.asarray(np.linalg.qr(basis[self.index])[0])
+        sizes = [c.sizes for c in self.parts]
+        weights = [np.full(len(k), 1.0 / (len(k) * len(sizes))) for k in sizes]
+        together = Columns(np.hstack([c.matrix for c in self.parts]), np.concatenate(sizes))
+        return visible(basis, together, np.concatenate(weights))[0]
+
+
+def visible(basis: Array, columns: Columns, weights: Array | None = None) -> tuple[Dictionary, NDArray[np.int64]]:
+    """Shapes projected off a model of which enough is left, and (S,) which ones they are."""
+    count = len(columns.sizes)
+    full = dictionary(basis, columns, np.zeros(count, dtype=bool), np.ones(count) if weights is None else weights)
+    kept = np.flatnonzero((full.sizes > 0) & (full.norm_fractions > FRACTION))
+    return full.subset(kept), kept
+
+
+def survey_all(search: HypothesisSearch, sets: list[Choice], sample: Sample) -> list[Survey]:
+    """The shapes beside each of some sets, the largest first; of many rows with its columns for all of them."""
+    if len(search.rows) >= SAME_COLUMNS:
+        found = surveyed(search, sets, sample)
+    else:
+        found = surveyed(search, sets[:1], sample) + [surveyed(search, [chosen], None)[0] for chosen in sets[1:]]
+    search.surveys |= {frozenset(h.label for h in chosen): one for chosen, one in zip(sets, found, strict=True)}
+    return found
+
+
+def shapes_beside(search: HypothesisSearch, chosen: Choice) -> Survey:
+    """The shapes beside one set, as they were found before where they were."""
+    known = search.surveys.get(frozenset(h.label for h in chosen))
+    return surveyed(search, [chosen], None)[0] if known is None else known
+
+
+def surveyed(search: HypothesisSearch, sets: list[Choice], sample: Sample | None) -> list[Survey]:
+    """The shapes beside each of some sets, with the columns at the fit of the first."""
+    found = [(Survey(search.fit(chosen)), search.fit(chosen).basis) for chosen in sets]
+    for place, columns in shape_columns(search.fit(sets[0])):
+        if sample is not None:
+            sample.add(columns)
+        for one, basis in found:
+            one.add(place, columns, basis)
+    return [one for one, _ in found]
+
+
+def shape_columns(at: Fit) -> Iterator[tuple[PlaceShapes, Columns]]:
+    """The shapes at a fit with their whitened columns, one place after the other."""
+    for place in general_shapes(at, at.rows):
+        few = place.sizes < at.freedom - 1
+        if few.any():
+            columns = at.rows.whiten(place.columns[:, :, np.repeat(few, place.sizes)])
+            shapes = tuple(compress(place.shapes, few))
+            yield replace(place, shapes=shapes, sizes=place.sizes[few]), Columns(columns, place.sizes[few])
+
+
+def adjusted(search: HypothesisSearch, shapes: Survey, sample: Sample, generator: np.random.Generator) -> float:
+    """Adjusted p-value of the best shape under white Gaussian noise, if the wild bootstrap does not object.
+
+    The wild bootstrap alone would have no power against a shape that moves a few postures only (their signs come out
+    alike too often), Gaussian noise alone would take scatter for waves; so the bootstrap is asked at `BOOTSTRAP_LEVEL`
+    only. The draws are made on the sample: how small the smallest of many p-values gets by chance depends on their
+    correlations, not on the number of rows.
+    """
+    basis = shapes.fit.basis
+    corrected = leverage_corrected(shapes.fit.residual, basis, search.rows.dimension)[sample.rows]
+    against = sample.against(basis)
+    scatter = tail(against, shapes.smallest, wild_draws(corrected, against, DRAWS[0], generator))
+    scatter *= LEVEL / BOOTSTRAP_LEVEL
+    white = 1.0
+    for draws in DRAWS:
+        white = tail(against, shapes.smallest, white_draws(against, draws, generator))
+        if white > 1.0 / (draws + 1.0):
+            break
+    return max(white, scatter)
+
+
+def tail(against: Dictionary, smallest: float, drawn: Draws) -> float:
+    """Share of the draws whose smallest weighted p-value is as small."""
+    found = against.smallest_weighted(against.reductions_of(drawn.scores), drawn.squares)
+    return float((1.0 + np.sum(found <= smallest)) / (1.0 + len(drawn.squares)))

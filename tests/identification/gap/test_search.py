@@ -1,0 +1,70 @@
+"""Sets of effects: the linear short cut of many rows against fits of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm, EffectSpec
+from identification.gap.hypotheses import Hypothesis, hypotheses
+from identification.gap.search import HypothesisSearch
+from identification.gap.whitening import Rows
+from identification.measurements import Measurements
+from identification.model import Model
+
+ARM = Arm([300.0, 200.0, 150.0], effects=(EffectSpec("base_offset"),))
+LIBRARY = hypotheses(ARM, frozenset())
+NAMES = ("encoder_eccentricity:2", "transmission_ripple:1[k=7]")
+
+
+def searched() -> tuple[HypothesisSearch, tuple[Hypothesis, ...]]:
+    """120 rows with an eccentric encoder and a ripple of some 0.3 mm, noise of 0.05 mm."""
+    rng = np.random.default_rng(21)
+    chosen = tuple(h for name in NAMES for h in LIBRARY.members if h.label == name)
+    model = Model(ARM.with_effects(*ARM.effects, *(h.spec for h in chosen)))
+    truth = model.parameters.vector(
+        {"base_offset.x0": 1.0, "encoder_eccentricity:2.a": 1e-3, "encoder_eccentricity:2.b": -5e-4}
+        | {name: 6e-4 for name in model.names if "ripple" in name}
+    )
+    q = rng.uniform(-2.5, 2.5, (120, 3))
+    positions = model.position(q, truth) + 0.05 * rng.normal(size=(120, 2))
+    return HypothesisSearch(LIBRARY, Rows.of(Measurements(q, positions))), chosen
+
+
+def test_with_the_columns_of_the_base_fit_the_figures_are_nearly_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parameters move by some 1e-3 rad, columns by as much relatively: statistics by less than 1 %."""
+    search, chosen = searched()
+    exact = search.state(chosen)
+    monkeypatch.setattr("identification.gap.search.SAME_COLUMNS", 100)
+    linear = search.state(chosen)
+    assert [h.label for h in linear.members] == [h.label for h in exact.members]
+    assert linear.squares == pytest.approx(exact.squares, rel=1e-5)
+    np.testing.assert_allclose(linear.reductions, exact.reductions, rtol=0.01, atol=0.01 * exact.squares / 200)
+
+
+def test_a_member_left_out_without_a_fit_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    search, chosen = searched()
+    monkeypatch.setattr("identification.gap.search.SAME_COLUMNS", 100)
+    short = search.state_without(chosen, chosen[0])
+    assert frozenset({chosen[1].label}) not in search.fits
+    own = search.state(chosen[1:])
+    assert short.squares == pytest.approx(own.squares, rel=1e-4)
+    assert short.strongest.label == own.strongest.label == chosen[0].label
+    np.testing.assert_allclose(short.change, own.change, atol=0.1)
+
+
+def test_change_of_bic_is_that_of_refits() -> None:
+    """To second order in effects of 1e-3 rad."""
+    search, chosen = searched()
+    state = search.state(chosen[:1])
+    k = next(i for i, h in enumerate(state.members) if h.label == chosen[1].label)
+    assert state.change[k] == pytest.approx(search.bic(chosen) - search.bic(chosen[:1]), rel=0.01)
+
+
+def test_fits_do_not_keep_their_jacobian() -> None:
+    search, chosen = searched()
+    found = search.fit(chosen)
+    jacobian = found.jacobian
+    assert jacobian.shape == (240, len(found.values))
+    np.testing.assert_allclose(found.triangle.T @ found.triangle, jacobian.T @ jacobian, rtol=1e-9, atol=1e-9)
+    assert found.rank == found.basis.shape[1]
