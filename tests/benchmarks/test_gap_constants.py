@@ -22,14 +22,14 @@ SEED, SETS, DRAWS = 11, 40, 399
 NONE, ONE, TWO = "none m=50", "one, lambda 6, m=50", "two, lambda 8"
 OUTSIDE, OUTLIERS, SHAKING = "outside, lambda 7", "three outliers, lambda 8", "none, joint noise"
 MEASURES = {NONE: "alarm", ONE: "exact", TWO: "exact", OUTSIDE: "located", OUTLIERS: "exact", SHAKING: "alarm"}
-MODULES = ("selection", "noise", "unmodelled", "unmodelled_shapes", "workflow", "diagnose")
+MODULES = ("selection", "search", "noise", "unmodelled", "unmodelled_survey", "unmodelled_shapes", "workflow", "diagnose")
 ODDS = {1: 6.0, 2: 0.0, 3: -6.0, 4: -12.0}
 
 # module, constant, smaller value, larger value, cells that it acts on
 CONSTANTS: list[tuple[str, str, Any, Any, tuple[str, ...]]] = [
     ("selection", "ALPHA_FIRST", 0.0175, 0.07, (NONE, ONE)),
     ("selection", "ALPHA_NEXT", 0.0025, 0.01, (ONE, TWO)),
-    ("unmodelled", "LEVEL", 0.0005, 0.002, (OUTSIDE, ONE)),
+    ("unmodelled_survey", "LEVEL", 0.0005, 0.002, (OUTSIDE, ONE)),
     (
         "unmodelled",
         "ODDS",
@@ -37,12 +37,12 @@ CONSTANTS: list[tuple[str, str, Any, Any, tuple[str, ...]]] = [
         {k: v + 6.0 for k, v in ODDS.items()},
         (OUTSIDE, TWO),
     ),
-    ("unmodelled", "BOOTSTRAP_LEVEL", 0.025, 0.1, (OUTSIDE,)),
+    ("unmodelled_survey", "BOOTSTRAP_LEVEL", 0.025, 0.1, (OUTSIDE,)),
     ("unmodelled", "SERIES_TERMS", 2, 6, (OUTSIDE,)),
     ("noise", "OUTLIER", 3.0, 12.0, (OUTLIERS,)),
     ("noise", "HINT", 0.1, 0.4, (SHAKING,)),
     ("noise", "LEVEL", 0.005, 0.02, (SHAKING,)),
-    ("selection", "LEVEL_FACTOR", 0.25, 1.0, (SHAKING,)),
+    ("search", "LEVEL_FACTOR", 0.25, 1.0, (SHAKING,)),
     ("workflow", "CREDIT", 3.0, 12.0, (OUTSIDE,)),
     ("selection", "WINDOW", 3.0, 12.0, (ONE,)),
     ("selection", "MOST", 2, 3, (OUTSIDE,)),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, ncf
 
-from identification.gap import noise, selection, unmodelled, unmodelled_shapes
+from identification.gap import noise, search, selection, unmodelled, unmodelled_shapes, unmodelled_survey
 from identification.gap.detectability import EXACT, NEAR, POWER, SPARE
 from identification.gap.diagnose import FEWEST_DRAWS
 
@@ -51,8 +51,8 @@ def test_outliers_do_not_spoil_the_robust_scale() -> None:
 
 def test_levels_are_within_reach_of_the_draws() -> None:
     """The smallest p-value of B draws is 1 / (B + 1)."""
-    assert 1.0 / (FEWEST_DRAWS + 1.0) <= selection.ALPHA_NEXT * selection.LEVEL_FACTOR
-    assert 1.0 / (unmodelled.DRAWS[-1] + 1.0) <= unmodelled.LEVEL * selection.LEVEL_FACTOR
+    assert 1.0 / (FEWEST_DRAWS + 1.0) <= selection.ALPHA_NEXT * search.LEVEL_FACTOR
+    assert 1.0 / (unmodelled_survey.DRAWS[-1] + 1.0) <= unmodelled_survey.LEVEL * search.LEVEL_FACTOR
     assert 10.0 / (noise.DRAWS + 1.0) <= noise.LEVEL  # 7 joints, reach, time and correlation, after Holm's correction
 
 
