@@ -8,7 +8,7 @@ from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
-from scipy.special import fdtri, ncfdtr, nctdtr, stdtrit
+from scipy.special import betaincinv, ncfdtr, nctdtr, stdtrit
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
@@ -199,7 +199,9 @@ def detectable_lambda(size: int, freedom: int, level: float, one_sided: bool = F
     one-sided t test the tail of the noncentral t with lambda; both grow with lambda, so bisection finds it. (The
     inverses in `scipy.special` are good to 1e-5 only; to import `brentq` takes longer than all that is done here.)
     """
-    limit = stdtrit(freedom, 1.0 - level) if one_sided else fdtri(size, freedom, 1.0 - level)
+    # quantiles of the upper tail, which may be far smaller than a rounding error of 1; F by the incomplete beta function
+    tail = betaincinv(0.5 * freedom, 0.5 * size, level)
+    limit = -stdtrit(freedom, level) if one_sided else freedom / size * (1.0 - tail) / tail
 
     def missed(length: float) -> bool:
         missing = nctdtr(freedom, length, limit) if one_sided else ncfdtr(size, freedom, length**2, limit)

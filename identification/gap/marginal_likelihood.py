@@ -58,8 +58,8 @@ def explained(found: Fit, effects: Sequence[Sequence[str]], families: Sequence[b
     """
     of_effects = [found.model.parameters.index(name) for names in effects for name in names]
     of_base = [k for k in range(len(found.values)) if k not in of_effects]
-    lengths = np.linalg.norm(found.jacobian, axis=0)
-    jacobian = found.jacobian / np.where(lengths > 0.0, lengths, 1.0)
+    lengths = np.linalg.norm(found.triangle, axis=0)
+    jacobian = found.triangle / np.where(lengths > 0.0, lengths, 1.0)
     q, z = np.linalg.qr(jacobian[:, of_base])[0], jacobian[:, of_effects]
     z = z - q @ (q.T @ z)
     z = z - q @ (q.T @ z)

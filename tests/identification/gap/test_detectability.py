@@ -20,7 +20,7 @@ ARM = Arm(
 POSTURES = np.random.default_rng(1).uniform(-np.pi, np.pi, (30, 3))
 
 
-@pytest.mark.parametrize(("size", "freedom", "level"), [(1, 20, 0.01), (2, 50, 0.001), (4, 12, 0.05), (1, 2, 1e-5)])
+@pytest.mark.parametrize(("size", "freedom", "level"), [(1, 20, 0.01), (2, 50, 0.001), (4, 12, 0.05), (1, 2, 1e-5), (2, 20_000, 1e-20)])
 def test_detectable_size_has_ninety_per_cent_power(size: int, freedom: int, level: float) -> None:
     needed = detectable_lambda(size, freedom, level)
     limit = stats.f.isf(level, size, freedom)

@@ -26,7 +26,8 @@ def linear_fit(columns: np.ndarray, data: np.ndarray, names: list[str]) -> Fit:
     values = np.linalg.lstsq(columns, data, rcond=None)[0]
     free = np.ones(len(values), dtype=bool)
     model: Any = Linear(names)
-    return Fit(model, values, data - columns @ values, columns, free, len(values), Status.converged)
+    rows: Any = None
+    return Fit(model, rows, values, data - columns @ values, columns, free, len(values), Status.converged)
 
 
 def log_density(data: np.ndarray, base: np.ndarray, covariance: np.ndarray) -> float:
