@@ -199,7 +199,7 @@ def detectable_lambda(size: int, freedom: int, level: float, one_sided: bool = F
     one-sided t test the tail of the noncentral t with lambda; both grow with lambda, so bisection finds it. (The
     inverses in `scipy.special` are good to 1e-5 only; to import `brentq` takes longer than all that is done here.)
     """
-    # quantiles of the upper tail, which may be far smaller than a rounding error of 1; F by the incomplete beta function
+    # quantiles of the upper tail, as the level may be far below the rounding of 1; F by the incomplete beta function
     tail = betaincinv(0.5 * freedom, 0.5 * size, level)
     limit = -stdtrit(freedom, level) if one_sided else freedom / size * (1.0 - tail) / tail
 

@@ -22,7 +22,8 @@ SEED, SETS, DRAWS = 11, 40, 399
 NONE, ONE, TWO = "none m=50", "one, lambda 6, m=50", "two, lambda 8"
 OUTSIDE, OUTLIERS, SHAKING = "outside, lambda 7", "three outliers, lambda 8", "none, joint noise"
 MEASURES = {NONE: "alarm", ONE: "exact", TWO: "exact", OUTSIDE: "located", OUTLIERS: "exact", SHAKING: "alarm"}
-MODULES = ("selection", "search", "noise", "unmodelled", "unmodelled_survey", "unmodelled_shapes", "workflow", "diagnose")
+UNMODELLED = ("unmodelled", "unmodelled_survey", "unmodelled_shapes")
+MODULES = ("selection", "search", "noise", *UNMODELLED, "workflow", "diagnose")
 ODDS = {1: 6.0, 2: 0.0, 3: -6.0, 4: -12.0}
 
 # module, constant, smaller value, larger value, cells that it acts on

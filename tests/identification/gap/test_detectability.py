@@ -20,11 +20,18 @@ ARM = Arm(
 POSTURES = np.random.default_rng(1).uniform(-np.pi, np.pi, (30, 3))
 
 
-@pytest.mark.parametrize(("size", "freedom", "level"), [(1, 20, 0.01), (2, 50, 0.001), (4, 12, 0.05), (1, 2, 1e-5), (2, 20_000, 1e-20)])
+@pytest.mark.parametrize(("size", "freedom", "level"), [(1, 20, 0.01), (2, 50, 0.001), (4, 12, 0.05), (1, 2, 1e-5)])
 def test_detectable_size_has_ninety_per_cent_power(size: int, freedom: int, level: float) -> None:
     needed = detectable_lambda(size, freedom, level)
     limit = stats.f.isf(level, size, freedom)
     assert stats.ncf.sf(limit, size, freedom, needed**2) == pytest.approx(0.9, abs=1e-6)
+
+
+def test_levels_below_rounding() -> None:
+    """With two parameters the tail of F is (1 + 2 f / dof)^(-dof / 2), in closed form."""
+    needed = detectable_lambda(2, 20_000, 1e-20)
+    limit = 10_000 * (1e-20 ** (-1.0 / 10_000) - 1.0)
+    assert stats.ncf.sf(limit, 2, 20_000, needed**2) == pytest.approx(0.9, abs=1e-6)
 
 
 def test_one_sided_size() -> None:
