@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import click
@@ -35,6 +36,8 @@ def command(
     held_out = None if holdout is None else read_measurements(holdout, loaded)
     with session.progress("diagnose") as progress:
         found = diagnose(loaded, measurements, held_out, session.seed, draws, progress)
+    for sentence in found.warnings:
+        warnings.warn(sentence, UserWarning, stacklevel=2)
     files: dict[PathLike, str | bytes] = {}
     if output.out is not None:
         extended = with_effects(read_text(arm), found.named.specs)

@@ -29,7 +29,7 @@ def candidate_sheet(diagnosis: Diagnosis) -> Sheet:
         ]
         for c in diagnosis.candidates or (diagnosis.named,)
     ]
-    headings = ["effects", "probability", "F", "adjusted p", "Delta BIC", "estimates [95 %, sigma from residuals]"]
+    headings = ["effects", "probability", "F", "adjusted p", "Delta BIC", "estimates [95 %]"]
     return Sheet(headings, rows)
 
 
@@ -99,8 +99,11 @@ def alias_sheet(diagnosis: Diagnosis) -> Sheet:
 def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     """Verdict first, then candidates, gap, and what else a person should know."""
     effects = candidate_sheet(diagnosis) if diagnosis.effects else excluded_sheet(diagnosis)
-    shown: list[Any] = [Text(diagnosis.sentence, style="bold"), as_table(gap_sheet(diagnosis)), as_table(effects)]
+    shown: list[Any] = [Text(diagnosis.sentence, style="bold"), *map(Text, diagnosis.warnings)]
+    shown += [as_table(gap_sheet(diagnosis)), as_table(effects)]
     shown.append(Text(diagnosis.likely))
+    if diagnosis.effects:
+        shown.append(Text(f"95 % intervals: {diagnosis.named.reliance}"))
     shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
     if diagnosis.outlier_rows:
         shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
@@ -119,6 +122,7 @@ def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
     notes = ["Sizes of effects that would have been found, and effects that are hard to distinguish."]
     if diagnosis.outlier_rows:
         notes.append(f"Rows left out as outliers: {', '.join(map(str, diagnosis.outlier_rows))}.")
+    notes += [f"{w}." for w in diagnosis.warnings]
     notes += [*(f"Scatter: {finding}." for finding in diagnosis.scatter), *(f"{n}." for n in diagnosis.notes)]
     candidates = [candidate_sheet(diagnosis)] if diagnosis.effects else []
     return [

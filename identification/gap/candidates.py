@@ -7,8 +7,9 @@ from types import MappingProxyType
 import numpy as np
 
 from identification.arm import Calibration
-from identification.arrays import Array
 from identification.estimation.intervals import limits_95
+from identification.estimation.uncertainty import Uncertainty
+from identification.gap.certainty import certainty
 from identification.gap.fit import Fit
 from identification.gap.result import Candidate, Estimate, Trial
 from identification.gap.search import Choice, HypothesisSearch
@@ -30,7 +31,7 @@ def candidate(
 ) -> Candidate:
     """A set of effects with its estimates;  delta : its BIC less the lowest."""
     found = search.fit(chosen)
-    covariance = found.covariance(bounded=False)
+    covariance, sure = found.covariance(bounded=False), certainty(search, found)
     added = len(found.model.effects) - len(chosen)  # the arm's own come first
     effects, specs = found.model.effects[added:], found.model.arm.effects[-len(chosen) :] if chosen else ()
     origin = {"source": "armcal diagnose", "joint_range_deg": joint_range(search.rows.postures)}
@@ -40,15 +41,17 @@ def candidate(
         tuple(sorted({h.family for h in chosen})),
         delta,
         *trial_of(search, chosen, draws, generator),
-        estimates(found, covariance, {p.name for effect in effects for p in effect.parameters}),
+        estimates(found, sure, {p.name for effect in effects for p in effect.parameters}),
         Calibration(found.by_name, found.model.names, covariance, MappingProxyType(origin)),
+        intervals=sure.kind,
+        reliance=sure.sentence,
     )
 
 
-def estimates(found: Fit, covariance: Array, names: set[str]) -> tuple[Estimate, ...]:
-    """Estimates of the parameters of these names, with their (p, p) covariance."""
-    parameters, deviations = found.model.parameters, np.sqrt(np.diag(covariance))
-    limits = limits_95(parameters, found.values, deviations, found.freedom)
+def estimates(found: Fit, sure: Uncertainty, names: set[str]) -> tuple[Estimate, ...]:
+    """Estimates of the parameters of these names."""
+    parameters, deviations = found.model.parameters, np.sqrt(np.diag(sure.covariance))
+    limits = limits_95(parameters, found.values, deviations, sure.freedom)
     figures = np.column_stack([found.values, deviations, limits])
     rows = zip(parameters, figures, strict=True)
     return tuple(Estimate(p.name, p.file_unit, *(row * p.to_file).tolist()) for p, row in rows if p.name in names)

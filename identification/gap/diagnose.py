@@ -12,6 +12,7 @@ from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.estimation.estimate import check
 from identification.gap.candidates import candidate, candidate_list, trial_list
+from identification.gap.certainty import fit_doubts
 from identification.gap.detectability import Detectability, assess, require_spare
 from identification.gap.fit import Fit, fit
 from identification.gap.holdout import check_holdout, check_same_arm, confirmation_of, gap_of, held_out
@@ -130,6 +131,7 @@ def diagnosis_of(
         probabilities=likely,
         misfit=misfit(residuals.after, after.rank, measurements, arm.sigma, kept),
         confirmation=None if holdout is None or there is None else confirmation_of(measurements, holdout, there),
+        warnings=fit_doubts(arm, measurements, after, residuals.after[kept]),
         notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap)),
     )
 

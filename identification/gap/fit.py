@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.estimation.levenberg_marquardt import Index, levenberg_marquardt
 from identification.estimation.methods import starts
+from identification.estimation.plausibility import FAR
 from identification.estimation.prior import Prior, effective_count
 from identification.estimation.problem import Problem
 from identification.gap.whitening import Rows
 from identification.information import Spectrum, column_space, spectrum
-from identification.measurements import Conditions, Measurements
+from identification.measurements import Conditions, Measurements, rms_distance
 from identification.model import Model
 from identification.status import Status
 
@@ -153,7 +154,7 @@ def _fitted(
     problem, spread = replace(plain.least_squares, linearize=with_prior).tied(
         [[model.parameters.index(name) for name in group] for group in ties]
     )
-    values = starts(plain)[0] if start is None else model.parameters.vector(start)
+    values = starts(plain)[0] if start is None else _better_start(plain, model.parameters.vector(start))
     found = levenberg_marquardt(problem, values[None, np.argmax(spread, axis=0)])
     values = spread @ found.parameters[0]
     residual, jacobian = linearize(values[None], np.arange(1))
@@ -161,3 +162,12 @@ def _fitted(
     prior_rows = None if prior is None else plain.prior_rows
     triangle = np.asarray(np.linalg.qr(jacobian[0], mode="r"))
     return Fit(model, rows, values, residual[0], triangle, free, spread.shape[1], found.status[0], prior_rows)
+
+
+def _better_start(problem: Problem, values: Array) -> Array:
+    """(p,) the start, or the closed form's where that is better by far: with a base offset it is in any frame."""
+    left = rms_distance(problem.residuals(values)[0])
+    if left <= FAR * problem.model.reach:
+        return values
+    closed = starts(problem)[0]
+    return closed if rms_distance(problem.residuals(closed)[0]) < left else values

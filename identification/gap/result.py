@@ -47,6 +47,7 @@ class Candidate:
     f, p_adjusted : F statistic and adjusted p-value of the member that enters last
     parameters : estimates of the effects' parameters;  calibration : everything estimated, with its covariance
     probability : that these effects are missing and no others; None where it was not computed
+    intervals, reliance : what the 95 % intervals rely on, as in `estimation.uncertainty`, and in words
     """
 
     effects: tuple[str, ...]
@@ -58,6 +59,8 @@ class Candidate:
     parameters: tuple[Estimate, ...]
     calibration: Calibration
     probability: float | None = None
+    intervals: str = "scatter"
+    reliance: str = "from the scatter of the residuals"
 
     @property
     def title(self) -> str:
@@ -90,6 +93,7 @@ class Candidate:
             "p_adjusted": self.p_adjusted,
             "parameters": [vars(p) for p in self.parameters],
             "settings": self._settings(),
+            "intervals": self.intervals,
         }
 
     def _settings(self) -> dict[str, float]:
@@ -135,6 +139,7 @@ class Diagnosis:
 
     verdict : `none`, `named`, `ambiguous` or `unknown`;  where : place of an unknown effect, with the shape seen there
     shapes : named waves that the range of their joint cannot tell from their neighbors
+    warnings : what is doubtful about the fit, to be read before the verdict is believed
     trials : every effect against the base model;  detectability : what the plan could show
     misfit : what is left against the sigma given, None without one;  confirmation : by held-out rows, None without
     """
@@ -157,6 +162,7 @@ class Diagnosis:
     misfit: Misfit | None = None
     confirmation: Confirmation | None = None
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     shapes: tuple[OrderRange, ...] = ()
 
     @property
@@ -241,6 +247,7 @@ class Diagnosis:
         return {
             "verdict": self.verdict,
             "sentence": self.sentence,
+            "warnings": list(self.warnings),
             "effects": list(self.effects),
             "named": self.named.to_json(),
             "candidates": [c.to_json() for c in self.candidates],
@@ -266,13 +273,14 @@ class Diagnosis:
         }
 
     def __str__(self) -> str:
-        lines = [self.sentence]
+        lines = [self.sentence, *(f"  warning: {w}" for w in self.warnings)]
         for c in self.candidates or (self.named,):
             if not c.effects:
                 continue
             figures = f"F = {c.f:.1f}, p = {c.p_adjusted:.2g}, Delta BIC = {c.delta_bic:.1f}"
             lines.append(f"  {c.title}: {figures}")
             lines += [f"    {label}: {', '.join(map(str, found))}" for label, found in c.estimates.items()]
+            lines.append(f"    95 % intervals: {c.reliance}")
         lines.append(f"  {self.likely}")
         lines += [f"  scatter: {f}" for f in self.scatter]
         if self.outlier_rows:

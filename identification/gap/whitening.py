@@ -23,6 +23,8 @@ class Rows:
 
     spread : (m, d, d) symmetric square root of the relative covariance of a row, None: the same for all
     correlation : lag-1 correlation of the noise from one row to the next measured
+    numbers : (m,) equal numbers mark repeats of one posture, None: equal angles do
+    sigma : standard deviation [mm] of a whitened coordinate that the data give, None: they do not
     """
 
     postures: Array
@@ -31,6 +33,8 @@ class Rows:
     order: Array
     spread: Array | None = None
     correlation: float = 0.0
+    numbers: NDArray[np.int64] | None = None
+    sigma: float | None = None
 
     def __len__(self) -> int:
         return len(self.postures)
@@ -40,11 +44,12 @@ class Rows:
         """The rows of a data set; a sigma per row becomes a relative weight."""
         m = len(measurements)
         order = np.arange(m, dtype=float) if measurements.order is None else measurements.order
-        spread = None
+        spread, sigma = None, None
         if measurements.sigma is not None:
-            relative = measurements.sigma / np.exp(np.mean(np.log(measurements.sigma)))
-            spread = relative[:, None, None] * np.eye(measurements.dimension)
-        return cls(measurements.postures, measurements.positions, measurements.conditions, order, spread)
+            sigma = float(np.exp(np.mean(np.log(measurements.sigma))))
+            spread = (measurements.sigma / sigma)[:, None, None] * np.eye(measurements.dimension)
+        found = cls(measurements.postures, measurements.positions, measurements.conditions, order, spread)
+        return replace(found, numbers=measurements.posture_numbers, sigma=sigma)
 
     def pick(self, index: Any) -> Rows:
         """Some of the rows."""
@@ -56,6 +61,7 @@ class Rows:
             conditions=self.conditions.rows(index),
             order=self.order[index],
             spread=spread,
+            numbers=None if self.numbers is None else self.numbers[index],
         )
 
     @property
@@ -67,6 +73,13 @@ class Rows:
     def sequence(self) -> NDArray[np.int64]:
         """(m,) row numbers in the order of measurement."""
         return np.argsort(self.order, kind="stable")
+
+    @property
+    def posture_numbers(self) -> NDArray[np.int64]:
+        """(m,) number of each row's posture, 0, 1, ...; rows of one number are repeats."""
+        if self.numbers is None:
+            return np.unique(np.round(self.postures, 9), axis=0, return_inverse=True)[1].ravel()
+        return np.unique(self.numbers, return_inverse=True)[1]
 
     @cached_property
     def _inverse(self) -> Array:

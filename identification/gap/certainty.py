@@ -1,0 +1,41 @@
+"""How sure the estimates of a diagnosis are, by the rule of `identify`; and what is doubtful about its fit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.estimation.plausibility import another_frame, far_off, flipped, outside_limits
+from identification.estimation.uncertainty import FittedRows, Uncertainty, uncertainty
+from identification.gap.fit import Fit
+from identification.gap.selection import HypothesisSearch
+from identification.information import spectrum
+from identification.measurements import Measurements
+
+
+def certainty(search: HypothesisSearch, found: Fit) -> Uncertainty:
+    """Covariance and degrees of freedom of a fit's estimates, an active bound left aside: it hides the value behind it.
+
+    The sigma that is given counts as long as no noise model was estimated from the residuals. With a prior it is the
+    scatter: what is known beforehand of the parameters is no repeated measurement.
+    """
+    rows = search.rows
+    if found.prior_rows is not None:
+        freedom = np.full(len(found.values), float(max(found.freedom, 1)))
+        return Uncertainty("scatter", found.covariance(bounded=False), freedom)
+    sigma = None if search.noise_estimated else rows.sigma or search.hypotheses.arm.sigma
+    unit, m, d = sigma or 1.0, len(rows), rows.dimension
+    jacobian, residual = found.jacobian / unit, found.residual / unit
+    fitted = FittedRows(
+        jacobian.reshape(m, d, -1), residual.reshape(m, d), found.rank, rows.sequence, rows.posture_numbers
+    )
+    decomposed = spectrum(jacobian, found.model.scales)
+    return uncertainty(fitted, decomposed, known=sigma is not None)
+
+
+def fit_doubts(arm: Arm, measurements: Measurements, found: Fit, left: Array) -> tuple[str, ...]:
+    """What is doubtful about the data and about a model fitted to them, in sentences;  left : (m, d) residuals [mm]."""
+    told = np.ones(len(found.values), dtype=bool)
+    bad = [*far_off(left, found.model.reach), *flipped(found.model, found.values, told)]
+    return (*bad, *another_frame(arm, measurements), *outside_limits(arm, measurements))
