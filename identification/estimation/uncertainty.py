@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,13 @@ class FittedRows:
     rank: int
     sequence: NDArray[np.int64]
     postures: NDArray[np.int64]
+
+    def unbounded(self, root: Array) -> FittedRows:
+        """The rows with the residuals that the linear model leaves without bounds: an active bound hides what is behind
+        it, and residuals that the parameters could explain would count as misfit."""
+        columns = self.jacobian @ root
+        explained = np.einsum("mdr,r->md", columns, np.einsum("mdr,md->r", columns, self.residual))
+        return replace(self, residual=self.residual - explained)
 
     @property
     def freedom(self) -> int:
@@ -97,6 +104,7 @@ def uncertainty(rows: FittedRows, decomposed: Spectrum, *, known: bool, reliance
 def _robust(rows: FittedRows, decomposed: Spectrum, misfit: bool) -> Uncertainty | None:
     """The widest sandwich over postures or stretches of time; None with too few rows, or where nothing asks for it."""
     root = decomposed.root
+    rows = rows.unbounded(root)
     length = correlated(rows, root)
     if not (misfit or length > 1 or lack_of_fit(rows) < LEVEL):
         return None

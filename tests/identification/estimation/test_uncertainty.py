@@ -172,3 +172,18 @@ def test_lack_of_fit_is_the_f_test_of_the_analysis_of_variance() -> None:
 def test_quantiles() -> None:
     expected = [stats.norm.ppf(0.975), stats.t.ppf(0.975, 3.7), np.nan]
     np.testing.assert_allclose(quantile_95([np.inf, 3.7, 0.0]), expected, rtol=1e-9)
+
+
+def test_at_an_active_bound_the_robust_interval_is_that_without_it() -> None:
+    """A slope that cannot be negative ends at 0; its interval is that of the slope behind the bound."""
+    rng, columns = np.random.default_rng(15), np.column_stack([np.ones(40), np.linspace(-1.0, 1.0, 40)])
+    values = -5.0 * columns[:, 1] + rng.standard_normal(40)
+    free, root = fitted(columns, values)
+    bounded = replace(free, residual=(values - values.mean())[:, None])
+    decomposed = spectrum(columns, np.ones(2))
+    assert correlated(bounded, root) > 1  # what the bound leaves looks like correlation in time
+    found, without = (
+        uncertainty(rows, decomposed, known=True) for rows in (bounded, replace(free, residual=2.0 * free.residual))
+    )
+    assert found.kind == without.kind == "sandwich"
+    np.testing.assert_allclose(4.0 * found.covariance, without.covariance, rtol=1e-10)

@@ -27,8 +27,8 @@ DEVIATIONS = 1e-7
 SAME = {"rel": 1e-9}
 
 
-def compared(found: Diagnosis, other: Identification) -> None:
-    """Everything that both state."""
+def compared(found: Diagnosis, other: Identification, auto: Identification) -> None:
+    """Everything that both state;  auto : with the intervals that `identify` gives without --sigma."""
     calibration = found.named.calibration
     assert calibration.parameter_names == other.names
     values = other.model.parameters.vector(dict(calibration.values))
@@ -38,7 +38,8 @@ def compared(found: Diagnosis, other: Identification) -> None:
     assert found.sigma == pytest.approx(other.sigma, **SAME)
     assert found.gap.rms_after == pytest.approx(other.rms_after, **SAME)
     np.testing.assert_allclose(found.residuals.after, other.residuals_after, rtol=0, atol=DEVIATIONS)
-    rows = {row["name"]: row for row in other.to_json()["parameters"]}
+    rows = {row["name"]: row for row in auto.to_json()["parameters"]}
+    assert found.named.intervals == auto.uncertainty.kind
     for shown in found.named.parameters:
         row = rows[shown.name]
         for key in ("value", "low_95", "high_95"):
@@ -48,11 +49,12 @@ def compared(found: Diagnosis, other: Identification) -> None:
 
 
 def test_nothing_missing() -> None:
-    found, other = diagnosed(None), estimate(Model(ARM), measured(None), sigma="estimated")
+    found, model = diagnosed(None), Model(ARM)
+    other = estimate(model, measured(None), sigma="estimated")
     assert found.verdict == "none"
     assert found.outlier_rows == ()
     assert found.scatter == ()
-    compared(found, other)
+    compared(found, other, estimate(model, measured(None)))
     assert found.gap.rms_before == pytest.approx(other.rms_after, **SAME)
     assert found.detectability.freedom == other.dof
 
@@ -64,10 +66,10 @@ def test_one_effect_named(name: str) -> None:
     assert found.scatter == ()
     without = replace(found.extended_arm(), calibration=None)
     other = estimate(Model(without), measured(name), sigma="estimated")
-    compared(found, other)
+    compared(found, other, estimate(Model(without), measured(name)))
     # and from the calibration that the extended arm carries
     again = estimate(Model(found.extended_arm()), measured(name), sigma="estimated")
-    compared(found, again)
+    compared(found, again, estimate(Model(found.extended_arm()), measured(name)))
     assert again.rms_before == pytest.approx(again.rms_after, **SAME)
 
 
