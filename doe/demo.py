@@ -124,7 +124,7 @@ def run_demo(directory: Path, seed: int = 0, progress: Progress = silent) -> Dem
     step(4)
     diagnosis = diagnose(arm, data, holdout=fresh, seed=seed)
     step(5)
-    extended = estimate(Model(diagnosis.extended_arm()), data)
+    extended = estimate(Model(arm.with_effects(*arm.effects, *diagnosis.named.specs)), data)  # from the drawing
     write_whole(directory / "calibrated.toml", with_calibration(ARM, base.calibration()), force=True)
     with_effect = with_effects(ARM, diagnosis.named.specs)
     write_whole(directory / "extended.toml", with_calibration(with_effect, extended.calibration()), force=True)

@@ -124,7 +124,7 @@ def _paths(context: click.Context, *, written: bool) -> Iterator[tuple[str, clic
             name = parameter.opts[0] if isinstance(parameter, click.Option) else parameter.human_readable_name
             given = context.params[parameter.name or ""]
             paths = given if isinstance(given, tuple) else (given,)
-            yield from ((name, parameter.type, path) for path in paths if path is not None)
+            yield from ((name, parameter.type, path) for path in paths if isinstance(path, Path))
 
 
 def _guarded(function: Callable[..., Answer], session: Session, options: dict[str, Any]) -> Answer:

@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from doe.cli.common import Answer, Session, read_measurements, verb
-from doe.cli.options import FILE, Output, output_options
+from doe.cli.options import FILE, FileOrShare, Output, output_options
+from identification.errors import InputError
+
+if TYPE_CHECKING:
+    from identification.arm import Arm
+    from identification.gap.result import Diagnosis
+    from identification.measurements import Measurements
+
+HOLDOUT = FileOrShare(path_type=Path)
 
 
 @verb(
@@ -17,32 +26,71 @@ from doe.cli.options import FILE, Output, output_options
 )
 @click.argument("arm", type=FILE)
 @click.argument("data", type=FILE)
-@click.option("--holdout", type=FILE, help="Measurements used for nothing but the confirmation.")
+@click.option(
+    "--holdout",
+    type=HOLDOUT,
+    metavar="FILE|SHARE",
+    help="Measurements used for nothing but the confirmation; or a share of DATA (0.3): random postures are held out.",
+)
 @click.option("--draws", type=click.IntRange(min=399), default=999, show_default=True, help="Bootstrap draws.")
 @click.option("--report", type=FILE, metavar="FILE", help="Write an HTML page with pictures.")
-@output_options(out="Write the arm file extended by the named effect.")
+@output_options(out="Write the arm file extended by the named effect; --force also where it is not confirmed.")
 def command(
-    session: Session, arm: Path, data: Path, holdout: Path | None, draws: int, report: Path | None, output: Output
+    session: Session,
+    arm: Path,
+    data: Path,
+    holdout: Path | float | None,
+    draws: int,
+    report: Path | None,
+    output: Output,
 ) -> Answer:
     """Find where model and measurements disagree, name the missing effect, and show the gap shrink."""
-    from doe.report.gap_page import diagnosis_tables, gap_page
+    from doe.report.gap_page import diagnosis_tables
     from identification.files.arm import load_arm
-    from identification.files.arm_text import with_calibration, with_effects
-    from identification.files.io import PathLike, read_text, write_together
     from identification.gap.diagnose import diagnose
 
     loaded = load_arm(arm)
-    measurements = read_measurements(data, loaded)
-    held_out = None if holdout is None else read_measurements(holdout, loaded)
+    measurements, held_out = parts(data, holdout, loaded, session.seed)
     with session.progress("diagnose") as progress:
         found = diagnose(loaded, measurements, held_out, session.seed, draws, progress)
     for sentence in found.warnings:
         warnings.warn(sentence, UserWarning, stacklevel=2)
+    answer = Answer(found.to_json(), diagnosis_tables(found))
+    if found.confirmed is False:
+        warnings.warn(f"not confirmed: {found.confirmation}", UserWarning, stacklevel=2)
+    try:
+        answer.shown += write(found, arm, output, report)
+    except InputError as error:  # the diagnosis is shown all the same
+        click.echo(f"armcal: {error}", err=True)
+        answer.exit_code = error.exit_code
+    return answer
+
+
+def parts(data: Path, holdout: Path | float | None, arm: Arm, seed: int) -> tuple[Measurements, Measurements | None]:
+    """What is diagnosed, and what is held out."""
+    import numpy as np
+
+    from identification.gap.holdout import split
+
+    measurements = read_measurements(data, arm)
+    if isinstance(holdout, float):
+        return split(measurements, holdout, np.random.default_rng(seed))
+    return measurements, None if holdout is None else read_measurements(holdout, arm)
+
+
+def write(found: Diagnosis, arm: Path, output: Output, report: Path | None) -> list[str]:
+    """Writes the files that are asked for, all or none; the lines that say so."""
+    from doe.report.gap_page import gap_page
+    from identification.files.arm_text import with_calibration, with_effects
+    from identification.files.io import PathLike, read_text, write_together
+
     files: dict[PathLike, str | bytes] = {}
-    if output.out is not None:
+    if output.out is not None and found.confirmed is False and not output.force:
+        warnings.warn(f"{output.out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
+    elif output.out is not None:
         extended = with_effects(read_text(arm), found.named.specs)
-        files[output.out] = with_calibration(extended, found.named.calibration)
+        files[output.out] = with_calibration(extended, found.calibration)
     if report is not None:
         files[report] = gap_page(found)
     write_together(files, force=output.force)
-    return Answer(found.to_json(), [*diagnosis_tables(found), *(f"written: {path}" for path in files)])
+    return [f"written: {path}" for path in files]

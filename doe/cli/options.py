@@ -38,6 +38,20 @@ class Seconds(click.FloatRange):
         return number
 
 
+class FileOrShare(click.Path):
+    """The name of a file, or a number between 0 and 1."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """A path or a float."""
+        try:
+            share = float(value)
+        except (TypeError, ValueError):
+            return super().convert(value, param, ctx)
+        if not 0.0 < share < 1.0:
+            self.fail(f"{value} is not in the range 0<x<1 (a file of this name: ./{value}).", param, ctx)
+        return share
+
+
 def grouped(kind: type, name: str, *options: Decorator) -> Decorator:
     """A decorator that adds click options and hands their values on as one object, the argument `name`.
 

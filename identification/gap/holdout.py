@@ -165,6 +165,27 @@ def _distance_to_data(measurements: Measurements, holdout: Measurements) -> Arra
     return np.asarray(KDTree(data).query(rows, p=np.inf)[0])
 
 
+def split(
+    measurements: Measurements, share: float, generator: np.random.Generator
+) -> tuple[Measurements, Measurements]:
+    """Data and hold-out: random postures with about this share of the rows are held out, each with all its repeats.
+
+    Raises `InputError` for a share that is not between 0 and 1, and for rows of one posture only.
+    """
+    if not 0.0 < share < 1.0:
+        raise InputError(f"holdout: {share:g}, allowed: a share of the rows between 0 and 1")
+    numbers = measurements.posture_numbers
+    counts = np.bincount(numbers)
+    if len(counts) < 2:
+        raise InputError("holdout: all rows are of one posture, allowed: several postures, to hold some of them out")
+    order = generator.permutation(len(counts))
+    taken = int(np.clip(np.searchsorted(np.cumsum(counts[order]), share * len(numbers)) + 1, 1, len(counts) - 1))
+    held_out = np.isin(numbers, order[:taken])
+    if measurements.order is None:  # the parts must know when in the session they were measured
+        measurements = replace(measurements, order=np.arange(len(numbers), dtype=float))
+    return measurements.rows(~held_out), measurements.rows(held_out)
+
+
 def check_holdout(measurements: Measurements, holdout: Measurements) -> None:
     """Refuse a hold-out of another arm, or one that is (in part) the data itself."""
     if holdout.links != measurements.links:

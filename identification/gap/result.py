@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from html import escape
+from types import MappingProxyType
 from typing import Any
 
 from identification.arm import Arm, Calibration, EffectSpec
@@ -227,9 +228,7 @@ class Diagnosis:
         """What is left over the given sigma, where that is more than noise."""
         if self.misfit is None or not self.misfit.significant:
             return ""
-        variance = [f.name for f in self.scatter if f.name not in ("repeats", "serial_correlation")]
-        why = f"put down to {', '.join(variance)}" if variance else "not explained"
-        return f"; scatter {self.misfit.ratio:.3g} x sigma_mm, {why}"
+        return f"; scatter {self.misfit.ratio:.3g} x sigma_mm, not explained"
 
     @property
     def confirmed(self) -> bool | None:
@@ -240,7 +239,20 @@ class Diagnosis:
         """The arm with the effects of the best set (or of `candidate`) in its model, to be estimated, and the fitted
         values as its calibration."""
         chosen = candidate or self.named
-        return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=chosen.calibration)
+        calibration = self.calibration if candidate is None else chosen.calibration
+        return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=calibration)
+
+    @property
+    def calibration(self) -> Calibration:
+        """Everything estimated with the best set, and where it comes from: verdict, rivals, what confirms it."""
+        said: dict[str, Any] = {"verdict": self.verdict, "sentence": self.sentence}
+        if self.confirmed is not None:
+            said["confirmed"] = self.confirmed
+        said |= {name: value for name, value in self.gap.to_json().items() if value is not None}
+        said["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
+        said["probability"] = self.probability
+        named = self.named.calibration
+        return replace(named, provenance=MappingProxyType({**named.provenance, **said}))
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `diagnose` (identification/files/README.md, "JSON keys")."""

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from identification.files.arm import load_arm
 from tests.doe.cli.conftest import Folder, Outcome
 
 
@@ -65,6 +66,9 @@ def test_demo_runs_the_whole_loop(demo: tuple[Folder, Outcome]) -> None:
 
 def test_the_demo_files_feed_the_other_commands(demo: tuple[Folder, Outcome]) -> None:
     folder, _ = demo
+    kept = load_arm(folder.path / "d" / "extended.toml").calibration
+    assert kept is not None
+    assert kept.provenance["rms_before_mm"] > 10.0 * kept.provenance["rms_after_mm"]  # before: the drawing
     again = folder.armcal("diagnose", "d/extended.toml", "d/data.csv", "--json")
     assert again.data["verdict"] == "none"
     found = folder.armcal("identify", "d/extended.toml", "d/data.csv", "--json")

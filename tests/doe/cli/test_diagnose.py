@@ -1,0 +1,122 @@
+"""`armcal diagnose`: what is confirmed, what is not, and what is written."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from identification.errors import InputError
+from identification.files import arm_text
+from identification.files.arm import load_arm
+from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
+
+ECCENTRIC = '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.06\nb_deg = -0.05\n'
+WORDS = ("diagnose", "arm.toml", "data.csv", "--draws", "399")
+
+
+def postures(rows: int, seed: int) -> str:
+    drawn = np.random.default_rng(seed).uniform([-180, -120, -100, -90], [180, 120, 60, 90], (rows, 4))
+    return "\n".join(
+        ["run,q1_deg,q2_deg,q3_deg,q4_deg", *(f"{k},{','.join(map(str, q))}" for k, q in enumerate(drawn))]
+    )
+
+
+@pytest.fixture
+def sessions(folder: Folder) -> Folder:
+    """data.csv: 60 rows of an arm with an eccentric encoder; same.csv: 150 more; without.csv: 150 rows without it."""
+    truth, plain = (
+        folder.write("truth.toml", ARM + ECCENTRIC + CALIBRATION),
+        folder.write("plain.toml", ARM + CALIBRATION),
+    )
+    for name, rows, seed, file in (("data", 60, 1, truth), ("same", 150, 2, truth), ("without", 150, 3, plain)):
+        folder.write("plan.csv", postures(rows, seed) + "\n")
+        words = ("simulate", "arm.toml", "plan.csv", "--truth", str(file), "--out", f"{name}.csv", "--seed", str(seed))
+        assert folder.armcal(*words).code == 0
+    return folder
+
+
+def test_what_is_not_confirmed_is_said_and_not_written(sessions: Folder) -> None:
+    words = (*WORDS, "--holdout", "without.csv", "--out", "extended.toml")
+    done = sessions.armcal(*words)
+    assert done.code == 0
+    assert done.out.startswith("not confirmed: named: encoder_eccentricity:2")
+    lines = done.err.splitlines()
+    assert any(line.startswith("armcal: warning: not confirmed: does not hold for") for line in lines)
+    assert sum("extended.toml was not written" in line and "--force" in line for line in lines) == 1
+    assert not (sessions.path / "extended.toml").exists()
+    forced = sessions.armcal(*words, "--force", "--json")
+    assert forced.data["confirmed"] is False
+    assert forced.data["confirmation"]["shrinks"] is False
+    kept = load_arm(sessions.path / "extended.toml").calibration
+    assert kept is not None
+    assert kept.provenance["confirmed"] is False
+    assert kept.provenance["verdict"] == "named"
+
+
+def test_what_is_confirmed_is_written(sessions: Folder) -> None:
+    done = sessions.armcal(*WORDS, "--holdout", "same.csv", "--out", "extended.toml", "--json")
+    assert done.data["confirmed"] is True
+    assert "not confirmed" not in done.err
+    again = sessions.armcal("identify", "extended.toml", "same.csv", "--json").data
+    assert again["rms_before_mm"] == pytest.approx(done.data["gap"]["held_out_after_mm"], rel=1e-9)
+
+
+def test_before_is_what_identify_prints(sessions: Folder) -> None:
+    found = sessions.armcal(*WORDS, "--json").data
+    assert found["confirmed"] is None
+    assert found["gap"]["held_out_after_mm"] is None
+    assert "held" not in sessions.armcal(*WORDS).out
+    fitted = sessions.armcal("identify", "arm.toml", "data.csv", "--json").data
+    assert found["gap"]["rms_before_mm"] == pytest.approx(fitted["rms_after_mm"], rel=1e-9)
+
+
+def test_a_share_of_the_data_is_held_out_by_posture(sessions: Folder) -> None:
+    header, *rows = sessions.read("data.csv").splitlines()
+    sessions.write("data.csv", "\n".join([header, *(row for row in rows for _ in range(2))]) + "\n")  # each row twice
+    if "order" in header:
+        sessions.write("data.csv", renumbered(sessions.read("data.csv")))
+    found = sessions.armcal(*WORDS, "--holdout", "0.3", "--json").data
+    assert found["confirmation"]["rows"] == pytest.approx(36, abs=2)
+    assert found["confirmation"]["rows"] % 2 == 0  # both rows of a posture
+    assert found["confirmation"]["transfer"] == "other postures"
+    assert sessions.armcal(*WORDS, "--holdout", "0.3", "--json", "--seed", "4").data["gap"] != found["gap"]
+    for share in ("1.5", "0", "nan"):
+        refused = sessions.armcal(*WORDS, "--holdout", share)
+        assert refused.code == 2
+        assert "0<x<1" in refused.err
+
+
+def renumbered(text: str) -> str:
+    header, *rows = text.splitlines()
+    column = header.split(",").index("order")
+    cells = [row.split(",") for row in rows]
+    for k, row in enumerate(cells):
+        row[column] = str(k)
+    return "\n".join([header, *(",".join(row) for row in cells)]) + "\n"
+
+
+def test_rivals_and_their_probabilities_are_kept_in_the_file(sessions: Folder) -> None:
+    sessions.armcal(*WORDS, "--out", "extended.toml")
+    said = sessions.armcal(*WORDS, "--json").data
+    kept = load_arm(sessions.path / "extended.toml").calibration
+    assert kept is not None
+    chances = kept.provenance["probability"]
+    assert sum(chances.values()) == pytest.approx(1.0)
+    assert {"none", "unknown", *(" + ".join(c["effects"]) for c in said["candidates"])} == set(chances)
+    assert kept.provenance["delta_bic"] == {" + ".join(c["effects"]): c["delta_bic"] for c in said["candidates"]}
+    json.dumps(dict(kept.provenance))
+
+
+def test_the_diagnosis_is_shown_where_the_file_cannot_be_written(
+    sessions: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> str:
+        raise InputError("length_errors_mm: found -231.6 for link 3, allowed: a positive length")
+
+    monkeypatch.setattr(arm_text, "with_calibration", refuse)
+    done = sessions.armcal(*WORDS, "--out", "extended.toml")
+    assert done.code == 2
+    assert done.out.startswith("named: encoder_eccentricity:2")
+    assert "armcal: length_errors_mm: found -231.6 for link 3" in done.err
