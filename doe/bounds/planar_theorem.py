@@ -37,7 +37,7 @@ def applies(problem: DesignProblem) -> bool:
     Constraints and a list of allowed postures only shrink the design space: the bound stays valid, not always tight.
     """
     model = problem.model
-    return is_planar(model) and model.linear_in_links and isinstance(problem.criterion, D) and not len(problem.kept)
+    return is_planar(model) and model.linear_in_links and isinstance(problem.criterion, D) and problem.prior.empty
 
 
 def chain_joints(problem: DesignProblem) -> tuple[int, ...]:

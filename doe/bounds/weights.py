@@ -9,6 +9,8 @@ import numpy as np
 from identification.arrays import Array
 from identification.errors import InputError
 
+CLEAR = 1e-8  # smallest eigenvalue of scalar products of unit vectors that are independent without a closer look
+
 
 @dataclass(frozen=True)
 class Weights:
@@ -44,6 +46,8 @@ def sparsest(jacobians: Array, weights: Array) -> Array:
     upper = np.triu_indices(p)
     support = np.flatnonzero(weights > 0.0)
     carried = jacobians[support]
+    if independent(carried):
+        return weights / weights.sum()
     posture_information = (np.swapaxes(carried, 1, 2) @ carried)[:, upper[0], upper[1]]
     w, alive = weights[support].copy(), np.ones(len(support), dtype=bool)
     nothing = null_space(
@@ -63,3 +67,18 @@ def sparsest(jacobians: Array, weights: Array) -> Array:
     sparse = np.zeros_like(weights)
     sparse[support] = w / w.sum()
     return sparse
+
+
+def independent(jacobians: Array) -> bool:
+    """True where the F_i = B_i^T B_i of (k, d, p) are clearly independent: no combination of them is zero.
+
+    Their scalar products are tr(F_i F_j) = |B_i B_j^T|^2 (Frobenius): a matrix of k, not of p (p + 1) / 2 rows, which
+    holds half the digits; what is not clear by far is left to the singular values.
+    """
+    k, d, p = jacobians.shape
+    rows = jacobians.reshape(k * d, p)
+    products = np.square(rows @ rows.T).reshape(k, d, k, d).sum(axis=(1, 3))
+    lengths = np.sqrt(np.diag(products))
+    if not np.all(lengths > 0.0):
+        return False
+    return bool(np.linalg.eigvalsh(products / lengths / lengths[:, None])[0] > CLEAR)

@@ -70,7 +70,7 @@ class ExpectedDeviations:
 
 
 def plan_spectrum(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Spectrum:
-    """What is estimable from m runs and the measured postures (`kept`): decomposition of their scaled Jacobians.
+    """What is estimable from m runs and all that is known before: decomposition of their scaled Jacobians.
 
     weights : (m,) shares of the m runs, None: one each. Its rank is right where det M is nothing but rounding.
     """
@@ -78,11 +78,23 @@ def plan_spectrum(problem: DesignProblem, postures: Array, weights: Array | None
 
 
 def plan_jacobians(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Array:
-    """(m + k, d, p) scaled Jacobians of m runs and of the k measured already."""
+    """(m + k + r, d, p) scaled Jacobians of m runs, of the k measured already, and of what else is known beforehand.
+
+    The last r are rows that have its information, as a measurement of those parameters would.
+    """
     jacobians = problem.scaled_jacobians(postures)
     if weights is not None:
         jacobians = jacobians * np.sqrt(len(jacobians) * weights)[:, None, None]
-    return np.concatenate([jacobians, problem.scaled_jacobians(problem.kept)])
+    return np.concatenate([jacobians, problem.scaled_jacobians(problem.kept), prior_rows(problem)])
+
+
+def prior_rows(problem: DesignProblem) -> Array:
+    """(r, d, p) rows whose B^T B sum to the information of `problem.deviations`, d at a time."""
+    known = np.flatnonzero(problem.precisions)
+    d, p = problem.model.dimension, problem.parameters
+    rows = np.zeros((-(-len(known) // d) * d, p))
+    rows[range(len(known)), known] = np.sqrt(problem.precisions[known])
+    return rows.reshape(-1, d, p)
 
 
 def expected_deviations(

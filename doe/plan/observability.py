@@ -39,7 +39,7 @@ def observability(problem: DesignProblem, postures: Array) -> Observability:
     if plan_spectrum(problem, postures).rank < problem.parameters:
         return Observability(0.0, 0.0, 0.0, 0.0, 0.0)
     return Observability(
-        float(np.exp(np.mean(np.log(values))) / np.sqrt(len(jacobians))),
+        float(np.exp(np.mean(np.log(values))) / np.sqrt(len(postures) + len(problem.kept))),
         float(values[-1] / values[0]),
         float(values[-1]),
         float(values[-1] ** 2 / values[0]),

@@ -1,7 +1,8 @@
-"""Information from earlier measurements, added to every information matrix.
+"""What is known before the new runs, added to every information matrix: earlier measurements, typical sizes.
 
-The covariance of a calibration would enter here too. Let K be the sum of B^T B that is known, from k runs. Then m new
-runs have the information per run
+Let K be the sum of B^T B of the k runs measured already. A parameter that is normal beforehand with the standard
+deviation d adds sigma^2 / (s d)^2 to the diagonal of K, s its scale, and no run. Then m new runs have the information
+per run
 
     M = (sum_i B_i^T B_i + K) / (m + k)
 
@@ -11,6 +12,7 @@ mixture of the matrices F_i = (B_i^T B_i + K) / (1 + k), so that the equivalence
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +20,7 @@ import numpy as np
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.information import information_matrix
+from identification.kinematics.parameters import ParameterSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +51,7 @@ class PriorInformation:
         if self.empty:
             return self
         if new_runs is None or new_runs < 1:
-            raise InputError(f"runs: {new_runs}, allowed: >= 1, the number of new runs beside the measured ones")
+            raise InputError(f"runs: {new_runs}, allowed: >= 1, the number of new runs beside what is known already")
         return PriorInformation(self.total / new_runs, self.runs / new_runs)
 
     def information(self, new: Array, new_runs: float = 1.0) -> Array:
@@ -70,3 +73,19 @@ class PriorInformation:
     def mixed(self, values: Array, gradient: Array) -> Array:
         """tr(G F) of values tr(G B^T B)."""
         return np.asarray((values + float(np.sum(gradient * self.total))) / (1.0 + self.runs))
+
+
+def precisions(parameters: ParameterSet, deviations: Mapping[str, float], sigma: float | None) -> Array:
+    """(p,) diagonal of what normal distributions beforehand add to sum B^T B; 0 for parameters without a deviation.
+
+    deviations : parameter name -> standard deviation [API unit];  sigma : of a measured coordinate [mm]
+    Raises `InputError` for unknown names, deviations that are not > 0, and where sigma is not known.
+    """
+    known = np.full(len(parameters), np.inf)
+    for name, deviation in deviations.items():
+        if not 0.0 < deviation < np.inf:
+            raise InputError(f"deviations: {name} has {deviation:g}, allowed: a finite number > 0")
+        known[parameters.index(name)] = deviation
+    if deviations and sigma is None:
+        raise InputError("sigma_mm: none, allowed: a number > 0, which sizes known beforehand are weighed against")
+    return readonly(((sigma or 0.0) / (parameters.scales * known)) ** 2)

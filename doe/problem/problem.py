@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, Protocol
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from doe.criteria import Criterion, D
 from doe.problem.constraints import Constraint, constraints_of
-from doe.problem.prior import PriorInformation
+from doe.problem.prior import PriorInformation, precisions
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.information import information_matrix
@@ -80,6 +80,8 @@ class DesignProblem:
     choices : (N, n) postures to choose from, None: anything within limits and constraints
     minimum_distance : [rad] two postures of a plan differ by this in some joint at least, in `joint_units`; 0: repeats
         are allowed
+    deviations : parameter name -> standard deviation of what is known of it before anything is measured [API unit],
+        around the model's values: a normal prior, which needs sigma; parameters without one are free
     """
 
     model: InformationModel
@@ -90,12 +92,15 @@ class DesignProblem:
     kept: Array = None  # type: ignore[assignment]  # an array from construction on
     choices: Array | None = None
     minimum_distance: float = ONE_DEGREE
+    deviations: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_parts(self)
         for name in ("lower", "upper"):
             object.__setattr__(self, name, readonly(getattr(self, name), -1))
         object.__setattr__(self, "kept", measured_already(self.kept, self.joints))
+        object.__setattr__(self, "deviations", dict(self.deviations))
+        precisions(self.model.parameters, self.deviations, self.model.sigma)  # raises for what does not fit
         if not (np.isfinite(self.minimum_distance) and self.minimum_distance >= 0.0):
             raise InputError(f"minimum distance: {np.degrees(self.minimum_distance):g} deg, allowed: a number >= 0")
         if len(self.model.joint_types) != self.joints:
@@ -145,8 +150,8 @@ class DesignProblem:
 
     @property
     def fewest_runs(self) -> int:
-        """The smallest number of runs with as many equations as unknowns: m d >= p."""
-        missing = self.parameters - self.model.dimension * len(self.kept)
+        """The smallest number of runs with as many equations as unknowns of which nothing is known: m d >= p."""
+        missing = self.parameters - len(self.deviations) - self.model.dimension * len(self.kept)
         return max(1, -(-missing // self.model.dimension))
 
     def scaled_jacobians(self, postures: ArrayLike) -> Array:
@@ -183,10 +188,16 @@ class DesignProblem:
 
     @cached_property
     def prior(self) -> PriorInformation:
-        """The information of the postures measured already."""
-        if not len(self.kept):
+        """The information of the postures measured already, and of what else is known beforehand."""
+        if not len(self.kept) and not self.deviations:
             return PriorInformation()
-        return PriorInformation(information_matrix(self.scaled_jacobians(self.kept)), len(self.kept))
+        measured = information_matrix(self.scaled_jacobians(self.kept))
+        return PriorInformation(measured + np.diag(self.precisions), len(self.kept))
+
+    @cached_property
+    def precisions(self) -> Array:
+        """(p,) information of `deviations`, in scaled parameters and units of sigma; 0: nothing is known."""
+        return precisions(self.model.parameters, self.deviations, self.model.sigma)
 
     @cached_property
     def scaled_jacobian_function(self) -> ca.Function:
@@ -203,9 +214,9 @@ class DesignProblem:
 
     @cached_property
     def without_effect(self) -> tuple[str, ...]:
-        """Names of parameters that move the tip at no posture, as thermal growth does at the mean temperature."""
+        """Names of free parameters that move the tip at no posture, as thermal growth at the mean temperature."""
         cloud = np.random.default_rng(0).uniform(self.lower, self.upper, (16, self.joints))
-        still = ~np.any(self.scaled_jacobians(cloud), axis=(0, 1))
+        still = ~np.any(self.scaled_jacobians(cloud), axis=(0, 1)) & (self.precisions == 0.0)
         return tuple(name for name, zero in zip(self.model.parameters.names, still, strict=True) if zero)
 
     @cached_property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from doe.design import Design
+from doe.plan.expected_accuracy import plan_jacobians
 from doe.plan.replicate_spacing import replicates_allowed
 from doe.problem.candidates import listed
 from doe.problem.feasible import random_postures
@@ -87,5 +88,5 @@ def _not_identifiable(design: Design) -> str:
 
 def _aliases(problem: DesignProblem, postures: Array) -> tuple[str, ...]:
     """Combinations of parameters that these postures, all together, do not identify."""
-    jacobians, names = problem.scaled_jacobians(postures), problem.model.parameters.names
+    jacobians, names = plan_jacobians(problem, postures), problem.model.parameters.names
     return identifiability(jacobians, names, np.ones(problem.parameters)).combinations

@@ -1,0 +1,63 @@
+"""Designs for an arm whose model may lack effects: the library's, each of its typical size, are known beforehand.
+
+The parameters are those of the model and of all effects of the library; the latter have a normal prior of zero mean
+(`identification.gap.library_prior`). With K its information the posterior of a plan is (sum B^T B + K)^-1 sigma^2, and
+every criterion of it is concave as before (doe/README.md, "Prior information").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from doe.criteria import Criterion, I
+from doe.problem.candidates import listed
+from doe.problem.feasible import random_postures
+from doe.problem.problem import DesignProblem
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.gap.library_prior import LibraryPrior, library_prior
+from identification.model import Model
+
+SETTINGS = 6  # orders that stand for all orders of a ripple
+POSES = 1000  # random postures that stand for the workspace
+
+
+def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None) -> LibraryPrior:
+    """What a problem's model may lack of what postures can show; what order, time and temperature show is left out.
+
+    names : of effects, None: all. Raises `InputError` for another model than an arm's, unknown names, no sigma.
+    """
+    if not isinstance(problem.model, Model):
+        raise InputError(f"robust: {type(problem.model).__name__}, allowed: the model of one arm")
+    if problem.model.sigma is None:
+        raise InputError("robust: the arm file has no sigma_mm, allowed: a [measurement] table with sigma_mm")
+    return library_prior(problem.model.arm, names=names, most_settings=SETTINGS)
+
+
+def robust_problem(
+    problem: DesignProblem, missing: LibraryPrior | None = None, criterion: Criterion | None = None
+) -> DesignProblem:
+    """The same design space for an arm that may have these effects too.
+
+    missing : None: all that postures can show, `missing_effects`
+    criterion : None: I, the mean squared error of the tip over `workspace`, with the estimated effects in the model
+    """
+    added = missing_effects(problem) if missing is None else missing
+    wide = replace(problem, model=added.model, deviations=added.prior.deviations)
+    return replace(wide, criterion=average_error(wide) if criterion is None else criterion)
+
+
+def average_error(problem: DesignProblem, poses: ArrayLike | None = None) -> I:
+    """Criterion I at test poses (k, n) [rad]; None: over the `workspace`."""
+    return I(problem.scaled_jacobians(workspace(problem) if poses is None else poses))
+
+
+def workspace(problem: DesignProblem) -> Array:
+    """(k, n) postures where the arm will work: all that may be chosen, or random ones within limits and constraints."""
+    if problem.choices is not None:
+        return listed(problem, problem.choices).postures
+    return random_postures(problem, POSES, np.random.default_rng(0))

@@ -1,0 +1,124 @@
+"""Every effect of the library at once, none of them likely to be large: a normal prior of typical sizes.
+
+What is missing in the model of a real arm is not known, but what such effects amount to is (identification/README.md,
+"Typical sizes"). Each parameter is taken as normal with zero mean and its typical size as standard deviation. An effect
+with a setting that is not known (the order of a ripple) stands as K effects, one for each setting, each with 1/K of the
+variance: the same mean and covariance of the tip as one effect with a setting drawn at random.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from identification.arm import Arm
+from identification.effects import Effect, library
+from identification.errors import InputError, nearest
+from identification.estimation.prior import Prior
+from identification.gap.hypotheses import Hypothesis, hypotheses
+from identification.model import Model
+
+BY_ORDER = frozenset({"time", "directions"})  # what the order of the rows decides
+
+
+@dataclass(frozen=True)
+class LibraryPrior:
+    """An arm with the library's effects added to its own, and how large those may be.
+
+    arm : the arm with all effects;  prior : of the added parameters;  left_out : effect -> why it is not among them
+    """
+
+    arm: Arm
+    prior: Prior
+    left_out: Mapping[str, str]
+
+    @property
+    def model(self) -> Model:
+        """The arm's model with all effects."""
+        return Model(self.arm)
+
+
+def library_prior(
+    arm: Arm,
+    given: frozenset[str] = frozenset(),
+    names: Sequence[str] | None = None,
+    most_settings: int | None = None,
+) -> LibraryPrior:
+    """All effects of the library that the arm may have and that rows with the data `given` can show.
+
+    given : of `time`, `directions`, `temperature`, what rows have;  names : of effects, None: all
+    most_settings : of one effect at one joint; of more, as many are taken at even distances
+    Raises `InputError` for names that are not in the library, and where no effect is left.
+    """
+    for name in names or ():
+        if name not in library():
+            raise InputError(f"effects: unknown name {name!r}, {nearest(name, library())}")
+    known = hypotheses(arm, given)
+    left_out = {key: why for key, why in known.skipped.items() if names is None or key.partition(":")[0] in names}
+    chosen: list[Hypothesis] = []
+    for hypothesis in _once(known.members):
+        if names is not None and hypothesis.effect.name not in names:
+            continue
+        if reason := _why_not(hypothesis.effect, given):
+            left_out[hypothesis.key] = reason
+        else:
+            chosen.append(hypothesis)
+    if not chosen:
+        raise InputError("effects: none of the library's is left for the prior, allowed: at least one")
+    kept = _thinned(chosen, most_settings)
+    wide = _extended(arm, kept)
+    return LibraryPrior(wide, Prior(_deviations(Model(wide).effects, kept)), MappingProxyType(left_out))
+
+
+def _once(members: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Effects of one joint are left out where the same effect stands for all joints; ties of parameters, too."""
+    whole = {h.effect.name for h in members if h.effect.joint is None}
+    free = (h for h in members if not h.tied)
+    return [h for h in free if h.effect.joint is None or h.effect.name not in whole]
+
+
+def _why_not(effect: Effect, given: frozenset[str]) -> str | None:
+    missing = sorted((effect.needs - given) & (BY_ORDER | {"temperature"}))
+    if missing:
+        return f"needs {', '.join(missing)}"
+    return "no typical size" if any(p.typical is None for p in effect.parameters) else None
+
+
+def _thinned(members: Sequence[Hypothesis], most: int | None) -> list[Hypothesis]:
+    """At most so many settings of one effect at one joint: those in the middle of equal parts of all of them."""
+    groups: dict[str, list[Hypothesis]] = {}
+    for hypothesis in members:
+        groups.setdefault(hypothesis.key, []).append(hypothesis)
+    kept: list[Hypothesis] = []
+    for group in groups.values():
+        count = len(group) if most is None else min(most, len(group))
+        kept += [group[int((k + 0.5) * len(group) / count)] for k in range(count)]
+    return kept
+
+
+def _extended(arm: Arm, added: Sequence[Hypothesis]) -> Arm:
+    """The arm with these effects; calibrated values of its own keep their places where names get longer."""
+    wide = arm.with_effects(*arm.effects, *(h.spec for h in added))
+    if arm.calibration is None:
+        return wide
+    own = [p.name for effect in Model(arm).effects for p in effect.parameters]
+    longer = [p.name for effect in Model(wide).effects for p in effect.parameters]
+    names = dict(zip(own, longer, strict=False))
+    values = {names.get(name, name): value for name, value in arm.calibration.values.items()}
+    return replace(wide, calibration=replace(arm.calibration, values=values, parameter_names=(), covariance=None))
+
+
+def _deviations(effects: Sequence[Effect], added: Sequence[Hypothesis]) -> dict[str, float]:
+    """Parameter name -> standard deviation; `effects` end with those added."""
+    alike = Counter(h.key for h in added)
+    pairs = zip(effects[len(effects) - len(added) :], added, strict=True)
+    return {
+        p.name: float(p.typical / np.sqrt(alike[h.key]))
+        for e, h in pairs
+        for p in e.parameters
+        if p.typical is not None
+    }

@@ -1,0 +1,157 @@
+"""Designs with a prior over missing effects: against the joint posterior, simulated arms, the equivalence theorem."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doe.bounds.relaxation import relax
+from doe.criteria import A, D
+from doe.design import score
+from doe.problem.bayesian import EnsembleModel
+from doe.problem.problem import DesignProblem
+from doe.problem.robust import average_error, missing_effects, robust_problem, workspace
+from doe.solvers import solve
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.estimation.levenberg_marquardt import levenberg_marquardt
+from identification.estimation.problem import Problem
+from identification.measurements import Conditions
+from identification.model import Model
+
+LENGTHS = np.array([300.0, 200.0])
+ARM = Arm(LENGTHS, np.radians([-170, -100]), np.radians([170, 100]), 0.1)
+NAMES = ("encoder_eccentricity", "gear_ratio", "base_offset")
+DEVIATIONS = np.array([1.0, 1.0, *[5e-4] * 4, *[1e-4] * 2])  # base x, y; a, b of joint 1, then 2; e of 1 and 2
+PLAIN = DesignProblem.of(Model(ARM))
+CASE = robust_problem(PLAIN, missing_effects(PLAIN, NAMES))
+POSTURES = np.random.default_rng(3).uniform(ARM.lower, ARM.upper, (6, 2))
+
+
+def tip(q: Array, x: Array) -> complex:
+    """Position, in the order dl, dq, base, eccentricities, gear ratios: written again from the mathematics."""
+    angles = q + x[2:4] + x[6:10:2] * np.cos(q) + x[7:10:2] * np.sin(q) + x[10:12] * q
+    orientations = np.cumsum(angles)
+    return complex((LENGTHS + x[:2]) @ np.exp(1j * orientations) + x[4] + 1j * x[5])
+
+
+def columns(postures: Array) -> Array:
+    """(m, 2, 12) central differences."""
+    steps = np.diag([1e-2, 1e-2, *[1e-5] * 2, 1e-2, 1e-2, *[1e-5] * 6])
+    made = [[(tip(q, step) - tip(q, -step)) / (2.0 * step.max()) for step in steps] for q in postures]
+    return np.stack([np.real(made), np.imag(made)], axis=1)
+
+
+def posterior(postures: Array) -> Array:
+    """(12, 12) covariance of all parameters, inverse of information / sigma^2 + prior precision."""
+    rows = columns(postures).reshape(-1, 12)
+    return np.linalg.inv(rows.T @ rows / 0.1**2 + np.diag(np.r_[np.zeros(4), DEVIATIONS**-2.0]))
+
+
+def in_my_order() -> list[int]:
+    names = ["length_error:1", "length_error:2", "joint_offset:1", "joint_offset:2", "base_offset.x0", "base_offset.y0"]
+    names += [f"encoder_eccentricity:{j}.{s}" for j in (1, 2) for s in "ab"] + ["gear_ratio:1.e", "gear_ratio:2.e"]
+    assert set(names) == set(CASE.model.parameters.names)
+    return [CASE.model.parameters.index(name) for name in names]
+
+
+def test_d_is_the_determinant_of_the_joint_posterior() -> None:
+    scales = CASE.model.parameters.scales[in_my_order()]
+    expected = (
+        -np.linalg.slogdet(posterior(POSTURES))[1] + 12 * np.log(0.1**2 / len(POSTURES)) - 2 * np.log(scales).sum()
+    )
+    design = score(replace(CASE, criterion=D()), POSTURES)
+    assert design.value == pytest.approx(expected, abs=1e-6)
+    assert design.log_det == design.value
+    assert CASE.fewest_runs == 2  # four lengths and offsets; eight more of which something is known
+
+
+def test_a_and_the_expected_deviations_are_those_of_the_posterior() -> None:
+    order, covariance = in_my_order(), posterior(POSTURES)
+    design = score(replace(CASE, criterion=A()), POSTURES)
+    scaled = np.diag(covariance) * CASE.model.parameters.scales[order] ** 2
+    assert design.value == pytest.approx(-scaled.sum() * len(POSTURES) / 0.1**2, rel=1e-6)
+    assert design.deviations is not None
+    assert design.deviations.values[order] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-6)
+
+
+def test_i_is_the_error_of_simulated_arms_drawn_from_the_prior() -> None:
+    """400 arms with effects of the prior, measured and fitted with it; sqrt(-Phi sigma^2 / m) is their RMS tip error.
+
+    The mean square of 400 arms has a standard error of at most sqrt(2 / 400) = 7 % (one direction dominating): alert at
+    two, fail at four.
+    """
+    generator, count, model = np.random.default_rng(11), 400, Model(missing_effects(PLAIN, NAMES).arm)
+    prior = missing_effects(PLAIN, NAMES).prior
+    deviations = model.parameters.vector(prior.deviations, default=0.0)
+    deviations[:4] = [1.0, 1.0, 5e-3, 5e-3]  # the geometry may be anything
+    truth = deviations * generator.standard_normal((count, 12))
+    clean = model.position(POSTURES, truth)
+    data = clean + 0.1 * generator.standard_normal(clean.shape)
+    fitted = levenberg_marquardt(
+        Problem(model, POSTURES, Conditions(), data, np.full(6, 100.0), prior=prior).least_squares,
+        np.zeros((count, 12)),
+    )
+    poses = workspace(PLAIN)[:200]
+    missed = model.position(poses, fitted.parameters) - model.position(poses, truth)
+    simulated = float(np.mean(np.sum(missed**2, axis=-1)))
+    case = replace(CASE, criterion=average_error(CASE, poses))
+    promised = -case.objective(POSTURES) * 0.1**2 / len(POSTURES)
+    assert simulated == pytest.approx(promised, rel=4.0 * np.sqrt(2.0 / count))
+
+
+@pytest.mark.parametrize("criterion", [None, D()])
+def test_sensitivity_is_below_the_bound_at_the_optimum(criterion: D | None) -> None:
+    """The relaxation on a coarse grid, and tr(G F) of its own formula on a grid 9 times as fine; they share limits."""
+    case = CASE if criterion is None else replace(CASE, criterion=criterion)
+    runs = 12
+    found = relax(case, 25, runs=runs)
+    jacobians, known = case.scaled_jacobians(found.plan.postures), np.diag(case.precisions)
+    information = np.einsum("k,kda,kdb->ab", found.plan.shares, jacobians, jacobians) + known / runs
+    gradient = case.criterion.gradient(information)
+    fine = np.stack(np.meshgrid(*np.linspace(case.lower, case.upper, 217).T), axis=-1).reshape(-1, 2)
+    moved = case.scaled_jacobians(fine)
+    sensitivity = np.einsum("kda,ab,kdb->k", moved, gradient, moved) + np.sum(gradient * known) / runs
+    level = np.sum(gradient * information)
+    on_grid = np.einsum("kda,ab,kdb->k", jacobians, gradient, jacobians) + np.sum(gradient * known) / runs
+    assert on_grid.max() <= level * (1.0 + 1e-6)  # equality on the support
+    assert found.gap <= 1e-6 * level
+    assert (
+        sensitivity.max() <= level * 1.05
+    )  # between the points of the coarse grid, no more than their distance allows
+    exact = solve(case, runs, solver="exchange", starts=3)
+    assert exact.bound is not None
+    assert exact.value <= exact.bound.value
+    assert exact.bound.value >= found.value - 1e-9
+
+
+def test_prior_precision_can_only_help_and_nothing_known_is_nothing() -> None:
+    free = replace(CASE, deviations={})
+    assert free.fewest_runs == 6
+    assert free.prior.empty
+    more = np.random.default_rng(5).uniform(ARM.lower, ARM.upper, (20, 2))
+    assert CASE.objective(more) > free.objective(more)
+    wide = replace(CASE, deviations={name: 1e6 * size for name, size in CASE.deviations.items()})
+    assert wide.objective(more) == pytest.approx(free.objective(more), rel=1e-6)
+
+
+def test_choices_are_the_workspace() -> None:
+    listed = replace(PLAIN, choices=POSTURES)
+    assert workspace(listed) == pytest.approx(np.array(POSTURES))
+    assert robust_problem(listed).parameters > CASE.parameters
+
+
+def test_bad_input_is_said() -> None:
+    with pytest.raises(InputError, match="no sigma_mm"):
+        robust_problem(DesignProblem.of(Model(Arm(LENGTHS))))
+    with pytest.raises(InputError, match="EnsembleModel, allowed: the model of one arm"):
+        robust_problem(replace(PLAIN, model=EnsembleModel(PLAIN.model, np.zeros((2, 4)))))
+    with pytest.raises(InputError, match="deviations: joint_offset:1 has 0"):
+        replace(PLAIN, deviations={"joint_offset:1": 0.0})
+    with pytest.raises(InputError, match="unknown name 'nothing'"):
+        replace(PLAIN, deviations={"nothing": 1.0})
+    with pytest.raises(InputError, match="sigma_mm: none"):
+        DesignProblem.of(Model(Arm(LENGTHS)), deviations={"joint_offset:1": 1.0})
