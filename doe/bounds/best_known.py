@@ -6,6 +6,7 @@ import numpy as np
 
 from doe.bounds.bound import Bound
 from doe.bounds.column_generation import column_generation, continuous_bound
+from doe.bounds.multiplicative import POWERS, multiplicative
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.problem.candidates import listed
 from doe.problem.problem import DesignProblem
@@ -26,17 +27,21 @@ def best_known_bound(problem: DesignProblem, runs: int) -> Bound | None:
         return closed
     if not problem.searched_joints:
         return Bound(problem.objective(np.tile(problem.lower, (runs, 1))), "continuous", rigorous=True)
-    found: Bound | None
     try:
-        if problem.choices is None:
-            found = continuous_bound(problem, runs=runs)
-        else:
-            found = column_generation(problem, listed(problem, problem.choices), runs=runs).bound
+        found = continuous_bound(problem, runs=runs) if problem.choices is None else list_bound(problem, runs)
     except JobError:
         return closed
     if closed is None or found is None:
         return found or closed
     return min(closed, found, key=lambda bound: bound.value)
+
+
+def list_bound(problem: DesignProblem, runs: int) -> Bound | None:
+    """Over the choices: exact where parameters are few, within a percent with a prior over many effects."""
+    candidates = listed(problem, () if problem.choices is None else problem.choices)
+    if problem.deviations and problem.criterion.name in POWERS:
+        return multiplicative(problem, candidates, runs=runs).bound
+    return column_generation(problem, candidates, runs=runs).bound
 
 
 def bound_that_holds(problem: DesignProblem, bound: Bound | None, postures: Array, value: float) -> Bound | None:

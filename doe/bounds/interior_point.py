@@ -14,6 +14,7 @@ import numpy as np
 
 from doe.bounds.weights import Weights
 from doe.criteria import Criterion
+from doe.criteria.criterion import curvature_factors
 from doe.problem.prior import PriorInformation
 from identification.arrays import Array
 
@@ -40,7 +41,7 @@ def solve_weights(
         best, stalled = (Weights(w, gradient, gap, iteration), 0) if gap < 0.9 * best.gap else (best, stalled + 1)
         if gap <= tolerance * abs(level) or stalled > STALLS:
             break
-        change = _newton(_curvature(jacobians, w, gradient, criterion, prior), w, s, g + s - nu)
+        change = _newton(_curvature(jacobians, w, criterion, prior), w, s, g + s - nu)
         if change is None:
             break
         dw, ds, dnu = change
@@ -76,17 +77,25 @@ def _to_boundary(values: Array, change: Array) -> float:
     return float(np.min(-values[falling] / change[falling], initial=np.inf))
 
 
-def _curvature(
-    jacobians: Array, weights: Array, gradient: Array, criterion: Criterion, prior: PriorInformation
-) -> Array:
+def _curvature(jacobians: Array, weights: Array, criterion: Criterion, prior: PriorInformation) -> Array:
     """(k, k) minus the Hessian of Phi with respect to the weights."""
-    if criterion.name == "D" and prior.empty:
-        return _curvature_d(jacobians, gradient)
-    return -criterion.curvature(prior.mixture(jacobians, weights), prior.posture_information(jacobians))
+    information = prior.mixture(jacobians, weights)
+    if (factors := curvature_factors(criterion, information)) is None:
+        return -criterion.curvature(information, prior.posture_information(jacobians))
+    return paired(*factors, jacobians, prior)
 
 
-def _curvature_d(jacobians: Array, gradient: Array) -> Array:
-    """tr(M^-1 F_i M^-1 F_j) = |B_i M^-1 B_j^T|^2 (Frobenius), without any F: one product of (k d, p) by (p, k d)."""
+def paired(left: Array, right: Array, jacobians: Array, prior: PriorInformation) -> Array:
+    """(k, k) tr(L F_i R F_j), F = (B^T B + K) / (1 + k), without any F: products of (k d, p) by (p, k d).
+
+    tr(L B_i^T B_i R B_j^T B_j) is the scalar product of B_j L B_i^T and B_j R B_i^T.
+    """
     k, d, p = jacobians.shape
     rows = jacobians.reshape(k * d, p)
-    return np.square(rows @ gradient @ rows.T).reshape(k, d, k, d).sum(axis=(1, 3))
+    pairs = ((rows @ left @ rows.T) * (rows @ right @ rows.T)).reshape(k, d, k, d).sum(axis=(1, 3))
+    if prior.empty:
+        return np.asarray(pairs)
+    known = left @ prior.total @ right
+    each = np.einsum("kda,ab,kdb->k", jacobians, 0.5 * (known + known.T), jacobians, optimize=True)
+    pairs += each[:, None] + each + np.sum(known * prior.total)
+    return np.asarray(pairs * prior.new_fraction**2)

@@ -15,6 +15,7 @@ from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, asses
 from doe.bounds.column_generation import column_generation
 from doe.bounds.convex_program import solve_program
 from doe.bounds.equivalence import largest_sensitivity
+from doe.bounds.multiplicative import multiplicative
 from doe.bounds.weights import proper_weights
 from doe.plan.plan import Plan
 from doe.problem.candidates import Candidates, PostureList, chunks, grid, listed
@@ -28,6 +29,7 @@ from identification.status import Status
 # candidates up to which a solver's one big program works; beyond, Clarabel returns errors and SCS takes gigabytes
 LARGEST = MappingProxyType({"clarabel": 20_000, "scs": 100_000})
 SOLVERS = (*LARGEST, "column_generation")
+ROUGH = "multiplicative"  # to a gap of a percent only, but for hundreds of parameters
 CARRIED = 1e-7  # weight below which a posture is left out of the support; interior points give every posture a little
 STATUS = MappingProxyType(
     {
@@ -48,16 +50,19 @@ def relax(
     """Optimal weights over candidate postures, with a certificate recomputed from the weights.
 
     candidates : levels per joint of a grid from limit to limit, or (N, n) postures [rad], or `Candidates`
-    solver : `clarabel`, `scs` or `column_generation`, which alone has no limit of size
+    solver : `clarabel`, `scs`, `multiplicative` (rough, for very many parameters) or `column_generation`, which alone
+        has no limit of size
     runs : number of new runs, needed where the problem keeps measured postures
     Raises InputError for an unknown solver, too many candidates for it, no feasible candidate; JobError where the
     solver returns no weights.
     """
-    if solver not in SOLVERS:
-        raise InputError(f"solver: unknown name {solver!r}, {nearest(solver, SOLVERS)}")
+    if solver not in (*SOLVERS, ROUGH):
+        raise InputError(f"solver: unknown name {solver!r}, {nearest(solver, (*SOLVERS, ROUGH))}")
     chosen = candidate_set(problem, candidates)
     if solver == "column_generation":
         return column_generation(problem, chosen, runs=runs)
+    if solver == ROUGH:
+        return multiplicative(problem, chosen, runs=runs)
     if len(chosen) > LARGEST[solver]:
         raise InputError(
             f"candidates: {len(chosen)} for solver {solver}, allowed: up to {LARGEST[solver]}, where one big program "

@@ -67,6 +67,12 @@ def values_after_adding(criterion: Criterion, information: Array, jacobians: Arr
     return np.asarray(criterion.value(information[:, None] + np.swapaxes(jacobians, -1, -2) @ jacobians))
 
 
+def curvature_factors(criterion: Criterion, information: Array) -> tuple[Array, Array] | None:
+    """(p, p) symmetric L and R with D^2 Phi(M)[X, Y] = -tr(L X R Y), of criteria that have `curvature_factors`."""
+    own = getattr(criterion, "curvature_factors", None)
+    return None if own is None else own(information)
+
+
 def ridged(information: Array) -> Array:
     """(..., p, p) the matrices, whose diagonals are about one, with a little added: they have an inverse."""
     p = information.shape[-1]

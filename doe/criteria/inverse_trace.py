@@ -44,6 +44,11 @@ class InverseTrace:
         flat = (left @ directions @ root.T).reshape(len(directions), -1)
         return -2.0 * (flat @ flat.T)
 
+    def curvature_factors(self, information: Array) -> tuple[Array, Array]:
+        """2 M^-1 W M^-1 and M^-1."""
+        inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        return np.asarray(2.0 * inverse @ self.weight(len(information)) @ inverse), inverse
+
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """(s, c) tr(W A^-1) - tr(W (A + B^T B)^-1), by Woodbury's identity: d x d inverses only."""
         s, c, d, p = jacobians.shape

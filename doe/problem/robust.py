@@ -22,8 +22,10 @@ from identification.errors import InputError
 from identification.gap.library_prior import LibraryPrior, library_prior
 from identification.model import Model
 
-SETTINGS = 6  # orders that stand for all orders of a ripple
+# reasons: doe/README.md, "Robust designs"
+SETTINGS = 4  # orders that stand for all orders of a ripple
 POSES = 1000  # random postures that stand for the workspace
+CHOICES = 2000  # postures to choose from where none are listed
 
 
 def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None) -> LibraryPrior:
@@ -49,6 +51,23 @@ def robust_problem(
     added = missing_effects(problem) if missing is None else missing
     wide = replace(problem, model=added.model, deviations=added.prior.deviations)
     return replace(wide, criterion=average_error(wide) if criterion is None else criterion)
+
+
+def with_choices(problem: DesignProblem) -> DesignProblem:
+    """The problem with a list to choose from, its own or one of random allowed postures, half of them at limits.
+
+    Fast waves give a criterion thousands of local optima over all postures, none much better than the next: a list has
+    enough of them, and its bound is a proof.
+    """
+    if problem.choices is not None:
+        return problem
+    generator = np.random.default_rng(0)
+    anywhere = random_postures(problem, CHOICES // 2, generator)
+    at_limits = random_postures(problem, CHOICES // 2, generator)
+    middle = 0.5 * (problem.lower + problem.upper)
+    moved = generator.random(at_limits.shape) < 0.5
+    at_limits = np.where(moved, np.where(at_limits < middle, problem.lower, problem.upper), at_limits)
+    return replace(problem, choices=np.concatenate([anywhere, at_limits[problem.feasible(at_limits)]]))
 
 
 def average_error(problem: DesignProblem, poses: ArrayLike | None = None) -> I:

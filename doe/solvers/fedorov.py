@@ -35,8 +35,8 @@ class Fedorov:
     name: str = "fedorov"
 
     def starts_for(self, problem: DesignProblem) -> int:
-        """The same for every problem: each start is thorough."""
-        return self.count
+        """Each start is thorough; one batch of them where there is a prior over many effects."""
+        return self.batch if problem.deviations else self.count
 
     def offers(
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget

@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from doe.bounds.interior_point import solve_weights
+from doe.bounds.interior_point import paired, solve_weights
 from doe.bounds.restricted_master import optimal_weights
-from doe.criteria import A, Criterion, D, Ds, E
+from doe.criteria import A, Criterion, D, Ds, E, I
+from doe.criteria.criterion import curvature_factors
 from doe.problem.prior import PriorInformation
 from identification.arrays import Array
 
@@ -85,6 +86,22 @@ def test_a_part_of_the_runs_is_fixed() -> None:
     assert np.linalg.slogdet(prior.mixture(jacobians, mine.weights))[1] >= best - 1e-12
     assert mine.weights == pytest.approx(w, abs=1e-3)  # the multiplicative algorithm is slow near zero weights
     assert mine.gap <= 1e-10
+
+
+@pytest.mark.parametrize("runs", [0.0, 2.0])
+def test_curvature_without_the_matrices_of_postures(runs: float) -> None:
+    """D^2 Phi(M)[F_i, F_j] of the criteria's own formula, with and without something known."""
+    generator = np.random.default_rng(5)
+    jacobians = random_jacobians(generator, 6, 2, 4)
+    known = np.einsum("kda,kdb->ab", jacobians[:3], jacobians[:3]) * (runs > 0.0)
+    prior = PriorInformation(known, runs)
+    information = prior.mixture(jacobians, np.full(6, 1.0 / 6.0))
+    for criterion in (D(), A(), I(random_jacobians(generator, 5, 2, 4))):
+        factors = curvature_factors(criterion, information)
+        assert factors is not None
+        expected = criterion.curvature(information, prior.posture_information(jacobians))
+        assert -paired(*factors, jacobians, prior) == pytest.approx(expected, rel=1e-10)
+    assert curvature_factors(Ds((0,)), information) is None
 
 
 def test_a_posture_measured_twice_changes_nothing() -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.bounds.weights import proper_weights, sparsest
+from doe.bounds.weights import independent, proper_weights, sparsest
 from identification.errors import InputError
 
 
@@ -25,6 +25,18 @@ def test_sparsest_keeps_the_information(seed: int, p: int) -> None:
     assert not few[::7].any()
     before, after = (np.einsum("k,kda,kdb->ab", w, jacobians, jacobians) for w in (weights, few))
     assert after == pytest.approx(before, rel=1e-10, abs=1e-10)
+
+
+def test_independent_information_is_left_alone() -> None:
+    """Six matrices of twenty parameters are independent; not with a multiple, a zero, or more than entries."""
+    generator = np.random.default_rng(0)
+    jacobians = generator.standard_normal((6, 2, 20))
+    weights = generator.dirichlet(np.ones(6))
+    assert independent(jacobians)
+    assert sparsest(jacobians, weights) == pytest.approx(weights, abs=1e-15)
+    assert not independent(np.concatenate([jacobians, 2.0 * jacobians[:1]]))
+    assert not independent(generator.standard_normal((7, 2, 3)))
+    assert not independent(np.concatenate([jacobians, np.zeros((1, 2, 20))]))
 
 
 def test_proper_weights() -> None:
