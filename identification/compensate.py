@@ -18,7 +18,7 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, Linearize, levenberg_marquardt
-from identification.measurements import Conditions, directions_from_order
+from identification.measurements import Conditions, directions_from_order, past_from_order
 from identification.model import Model
 from identification.vectorize import vectorize
 
@@ -91,7 +91,7 @@ def compensate(
     nominal = given if given is not None else _nominal_postures(nominal_arm, goals)
     where = conditions or Conditions()
     if where.directions is None and len(nominal):
-        where = replace(where, directions=directions_from_order(nominal))
+        where = replace(where, directions=directions_from_order(nominal), past=past_from_order(nominal))
     commands, errors = _solve(Model(arm), goals, nominal, where)
     return Compensation(goals, nominal, commands, errors)
 
@@ -205,7 +205,7 @@ def _linearization(model: Model, conditions: Conditions) -> Linearize:
     evaluate = vectorize(ca.Function("kinematics", [q, c, p], outputs))
 
     def linearize(postures: Array, rows: Index) -> tuple[Array, Array]:
-        table = conditions.rows(rows).table(len(postures), model.joints, model.neutral_conditions[0])
+        table = model.condition_table(postures, conditions.rows(rows))
         found, jacobian = evaluate(postures, table, np.broadcast_to(model.values, (len(postures), len(model.values))))
         return found[..., 0], jacobian
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -12,47 +13,18 @@ from numpy.typing import NDArray
 
 from identification.arm import MAX_LINKS
 from identification.arrays import Array, ByValue, readonly
+from identification.conditions import REMEMBERED, Conditions, directions_from_order, past_from_order, session_time
 from identification.errors import InputError
 
-
-@dataclass(frozen=True, eq=False)
-class Conditions(ByValue):
-    """What a posture is measured under, one row per posture. None: the neutral value.
-
-    payload : (m,) [kg], None: the arm's own payload
-    temperature : (m,) [K] deviation from the mean temperature, None: 0
-    time : (m,) position in the session, -0.5..0.5, None: 0
-    directions : (m, n) sign of the last motion of each joint, +1 or -1, None: +1
-    session : (m,) number of the session of each row, from 0, None: 0
-    For K sessions at once, (K, m) and (K, m, n).
-    """
-
-    payload: Array | None = None
-    temperature: Array | None = None
-    time: Array | None = None
-    directions: Array | None = None
-    session: Array | None = None
-
-    @staticmethod
-    def columns(n: int) -> int:
-        """Number of columns of the table for n joints."""
-        return 4 + n
-
-    def table(self, m: int | tuple[int, ...], n: int, payload: float) -> Array:
-        """(m, 4 + n) columns payload [kg], temperature [K], time, session, directions, with the neutral values filled
-        in; (K, m, 4 + n) for m = (K, m)."""
-        table = np.empty((*np.atleast_1d(m), self.columns(n)))
-        table[..., 0] = payload if self.payload is None else self.payload
-        table[..., 1] = 0.0 if self.temperature is None else self.temperature
-        table[..., 2] = 0.0 if self.time is None else self.time
-        table[..., 3] = 0.0 if self.session is None else self.session
-        table[..., 4:] = 1.0 if self.directions is None else self.directions
-        return table
-
-    def rows(self, index: Any) -> Conditions:
-        """The conditions of some rows (any numpy index)."""
-        pick = {name: value[index] for name, value in vars(self).items() if value is not None}
-        return replace(self, **pick)
+__all__ = [
+    "Conditions",
+    "Measurements",
+    "directions_from_order",
+    "joint_range",
+    "past_from_order",
+    "rms_distance",
+    "session_time",
+]
 
 
 # [rad] repeats of one posture agree to some thousandths or hundredths of a degree, as the encoders were read. Within
@@ -69,28 +41,6 @@ def joint_range(postures: Array) -> list[list[float]]:
     """Smallest and largest angle of each joint [deg] of postures (m, n) [rad]."""
     limits = np.degrees([np.min(postures, axis=0), np.max(postures, axis=0)]).T
     return [[float(f"{angle:.9g}") for angle in pair] for pair in limits]
-
-
-def session_time(order: Array) -> Array:
-    """`order` or time stamps scaled to -0.5..0.5 (identification/README.md, "Effects"); 0 if all are equal."""
-    low, high = float(np.min(order)), float(np.max(order))
-    return (order - low) / (high - low) - 0.5 if high > low else np.zeros_like(order)
-
-
-def directions_from_order(postures: Array, order: Array | None = None) -> Array:
-    """(..., m, n) sign of the change from the posture measured before; first row +1, no change: as before.
-
-    postures : (m, n), or (K, m, n) of K sessions;  order : (m,), None: as they stand
-    """
-    m = postures.shape[-2]
-    sequence = np.arange(m) if order is None else np.argsort(order, kind="stable")
-    signs = np.ones_like(postures)
-    signs[..., 1:, :] = np.sign(np.diff(postures[..., sequence, :], axis=-2))
-    # the last row that moved, for every row: a running maximum of row numbers
-    moved = np.maximum.accumulate(np.where(signs != 0.0, np.arange(m)[:, None], 0), axis=-2)
-    directions = np.empty_like(signs)
-    directions[..., sequence, :] = np.take_along_axis(signs, moved, axis=-2)
-    return directions
 
 
 _Test = Callable[[Array], NDArray[np.bool_]]
@@ -145,6 +95,7 @@ class Measurements(ByValue):
     repeats : (m,) equal numbers mark repeats of one posture, None: not given
     session : (m,) name of the session of each row, between which the arm or the instrument was set up anew; None: one
     session_names : the sessions in the order of their numbers, also where only some of them are among these rows
+    past : (m, n, 12) what each joint remembers of the rows before; None: it follows from the order
 
     Raises `InputError` for no rows, other shapes (nothing is broadcast), and values that no measurement can have.
     """
@@ -159,6 +110,7 @@ class Measurements(ByValue):
     repeats: NDArray[np.int64] | None = None
     session: NDArray[np.str_] | None = None
     session_names: tuple[str, ...] = ()
+    past: Array | None = None
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
@@ -266,7 +218,18 @@ class Measurements(ByValue):
             if self.directions is None:
                 directions[rows] = directions_from_order(self.postures[rows], order[rows])
         temperature = None if self.temperature is None else self.temperature - np.mean(self.temperature)
-        return Conditions(self.payload, temperature, time, directions, self._session_numbers)
+        return Conditions(self.payload, temperature, time, directions, self._session_numbers, self._past)
+
+    @cached_property
+    def _past(self) -> Array:
+        """(m, n, 12) see `past_from_order`."""
+        if self.past is not None:
+            return self.past
+        order = np.arange(len(self), dtype=float) if self.order is None else self.order
+        past = np.empty((*self.postures.shape, REMEMBERED))
+        for rows in self.session_rows:
+            past[rows] = past_from_order(self.postures[rows], order[rows])
+        return past
 
     @property
     def origin(self) -> dict[str, Any]:
@@ -278,8 +241,9 @@ class Measurements(ByValue):
     def rows(self, index: Any) -> Self:
         """Some of the rows (any numpy index), as a session of their own.
 
-        Directions stay what they were among all rows; session time and the mean temperature are those of the subset.
+        Directions and the past stay what they were among all rows; session time and the mean temperature are those of
+        the subset.
         """
-        frozen = replace(self, directions=self.conditions.directions)
-        columns = [name for name in (*_VALUES, "session") if getattr(frozen, name) is not None]
+        frozen = replace(self, directions=self.conditions.directions, past=self._past)
+        columns = [name for name in (*_VALUES, "session", "past") if getattr(frozen, name) is not None]
         return replace(frozen, **{name: getattr(frozen, name)[index] for name in columns})

@@ -20,13 +20,13 @@ from numpy.typing import ArrayLike
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
+from identification.conditions import Conditions
 from identification.effects import Chain, Effect, build_all, measured_position
 from identification.effects.places import position_and_state, widths
 from identification.errors import InputError
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, ParameterSet, chain_parameters
 from identification.kinematics.planar import DIMENSION, joint_points, symbolic_points
 from identification.kinematics.planar_linear import PlanarClosedForm
-from identification.measurements import Conditions
 from identification.vectorize import vectorize
 
 
@@ -137,8 +137,13 @@ class Model:
 
     @property
     def needs(self) -> frozenset[str]:
-        """What the effects need of arm and data: gravity, directions, temperature, time."""
+        """What the effects need of arm and data: gravity, directions, temperature, time, past."""
         return frozenset().union(*(effect.needs for effect in self.effects))
+
+    @property
+    def remembers(self) -> bool:
+        """True if an effect depends on the postures measured before."""
+        return "past" in self.needs
 
     @property
     def linear_in_links(self) -> bool:
@@ -163,11 +168,9 @@ class Model:
     # -- symbols ---------------------------------------------------------------------------------------------------
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """SX of postures q (n), conditions c (see `Conditions.table`), parameters (p) and position (d)."""
-        q, c, p = (
-            ca.SX.sym(name, k)
-            for name, k in (("q", self.joints), ("c", Conditions.columns(self.joints)), ("p", len(self.parameters)))
-        )
+        """SX of postures q (n), conditions c (see `condition_table`), parameters (p) and position (d)."""
+        width = Conditions.columns(self.joints, self.remembers)
+        q, c, p = ca.SX.sym("q", self.joints), ca.SX.sym("c", width), ca.SX.sym("p", len(self.parameters))
         return q, c, p, self._measured(q, c, self._everything(p))
 
     def _everything(self, p: ca.SX) -> ca.SX:
@@ -305,5 +308,9 @@ class Model:
         p = self.values if parameters is None else np.asarray(parameters, dtype=float)
         if p.shape[-1:] != (len(self.parameters),):
             raise InputError(f"parameters: shape {p.shape}, allowed: (..., {len(self.parameters)})")
-        table = (conditions or Conditions()).table(q.shape[:-1], self.joints, float(self.neutral_conditions[0]))
-        return q, table, p[..., None, :]
+        return q, self.condition_table(q, conditions or Conditions()), p[..., None, :]
+
+    def condition_table(self, postures: Array, conditions: Conditions) -> Array:
+        """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory."""
+        past = postures if self.remembers else None
+        return conditions.table(postures.shape[:-1], self.joints, float(self.neutral_conditions[0]), past)

@@ -23,6 +23,7 @@ LAYERS = {
     "identification.kinematics": 1,
     "identification.arm": 1,
     "identification.effects": 2,
+    "identification.conditions": 2,
     "identification.measurements": 2,
     "identification.files.arm_schema": 2,
     "identification.files.arm": 2,  # knows the effects an arm file names

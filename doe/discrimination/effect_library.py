@@ -12,10 +12,10 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.gap.detectability import Detectability, detectability
 from identification.gap.hypotheses import Hypothesis, hypotheses
-from identification.measurements import Conditions, directions_from_order, session_time
+from identification.measurements import Conditions, directions_from_order, past_from_order, session_time
 from identification.model import Model
 
-BY_ORDER = frozenset({"time", "directions"})  # what the order of the postures decides, not the postures
+BY_ORDER = frozenset({"time", "directions", "past"})  # what the order of the postures decides, not the postures
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,8 @@ def by_order(model: Model) -> Callable[[Array], Array]:
 
     def jacobian(postures: Array) -> Array:
         time = session_time(np.arange(len(postures), dtype=float))
-        conditions = Conditions(time=time, directions=directions_from_order(postures))
+        past = past_from_order(postures) if model.remembers else None
+        conditions = Conditions(time=time, directions=directions_from_order(postures), past=past)
         return model.jacobian(postures, conditions=conditions) / model.scales
 
     return jacobian

@@ -29,10 +29,12 @@ class Effect:
 
     name : as in the arm file;  summary : one line for people
     per_joint : `required`, `optional` or `none`: whether the effect applies to one joint
-    needs : what the arm or the data must have: gravity, directions, temperature, time, session
+    needs : what the arm or the data must have: gravity, directions, temperature, time, session, past
     family : effects of one family are rivals for the same physical cause (`diagnose` merges them when it must)
+    through : what effects of the arm's model it changes, by what they need: `gravity`; without them it does nothing
     settings : numbers that are chosen, not estimated; a pair is every whole number from the first to the last.
         In formulas `self.chosen[name]` is the number, or a CasADi symbol that stands for all values tried
+    prior : how likely the effect is beside the common ones of the library, which have 1
     alias : why no measurement of the tip can tell this effect from the base parameters, or None
     nuisance : True for what is no fault of the arm, which `diagnose` does not look for
     scatter : True for an effect on the noise, which the model of the mean ignores (`identification.effects.noise`)
@@ -47,7 +49,9 @@ class Effect:
     first_joint: ClassVar[int] = 1
     needs: ClassVar[frozenset[str]] = frozenset()
     family: ClassVar[str] = ""
+    through: ClassVar[str] = ""
     settings: ClassVar[Mapping[str, Setting | tuple[int, int]]] = MappingProxyType({})
+    prior: ClassVar[float] = 1.0
     alias: ClassVar[str | None] = None
     nuisance: ClassVar[bool] = False
     scatter: ClassVar[bool] = False

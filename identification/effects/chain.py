@@ -9,6 +9,7 @@ import casadi as ca
 
 from identification.arm import Arm, Gravity
 from identification.arrays import Array
+from identification.conditions import REMEMBERED, Conditions
 from identification.errors import InputError
 from identification.kinematics.planar import rotate, symbolic_points
 
@@ -25,12 +26,20 @@ class Chain:
     time: ca.SX  # -0.5..0.5 over the session
     session: ca.SX  # number of the session, from 0
     directions: ca.SX  # (n,) +1 or -1
+    past: ca.SX | None = None  # (n, 12) turning points before (`past_from_order`) [rad], None: the posture itself
     turn: ca.SX | float = 0.0  # [rad] of gravity, against the arm's own
 
     @classmethod
     def of(cls, arm: Arm, q: ca.SX, c: ca.SX) -> Chain:
-        """An arm at a posture q (n) under conditions c (4 + n, the columns of `Conditions.table`)."""
-        return cls(arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3], c[4:])
+        """An arm at a posture q (n) under conditions c (columns of `Conditions.table`, with the past or without)."""
+        n, first = arm.links, Conditions.columns(arm.links)
+        past = ca.reshape(c[first:], REMEMBERED, n).T if c.numel() > first else None
+        return cls(arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3], c[4 : 4 + n], past)
+
+    @property
+    def previous(self) -> ca.SX:
+        """(n,) the posture before [rad]; in the first row the posture itself."""
+        return self.q if self.past is None else self.past[:, -1]
 
     def loaded(self, payload: ca.SX, turn: ca.SX) -> Chain:
         """The same arm with another payload [kg] and gravity turned by an angle [rad]."""

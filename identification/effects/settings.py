@@ -11,6 +11,8 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.measurements import Conditions
 
+STEPS = 16  # effort: times of a step that are tried; the best one is refined afterwards
+MARGIN = 0.05  # of the session at either end, where a step would be a few rows
 DIGITS = 6  # of a value, significant: labels and files hold it exactly
 
 
@@ -68,3 +70,15 @@ class Setting:
     def allowed(self) -> str:
         """For error messages."""
         return f"a {'whole ' if self.whole else ''}number {self.low:g} to {self.high:g}"
+
+
+def step_times(scope: Scope) -> list[float]:
+    """Times between rows, spread evenly over the rows, at which a step may have happened."""
+    time = scope.conditions.time
+    if time is None or np.ptp(time) == 0.0:
+        time = np.linspace(-0.5, 0.5, STEPS + 2)
+    values = np.unique(time)
+    between = 0.5 * (values[1:] + values[:-1])
+    first = int(np.ceil(MARGIN * len(between)))
+    inner = between[first : len(between) - first]
+    return list(inner[np.unique(np.linspace(0, len(inner) - 1, STEPS).round().astype(int))])

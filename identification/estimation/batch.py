@@ -23,7 +23,7 @@ from identification.estimation.methods import gauss_newton, linear, starts
 from identification.estimation.problem import Problem
 from identification.information import full_rank, identifiability_of, spectrum
 from identification.kinematics.planar_linear import PlanarClosedForm
-from identification.measurements import Conditions, Measurements, directions_from_order, session_time
+from identification.measurements import Conditions, Measurements, directions_from_order, past_from_order, session_time
 from identification.model import Model
 from identification.status import Status
 
@@ -149,7 +149,7 @@ def estimate_each(model: Model, postures: ArrayLike, positions: ArrayLike) -> Ba
     count, m, _ = plans.shape
     parameters, rss, status = _empty(count, model)
     for part in _chunks(count, m):
-        problem = Problem(model, plans[part], sessions(plans[part]), measured[part], np.ones(m))
+        problem = Problem(model, plans[part], sessions(plans[part], model.remembers), measured[part], np.ones(m))
         jacobians = model.jacobian(problem.postures, problem.start, problem.conditions)
         estimable = np.flatnonzero(full_rank(jacobians, model.scales))
         if estimable.size:
@@ -167,7 +167,11 @@ def _check_plans(model: Model, plans: Array, measured: Array) -> None:
         raise InputError(f"positions: shape {measured.shape}, allowed: {(*plans.shape[:2], d)}")
 
 
-def sessions(postures: Array) -> Conditions:
-    """Conditions (K, m) of plans (K, m, n) that are measured in their order, as `Measurements.conditions` of each."""
+def sessions(postures: Array, remembers: bool = False) -> Conditions:
+    """Conditions (K, m) of plans (K, m, n) that are measured in their order, as `Measurements.conditions` of each.
+
+    remembers : with the past of the joints, which takes time
+    """
     time = np.broadcast_to(session_time(np.arange(postures.shape[1], dtype=float)), postures.shape[:2])
-    return Conditions(time=time, directions=directions_from_order(postures))
+    past = past_from_order(postures) if remembers else None
+    return Conditions(time=time, directions=directions_from_order(postures), past=past)

@@ -33,7 +33,7 @@ class Chord:
         scaled = jacobian / self._lengths
         self._inverse = np.linalg.inv(information_matrix(scaled[:, None, :])) / self._lengths  # for scaled gradients
         model = problem.model
-        self._table = problem.conditions.table(len(problem.postures), model.joints, model.neutral_conditions[0])
+        self._table = model.condition_table(problem.postures, problem.conditions)
         self._compiled = vectorize(gradient_function(model))
 
     def gradient(self, problem: Problem, measured: Array, parameters: Array) -> tuple[Array, Array]:

@@ -17,9 +17,9 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
+from identification.conditions import Conditions
 from identification.effects import Chain, Effect, Setting
 from identification.effects.places import contributions, state_size
-from identification.measurements import Conditions
 from identification.vectorize import vectorize
 
 
@@ -48,12 +48,17 @@ class Bundle:
     symbols: ca.SX
     settings: Array
 
+    @property
+    def remembers(self) -> bool:
+        """True if an effect depends on the postures measured before."""
+        return any("past" in template.effect.needs for template in self.templates)
+
     @cached_property
     def _slopes(self) -> tuple[list[ca.SX], ca.SX, ca.SX, ca.SX]:
         """Per template (P, size), with the symbols of posture, conditions and state."""
         n = self.arm.links
         q, state = ca.SX.sym("q", n), ca.SX.sym("state", state_size(n))
-        c = ca.SX.sym("c", Conditions.columns(n))
+        c = ca.SX.sym("c", Conditions.columns(n, self.remembers))
         chain = Chain.of(self.arm, q, c)
         return [_slopes(template.effect, chain, state) for template in self.templates], q, c, state
 
@@ -81,8 +86,10 @@ class Bundle:
         values = ca.vertcat(*(ca.SX(s.nz[:]) for s in slopes))
         return vectorize(ca.Function("slopes", [q, c, state, self.symbols], [ca.cse(values)]))
 
-    def slopes(self, postures: Array, table: Array, state: Array) -> Array:
+    def slopes(self, postures: Array, conditions: Conditions, state: Array) -> Array:
         """(m, K, Z) numbers that are not always zero, for (m, n) postures, their conditions and (m, S) state."""
+        payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
+        table = conditions.table(len(postures), self.arm.links, payload, postures if self.remembers else None)
         return self._function(postures[:, None], table[:, None], state[:, None], self.settings[None])[0][..., 0]
 
     def columns(self, levers: Array, slopes: Array) -> Iterator[tuple[int, Array]]:

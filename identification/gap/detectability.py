@@ -18,7 +18,7 @@ from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses,
 from identification.gap.whitening import Rows
 from identification.information import column_space
 from identification.kinematics.planar import DIMENSION
-from identification.measurements import Conditions, directions_from_order, session_time
+from identification.measurements import Conditions, directions_from_order, past_from_order, session_time
 
 # reasons: identification/README.md, "Constants"
 SPARE = 4  # residual degrees of freedom; with fewer an effect of two parameters is found at no size
@@ -120,7 +120,8 @@ def _planned(postures: Array, conditions: Conditions | None, dimension: int) -> 
     q = np.atleast_2d(np.asarray(postures, dtype=float))
     order = np.arange(len(q), dtype=float)
     given = {} if conditions is None else {k: v for k, v in vars(conditions).items() if v is not None}
-    filled = Conditions(**({"time": session_time(order), "directions": directions_from_order(q)} | given))
+    by_order = {"time": session_time(order), "directions": directions_from_order(q), "past": past_from_order(q)}
+    filled = Conditions(**(by_order | given))
     return Rows(q, np.zeros((len(q), dimension)), filled, order)
 
 

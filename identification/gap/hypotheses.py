@@ -30,7 +30,8 @@ class Hypothesis:
     """One effect that might be missing.
 
     weight : prior weight; 1 for an effect of the whole arm, n^(-1/2) at each of n joints (between one for each joint
-        and one for all joints together), and of that 1/K for each of K settings that are scanned
+        and one for all joints together), and of that 1/K for each of K settings that are scanned; all times the
+        effect's own `prior`
     tied : all parameters of a family are taken as equal. Compliance in every joint is seen long before each joint's own
         compliance is, so it is tried with one parameter too; when it is named, each joint gets its own.
     """
@@ -124,12 +125,8 @@ class HypothesisSet:
 
     def slopes(self, rows: Rows) -> Slopes:
         """The part of the columns that needs no fit, to be computed once for all fits to the same rows."""
-        table, state = self._table(rows), np.zeros((len(rows), state_size(self.arm.links)))
-        return [b.slopes(rows.postures, table, state) if b.fixed else None for b in self._bundles]
-
-    def _table(self, rows: Rows) -> Array:
-        neutral = self.base.neutral_conditions
-        return rows.conditions.table(len(rows), self.arm.links, float(neutral[0]))
+        state = np.zeros((len(rows), state_size(self.arm.links)))
+        return [b.slopes(rows.postures, rows.conditions, state) if b.fixed else None for b in self._bundles]
 
     def matrix(
         self, rows: Rows, values: Mapping[str, float], slopes: Slopes | None = None, model: Model | None = None
@@ -157,7 +154,7 @@ class HypothesisSet:
         known = slopes or self.slopes(rows)
         found: dict[int, Array] = {}
         for bundle, given in zip(self._bundles, known, strict=True):
-            given = bundle.slopes(rows.postures, self._table(rows), state) if given is None else given
+            given = bundle.slopes(rows.postures, rows.conditions, state) if given is None else given
             found |= bundle.columns(levers, given)
         free = {h.label: found[k] for k, h in enumerate(self.members) if not h.tied}
         return [free[h.free.label].sum(axis=2, keepdims=True) if h.tied else free[h.label] for h in self.members]
@@ -166,10 +163,11 @@ class HypothesisSet:
 def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> HypothesisSet:
     """Every effect that arm and data can show.
 
-    given : what the data have beyond time and directions (which follow from the order): `temperature`
+    given : what the data have beyond time, directions and past (which follow from the order): `temperature`
     rows : the data, from which the values of settings may follow; None: those that suit any data
     """
-    available = {"time", "directions"} | ({"gravity"} if arm.gravity is not None else set()) | (given & {"temperature"})
+    available = {"time", "directions", "past"} | (given & {"temperature"})
+    available |= set() if arm.gravity is None else {"gravity"}
     shown = {name: cls for name, cls in library().items() if not (cls.alias or cls.scatter or cls.nuisance)}
     own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths)}
     members: list[Hypothesis] = []
@@ -202,7 +200,7 @@ def _with_settings(cls: type[Effect], spec: EffectSpec, scope: Scope) -> list[Hy
     """The hypotheses of one effect at one joint: one for each setting, or free and tied."""
     arm, scans = scope.arm, [Setting.of(setting).scan(scope) for setting in cls.settings.values()]
     specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
-    weight = (1.0 if spec.joint is None else 1.0 / np.sqrt(arm.links)) / max(len(specs), 1)
+    weight = cls.prior * (1.0 if spec.joint is None else 1.0 / np.sqrt(arm.links)) / max(len(specs), 1)
     found = [Hypothesis(build(s, arm.links, arm.lengths), s, weight) for s in specs]
     if not cls.settings and len(found[0].effect.parameters) > 1 and _not_negative(found[0].effect):
         found.append(replace(found[0], tied=True))

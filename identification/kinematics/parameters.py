@@ -22,6 +22,7 @@ FILE_UNITS: Mapping[str, tuple[str, float, str]] = MappingProxyType(
         "1": ("1", 1.0, ""),
         "rad/(N m)": ("rad/(N m)", 1.0, "_rad_per_N_m"),
         "1/(N m^2)": ("1/(N m^2)", 1.0, "_per_N_m2"),
+        "kg": ("kg", 1.0, "_kg"),
         "1/K": ("1/K", 1.0, "_per_K"),
         "mm/session": ("mm/session", 1.0, "_mm"),
         "rad/session": ("deg/session", 180.0 / np.pi, "_deg"),

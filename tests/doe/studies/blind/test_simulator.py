@@ -76,7 +76,7 @@ def test_what_simulates_loads_nothing_of_the_model_that_is_judged() -> None:
     )
     assert "doe.studies.blind.simulator" in loaded
     assert "casadi" not in loaded  # no CasADi, no model
-    plain = {"identification", "identification.arm", "identification.measurements"}
+    plain = {"identification", "identification.arm", "identification.conditions", "identification.measurements"}
     plain |= {"identification.arrays", "identification.errors"}
     plain |= {"identification.kinematics", "identification.kinematics.parameters"}  # names and units
     assert {name for name in loaded if name.partition(".")[0] == "identification"} <= plain

@@ -1,0 +1,131 @@
+"""What postures are measured under, and what of it follows from their order: time, directions, the joints' past."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from identification.arrays import Array, ByValue
+
+REMEMBERED = 12  # turning points of a past: of 60 random postures in 3,000 one row needs more
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions(ByValue):
+    """What a posture is measured under, one row per posture. None: the neutral value.
+
+    payload : (m,) [kg], None: the arm's own payload
+    temperature : (m,) [K] deviation from the mean temperature, None: 0
+    time : (m,) position in the session, -0.5..0.5, None: 0
+    directions : (m, n) sign of the last motion of each joint, +1 or -1, None: +1
+    session : (m,) number of the session of each row, from 0, None: 0
+    past : (m, n, 12) what each joint remembers of the postures before (`past_from_order`) [rad], None: nothing
+    For K sessions at once, (K, m), (K, m, n) and (K, m, n, 12).
+    """
+
+    payload: Array | None = None
+    temperature: Array | None = None
+    time: Array | None = None
+    directions: Array | None = None
+    session: Array | None = None
+    past: Array | None = None
+
+    @staticmethod
+    def columns(n: int, past: bool = False) -> int:
+        """Number of columns of the table for n joints, with their past or without."""
+        return 4 + n + (n * REMEMBERED if past else 0)
+
+    def table(self, m: int | tuple[int, ...], n: int, payload: float, postures: Array | None = None) -> Array:
+        """(m, 4 + n) columns payload [kg], temperature [K], time, session, directions, with the neutral values filled
+        in; (K, m, 4 + n) for m = (K, m).
+
+        postures : (m, n) for 12 n columns more with the past, where there is none the posture itself; None: without
+        """
+        table = np.empty((*np.atleast_1d(m), self.columns(n, postures is not None)))
+        table[..., 0] = payload if self.payload is None else self.payload
+        table[..., 1] = 0.0 if self.temperature is None else self.temperature
+        table[..., 2] = 0.0 if self.time is None else self.time
+        table[..., 3] = 0.0 if self.session is None else self.session
+        table[..., 4 : 4 + n] = 1.0 if self.directions is None else self.directions
+        if postures is not None:
+            past = np.broadcast_to(
+                postures[..., None] if self.past is None else self.past, (*postures.shape, REMEMBERED)
+            )
+            table[..., 4 + n :] = past.reshape(*postures.shape[:-1], n * REMEMBERED)
+        return table
+
+    def rows(self, index: Any) -> Conditions:
+        """The conditions of some rows (any numpy index)."""
+        pick = {name: value[index] for name, value in vars(self).items() if value is not None}
+        return replace(self, **pick)
+
+
+def session_time(order: Array) -> Array:
+    """`order` or time stamps scaled to -0.5..0.5 (identification/README.md, "Effects"); 0 if all are equal."""
+    low, high = float(np.min(order)), float(np.max(order))
+    return (order - low) / (high - low) - 0.5 if high > low else np.zeros_like(order)
+
+
+def directions_from_order(postures: Array, order: Array | None = None) -> Array:
+    """(..., m, n) sign of the change from the posture measured before; first row +1, no change: as before.
+
+    postures : (m, n), or (K, m, n) of K sessions;  order : (m,), None: as they stand
+    """
+    m = postures.shape[-2]
+    sequence = np.arange(m) if order is None else np.argsort(order, kind="stable")
+    signs = np.ones_like(postures)
+    signs[..., 1:, :] = np.sign(np.diff(postures[..., sequence, :], axis=-2))
+    # the last row that moved, for every row: a running maximum of row numbers
+    moved = np.maximum.accumulate(np.where(signs != 0.0, np.arange(m)[:, None], 0), axis=-2)
+    directions = np.empty_like(signs)
+    directions[..., sequence, :] = np.take_along_axis(signs, moved, axis=-2)
+    return directions
+
+
+def past_from_order(postures: Array, order: Array | None = None) -> Array:
+    """(..., m, n, 12) what each joint remembers when a posture is reached: turning points, the oldest first.
+
+    The first is where the session began, the last the posture before; in between stand the turning points that no
+    later swing has wiped out, which decide the state of hysteresis (I. D. Mayergoyz, "Mathematical models of
+    hysteresis", 1991). Fewer than 12 are filled up by repeating the first; of more, the smallest swing is left out. In
+    the first row all are the posture itself.
+
+    postures : (m, n), or (K, m, n) of K sessions;  order : (m,), None: as they stand
+    """
+    m = postures.shape[-2]
+    sequence = np.arange(m) if order is None else np.argsort(order, kind="stable")
+    joints = np.moveaxis(postures[..., sequence, :], -2, -1).reshape(-1, m)
+    past = np.array([_remembered(angles.tolist()) for angles in joints])
+    past = past.reshape(*postures.shape[:-2], postures.shape[-1], m, REMEMBERED)
+    found = np.empty((*postures.shape, REMEMBERED))
+    found[..., sequence, :, :] = np.moveaxis(past, -3, -2)
+    return found
+
+
+def _remembered(angles: list[float]) -> list[list[float]]:
+    """Per row (12,) the turning points before it, of one joint."""
+    kept, rows = angles[:1], []
+    for k, angle in enumerate(angles):
+        rows.append([kept[0]] * (REMEMBERED - len(kept)) + kept)
+        if k:
+            _remember(kept, angle)
+    return rows
+
+
+def _remember(kept: list[float], angle: float) -> None:
+    """Add an angle to turning points, in place: those on the way and swings inside larger ones are forgotten."""
+    kept.append(angle)
+    while len(kept) > 2:
+        swings = [abs(b - a) for a, b in pairwise(kept)]
+        if (kept[-1] - kept[-2]) * (kept[-2] - kept[-3]) >= 0.0:
+            del kept[-2]
+        elif len(kept) > 3 and swings[-2] <= min(swings[-1], swings[-3]):
+            del kept[-3:-1]
+        elif len(kept) > REMEMBERED:
+            least = 1 + min(range(len(swings) - 2), key=swings[1:-1].__getitem__)
+            del kept[least : least + 2]
+        else:
+            return

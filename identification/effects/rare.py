@@ -1,0 +1,218 @@
+"""Effects that real cells have now and then: warm-up, steps in time, wrong loads, hysteresis, a leaning axis.
+
+Their `prior` says that they are rarer than the others, so a common effect that explains the data as well is named.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from types import MappingProxyType
+
+import casadi as ca
+import numpy as np
+
+from identification.effects.base import Effect, register
+from identification.effects.chain import Chain
+from identification.effects.settings import Scope, Setting, step_times
+from identification.kinematics.parameters import Parameter
+
+RARE = 0.2  # prior beside a common effect
+STEP = Setting(-0.5, 0.5, step_times)  # time of a step in the session
+TIME_CONSTANTS = (0.05, 0.1, 0.2, 0.4, 0.8)  # of a session: neighbors are alike to 0.98, beyond them drift or nothing
+WIDTHS = (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)  # of hysteresis, in ranges of the joint: below backlash, above gear ratio
+
+
+class _Rare(Effect):
+    prior = RARE
+
+
+@register
+class ThermalTransient(_Rare):
+    """Links grow while the arm warms up, one or all alike: l_j (1 + a (1 - exp(-(t + 1/2) / tau))), t = -0.5..0.5."""
+
+    name = "thermal_transient"
+    summary = "links grow exponentially while the arm warms up"
+    per_joint = "optional"
+    needs = frozenset({"time"})
+    family = "thermal_transient"
+    settings = MappingProxyType({"tau": Setting(0.001, 10.0, TIME_CONSTANTS)})
+
+    def define(self) -> tuple[Parameter, ...]:
+        scale = self.reach if self.joint is None else self.link_length
+        return (self.parameter("a", "1", scale=scale, typical=1e-4),)
+
+    def extensions(self, chain: Chain, values: ca.SX, lengths: ca.SX) -> ca.SX:
+        warm = 1.0 - ca.exp(-(chain.time + 0.5) / self.chosen["tau"])
+        if self.joint is None:
+            return lengths * values[0] * warm
+        return self.at_joint(lengths[self.joint_index] * values[0] * warm, chain)
+
+
+class _Step(_Rare):
+    """Something that changes once during the session."""
+
+    needs = frozenset({"time"})
+    settings = MappingProxyType({"at": STEP})
+
+    def after(self, chain: Chain) -> ca.SX:
+        """1 after the step, 0 before."""
+        return chain.time > self.chosen["at"]
+
+
+@register
+class JointStep(_Step):
+    """The zero of a joint jumps at a time of the session, as after a collision or a lost count: b for t > at."""
+
+    name = "joint_step"
+    summary = "zero of a joint jumps during the session"
+    per_joint = "required"
+    family = "joint_step"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("b", "rad", scale=self.link_length, typical=2e-4),)
+
+    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return self.at_joint(values[0] * self.after(chain), chain)
+
+
+@register
+class LinkStep(_Step):
+    """A link is longer from a time of the session on, as after it was taken off and mounted again: d for t > at."""
+
+    name = "link_step"
+    summary = "link is longer after a remounting"
+    per_joint = "required"
+    family = "link_step"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("d", "mm", scale=1.0, typical=0.1),)
+
+    def extensions(self, chain: Chain, values: ca.SX, lengths: ca.SX) -> ca.SX:
+        return self.at_joint(values[0] * self.after(chain), chain)
+
+
+@register
+class BaseStep(_Step):
+    """The base or the instrument is moved at a time of the session: + (x, y) for t > at."""
+
+    name = "base_step"
+    summary = "base or tracker jumps during the session"
+    family = "base_step"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return tuple(self.parameter(short, "mm", scale=1.0, typical=0.1) for short in ("x", "y"))
+
+    def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return values * self.after(chain)
+
+
+class _Load(_Rare):
+    """Something that only shows through effects of gravity in the arm's model, and changes all of them."""
+
+    needs = frozenset({"gravity"})
+    through = "gravity"
+
+
+@register
+class PayloadError(_Load):
+    """The payload is not what the file says: + d, for every effect of gravity."""
+
+    name = "payload_error"
+    summary = "payload is not what the file says"
+    family = "payload_error"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("d", "kg", scale=1.0, typical=0.5),)
+
+    def payload(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return values[0]
+
+
+@register
+class GravityTilt(_Load):
+    """The base leans: gravity is turned by an angle, for every effect of gravity."""
+
+    name = "gravity_tilt"
+    summary = "base leans against gravity"
+    family = "gravity_tilt"
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("angle", "rad", scale=1.0, typical=5e-3),)
+
+    def gravity_turn(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return values[0]
+
+
+@register
+class AxisTilt(_Rare):
+    """The axis of a joint leans out of the normal of the plane: what lies beyond is seen foreshortened.
+
+    With s the vector from the joint to the tip and theta the orientation of the link before, in complex numbers:
+    s + (a + ib) exp(2i theta) conj(s). A lean by alpha about the direction beta against that link has
+    a + ib = alpha^2 exp(2i beta) / 4. In joint 1 that is `axes_skew`.
+    """
+
+    name = "axis_tilt"
+    summary = "axis leans out of the plane"
+    per_joint = "required"
+    first_joint = 2
+    family = "axis_tilt"
+
+    def define(self) -> tuple[Parameter, ...]:
+        scale = float(np.sum(self.lengths[self.joint_index :]))
+        return tuple(self.parameter(short, "1", scale=scale, typical=1e-4) for short in ("a", "b"))
+
+    def _along_and_across(self, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """(n,) along and across each link, per length of it: those of (a + ib) exp(-2i angle from the link before)."""
+        along, across, angle = ca.SX.zeros(chain.links), ca.SX.zeros(chain.links), ca.SX(0)
+        for k in range(self.joint_index, chain.links):
+            angle += chain.q[k]
+            cosine, sine = ca.cos(2.0 * angle), ca.sin(2.0 * angle)
+            along[k] = values[0] * cosine + values[1] * sine
+            across[k] = values[1] * cosine - values[0] * sine
+        return along, across
+
+    def extensions(self, chain: Chain, values: ca.SX, lengths: ca.SX) -> ca.SX:
+        return lengths * self._along_and_across(chain, values)[0]
+
+    def bending(self, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX | float]:
+        return ca.DM(chain.lengths) * self._along_and_across(chain, values)[1], 0.0
+
+
+def hysteresis_widths(scope: Scope) -> list[float]:
+    """Widths [deg] from nearly backlash to nearly a wrong gear ratio, over the range that the joint moves."""
+    joint = (scope.joint or 1) - 1
+    if scope.postures is None:
+        span = float(scope.arm.upper[joint] - scope.arm.lower[joint])
+    else:
+        span = float(np.ptp(scope.postures[:, joint]))
+    return [float(np.degrees(width * span)) for width in WIDTHS] if span > 0.0 else [1.0]
+
+
+@register
+class JointHysteresis(_Rare):
+    """Friction winds the gear up until it slips: b times the wind-up, which follows the joint's motion within -1..1.
+
+    The wind-up grows by the motion divided by the width and stays within -1..1 (Prandtl's element); at the start of the
+    session it is 0. It remembers earlier postures as long as no motion is wider than twice the width. A width of 0 is
+    `backlash`, one beyond the range of the joint `gear_ratio`.
+    """
+
+    name = "joint_hysteresis"
+    summary = "friction winds the gear up, with a memory of earlier motions"
+    per_joint = "required"
+    needs = frozenset({"past"})
+    family = "joint_hysteresis"
+    settings = MappingProxyType({"width_deg": Setting(0.01, 1000.0, hysteresis_widths)})
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("b", "rad", scale=self.link_length, typical=1.5e-4),)
+
+    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+        joint = self.joint_index
+        angles = [] if chain.past is None else [chain.past[joint, k] for k in range(chain.past.shape[1])]
+        angles.append(chain.q[joint])
+        wind_up, width = ca.SX(0), np.pi / 180.0 * self.chosen["width_deg"]
+        for before, after in pairwise(angles):
+            wind_up = ca.fmax(-1.0, ca.fmin(1.0, wind_up + (after - before) / width))
+        return self.at_joint(values[0] * wind_up, chain)
