@@ -15,7 +15,10 @@ from doe.studies.blind.hidden_effects import (
     parameters_of,
     place_of,
     random_effect,
+    settings_of,
+    wave,
 )
+from doe.studies.blind.rare_effects import LOADS, RARE_JOINT, RARE_WHOLE
 from doe.studies.blind.simulator import (
     Drawn,
     G,
@@ -69,9 +72,13 @@ class CellSpec:
     wrong_masses: bool = False
     reported: bool = True  # in the full study; the others can be asked for by name
     families: bool = True  # compliance in all joints at once among the hidden effects
+    rare: str = ""  # name of the hidden effect, where the cell is of a rare one
+    order: float = 0.0  # periods per turn of the hidden gear ripple, where the cell is of one
     designed: bool = False  # postures of somebody's plan instead of random ones, the same for SAME_ARM sets
 
 
+RARE = RARE_WHOLE + RARE_JOINT
+WAVES = (101.0, 202.0, 37.3)
 CELLS = {
     "none m=20": CellSpec(20),
     "none m=50": CellSpec(50),
@@ -97,6 +104,8 @@ CELLS = {
     "three outliers, lambda 8": CellSpec(50, 8.0, noise="outliers"),
     "one, lambda 6, discriminating plan": CellSpec(50, 6.0, designed=True),
     "one, lambda 8, discriminating plan": CellSpec(50, 8.0, designed=True),
+    **{f"{name}, lambda {lam:g}": CellSpec(50, lam, rare=name, reported=False) for name in RARE for lam in (8.0, 10.0)},
+    **{f"wave {k:g}, lambda {lam:g}": CellSpec(50, lam, order=k, reported=False) for k in WAVES for lam in (8.0, 10.0)},
 }
 SAME_ARM = 10  # consecutive sets with one arm and plan where plans are designed, which takes time
 
@@ -121,7 +130,10 @@ def hidden(spec: CellSpec, truth: Truth, run: Session, rng: np.random.Generator)
         if spec.outside:
             effects.append(outside_effect(truth, run, spec.lam, rng))
             continue
-        new = random_effect(truth, run, spec.lam, rng)
+        if spec.order:
+            effects.append(wave(truth, run, spec.order, spec.lam, rng))
+            continue
+        new = random_effect(truth, run, spec.lam, rng, spec.rare or None)
         if (spec.families or new[0] != "joint_compliance" or new[1]) and family(new) not in map(family, effects):
             effects.append(new)
     return effects
@@ -131,7 +143,8 @@ def arm_of(spec: CellSpec, truth: Truth, rng: np.random.Generator) -> Arm:
     """The arm as its maker describes it."""
     masses = truth.masses * rng.uniform(0.7, 1.3, truth.n) if spec.wrong_masses else truth.masses
     gravity = Gravity(np.array([0.0, -G]), masses, truth.center, truth.payload)
-    return Arm(truth.lengths, truth.lower, truth.upper, truth.sigma, gravity=gravity)
+    known = tuple(EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.known)
+    return Arm(truth.lengths, truth.lower, truth.upper, truth.sigma, gravity=gravity, effects=known)
 
 
 def to_be_planned(cell: str, seed: int) -> tuple[Arm, int] | None:
@@ -175,6 +188,8 @@ def data_set(cell: str, seed: int, planned: np.ndarray | None = None) -> DataSet
         truth = truth_of(spec, rng)
         postures = rng.uniform(truth.lower, truth.upper, (max(spec.m, truth.n + 4), truth.n))
     run = session(truth, postures, rng)
+    if spec.rare in LOADS:  # they only show through compliance that the arm's model has
+        truth = replace(truth, known=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
     truth = replace(truth, effects=hidden(spec, truth, run, rng))
     fresh = session(truth, rng.uniform(truth.lower, truth.upper, (200, truth.n)), rng)
     arm = arm_of(spec, truth, rng)
@@ -194,8 +209,8 @@ def data_set(cell: str, seed: int, planned: np.ndarray | None = None) -> DataSet
         measure(truth, fresh, rng, "white") if spec.lam is not None else None,
         tuple(key(e) for e in inside),
         place_of(outside[0]) if outside else None,
-        tuple(EffectSpec(e[0], e[1], {"k": float(e[2]["k"])} if "k" in e[2] else {}) for e in inside),
+        tuple(EffectSpec(e[0], e[1], settings_of(e)) for e in inside),
         tuple(map(int, wrong)),
-        {} if spec.wrong_masses or outside else true_values(truth),
+        {} if spec.wrong_masses or spec.rare or outside else true_values(truth),
         more,
     )

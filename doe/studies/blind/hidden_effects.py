@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from doe.studies.blind.rare_effects import RARE_JOINT, RARE_WHOLE, SHAPE, drawn_values
 from doe.studies.blind.simulator import Drawn, Session, Truth, position
 
 LIBRARY_JOINT = (
@@ -65,8 +66,8 @@ def directions_of(name: str, n: int, rng: np.random.Generator) -> dict:
 
 
 def scaled(values: dict, factor: float) -> dict:
-    """The amplitudes times a factor; k, at and width are shapes and stay."""
-    return {name: (v if name in ("k", "at", "width") else v * factor) for name, v in values.items()}
+    """The amplitudes times a factor; k, at, width and the like are shapes and stay."""
+    return {name: (v if name in ("k", *SHAPE) else v * factor) for name, v in values.items()}
 
 
 def column(truth: Truth, run: Session, effect: tuple[str, int | None, dict]) -> np.ndarray:
@@ -90,6 +91,29 @@ def off(columns: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return vector - columns @ np.linalg.lstsq(columns, vector, rcond=1e-10)[0]
 
 
+def values_of(truth: Truth, name: str, j: int | None, rng: np.random.Generator) -> dict:
+    """A random direction in the parameter space of an effect of the library or of a rare one."""
+    if name in RARE_JOINT + RARE_WHOLE:
+        span = 0.0 if j is None else float(truth.upper[j - 1] - truth.lower[j - 1])
+        return drawn_values(name, span, rng)
+    return directions_of(name, truth.n, rng)
+
+
+def wave(truth: Truth, run: Session, k: float, lam: float, rng: np.random.Generator) -> Drawn:
+    """A gear ripple of k per turn at a random joint."""
+    phase, j = rng.uniform(0, 2 * np.pi), int(rng.integers(1, truth.n + 1))
+    v = {"a": np.cos(phase), "b": np.sin(phase), "k": k}
+    seen = np.linalg.norm(off(base_jacobian(truth, run), column(truth, run, ("transmission_ripple", j, v))))
+    return "transmission_ripple", j, scaled(v, float(lam * truth.sigma / seen))
+
+
+def settings_of(effect: Drawn) -> dict[str, float]:
+    """The settings of an effect, as an arm file has them."""
+    names = {"k": "k", "at": "at", "tau": "tau", "width": "width_deg"}
+    units = {"width": 180.0 / np.pi}
+    return {names[n]: float(v) * units.get(n, 1.0) for n, v in effect[2].items() if n in names}
+
+
 def sized(
     truth: Truth,
     run: Session,
@@ -100,7 +124,7 @@ def sized(
     others: np.ndarray | None = None,
 ) -> Drawn | None:
     """The effect with amplitude such that |column off the base Jacobian (and `others`)| = lam sigma; None if unseen."""
-    v = directions_of(name, truth.n, rng)
+    v = values_of(truth, name, j, rng)
     real = "joint_compliance" if name == "joint_compliance*" else name
     d = column(truth, run, (real, j, v))
     seen = np.linalg.norm(off(base_jacobian(truth, run) if others is None else others, d))
@@ -113,7 +137,8 @@ def random_effect(truth: Truth, run: Session, lam: float, rng: np.random.Generat
     """One effect of the library, its type at random, then its joint."""
     while True:
         pick = name or str(rng.choice(LIBRARY_JOINT + LIBRARY_WHOLE))
-        j = None if pick in LIBRARY_WHOLE else int(rng.integers(2 if pick == "joint_coupling" else 1, truth.n + 1))
+        first = 2 if pick in ("joint_coupling", "axis_tilt") else 1
+        j = None if pick in LIBRARY_WHOLE + RARE_WHOLE else int(rng.integers(first, truth.n + 1))
         found = sized(truth, run, pick, j, lam, rng)
         if found is not None:
             return found

@@ -1,5 +1,6 @@
-"""What real cells have now and then, simulated in plain numpy from the formulas: warm-up, steps, wrong loads, hysteresis,
-a leaning axis. No model."""
+"""What real cells have now and then, in plain numpy: warm-up, steps in time, loads, hysteresis, a leaning axis.
+
+No model."""
 
 from __future__ import annotations
 

@@ -6,10 +6,11 @@ the model or its effects, and a test checks that. Positions are complex numbers 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from doe.studies.blind.rare_effects import leaning_tip, link_growth, wound_up
 from identification.measurements import Measurements
 
 G = 9.81
@@ -30,6 +31,7 @@ class Truth:
     length_errors: np.ndarray
     joint_offsets: np.ndarray
     effects: list[tuple[str, int | None, dict]] = field(default_factory=list)
+    known: list[tuple[str, int | None, dict]] = field(default_factory=list)  # effects that the arm's model has
 
     @property
     def n(self) -> int:
@@ -118,16 +120,24 @@ def bending(truth: Truth, run: Session) -> tuple[np.ndarray, np.ndarray]:
     return deflection, slope
 
 
-def angle_error(truth: Truth, run: Session, name: str, j: int | None, v: dict) -> np.ndarray:
-    """(m, n) what an effect adds to the joint angles."""
+def weighed(run: Session, effects: list[Drawn]) -> Session:
+    """The session as gravity sees it: with the true payload, and turned against a base that leans."""
+    values = {name: v for name, _, v in effects}
+    q = run.q.copy()
+    q[:, 0] -= values.get("gravity_tilt", {"angle": 0.0})["angle"]
+    return replace(run, q=q, payload=run.payload + values.get("payload_error", {"d": 0.0})["d"])
+
+
+def angle_error(truth: Truth, run: Session, heavy: Session, name: str, j: int | None, v: dict) -> np.ndarray:
+    """(m, n) what an effect adds to the joint angles;  heavy : the session as gravity sees it."""
     out = np.zeros(run.q.shape)
     if name == "joint_compliance" and j is None:
-        return np.asarray(v["c"]) * torques(truth, run)
+        return np.asarray(v["c"]) * torques(truth, heavy)
     if j is None:
         return out
     q = run.q[:, j - 1]
     if name == "joint_compliance":
-        out[:, j - 1] = v["c"] * torques(truth, run)[:, j - 1]
+        out[:, j - 1] = v["c"] * torques(truth, heavy)[:, j - 1]
     elif name in ("encoder_eccentricity", "encoder_second_harmonic", "transmission_ripple", "free_ripple"):
         k = {"encoder_eccentricity": 1, "encoder_second_harmonic": 2}.get(name) or v["k"]
         out[:, j - 1] = v["a"] * np.cos(k * q) + v["b"] * np.sin(k * q)
@@ -138,7 +148,11 @@ def angle_error(truth: Truth, run: Session, name: str, j: int | None, v: dict) -
     elif name == "backlash":
         out[:, j - 1] = v["b"] * run.s[:, j - 1]
     elif name == "gravity_backlash":
-        out[:, j - 1] = v["b"] * np.sign(torques(truth, run)[:, j - 1])
+        out[:, j - 1] = v["b"] * np.sign(torques(truth, heavy)[:, j - 1])
+    elif name == "joint_step":
+        out[:, j - 1] = v["b"] * (run.t > v["at"])
+    elif name == "joint_hysteresis":
+        out[:, j - 1] = v["b"] * wound_up(q, v["width"])
     # outside the library
     elif name == "bump":
         out[:, j - 1] = v["h"] * np.exp(-0.5 * (np.angle(np.exp(1j * (q - v["at"]))) / v["width"]) ** 2)
@@ -155,16 +169,22 @@ def position(truth: Truth, run: Session) -> np.ndarray:
     q = run.q + truth.joint_offsets
     lengths = (truth.lengths + truth.length_errors) * np.ones(q.shape)
     deflection, slope = np.zeros(q.shape), np.zeros(q.shape)
-    for name, j, v in truth.effects:
-        q = q + angle_error(truth, run, name, j, v)
+    heavy = weighed(run, truth.effects)
+    for name, j, v in truth.known + truth.effects:
+        q = q + angle_error(truth, run, heavy, name, j, v)
+        lengths = lengths + link_growth(name, j, v, run.t, truth.lengths + truth.length_errors)
         if name == "thermal_growth":
             lengths = lengths + lengths * v["a"] * run.warm[:, None]
         if name == "link_bending":
-            d, s = bending(truth, run)
+            d, s = bending(truth, heavy)
             deflection, slope = deflection + v["f"] * d, slope + v["f"] * s
     theta = np.cumsum(q, axis=1)
     before = np.cumsum(slope, axis=1) - slope
     p = np.sum((lengths + 1j * deflection) * np.exp(1j * (theta + before)), axis=1)
+    for name, j, v in truth.effects:
+        if name == "axis_tilt" and j is not None:
+            q, lengths = run.q + truth.joint_offsets, truth.lengths + truth.length_errors
+            p = p + leaning_tip(q, lengths, j, v["square"], v["beta"]) - np.exp(1j * np.cumsum(q, axis=1)) @ lengths
     for name, _, v in truth.effects:
         if name == "base_rotation_drift":
             p = p * np.exp(1j * v["w"] * run.t)
@@ -173,7 +193,7 @@ def position(truth: Truth, run: Session) -> np.ndarray:
             p = p + v["x"] + 1j * v["y"]
         elif name == "base_drift":
             p = p + (v["x"] + 1j * v["y"]) * run.t
-        elif name == "step_drift":
+        elif name in ("step_drift", "base_step"):
             p = p + (v["x"] + 1j * v["y"]) * (run.t > v["at"])
     for name, _, v in truth.effects:
         if name == "axes_skew":

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.studies.blind import hidden_effects, simulator
+from doe.studies.blind import hidden_effects, rare_effects, simulator
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
-from identification.measurements import Conditions
+from identification.measurements import Conditions, past_from_order
 from identification.model import Model
 
 VALUES = {
@@ -30,6 +30,13 @@ VALUES = {
     "base_drift": ({"x": 1.0, "y": -2.0}, {"vx": 1.0, "vy": -2.0}),
     "base_rotation_drift": ({"w": 2e-3},) * 2,
     "axes_skew": ({"a": 1e-3, "b": -2e-3},) * 2,
+    "thermal_transient": ({"a": 3e-4, "tau": 0.2},) * 2,
+    "joint_step": ({"b": 1e-3, "at": 0.1},) * 2,
+    "link_step": ({"d": 0.3, "at": -0.2},) * 2,
+    "base_step": ({"x": 0.2, "y": -0.3, "at": 0.05},) * 2,
+    "joint_hysteresis": ({"b": 1e-3, "width": 0.9}, {"b": 1e-3, "width_deg": np.degrees(0.9)}),
+    "payload_error": ({"d": 2.0},) * 2,
+    "gravity_tilt": ({"angle": 0.1},) * 2,
 }
 
 
@@ -38,20 +45,39 @@ def test_two_implementations_agree(name: str) -> None:
     rng = np.random.default_rng(1)
     truth = simulator.random_truth(rng, 3)
     run = simulator.session(truth, rng.uniform(-np.pi, np.pi, (40, 3)), rng)
-    joint = None if name in hidden_effects.LIBRARY_WHOLE else 2
+    joint = None if name in hidden_effects.LIBRARY_WHOLE + rare_effects.RARE_WHOLE else 2
     theirs, ours = VALUES[name]
+    c = 1e-5 * np.arange(1.0, 4.0) if name in rare_effects.LOADS else np.zeros(3)
+    known = EffectSpec("joint_compliance", None, {f"c{j}": value for j, value in enumerate(c, 1)})
     truth = replace(truth, effects=[(name.rstrip("*"), joint, theirs)])
+    if name in rare_effects.LOADS:
+        truth = replace(truth, known=[("joint_compliance", None, {"c": c})])
     arm = Arm(
         truth.lengths,
         gravity=Gravity(np.array([0.0, -simulator.G]), truth.masses, truth.center, truth.payload),
-        effects=(EffectSpec(name.rstrip("*"), joint, ours),),
+        effects=(*((known,) if c.any() else ()), EffectSpec(name.rstrip("*"), joint, ours)),
         calibration=Calibration.of(truth.length_errors, truth.joint_offsets),
     )
-    position = Model(arm).position(run.q, None, Conditions(run.payload, run.warm, run.t, run.s))
+    conditions = Conditions(run.payload, run.warm, run.t, run.s, past_from_order(run.q))
+    position = Model(arm).position(run.q, None, conditions)
     expected = simulator.position(truth, run)
     # 1e-9 mm: rounding of sums of some 1000 mm; every effect moves the tip by more than 0.01 mm
     np.testing.assert_allclose(position @ [1.0, 1.0j], expected, atol=1e-9)
     assert np.abs(expected - simulator.position(replace(truth, effects=[]), run)).max() > 0.01
+
+
+def test_a_leaning_axis_seen_in_the_plane() -> None:
+    """The chain in space against the effect's first order, whose error is of the size of the fourth power of the lean:
+    0.03^4 of 660 mm. The scale that comes with it is one of the lengths beyond the joint."""
+    rng, square, beta = np.random.default_rng(3), 9e-4, 0.7
+    q, lengths = rng.uniform(-np.pi, np.pi, (20, 4)), np.array([260.0, 180.0, 120.0, 100.0])
+    shorter = lengths * np.where(np.arange(4) >= 2, 1.0 - square / 4.0, 1.0)
+    factor = square / 4.0 * np.exp(2j * beta)
+    arm = Arm(shorter, effects=(EffectSpec("axis_tilt", 3, {"a": factor.real, "b": factor.imag}),))
+    expected = rare_effects.leaning_tip(q, lengths, 3, square, beta)
+    np.testing.assert_allclose(Model(arm).position(q) @ [1.0, 1.0j], expected, atol=660.0 * square**2)
+    straight = np.exp(1j * np.cumsum(q, axis=1)) @ lengths
+    assert np.abs(expected - straight).max() > 0.05
 
 
 def test_hidden_effect_has_the_size_asked_for() -> None:
