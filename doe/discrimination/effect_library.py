@@ -40,17 +40,18 @@ class EffectLibrary:
 
 
 def effect_library(arm: Arm) -> EffectLibrary:
-    """The effects of the library that an arm can have, besides its own.
+    """The effects of the library that an arm can have, besides its own; without the rare ones.
 
     An effect that acts at every joint alike has one size for all of them: that is what is seen first.
     """
     known = hypotheses(arm, frozenset())
-    shown = [h for h in known.members if not h.scanned and not h.effect.needs & BY_ORDER]
+    common = [h for h in known.members if not h.scanned and h.effect.prior == 1.0 and known.acts(h)]
+    shown = [h for h in common if not h.effect.needs & BY_ORDER]
     alike = {h.key for h in shown if h.tied}
     model = Model(arm.with_effects(*arm.effects, *(h.spec for h in shown if not h.tied)))
     own = len(Model(arm).parameters)
     rivals = [h for h in shown if h.tied or h.key not in alike]
-    ordered = [h.spec for h in known.unscanned if h.effect.needs & BY_ORDER]
+    ordered = [h.spec for h in common if h.effect.needs & BY_ORDER and not h.tied]
     return EffectLibrary(
         own,
         model,

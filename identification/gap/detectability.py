@@ -154,10 +154,10 @@ def assess(
     limit = LARGEST * library.base.reach * np.sqrt(len(rows))
     sizes: dict[str, list[Size]] = {}
     for k, hypothesis in enumerate(members):
-        if not hypothesis.tied:
+        if not hypothesis.tied and library.acts(hypothesis):
             size = _detectable(hypothesis, tested, k, sigma, threshold * hypothesis.weight, limit)
             sizes.setdefault(hypothesis.key, []).append(size)
-    plain = [k for k, h in enumerate(members) if not h.scanned and not h.tied]
+    plain = [k for k, h in enumerate(members) if not h.scanned and not h.tied and library.acts(h)]
     return Detectability(
         tuple(members[k].key for k in plain),
         readonly(tested.norm_fractions[plain]),

@@ -116,8 +116,13 @@ class HypothesisSet:
 
     @cached_property
     def unscanned(self) -> tuple[Hypothesis, ...]:
-        """Hypotheses without a scanned setting."""
-        return tuple(h for h in self.members if not h.scanned and not h.tied)
+        """Hypotheses without a scanned setting that can act on the arm as it is modelled now."""
+        return tuple(h for h in self.members if not h.scanned and not h.tied and self.acts(h))
+
+    def acts(self, hypothesis: Hypothesis) -> bool:
+        """False for what only changes other effects (`Effect.through`) where the arm's model has none of those."""
+        through = hypothesis.effect.through
+        return not through or any(through in effect.needs for effect in self.base.effects)
 
     @cached_property
     def _bundles(self) -> tuple[Bundle, ...]:

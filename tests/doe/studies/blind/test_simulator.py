@@ -58,7 +58,7 @@ def test_two_implementations_agree(name: str) -> None:
         effects=(*((known,) if c.any() else ()), EffectSpec(name.rstrip("*"), joint, ours)),
         calibration=Calibration.of(truth.length_errors, truth.joint_offsets),
     )
-    conditions = Conditions(run.payload, run.warm, run.t, run.s, past_from_order(run.q))
+    conditions = Conditions(run.payload, run.warm, run.t, run.s, past=past_from_order(run.q))
     position = Model(arm).position(run.q, None, conditions)
     expected = simulator.position(truth, run)
     # 1e-9 mm: rounding of sums of some 1000 mm; every effect moves the tip by more than 0.01 mm
