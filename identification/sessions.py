@@ -59,6 +59,18 @@ def _apart(numbers: Sequence[Array]) -> list[Array]:
     return [own - own.min() + start for own, start in zip(numbers, ends, strict=False)]
 
 
+def of_these_sessions(holdout: Measurements, measurements: Measurements) -> Measurements:
+    """A hold-out with the sessions numbered as in the data; raises `InputError` for a session that the data lack."""
+    if len(measurements.session_names) < 2:
+        return replace(holdout, session=None, session_names=())
+    names = measurements.session_names
+    for name in holdout.sessions or ("",):
+        if name not in names:
+            found = f"session {name!r}" if name else "no column session"
+            raise InputError(f"holdout: found {found}, allowed: {', '.join(names)}, as in the data; or armcal validate")
+    return replace(holdout, session_names=names)
+
+
 # -- the arm with a base for each session ------------------------------------------------------------------------------
 def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
     """The arm with a base offset, and a base for each session after the first, where the data name several.
@@ -68,11 +80,10 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
     count = len(measurements.session_names)
     if count < 2:
         return arm
-    wide = standing(arm)
+    wide = with_base(arm)
     spec = EffectSpec(SESSIONS, values={"sessions": float(count)})
-    known = Model(wide).best_known
-    bases = base_of_each_session(wide, measurements)
-    values = known | bases[0]
+    bases = base_of_each_session(standing(arm), measurements)
+    values = Model(wide).best_known | bases[0] | dict(Model(wide).fixed)
     shift = complex(values[BASE[0]], values[BASE[1]])
     for number, base in enumerate(bases[1:], start=2):
         # tip = R(w) (tip of the first session, before its shift) + shift of the first + (x, y)
@@ -107,6 +118,11 @@ def without_sessions(calibration: Calibration) -> Calibration:
         parameter_names=tuple(calibration.parameter_names[k] for k in keep),
         covariance=None if covariance is None else covariance[np.ix_(keep, keep)],
     )
+
+
+def with_base(arm: Arm) -> Arm:
+    """The arm with a base offset, its own if it has one."""
+    return arm if any(spec.name == "base_offset" for spec in arm.effects) else standing(arm)
 
 
 def standing(arm: Arm) -> Arm:

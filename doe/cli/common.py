@@ -79,6 +79,21 @@ def read_measurements(path: Path, arm: Arm) -> Measurements:
     return measurements
 
 
+def read_sessions(paths: tuple[Path, ...], arm: Arm) -> Measurements:
+    """The measurements of an arm from one file or several, each of which is a session of its file's name."""
+    if len(paths) == 1:
+        return read_measurements(paths[0], arm)
+    from identification.sessions import pooled
+
+    real = [os.path.realpath(path) for path in paths]
+    for path, there in zip(paths, real, strict=True):
+        if real.count(there) > 1:
+            raise InputError(f"{path}: is given {real.count(there)} times, allowed: each session once")
+    stems = [path.stem for path in paths]
+    names = [stem if stems.count(stem) == 1 else str(path) for path, stem in zip(paths, stems, strict=True)]
+    return pooled({name: read_measurements(path, arm) for name, path in zip(names, paths, strict=True)})
+
+
 def verb(example: str, summary: str) -> Callable[[Callable[..., Answer]], click.Command]:
     """Turn `function(session, **options) -> Answer` into a click command of its module's name.
 

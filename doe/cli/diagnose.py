@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.common import Answer, Session, read_measurements, verb
+from doe.cli.common import Answer, Session, read_measurements, read_sessions, verb
 from doe.cli.options import FILE, FileOrShare, Output, output_options
 from identification.errors import InputError
 
@@ -25,7 +25,7 @@ HOLDOUT = FileOrShare(path_type=Path)
     "Find and name the effect that the model lacks.",
 )
 @click.argument("arm", type=FILE)
-@click.argument("data", type=FILE)
+@click.argument("data", type=FILE, nargs=-1, required=True)
 @click.option(
     "--holdout",
     type=HOLDOUT,
@@ -38,13 +38,17 @@ HOLDOUT = FileOrShare(path_type=Path)
 def command(
     session: Session,
     arm: Path,
-    data: Path,
+    data: tuple[Path, ...],
     holdout: Path | float | None,
     draws: int,
     report: Path | None,
     output: Output,
 ) -> Answer:
-    """Find where model and measurements disagree, name the missing effect, and show the gap shrink."""
+    """Find where model and measurements disagree, name the missing effect, and show the gap shrink.
+
+    Several files DATA are sessions of one arm, as are the rows that a column session tells apart: each gets a base of
+    its own, and each named effect is compared between them.
+    """
     from doe.report.gap_page import diagnosis_tables
     from identification.files.arm import load_arm
     from identification.gap.diagnose import diagnose
@@ -66,13 +70,15 @@ def command(
     return answer
 
 
-def parts(data: Path, holdout: Path | float | None, arm: Arm, seed: int) -> tuple[Measurements, Measurements | None]:
+def parts(
+    data: tuple[Path, ...], holdout: Path | float | None, arm: Arm, seed: int
+) -> tuple[Measurements, Measurements | None]:
     """What is diagnosed, and what is held out."""
     import numpy as np
 
     from identification.gap.holdout import split
 
-    measurements = read_measurements(data, arm)
+    measurements = read_sessions(data, arm)
     if isinstance(holdout, float):
         return split(measurements, holdout, np.random.default_rng(seed))
     return measurements, None if holdout is None else read_measurements(holdout, arm)
@@ -88,7 +94,7 @@ def write(found: Diagnosis, arm: Path, output: Output, report: Path | None) -> l
     if output.out is not None and found.confirmed is False and not output.force:
         warnings.warn(f"{output.out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
     elif output.out is not None:
-        extended = with_effects(read_text(arm), found.named.specs)
+        extended = with_effects(read_text(arm), (*found.arm.effects, *found.named.specs))
         files[output.out] = with_calibration(extended, found.calibration)
     if report is not None:
         files[report] = gap_page(found)

@@ -34,17 +34,21 @@ def command(
     sigma: Literal["given", "estimated"] | None,
     output: Output,
 ) -> Answer:
-    """Estimate the arm's parameters from measurements, with 95 % intervals."""
+    """Estimate the arm's parameters from measurements, with 95 % intervals.
+
+    Where a column session tells sessions apart, each gets a base of its own; the file has that of the first.
+    """
     from doe.report.identification_tables import identification_tables
     from identification.estimation import estimate
     from identification.files.arm import load_arm
-    from identification.files.arm_text import with_calibration
+    from identification.files.arm_text import with_calibration, with_effects
     from identification.files.io import read_text
     from identification.model import Model
+    from identification.sessions import with_base, with_sessions, without_sessions
 
     loaded = load_arm(arm)
     measurements = read_measurements(data, loaded)
-    found = estimate(Model(loaded), measurements, method=method, sigma=sigma)
+    found = estimate(Model(with_sessions(loaded, measurements)), measurements, method=method, sigma=sigma)
     for sentence in found.warnings:
         warnings.warn(sentence, UserWarning, stacklevel=2)
     shown, failed = identification_tables(found), bool(found.not_identifiable)
@@ -52,7 +56,8 @@ def command(
         shown.append(f"{output.out} was not written: {reason}")
         failed = True
     elif output.out is not None:
-        shown += output.write(with_calibration(read_text(arm), found.calibration()), "calibrated arm")
+        text = read_text(arm) if found.model.arm is loaded else with_effects(read_text(arm), with_base(loaded).effects)
+        shown += output.write(with_calibration(text, without_sessions(found.calibration())), "calibrated arm")
     return Answer(found.to_json(), shown, exit_code=1 if failed else 0)
 
 

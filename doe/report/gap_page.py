@@ -109,7 +109,20 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
         shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
     if diagnosis.confirmation is not None:
         shown.append(Text(str(diagnosis.confirmation)))
+    if diagnosis.replication:
+        shown.append(as_table(replication_sheet(diagnosis), "Sessions"))
     return [*shown, *(Text(f"note: {note}") for note in diagnosis.notes)]
+
+
+def replication_sheet(diagnosis: Diagnosis) -> Sheet:
+    """Each named effect in each session, and whether the values of the other sessions hold there."""
+    words = {True: "yes", False: "no", None: "open"}
+    rows = [
+        [effect.effect, there.session, effect.figures(there), f"{100.0 * there.explained:.1f} %", words[there.returns]]
+        for effect in diagnosis.replication
+        for there in effect.sessions
+    ]
+    return Sheet(("effect", "session", "fitted there", "explained by the others' values", "replicates"), rows)
 
 
 def as_table(sheet: Sheet, title: str | None = None) -> Table:
@@ -131,6 +144,7 @@ def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
             "Every explanation within 6 BIC units of the best one; a single row means a single explanation.",
             [*candidates, probability_sheet(diagnosis), trial_sheet(diagnosis)],
         ),
+        *sessions_section(diagnosis),
         Section(
             "The gap",
             gap_text(diagnosis),
@@ -150,6 +164,16 @@ def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
             [alias_figure(diagnosis.detectability)],
         ),
     ]
+
+
+def sessions_section(diagnosis: Diagnosis) -> list[Section]:
+    """What each named effect is in each session, where there are several."""
+    lead = (
+        "Every session has a base of its own, everything else is shared. Fitted there: the effect's values from this "
+        "session alone. Explained: the share of the session's squares that the values of the other sessions explain, "
+        "with only the base of this one adapted. An effect replicates where that is more than chance."
+    )
+    return [Section("Across sessions", lead, [replication_sheet(diagnosis)])] if diagnosis.replication else []
 
 
 def gap_page(diagnosis: Diagnosis) -> str:

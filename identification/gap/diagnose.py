@@ -22,7 +22,8 @@ from identification.gap.notes import alias_list, hidden_orders, notes, order_not
 from identification.gap.order_range import order_ranges
 from identification.gap.probabilities import probabilities
 from identification.gap.repeats import noise_floor, repeat_finding
-from identification.gap.result import Diagnosis, Residuals
+from identification.gap.replication import replications
+from identification.gap.result import Candidate, Diagnosis, Residuals
 from identification.gap.search import LEVEL_FACTOR, HypothesisSearch
 from identification.gap.selection import ALPHA_NEXT
 from identification.gap.whitening import Rows
@@ -30,6 +31,7 @@ from identification.gap.workflow import Findings, investigate
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.progress import Progress, silent
+from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
 
 STEPS = 8  # of the progress bar
 # the strictest level must be within reach: p >= 1 / (draws + 1) (identification/README.md, "Constants")
@@ -47,6 +49,7 @@ def diagnose(
     """Whether model and measurements disagree, which effect is missing, and whether adding it closes the gap.
 
     arm : effects in it are part of the base model, everything they do not fix is estimated again
+    measurements : of one session, or of several that their column `session` names, each with a base of its own
     holdout : measurements of the same arm that are used for nothing but the confirmation
     seed : of the bootstrap; the same seed gives the same diagnosis
     draws : bootstrap draws, at least 399
@@ -57,6 +60,8 @@ def diagnose(
     if draws < FEWEST_DRAWS:
         raise InputError(f"draws: {draws}, allowed: at least {FEWEST_DRAWS}, or no effect can pass the strictest test")
     check_input(arm, measurements, holdout)
+    holdout = None if holdout is None else of_these_sessions(holdout, measurements)
+    given, arm = arm, with_sessions(arm, measurements)
     rows = Rows.of(measurements)
     library = hypotheses(arm, varying(measurements), rows)
     first = HypothesisSearch(library, rows).fit(())
@@ -69,7 +74,17 @@ def diagnose(
     progress(6, STEPS, "assessing the plan, the sizes excluded, and the held-out data")
     result = diagnosis_of(arm, measurements, holdout, found, draws, generator)
     progress(STEPS, STEPS, result.sentence)
-    return result
+    return result if arm is given else of_first_session(result, given)
+
+
+def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:
+    """A diagnosis of several sessions without the bases of the later ones: the arm stands as in the first."""
+
+    def single(found: Candidate) -> Candidate:
+        return replace(found, calibration=without_sessions(found.calibration))
+
+    candidates = tuple(map(single, result.candidates))
+    return replace(result, arm=with_base(arm), candidates=candidates, named=single(result.named))
 
 
 def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | None) -> None:
@@ -129,6 +144,7 @@ def diagnosis_of(
         sigma=fitted.sigma,
         shapes=order_ranges(fitted, found.search.rows, named.effects),
         probabilities=likely,
+        replication=replications(fitted, found.search.rows, measurements, kept, named.effects),
         misfit=misfit(residuals.after, after.rank, measurements, arm.sigma, kept),
         confirmation=None if holdout is None or there is None else confirmation_of(measurements, holdout, there),
         warnings=fit_doubts(arm, measurements, after, residuals.after[kept]),

@@ -17,6 +17,7 @@ from identification.gap.misfit import Misfit
 from identification.gap.noise import Finding
 from identification.gap.order_range import OrderRange, in_words
 from identification.gap.probabilities import Probabilities
+from identification.gap.replication import Replication, said
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,7 @@ class Diagnosis:
 
     verdict : `none`, `named`, `ambiguous` or `unknown`;  where : place of an unknown effect, with the shape seen there
     shapes : named waves that the range of their joint cannot tell from their neighbors
+    replication : of several sessions, what each named effect is in each
     warnings : what is doubtful about the fit, to be read before the verdict is believed
     trials : every effect against the base model;  detectability : what the plan could show
     misfit : what is left against the sigma given, None without one;  confirmation : by held-out rows, None without
@@ -165,6 +167,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     shapes: tuple[OrderRange, ...] = ()
+    replication: tuple[Replication, ...] = ()
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -195,7 +198,7 @@ class Diagnosis:
             beside=beside,
         )
         first = "not confirmed: " if self.confirmed is False else ""
-        return "; ".join((first + verdict + self._unexplained, *in_words(self.shapes)))
+        return "; ".join((first + verdict + self._unexplained, *said(self.replication), *in_words(self.shapes)))
 
     @property
     def probability(self) -> dict[str, float]:
@@ -271,6 +274,7 @@ class Diagnosis:
             "where": self.where,
             "shape": self.shape,
             "shapes": [shape.to_json() for shape in self.shapes],
+            "replication": [effect.to_json() for effect in self.replication],
             "scatter": [{"finding": f.name, "p": f.p, "size": f.size} for f in self.scatter],
             "outlier_rows": list(self.outlier_rows),
             "excluded": {name: vars(size) for name, size in self.excluded.items()},
@@ -294,6 +298,7 @@ class Diagnosis:
             lines += [f"    {label}: {', '.join(map(str, found))}" for label, found in c.estimates.items()]
             lines.append(f"    95 % intervals: {c.reliance}")
         lines.append(f"  {self.likely}")
+        lines += [f"  {effect}" for effect in self.replication]
         lines += [f"  scatter: {f}" for f in self.scatter]
         if self.outlier_rows:
             lines.append(f"  left out as outliers: rows {', '.join(map(str, self.outlier_rows))}")

@@ -43,7 +43,8 @@ class Rows:
     def of(cls, measurements: Measurements) -> Rows:
         """The rows of a data set; a sigma per row becomes a relative weight."""
         m = len(measurements)
-        order = np.arange(m, dtype=float) if measurements.order is None else measurements.order
+        order = np.empty(m)
+        order[measurements.sequence] = np.arange(m)  # one session after another
         spread, sigma = None, None
         if measurements.sigma is not None:
             sigma = float(np.exp(np.mean(np.log(measurements.sigma))))

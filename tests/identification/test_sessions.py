@@ -12,7 +12,7 @@ from identification.errors import InputError
 from identification.estimation import estimate
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
-from identification.sessions import pooled, with_sessions, without_sessions
+from identification.sessions import of_these_sessions, pooled, with_sessions, without_sessions
 
 LENGTHS = np.array([300.0, 200.0, 150.0])
 ERRORS, OFFSETS = np.array([1.0, -0.5, 0.3]), np.radians([0.4, -0.6, 0.2])
@@ -60,6 +60,26 @@ def test_one_session_changes_nothing() -> None:
     arm = Arm(LENGTHS)
     assert with_sessions(arm, session(0)) is arm
     assert with_sessions(arm, pooled({"only": session(0)})) is arm
+
+
+def test_a_known_base_stays_known() -> None:
+    """Where the arm file says where the base stands, that holds in the first session."""
+    shift = BASES[0][1]
+    arm = Arm(LENGTHS, effects=(EffectSpec("base_offset", values={"x0": shift.real, "y0": shift.imag}),))
+    data = pooled({"a": session(0), "b": session(1)})
+    found = estimate(Model(with_sessions(arm, data)), data)
+    assert found.rms_after < 1e-8
+    assert "base_offset.x0" not in found.names
+
+
+def test_a_hold_out_has_the_sessions_of_the_data() -> None:
+    data = pooled({"a": session(0), "b": session(1)})
+    later = replace(session(1, 5), session=np.full(5, "b"))
+    np.testing.assert_array_equal(of_these_sessions(later, data).conditions.session, 1.0)
+    for other, found in ((session(1), "no column session"), (replace(later, session=np.full(5, "c")), "session 'c'")):
+        with pytest.raises(InputError, match=f"holdout: found {found}, allowed: a, b, as in the data"):
+            of_these_sessions(replace(other, session_names=()), data)
+    assert of_these_sessions(later, session(0)).session is None
 
 
 def test_some_rows_keep_the_number_of_their_session() -> None:
