@@ -31,7 +31,7 @@ def candidate(
 ) -> Candidate:
     """A set of effects with its estimates;  delta : its BIC less the lowest."""
     found = search.fit(chosen)
-    covariance, sure = found.covariance(bounded=False), certainty(search, found)
+    sure = certainty(search, found)
     added = len(found.model.effects) - len(chosen)  # the arm's own come first
     effects, specs = found.model.effects[added:], found.model.arm.effects[-len(chosen) :] if chosen else ()
     origin = {"source": "armcal diagnose", "joint_range_deg": joint_range(search.rows.postures)}
@@ -42,9 +42,10 @@ def candidate(
         delta,
         *trial_of(search, chosen, draws, generator),
         estimates(found, sure, {p.name for effect in effects for p in effect.parameters}),
-        Calibration(found.by_name, found.model.names, covariance, MappingProxyType(origin)),
+        Calibration(found.by_name, found.model.names, sure.covariance, MappingProxyType(origin)),
         intervals=sure.kind,
         reliance=sure.sentence,
+        freedom=tuple(sure.freedom.tolist()),
     )
 
 

@@ -50,6 +50,7 @@ class Candidate:
     parameters : estimates of the effects' parameters;  calibration : everything estimated, with its covariance
     probability : that these effects are missing and no others; None where it was not computed
     intervals, reliance : what the 95 % intervals rely on, as in `estimation.uncertainty`, and in words
+    freedom : degrees of freedom of each variance in the calibration's covariance; empty: those of the residuals
     """
 
     effects: tuple[str, ...]
@@ -63,6 +64,7 @@ class Candidate:
     probability: float | None = None
     intervals: str = "scatter"
     reliance: str = "from the scatter of the residuals"
+    freedom: tuple[float, ...] = ()
 
     @property
     def title(self) -> str:

@@ -168,7 +168,7 @@ def _intervals(found: Diagnosis) -> Row:
     parameters = Model(found.extended_arm()).parameters
     fitted = found.named.calibration
     assert fitted.covariance is not None  # a diagnosis has one
-    half = quantile_95(found.detectability.freedom) * np.sqrt(np.diag(fitted.covariance))
+    half = quantile_95(found.named.freedom) * np.sqrt(np.diag(fitted.covariance))
     limits = {
         name: (fitted.values[name] - h, fitted.values[name] + h)
         for name, h in zip(fitted.parameter_names, half, strict=True)

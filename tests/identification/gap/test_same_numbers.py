@@ -33,8 +33,8 @@ def compared(found: Diagnosis, other: Identification, auto: Identification) -> N
     assert calibration.parameter_names == other.names
     values = other.model.parameters.vector(dict(calibration.values))
     np.testing.assert_allclose((values - other.parameters) / other.std, 0.0, atol=DEVIATIONS)
-    correlations = other.covariance / np.outer(other.std, other.std)
-    np.testing.assert_allclose(calibration.covariance / np.outer(other.std, other.std), correlations, atol=1e-7)
+    correlations = auto.covariance / np.outer(auto.std, auto.std)
+    np.testing.assert_allclose(calibration.covariance / np.outer(auto.std, auto.std), correlations, atol=1e-7)
     assert found.sigma == pytest.approx(other.sigma, **SAME)
     assert found.gap.rms_after == pytest.approx(other.rms_after, **SAME)
     np.testing.assert_allclose(found.residuals.after, other.residuals_after, rtol=0, atol=DEVIATIONS)
