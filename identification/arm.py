@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
+from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint, chain_parameters, of_effects
 
@@ -74,11 +75,13 @@ class EffectSpec(ByValue):
     """An effect that is part of the arm's model. `values` are known and stay fixed; the others are estimated.
 
     An arm may have several of one name at one joint if their settings differ (gear ripples of k = 20 and k = 29).
+    curve : the function that a `joint_error_curve` adds
     """
 
     name: str
     joint: int | None = None  # from 1
     values: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))  # parameter -> value, API units
+    curve: ErrorCurve | None = None
 
     @property
     def key(self) -> str:

@@ -162,7 +162,8 @@ class Model:
             return None
         offset = len(base) == 2
         indices = np.array(chain + base if offset else chain)
-        exact = not self.fixed and len(indices) == len(self.names)
+        curves = any(effect.tabulated for effect in self.effects)
+        exact = not self.fixed and not curves and len(indices) == len(self.names)
         return PlanarClosedForm(self.arm.lengths, offset, indices, exact)
 
     # -- symbols ---------------------------------------------------------------------------------------------------

@@ -34,6 +34,7 @@ HOLDOUT = FileOrShare(path_type=Path)
 )
 @click.option("--draws", type=click.IntRange(min=399), default=999, show_default=True, help="Bootstrap draws.")
 @click.option("--report", type=FILE, metavar="FILE", help="Write an HTML page with pictures.")
+@click.option("--curves", type=FILE, metavar="FILE", help="Write the error curves of joints as a table (CSV).")
 @output_options(out="Write the arm file extended by the named effect; --force also where it is not confirmed.")
 def command(
     session: Session,
@@ -42,6 +43,7 @@ def command(
     holdout: Path | float | None,
     draws: int,
     report: Path | None,
+    curves: Path | None,
     output: Output,
 ) -> Answer:
     """Find where model and measurements disagree, name the missing effect, and show the gap shrink.
@@ -63,7 +65,7 @@ def command(
     if found.confirmed is False:
         warnings.warn(f"not confirmed: {found.confirmation}", UserWarning, stacklevel=2)
     try:
-        answer.shown += write(found, arm, output, report)
+        answer.shown += write(found, arm, output, report, curves)
     except InputError as error:  # the diagnosis is shown all the same
         click.echo(f"armcal: {error}", err=True)
         answer.exit_code = error.exit_code
@@ -84,11 +86,12 @@ def parts(
     return measurements, None if holdout is None else read_measurements(holdout, arm)
 
 
-def write(found: Diagnosis, arm: Path, output: Output, report: Path | None) -> list[str]:
+def write(found: Diagnosis, arm: Path, output: Output, report: Path | None, curves: Path | None) -> list[str]:
     """Writes the files that are asked for, all or none; the lines that say so."""
     from doe.report.gap_page import gap_page
     from identification.files.arm_text import with_calibration, with_effects
     from identification.files.io import PathLike, read_text, write_together
+    from identification.gap.curve import curves_text
 
     files: dict[PathLike, str | bytes] = {}
     if output.out is not None and found.confirmed is False and not output.force:
@@ -96,6 +99,8 @@ def write(found: Diagnosis, arm: Path, output: Output, report: Path | None) -> l
     elif output.out is not None:
         extended = with_effects(read_text(arm), (*found.arm.effects, *found.named.specs))
         files[output.out] = with_calibration(extended, found.calibration)
+    if curves is not None:
+        files[curves] = curves_text(found.curves)
     if report is not None:
         files[report] = gap_page(found)
     write_together(files, force=output.force)

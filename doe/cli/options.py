@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 FILE, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path)  # `check_outputs` looks at files only
-OUTPUTS = frozenset({"out", "picture", "aliases", "report"})  # options that write a file; every other one is read
+# options that write a file; every other one is read
+OUTPUTS = frozenset({"out", "picture", "aliases", "report", "curves"})
 
 
 class Seconds(click.FloatRange):

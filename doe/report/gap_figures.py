@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from textwrap import fill
+
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from doe.report.pictures import AFTER, BEFORE, draw_residual_arrows
+from doe.report.pictures import AFTER, BEFORE, LIMIT, draw_residual_arrows
 from identification.arrays import Array
 from identification.gap.detectability import Detectability
 from identification.gap.result import Diagnosis
+from identification.model import Model
 
 COLUMNS = 3
 BINS = 12
+GROUPS = 200  # of rows, along an error curve
 MANY = 500  # rows from which points are drawn smaller, and as pixels in vector formats
 
 
@@ -78,3 +82,36 @@ def alias_figure(detectability: Detectability) -> Figure:
     axis.set_title("likeness of effects on these postures: 1 = indistinguishable", fontsize=9)
     figure.colorbar(image, ax=axis, shrink=0.7)
     return figure
+
+
+def curves_figure(diagnosis: Diagnosis) -> Figure:
+    """Error curves with 95 % bands, and residuals that the curve explains, as angles: their mean in groups of rows."""
+    figure = Figure(figsize=(10.0, 2.6 * len(diagnosis.curves)), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(len(diagnosis.curves), 1))
+    seen = curve_residuals(diagnosis)
+    for axis, curve in zip(axes, diagnosis.curves, strict=True):
+        angles, error, band = np.degrees([curve.angles, curve.error, 1.96 * curve.std])
+        axis.plot(*seen[curve.key], ".", color=LIMIT, ms=3, label="rows, in groups")
+        axis.fill_between(angles, error - band, error + band, color=AFTER, alpha=0.25, lw=0, label="95 %")
+        axis.plot(angles, error, color=AFTER, lw=1.4, label="curve")
+        axis.set(xlabel=f"$q_{curve.joint}$ [deg]", ylabel="error [deg]")
+        axis.set_title(fill(curve.shape, 120), fontsize=8)
+    axes[0].legend(frameon=False, fontsize=8)
+    return figure
+
+
+def curve_residuals(diagnosis: Diagnosis) -> dict[str, tuple[Array, Array]]:
+    """Curve -> angles and errors [deg] of groups of rows: what they leave along the lever arm beside the curve."""
+    model, kept = Model(diagnosis.arm), rows_kept(diagnosis)
+    angles = [diagnosis.residuals.against[f"joint {j + 1} [rad]"] for j in range(model.joints)]
+    postures, after = np.column_stack(angles)[kept], diagnosis.residuals.after[kept]
+    levers = model.joint_levers(postures)
+    found = {}
+    for curve in diagnosis.curves:
+        q, lever = postures[:, curve.joint - 1], levers[:, :, curve.joint - 1]
+        weight = np.sum(lever**2, axis=1)
+        along = np.sum(lever * after, axis=1) + weight * curve.table.at(q)
+        groups = np.array_split(np.argsort(q, kind="stable"), min(GROUPS, max(1, len(q) // 2)))
+        middle = [float(np.mean(q[g])) for g in groups]
+        found[curve.key] = np.degrees(middle), np.degrees([float(along[g].sum() / weight[g].sum()) for g in groups])
+    return found

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from doe.report.gap_figures import against_figure, alias_figure, workspace_figure
+from doe.report.gap_figures import against_figure, alias_figure, curves_figure, workspace_figure
 from doe.report.page import Section, Sheet, page
 from doe.report.terminal import number, table
 from identification.gap.result import Candidate, Diagnosis, Estimate
@@ -96,6 +97,21 @@ def alias_sheet(diagnosis: Diagnosis) -> Sheet:
     return Sheet(["effect", "looks like", "likeness"], [[a, b, f"{c:.3f}"] for a, b, c in diagnosis.aliases])
 
 
+def curve_sheet(diagnosis: Diagnosis) -> Sheet:
+    """The error curves: over which angles, how large, how sure, and what they look like."""
+    rows = [
+        [
+            curve.key,
+            f"{np.degrees(curve.angles[0]):.0f} to {np.degrees(curve.angles[-1]):.0f}",
+            f"{np.degrees(np.sqrt(np.mean(curve.error**2))):.2g}",
+            f"{np.degrees(np.sqrt(np.mean(curve.std**2))):.2g}",
+            curve.shape,
+        ]
+        for curve in diagnosis.curves
+    ]
+    return Sheet(["curve", "angles [deg]", "RMS [deg]", "standard deviation [deg]", "shape"], rows)
+
+
 def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     """Verdict first, then candidates, gap, and what else a person should know."""
     effects = candidate_sheet(diagnosis) if diagnosis.effects else excluded_sheet(diagnosis)
@@ -104,6 +120,8 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     shown.append(Text(diagnosis.likely))
     if diagnosis.effects:
         shown.append(Text(f"95 % intervals: {diagnosis.named.reliance}"))
+    if diagnosis.curves:
+        shown.append(as_table(curve_sheet(diagnosis)))
     shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
     if diagnosis.outlier_rows:
         shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
@@ -130,6 +148,17 @@ def as_table(sheet: Sheet, title: str | None = None) -> Table:
     return table(sheet.headings, sheet.rows, title, left=sheet.headings[:1])
 
 
+def curve_sections(diagnosis: Diagnosis) -> list[Section]:
+    """The part about error curves of joints, where there are any."""
+    if not diagnosis.curves:
+        return []
+    text = (
+        "Real less commanded angle over the angles measured, with a 95 % band; zero outside. Dots: what groups of rows "
+        "say, with everything else in the model."
+    )
+    return [Section("Error curves of joints", text, [curve_sheet(diagnosis)], [curves_figure(diagnosis)])]
+
+
 def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
     """The parts of the page that show a diagnosis."""
     notes = ["Sizes of effects that would have been found, and effects that are hard to distinguish."]
@@ -151,6 +180,7 @@ def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
             [gap_sheet(diagnosis)],
             [workspace_figure(diagnosis)],
         ),
+        *curve_sections(diagnosis),
         Section(
             "Residuals before and after",
             "Points: rows. Lines: RMS in groups of rows. What is explained is flat after, at the noise floor.",

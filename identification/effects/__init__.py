@@ -16,7 +16,7 @@ import numpy as np
 
 from identification.arm import EffectSpec
 from identification.arrays import Array
-from identification.effects import aliases, instrument, joint, link, mounting, noise, rare  # noqa: F401  (they register themselves)
+from identification.effects import aliases, curve, instrument, joint, link, mounting, noise, rare  # noqa: F401  (they register themselves)
 from identification.effects.base import _LIBRARY, Effect, register
 from identification.effects.chain import Chain
 from identification.effects.places import measured_position
@@ -80,6 +80,10 @@ def build(spec: EffectSpec, links: int, lengths: Array | None = None, tagged: bo
     _check_joint(cls, spec, links)
     chosen = {name: _check_setting(cls, name, spec) for name in cls.settings}
     effect = cls(np.ones(links) if lengths is None else lengths, spec.joint, chosen, tagged)
+    if cls.tabulated != (spec.curve is not None):
+        found = "has no table of values" if cls.tabulated else "has a table of values"
+        raise InputError(f"effects: {spec.key} {found}, allowed: one for joint_error_curve, none for others")
+    effect.curve = spec.curve
     allowed = {p.short for p in effect.parameters} | set(cls.settings)
     for short in spec.values:
         if short not in allowed:

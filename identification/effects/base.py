@@ -20,6 +20,7 @@ from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.effects.chain import Chain
 from identification.effects.settings import Setting
+from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.kinematics.parameters import Parameter
 
@@ -38,6 +39,7 @@ class Effect:
     alias : why no measurement of the tip can tell this effect from the base parameters, or None
     nuisance : True for what is no fault of the arm, which `diagnose` does not look for
     scatter : True for an effect on the noise, which the model of the mean ignores (`identification.effects.noise`)
+    tabulated : True for an effect that is a table of values (`EffectSpec.curve`) and has no parameters
 
     tagged : whether the names say the settings, `transmission_ripple:1[k=20].a`: where an arm has another such effect
         at the same joint (`build_all` knows)
@@ -55,6 +57,8 @@ class Effect:
     alias: ClassVar[str | None] = None
     nuisance: ClassVar[bool] = False
     scatter: ClassVar[bool] = False
+    tabulated: ClassVar[bool] = False
+    curve: ErrorCurve | None = None
 
     def __init__(
         self, lengths: Array, joint: int | None = None, chosen: Mapping[str, Any] | None = None, tagged: bool = False

@@ -22,6 +22,7 @@ from identification.arm import (
     WorkspaceBox,
 )
 from identification.arrays import readonly
+from identification.error_curve import ErrorCurve
 from identification.errors import InputError, nearest
 from identification.files.arm_schema import (
     ArmFile,
@@ -37,6 +38,8 @@ from identification.kinematics.parameters import Parameter, chain_parameters
 
 if TYPE_CHECKING:
     from identification.effects import Effect
+
+CURVE, CURVE_KEYS = "joint_error_curve", ("from_deg", "to_deg", "values_deg")
 
 
 def load_arm(path: PathLike) -> Arm:
@@ -121,8 +124,9 @@ def _spec(table: EffectTable, place: str, links: int) -> EffectSpec:
     from identification.effects import build, library
 
     settings = getattr(library().get(table.name), "settings", {})
+    curve = _curve(table, place)
     chosen = {key: value for key, value in table.own.items() if key in settings}
-    effect = build(EffectSpec(table.name, table.joint, MappingProxyType(chosen)), links)
+    effect = build(EffectSpec(table.name, table.joint, MappingProxyType(chosen), curve), links)
     parameters = {p.toml_key: p for p in effect.parameters}
     values = dict(chosen)
     for key, value in table.own.items():
@@ -134,7 +138,23 @@ def _spec(table: EffectTable, place: str, links: int) -> EffectSpec:
         parameter = parameters[key]
         values[parameter.short] = value / parameter.to_file
         _require_bounds(f"{place}.{key}", value, parameter)
-    return EffectSpec(table.name, table.joint, MappingProxyType(values))
+    return EffectSpec(table.name, table.joint, MappingProxyType(values), curve)
+
+
+def _curve(table: EffectTable, place: str) -> ErrorCurve | None:
+    """The table of values of a `joint_error_curve`; raises `InputError` for one of another effect, or a part of one."""
+    given = {key: getattr(table, key) for key in CURVE_KEYS}
+    for key, value in given.items():
+        if value is not None and table.name != CURVE:
+            raise InputError(f"{place}.{key}: unknown key of {table.name}, allowed: for {CURVE} only")
+        if value is None and table.name == CURVE:
+            raise InputError(f"{place}.{key}: is missing, allowed: as `armcal diagnose --out` writes it")
+    if table.from_deg is None or table.to_deg is None or table.values_deg is None:
+        return None
+    try:
+        return ErrorCurve(math.radians(table.from_deg), math.radians(table.to_deg), np.radians(table.values_deg))
+    except InputError as error:
+        raise InputError(f"{place}.{error}") from None
 
 
 def _require_bounds(key: str, value: float, parameter: Parameter) -> None:

@@ -94,6 +94,9 @@ class EffectTable(BaseModel):
 
     name: str = Field(description="the name of an effect")
     joint: int | None = Field(None, description="the whole number of a joint, from 1")
+    from_deg: Angle | None = Field(None, description="the angle [deg] of the first of values_deg")
+    to_deg: Angle | None = Field(None, description="the angle [deg] of the last of values_deg")
+    values_deg: list[Angle] | None = Field(None, description="the values [deg] at equally spaced angles")
 
     @property
     def own(self) -> dict[str, float]:

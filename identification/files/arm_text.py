@@ -80,8 +80,9 @@ def _tidy(value: float) -> float:
     return float(f"{value:.15g}")
 
 
-def _degrees(radians: Any) -> list[float]:
-    return [_tidy(value) for value in np.degrees(radians)]
+def _degrees(radians: Any) -> Any:
+    """One angle, or a list of them."""
+    return _tidy(np.degrees(radians)) if np.ndim(radians) == 0 else [_tidy(value) for value in np.degrees(radians)]
 
 
 def _gravity_table(gravity: Gravity) -> Plain:
@@ -115,6 +116,12 @@ def _effect_table(spec: EffectSpec, effect: Effect) -> Plain:
             entry[parameters[short].toml_key] = _in_file(value, parameters[short].to_file)
         else:  # a setting
             entry[short] = int(value) if value == int(value) else float(value)
+    if (curve := spec.curve) is not None:
+        entry |= {
+            "from_deg": _degrees(curve.start),
+            "to_deg": _degrees(curve.stop),
+            "values_deg": _degrees(curve.values),
+        }
     return entry
 
 

@@ -13,6 +13,7 @@ from identification.errors import InputError
 from identification.estimation.estimate import check
 from identification.gap.candidates import candidate, candidate_list, trial_list
 from identification.gap.certainty import fit_doubts
+from identification.gap.curves import curve_candidate, find_curves
 from identification.gap.detectability import Detectability, assess, require_spare
 from identification.gap.fit import Fit, fit
 from identification.gap.holdout import check_holdout, check_same_arm, confirmation_of, gap_of, held_out
@@ -116,25 +117,31 @@ def diagnosis_of(
     chosen, kept = found.unknown.chosen, ~found.outlier
     fitted = found.search.fit(chosen)
     likely = probabilities(found)
-    candidates = tuple(replace(c, probability=likely.of(c.keys)) for c in candidate_list(found, draws, generator))
+    candidates = candidate_list(found, draws, generator)
     named = next((c for c in candidates if set(c.effects) == {h.label for h in chosen}), None)
     named = named or candidate(found.search, chosen, 0.0, draws, generator)
+    if (smooth := find_curves(found, measurements)) is not None:
+        fitted, found, chosen = smooth.fit, replace(found, scatter=smooth.scatter), smooth.kept
+        named = curve_candidate(smooth)
+        candidates, likely = (named,), likely.with_odds(named.keys, smooth.gain / 2.0)
+    candidates = tuple(replace(c, probability=likely.of(c.keys)) for c in candidates)
+    curves = smooth.curves if smooth else ()
     hidden = hidden_orders(found.search, {h.label: h for h in chosen})
-    detectable = assess_data(found)
+    detectable = assess_data(found, fitted.sigma)
     base = fit(Model(arm), Rows.of(measurements).pick(kept))  # as `identify` fits it
-    after = fitted if chosen else base
+    after = fitted if chosen or curves else base
     there = None if holdout is None else held_out(base, after, measurements, kept, holdout)
     residuals = show_residuals(arm, measurements, base, after)
     floor = noise_floor(residuals.after, measurements, kept, arm.sigma)
     gap = gap_of(residuals.before[kept], residuals.after[kept], there, floor)
     return Diagnosis(
         arm=arm,
-        verdict=verdict_of(found),
+        verdict="named" if curves and found.unknown.place is None else verdict_of(found),
         candidates=candidates,
         named=replace(named, probability=likely.of(named.keys)),
         aliases=(*hidden, *alias_list(detectable, candidates)),
         where=found.unknown.place,
-        shape=found.unknown.shape,
+        shape=next((c.shape for c in curves if found.unknown.place == f"joint:{c.joint}"), found.unknown.shape),
         scatter=(*found.scatter, *repeat_finding(residuals.after, after.rank, measurements, kept)),
         outlier_rows=tuple(int(k) + 1 for k in np.flatnonzero(found.outlier)),
         gap=gap,
@@ -148,6 +155,7 @@ def diagnosis_of(
         misfit=misfit(residuals.after, after.rank, measurements, arm.sigma, kept),
         confirmation=None if holdout is None or there is None else confirmation_of(measurements, holdout, there),
         warnings=fit_doubts(arm, measurements, after, residuals.after[kept]),
+        curves=curves,
         notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap)),
     )
 
@@ -161,12 +169,11 @@ def verdict_of(found: Findings) -> str:
     return "ambiguous" if len(found.selection.rivals) > 1 else "named"
 
 
-def assess_data(found: Findings) -> Detectability:
+def assess_data(found: Findings, sigma: float) -> Detectability:
     """What these data could show beside the base model, at the noise they really have."""
     search = found.search
     base = search.fit(())
     jacobian = base.model.jacobian(search.rows.postures, base.values, search.rows.conditions)
-    sigma = search.fit(found.unknown.chosen).sigma
     return assess(
         search.hypotheses, search.rows, jacobian, base.by_name, sigma, found.selection.first.omnibus_test.threshold
     )

@@ -100,6 +100,10 @@ class Fit:
         full[np.ix_(free, free)] = self.sigma**2 * self._spectrum(free).covariance
         return full
 
+    def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
+        """(m, d, q) what errors of the q estimates change in computed positions, and their (q, q) covariance."""
+        return self.model.jacobian(postures, self.values, conditions), self.covariance()
+
     def _spectrum(self, free: NDArray[np.bool_]) -> Spectrum:
         rows = self.triangle if self.prior_rows is None else np.concatenate([self.triangle, self.prior_rows])
         return spectrum(rows[:, free], self.model.scales[free])

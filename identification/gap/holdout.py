@@ -132,9 +132,9 @@ def parameter_part(found: Fit, rows: Measurements, there: Conditions) -> Mean:
     With G = mean of J_i^T J_i over the rows and C the covariance, the mean of |J_i e|^2 is e^T G e: its expectation is
     tr(G C), its variance 2 tr(G C G C).
     """
-    jacobian = found.model.jacobian(rows.postures, found.values, there)
-    tall = jacobian.reshape(-1, jacobian.shape[-1])
-    product = tall.T @ tall / len(rows) @ found.covariance()
+    columns, covariance = found.uncertain(rows.postures, there)
+    tall = columns.reshape(-1, columns.shape[-1])
+    product = tall.T @ tall / len(rows) @ covariance
     return Mean(float(np.trace(product)), 2.0 * float(np.trace(product @ product)), np.inf)
 
 

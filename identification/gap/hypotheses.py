@@ -174,6 +174,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
     available = {"time", "directions", "past"} | (given & {"temperature"})
     available |= set() if arm.gravity is None else {"gravity"}
     shown = {name: cls for name, cls in library().items() if not (cls.alias or cls.scatter or cls.nuisance)}
+    shown = {name: cls for name, cls in shown.items() if not cls.tabulated}
     own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths)}
     members: list[Hypothesis] = []
     skipped: dict[str, str] = {}

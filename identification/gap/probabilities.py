@@ -47,6 +47,12 @@ class Probabilities:
         names = tuple(sorted(keys))
         return self.sets.get(names, 0.0) if names else self.none
 
+    def with_odds(self, keys: Iterable[str], log_odds: float) -> Probabilities:
+        """One explanation more, with its log odds to all others together."""
+        rest = 1.0 / (1.0 + np.exp(min(log_odds, 700.0)))
+        sets = {names: float(rest * p) for names, p in self.sets.items()} | {tuple(sorted(keys)): float(1.0 - rest)}
+        return Probabilities(float(rest * self.none), sets, float(rest * self.outside))
+
     def beside(self, candidates: Iterable[Names]) -> dict[Names, float]:
         """Sets of effects that are no candidates but not unlikely, likeliest first."""
         known = {tuple(sorted(keys)) for keys in candidates}

@@ -11,6 +11,7 @@ from typing import Any
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.gap.confirmation import Confirmation
+from identification.gap.curve import Curve
 from identification.gap.detectability import Detectability, Size
 from identification.gap.holdout import Gap
 from identification.gap.misfit import Misfit
@@ -145,6 +146,7 @@ class Diagnosis:
     shapes : named waves that the range of their joint cannot tell from their neighbors
     replication : of several sessions, what each named effect is in each
     warnings : what is doubtful about the fit, to be read before the verdict is believed
+    curves : error curves of joints that are part of the best set
     trials : every effect against the base model;  detectability : what the plan could show
     misfit : what is left against the sigma given, None without one;  confirmation : by held-out rows, None without
     """
@@ -170,6 +172,7 @@ class Diagnosis:
     warnings: tuple[str, ...] = ()
     shapes: tuple[OrderRange, ...] = ()
     replication: tuple[Replication, ...] = ()
+    curves: tuple[Curve, ...] = ()
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -277,6 +280,7 @@ class Diagnosis:
             "shape": self.shape,
             "shapes": [shape.to_json() for shape in self.shapes],
             "replication": [effect.to_json() for effect in self.replication],
+            "curves": [curve.to_json() for curve in self.curves],
             "scatter": [{"finding": f.name, "p": f.p, "size": f.size} for f in self.scatter],
             "outlier_rows": list(self.outlier_rows),
             "excluded": {name: vars(size) for name, size in self.excluded.items()},

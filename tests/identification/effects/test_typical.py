@@ -14,7 +14,8 @@ from identification.kinematics.parameters import ParameterSet, chain_parameters
 
 TABLE = (Path(__file__).parents[3] / "identification" / "README.md").read_text().partition("### Typical sizes")[2]
 ROW = re.compile(r"^\| `(\w+)` \| ([`\w, .]+) \| ([\d.e-]+)\b", re.MULTILINE)
-OWN = {name: cls for name, cls in library().items() if cls.__module__.startswith("identification.effects")}
+SHIPPED = {name: cls for name, cls in library().items() if cls.__module__.startswith("identification.effects")}
+OWN = {name: cls for name, cls in SHIPPED.items() if not cls.tabulated}  # a table has no parameters
 
 
 def in_the_table() -> dict[tuple[str, str], float]:

@@ -111,12 +111,12 @@ def test_a_ripple_beside_one_that_is_in_the_arm() -> None:
     assert (found.verdict, found.effects) == ("named", ("transmission_ripple:2[k=29]",))
 
 
-def test_a_wave_of_no_whole_order_is_not_two_ripples() -> None:
+def test_a_wave_of_no_whole_order_is_a_curve_and_not_two_ripples() -> None:
     rng = np.random.default_rng(22)
     run = simulator.session(TRUTH, rng.uniform(-np.pi, np.pi, (120, 3)), rng)
     wave = ("free_ripple", 2, {"k": 20.5, "a": 6e-4, "b": 6e-4})
     found = diagnose(ARM, simulator.measure(replace(TRUTH, effects=[wave]), run, rng, "white"), draws=399)
-    assert (found.verdict, found.where, found.effects) == ("unknown", "joint:2", ())
+    assert (found.verdict, found.where, found.effects) == ("unknown", "joint:2", ("joint_error_curve:2",))
 
 
 def test_nothing_missing_gives_the_sizes_excluded() -> None:

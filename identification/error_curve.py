@@ -1,0 +1,74 @@
+"""A smooth function of one joint angle, by its values at equally spaced nodes: a cubic spline that ends at zero.
+
+It is a sum of cubic B-splines, one centered on each node (C. de Boor, "A Practical Guide to Splines", 1978). Beyond the
+first and the last node nothing is known: there the function goes smoothly to zero within two node spacings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from identification.arrays import Array, ByValue, readonly
+from identification.errors import InputError
+
+FEWEST = 4  # nodes
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorCurve(ByValue):
+    """start, stop : angle [rad] of the first and the last node;  values : (K,) of the function at the nodes [rad]"""
+
+    start: float
+    stop: float
+    values: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", readonly(self.values, -1))
+        if not -np.inf < self.start < self.stop < np.inf:
+            found = f"{np.degrees(self.start):g} to {np.degrees(self.stop):g}"
+            raise InputError(f"from_deg, to_deg: found {found}, allowed: finite angles, the lower one first")
+        if len(self.values) < FEWEST or not np.all(np.isfinite(self.values)):
+            found = f"{len(self.values)} values"
+            raise InputError(f"values_deg: found {found}, allowed: {FEWEST} or more finite numbers")
+
+    @property
+    def spacing(self) -> float:
+        """Angle from node to node [rad]."""
+        return (self.stop - self.start) / (len(self.values) - 1)
+
+    @cached_property
+    def coefficients(self) -> Array:
+        """(K,) of the B-splines: the values are (c_(k-1) + 4 c_k + c_(k+1)) / 6, with zeros beyond the ends."""
+        from scipy.linalg import solve_banded
+
+        count = len(self.values)
+        bands = np.repeat([[1.0 / 6.0], [4.0 / 6.0], [1.0 / 6.0]], count, axis=1)
+        return readonly(solve_banded((1, 1), bands, self.values))
+
+    def at(self, angles: ArrayLike) -> Array:
+        """The function at angles [rad] of any shape."""
+        q = np.asarray(angles, dtype=float)
+        place, parts = local_splines(q.ravel(), self.start, self.stop, len(self.values))
+        padded = np.pad(self.coefficients, 3)  # splines beyond the ends have no coefficient
+        return np.einsum("mk,mk->m", parts, padded[place + 3]).reshape(q.shape)
+
+
+def local_splines(angles: Array, start: float, stop: float, count: int) -> tuple[NDArray[np.int64], Array]:
+    """(m, 4) numbers of the splines that are not zero at angles (m,), and (m, 4) their values there.
+
+    Numbers from -3 to count + 2: those outside 0 to count - 1 do not exist; where all four do not, they are repeated.
+    """
+    x = np.clip((angles - start) * (count - 1) / (stop - start), -2.0, count + 1.0)
+    first = np.clip(np.floor(x).astype(int) - 1, -3, count - 1)
+    place = first[:, None] + np.arange(4)
+    return place, spline(x[:, None] - place)
+
+
+def spline(x: Array) -> Array:
+    """The cubic B-spline around 0 with nodes at whole numbers, zero beyond -2 and 2."""
+    t = np.abs(x)
+    return (np.maximum(2.0 - t, 0.0) ** 3 - 4.0 * np.maximum(1.0 - t, 0.0) ** 3) / 6.0

@@ -1,0 +1,199 @@
+"""Smooth functions of joint angles fitted beside a linear model, as smooth as the data say.
+
+The error of joint j is a cubic spline on equally spaced nodes. In the cosine transform of its coefficients a stationary
+prior is diagonal: with node spacing h the k-th of K cosines has the variance
+
+    v_k  ~  (t_k + w)^-2,      t_k = 2 - 2 cos(pi k / K),      w = 3 (h / length)^2,
+
+a Matern process of smoothness 3/2 (C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", 2006,
+section 4.2). Its size and correlation length are chosen by the marginal likelihood, where the scale of the noise and
+the parameters that are not penalized are integrated out (R. Christensen, W. Wecker, C. Ansley: restricted likelihood).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from identification.arrays import Array
+from identification.error_curve import ErrorCurve, local_splines
+
+# reasons: identification/README.md, "Constants"
+SPACING = np.radians(2.0)  # from node to node [rad]
+MOST_NODES = 720  # of all curves
+FEWEST_NODES = 8  # of one
+SMALLEST, LARGEST = 1e-3, 1e3  # size of a curve, in what makes as much of the residuals as the noise does
+ITERATIONS, FLAT = 100, 1e-9
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Splines of one joint (from 0) between the smallest and the largest angle measured [rad], as cosines."""
+
+    joint: int
+    start: float
+    stop: float
+    count: int
+
+    @classmethod
+    def of(cls, angles: Array, joint: int, spacing: float) -> Basis:
+        """For (m,) angles that are not all equal."""
+        low, high = float(angles.min()), float(angles.max())
+        return cls(joint, low, high, max(FEWEST_NODES, int(np.ceil((high - low) / spacing)) + 1))
+
+    @property
+    def spacing(self) -> float:
+        """h [rad]"""
+        return (self.stop - self.start) / (self.count - 1)
+
+    @cached_property
+    def cosines(self) -> Array:
+        """(K, K) orthonormal: coefficients of the splines from those of the cosines."""
+        k = np.arange(self.count)
+        table = np.cos(np.pi / self.count * np.outer(k + 0.5, k)) * np.sqrt(2.0 / self.count)
+        table[:, 0] /= np.sqrt(2.0)
+        return table
+
+    def at(self, angles: Array) -> Array:
+        """(m, K) functions at angles (m,)."""
+        place, parts = local_splines(angles, self.start, self.stop, self.count)
+        padded = np.zeros((self.count + 6, self.count))
+        padded[3:-3] = self.cosines
+        return np.einsum("mi,mik->mk", parts, padded[place + 3])
+
+    def variances(self, size: float, length: float) -> tuple[Array, Array]:
+        """(K,) prior variances whose mean is size^2, and their derivatives with respect to log length."""
+        t = 2.0 - 2.0 * np.cos(np.pi * np.arange(self.count) / self.count)
+        w = 3.0 * (self.spacing / length) ** 2
+        shape, slope = (t + w) ** -2.0, 4.0 * w * (t + w) ** -3.0
+        mean = shape.mean()
+        return size**2 * shape / mean, size**2 * (slope / mean - shape * slope.mean() / mean**2)
+
+    def curve(self, coefficients: Array) -> ErrorCurve:
+        """The function of (K,) coefficients of cosines."""
+        splines = np.pad(self.cosines @ coefficients, 1)
+        return ErrorCurve(self.start, self.stop, (splines[:-2] + 4.0 * splines[1:-1] + splines[2:]) / 6.0)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Penalized columns beside columns that are not, at given sizes and lengths of the priors.
+
+    cost : -2 log of the marginal likelihood, up to a constant of the data;  slope : its derivatives (2 curves)
+    coefficients : (K,) of all curves;  covariance : (K, K) of the posterior for noise of one, a part at a time
+    effective : number of coefficients that the data determine;  squares : penalized sum of squares
+    """
+
+    cost: float
+    slope: Array
+    coefficients: Array
+    covariance: Array
+    effective: float
+    squares: float
+
+
+@dataclass(frozen=True)
+class Penalized:
+    """Curves' columns (N, K) and a residual (N,), both projected off what is not penalized.
+
+    bases : of the curves, in the order of the columns;  freedom : N rows less the rank of what is not penalized (N
+    may be more than the number of rows here, which can be compressed)
+    """
+
+    bases: tuple[Basis, ...]
+    columns: Array
+    residual: Array
+    freedom: int
+
+    @cached_property
+    def gram(self) -> Array:
+        """(K, K)"""
+        return np.asarray(self.columns.T @ self.columns)
+
+    @cached_property
+    def right(self) -> Array:
+        """(K,)"""
+        return np.asarray(self.columns.T @ self.residual)
+
+    def evidence(self, logs: Array) -> Evidence:
+        """At log size and log length of each curve's prior [rad], sizes in units of the noise."""
+        found = [basis.variances(*np.exp(pair)) for basis, pair in zip(self.bases, logs.reshape(-1, 2), strict=True)]
+        variances = np.concatenate([v for v, _ in found])
+        solve = self._by_rows if len(self.residual) < len(variances) else self._by_columns
+        coefficients, covariance, determinant = solve(variances)
+        squares = float(self.residual @ self.residual - self.right @ coefficients)
+        cost = self.freedom * np.log(squares / self.freedom) + determinant
+        left = 1.0 - np.diag(covariance) / variances  # share of each coefficient that the data determine
+        pull = self.freedom / squares * coefficients**2 / variances
+        parts = np.split((left - pull) / variances, np.cumsum([b.count for b in self.bases])[:-1])
+        slope = [(2.0 * part @ v, part @ by_length) for part, (v, by_length) in zip(parts, found, strict=True)]
+        return Evidence(float(cost), np.ravel(slope), coefficients, covariance, float(left.sum()), squares)
+
+    def _by_columns(self, variances: Array) -> tuple[Array, Array, float]:
+        """Coefficients, posterior covariance, and log det of the prior over that of the posterior: K x K."""
+        root = np.sqrt(variances)
+        matrix = root[:, None] * self.gram * root + np.eye(len(root))
+        inverse, determinant = _inverse(matrix)
+        covariance = root[:, None] * inverse * root
+        return covariance @ self.right, covariance, determinant
+
+    def _by_rows(self, variances: Array) -> tuple[Array, Array, float]:
+        """The same by an N x N matrix (Woodbury's identity), for fewer rows than columns."""
+        spread = self.columns * variances
+        inverse, determinant = _inverse(spread @ self.columns.T + np.eye(len(spread)))
+        covariance = np.diag(variances) - spread.T @ inverse @ spread
+        return spread.T @ (inverse @ self.residual), covariance, determinant
+
+    def best(self, start: Array | None = None) -> tuple[Array, Evidence]:
+        """Logs of size and length of each prior at the maximum of the marginal likelihood, and what follows there."""
+        from scipy.optimize import minimize
+
+        def target(logs: Array) -> tuple[float, Array]:
+            found = self.evidence(logs)
+            return found.cost, found.slope
+
+        low, high = np.transpose(self._bounds)
+        first = np.clip(self.guess.ravel() if start is None else start, low, high)
+        options = {"maxiter": ITERATIONS, "ftol": FLAT}
+        logs = minimize(target, first, jac=True, method="L-BFGS-B", bounds=self._bounds, options=options).x
+        return logs, self.evidence(logs)
+
+    @property
+    def guess(self) -> Array:
+        """(curves, 2) where searches begin: as large as the noise, and three nodes long."""
+        lengths = [3.0 * basis.spacing for basis in self.bases]
+        return np.log(np.column_stack([self._units, lengths]))
+
+    @property
+    def _bounds(self) -> list[tuple[float, float]]:
+        pairs = []
+        for basis, one in zip(self.bases, self._units.tolist(), strict=True):
+            pairs += [(SMALLEST * one, LARGEST * one), (basis.spacing, 2.0 * np.pi)]
+        return [(float(np.log(low)), float(np.log(high))) for low, high in pairs]
+
+    @property
+    def _units(self) -> Array:
+        """(curves,) sizes that make as much of the residuals as the noise does."""
+        parts = np.split(np.diag(self.gram), np.cumsum([b.count for b in self.bases])[:-1])
+        return np.array([np.sqrt(self.freedom / part.sum()) for part in parts])
+
+
+def _inverse(matrix: Array) -> tuple[Array, float]:
+    """Inverse and log determinant of a symmetric positive definite matrix."""
+    from scipy.linalg import lapack
+
+    triangle, _ = lapack.dpotrf(matrix, lower=1)
+    inverse, _ = lapack.dpotri(triangle, lower=1)
+    lower = np.tril(inverse, -1)
+    return lower + lower.T + np.diag(np.diag(inverse)), float(2.0 * np.log(np.diag(triangle)).sum())
+
+
+def bases_of(postures: Array, joints: Sequence[int]) -> tuple[Basis, ...]:
+    """Of the joints (from 0) that move, on nodes `SPACING` apart, or wider for more than `MOST_NODES` of them."""
+    ranges = np.ptp(postures, axis=0)
+    moving = [j for j in joints if ranges[j] > 0.0]
+    spacing = max(SPACING, float(sum(ranges[j] for j in moving)) / MOST_NODES)
+    return tuple(Basis.of(postures[:, j], j, spacing) for j in moving)

@@ -1,0 +1,170 @@
+"""Error curves of joints, in the place of named functions of the same angle where they explain the data better."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.special import fdtrc
+
+from identification.arm import Calibration
+from identification.arrays import Array
+from identification.estimation.uncertainty import Uncertainty
+from identification.gap.candidates import estimates
+from identification.gap.curve import Curve
+from identification.gap.curve_choice import Explanation, Members, System, choose
+from identification.gap.curve_fit import Basis
+from identification.gap.fit import Fit, fit
+from identification.gap.noise import Finding
+from identification.gap.result import Candidate
+from identification.gap.selection import WINDOW
+from identification.gap.whitening import Rows
+from identification.gap.workflow import Findings
+from identification.measurements import Conditions, Measurements, joint_range
+from identification.model import Model
+
+TIDY = 7  # decimals of a value in degrees, in files
+
+
+@dataclass(frozen=True)
+class CurveFit(Fit):
+    """A fit whose model has error curves, estimated beside its parameters.
+
+    bases : of the curves;  spread : (K, K) posterior covariance of their coefficients for noise of one
+    response : (p, K) what a unit of each coefficient changes in the parameters
+    determined : number of coefficients that the data determine
+    """
+
+    bases: tuple[Basis, ...] = ()
+    spread: Array = None  # type: ignore[assignment]
+    response: Array = None  # type: ignore[assignment]
+    determined: float = 0.0
+
+    @property
+    def effective(self) -> float:
+        """Number of parameters and coefficients that the data determine."""
+        return self.rank + self.determined
+
+    def covariance(self, bounded: bool = True) -> Array:
+        """(p, p) of the estimates; the curves' uncertainty is part of it."""
+        free = self.free if bounded else np.ones(len(self.values), dtype=bool)
+        response = np.where(free[:, None], self.response, 0.0)
+        return super().covariance(bounded) + self.sigma**2 * response @ self.spread @ response.T
+
+    def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
+        """As of `Fit`, with the coefficients of the curves behind the parameters."""
+        jacobian = self.model.jacobian(postures, self.values, conditions)
+        levers = self.model.joint_levers(postures, self.values, conditions)
+        columns = [levers[:, :, b.joint, None] * b.at(postures[:, b.joint])[:, None, :] for b in self.bases]
+        moved = np.concatenate(columns, axis=2) + jacobian @ self.response
+        covariance = block_diag(super().covariance(), self.sigma**2 * self.spread)
+        return np.concatenate([jacobian, moved], axis=2), np.asarray(covariance)
+
+
+@dataclass(frozen=True)
+class Curves:
+    """fit : with the curves in the model;  kept : named effects beside them;  scatter : findings that still hold
+    base : the base model, fitted to the same rows;  gain : cost of the named effects alone, less that of the curves
+    """
+
+    fit: CurveFit
+    curves: tuple[Curve, ...]
+    kept: Members
+    scatter: tuple[Finding, ...]
+    base: Fit
+    gain: float
+
+
+def find_curves(found: Findings, measurements: Measurements) -> Curves | None:
+    """Curves for the joints where they explain more than the named functions of the angle; None: nowhere.
+
+    They are looked for only where something was found: they decide what it is, not whether there is anything. The
+    noise is taken as it was found, and as white: what a curve explains looks like correlated or uneven noise before.
+    """
+    chosen = found.unknown.chosen
+    if not chosen and not (found.unknown.place or "").startswith("joint"):
+        return None
+    named, base = found.search.fit(chosen), found.search.fit(())
+    systems = [(System(named, found.search.rows, chosen, base.rank), found.scatter)]
+    if found.scatter:
+        plain = Rows.of(measurements).pick(~found.outlier)
+        again = fit(named.model, plain, named.by_name)
+        systems.append((System(again, plain, chosen, base.rank), ()))
+    before = systems[0][0].explain(chosen, ()).cost + _noise_cost(*systems[0])
+    options = [(system, scatter, choose(system, WINDOW)) for system, scatter in systems]
+    system, scatter, best = min(options, key=lambda o: o[2].cost + _noise_cost(o[0], o[1]))
+    gain = before - best.cost - _noise_cost(system, scatter)
+    if not best.joints or gain <= WINDOW or not _predicts_better(system, best):
+        return None
+    fitted, curves = _fitted(system, best)
+    return Curves(fitted, curves, best.kept, scatter, fit(base.model, system.rows, base.by_name), gain)
+
+
+def _noise_cost(system: System, scatter: Sequence[Finding]) -> float:
+    return system.rows.log_determinant + len(scatter) * float(np.log(len(system.found.residual)))
+
+
+def _predicts_better(system: System, best: Explanation) -> bool:
+    """On postures left out, than the named effects do."""
+    return system.cross_validated(best) < system.cross_validated(system.explain(system.named, ()))
+
+
+def _fitted(system: System, best: Explanation) -> tuple[CurveFit, tuple[Curve, ...]]:
+    """The parameters refitted with the curves in the model."""
+    evidence = system.evidence(best)
+    bases = tuple(basis for basis in system.bases if basis.joint in best.joints)
+    ends = np.cumsum([basis.count for basis in bases])
+    noise = np.sqrt(evidence.squares / (len(system.found.residual) - system.base_rank))
+    curves = tuple(
+        _curve(
+            b, evidence.coefficients[e - b.count : e], evidence.covariance[e - b.count : e, e - b.count : e], noise, lg
+        )
+        for b, e, lg in zip(bases, ends, best.logs[1::2], strict=True)
+    )
+    arm = system.found.model.arm
+    own = arm.effects[: len(arm.effects) - len(system.named)]
+    stay = {h.effect.label for h in best.kept}
+    specs = [s for s, e in zip(arm.effects, system.found.model.effects, strict=False) if e.label in stay]
+    model = Model(arm.with_effects(*own, *specs, *(curve.spec for curve in curves)))
+    refit = fit(model, system.rows, system.found.by_name)
+    response = system.model_response(best)
+    fields = {**vars(refit), "bases": bases, "spread": evidence.covariance, "response": response}
+    fields = {name: fields[name] for name in CurveFit.__dataclass_fields__ if name in fields}
+    return CurveFit(**fields, determined=evidence.effective), curves
+
+
+def _curve(basis: Basis, coefficients: Array, covariance: Array, noise: float, log_length: float) -> Curve:
+    table = basis.curve(coefficients)
+    tidy = np.radians(np.round(np.degrees(table.values), TIDY))
+    table = replace(table, values=tidy)
+    angles = np.linspace(basis.start, basis.stop, 2 * basis.count - 1)
+    at = basis.at(angles)
+    std = noise * np.sqrt(np.maximum(np.einsum("ak,kl,al->a", at, covariance, at, optimize=True), 0.0))
+    return Curve(basis.joint + 1, table, angles, table.at(angles), std, float(np.exp(log_length)))
+
+
+def curve_candidate(found: Curves) -> Candidate:
+    """The best set with the curves in it; its F test is against the base model."""
+    fitted, base = found.fit, found.base
+    effects = [e for e in fitted.model.effects if e.label in {h.effect.label for h in found.kept}]
+    covariance = fitted.covariance(bounded=False)
+    sure = Uncertainty("scatter", covariance, np.full(len(covariance), float(max(fitted.freedom, 1))))
+    origin = {"source": "armcal diagnose", "joint_range_deg": joint_range(fitted.rows.postures)}
+    specs = fitted.model.arm.effects[-len(found.kept) - len(found.curves) :]
+    size = fitted.effective - base.rank
+    f = max(base.squares / fitted.sigma**2 - fitted.freedom, 0.0) / size
+    return Candidate(
+        (*(e.label for e in effects), *(curve.key for curve in found.curves)),
+        specs,
+        tuple(sorted({*(h.family for h in found.kept), "joint_error_curve"})),
+        0.0,
+        float(f),
+        float(fdtrc(size, max(fitted.freedom, 1), f)),
+        estimates(fitted, sure, {p.name for effect in effects for p in effect.parameters}),
+        Calibration(fitted.by_name, fitted.model.names, covariance, MappingProxyType(origin)),
+        intervals=sure.kind,
+        reliance=sure.sentence,
+    )

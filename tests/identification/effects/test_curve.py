@@ -1,0 +1,108 @@
+"""An error curve in the model: positions, Jacobians, files, and every use of the arm."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm, Calibration, EffectSpec
+from identification.compensate import compensate
+from identification.effects import build
+from identification.error_curve import ErrorCurve
+from identification.errors import InputError
+from identification.estimation.estimate import estimate
+from identification.files.arm import load_arm
+from identification.files.arm_text import dump_arm, with_calibration, with_effects
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.simulate import simulate
+from identification.validate import validate
+
+LENGTHS = [300.0, 200.0, 150.0]
+DEGREES = np.round(0.02 * np.sin(np.linspace(0.0, 9.0, 25)), 7)
+CURVE = ErrorCurve(np.radians(-60.0), np.radians(90.0), np.radians(DEGREES))
+SPEC = EffectSpec("joint_error_curve", 2, curve=CURVE)
+ARM = Arm(LENGTHS, sigma=0.01, effects=(SPEC, EffectSpec("base_offset")))
+Q = np.random.default_rng(5).uniform(-2.5, 2.5, (60, 3))
+
+
+def _turned(q: np.ndarray) -> np.ndarray:
+    """What the joints really do."""
+    return q + np.column_stack([np.zeros(len(q)), CURVE.at(q[:, 1]), np.zeros(len(q))])
+
+
+def test_model_is_the_plain_one_at_the_real_angles() -> None:
+    values = np.r_[0.5, -0.3, 0.2, 1e-3, -2e-3, 3e-3, 0.4, -0.1]
+    plain, model = Model(ARM.with_effects(EffectSpec("base_offset"))), Model(ARM)
+    assert model.names == plain.names
+    for with_curve, without in zip(model.linearize(Q, values), plain.linearize(_turned(Q), values), strict=True):
+        np.testing.assert_allclose(with_curve, without, rtol=0, atol=1e-10)
+
+
+def test_round_trip_through_files(tmp_path: Path) -> None:
+    calibration = Calibration.of([0.1, 0.2, 0.3], [1e-3, 2e-3, 3e-3], {"base_offset.x0": 0.5, "base_offset.y0": 0.1})
+    text = with_calibration(with_effects("links_mm = [300.0, 200.0, 150.0]  # mine\n", ARM.effects), calibration)
+    for written in (text, dump_arm(ARM)):
+        (path := tmp_path / "arm.toml").write_text(written)
+        found = load_arm(path).effects[0]
+        assert (found.name, found.joint) == ("joint_error_curve", 2)
+        np.testing.assert_allclose(found.curve.values, CURVE.values, atol=1e-17)
+        assert (found.curve.start, found.curve.stop) == pytest.approx((CURVE.start, CURVE.stop), abs=1e-15)
+    assert "# mine" in text
+    assert "values_deg = [0.0, 0.0073" in text
+    assert with_effects(text, ARM.effects) == text  # it has them already
+
+
+def test_every_use() -> None:
+    """Simulate, estimate the rest, compensate, validate."""
+    truth = Calibration.of([0.5, -0.3, 0.2], [1e-3, -2e-3, 3e-3], {"base_offset.x0": 0.4, "base_offset.y0": -0.1})
+    real = Arm(LENGTHS, sigma=0.01, effects=ARM.effects, calibration=truth)
+    data = simulate(real, Q, np.random.default_rng(1))
+    found = estimate(Model(ARM), data)
+    assert found.p_value > 1e-3
+    assert estimate(Model(ARM.with_effects(EffectSpec("base_offset"))), data).p_value < 1e-9
+    commands = compensate(real, postures=np.clip(Q, -2.0, 2.0))
+    assert commands.reached.all()
+    reached = Model(Arm(LENGTHS, effects=(EffectSpec("base_offset"),), calibration=truth)).position(
+        _turned(commands.commands)
+    )
+    np.testing.assert_allclose(reached, commands.targets, atol=2e-6)
+    elsewhere = Measurements(data.postures, data.positions + np.array([5.0, 3.0]))
+    assert validate(found.calibrated_arm(), elsewhere).model.rms < 0.02
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ('name = "joint_error_curve"\njoint = 1', "from_deg: is missing"),
+        ('name = "joint_error_curve"\njoint = 1\nfrom_deg = 0.0\nto_deg = 9.0', "values_deg: is missing"),
+        ('name = "gear_ratio"\njoint = 1\nfrom_deg = 0.0', "from_deg: unknown key of gear_ratio"),
+        (
+            'name = "joint_error_curve"\njoint = 1\nfrom_deg = 9.0\nto_deg = 0.0\nvalues_deg = [0.0, 0.0, 0.0, 0.0]',
+            "found 9 to 0, allowed: finite angles, the lower one first",
+        ),
+        (
+            'name = "joint_error_curve"\njoint = 1\nfrom_deg = 0.0\nto_deg = 9.0\nvalues_deg = [0.0]',
+            "values_deg: found 1 values, allowed: 4 or more",
+        ),
+        (
+            'name = "joint_error_curve"\njoint = 1\nfrom_deg = 0.0\nto_deg = 9.0\nvalues_deg = "all"',
+            "values_deg: found 'all', allowed: the values",
+        ),
+    ],
+)
+def test_bad_files(tmp_path: Path, entry: str, message: str) -> None:
+    (path := tmp_path / "arm.toml").write_text(f"links_mm = [300.0, 200.0]\n\n[[effects]]\n{entry}\n")
+    with pytest.raises(InputError, match=re.escape(message)) as caught:
+        load_arm(path)
+    assert str(caught.value).startswith(f"{path}: effects[1].")
+
+
+def test_needs_its_table() -> None:
+    with pytest.raises(InputError, match="joint_error_curve:1 has no table of values"):
+        build(EffectSpec("joint_error_curve", 1), 2)
+    with pytest.raises(InputError, match="gear_ratio:1 has a table of values"):
+        build(EffectSpec("gear_ratio", 1, curve=CURVE), 2)

@@ -1,0 +1,123 @@
+"""Error curves as a result: what `diagnose` makes of a joint that no name fits."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm
+from identification.files.arm_text import dump_arm
+from identification.gap.curve import curves_text
+from identification.gap.curves import Curves, curve_candidate, find_curves
+from identification.gap.hypotheses import hypotheses
+from identification.gap.search import HypothesisSearch
+from identification.gap.unmodelled import Unknown
+from identification.gap.whitening import Rows
+from identification.gap.workflow import Findings
+from identification.measurements import Conditions, Measurements
+from identification.model import Model
+
+ARM, SIGMA = Arm([300.0, 200.0]), 0.05
+TRUTH = np.array([0.4, -0.3, 1e-3, -2e-3])
+
+
+def _error(q: np.ndarray) -> np.ndarray:
+    """[rad] of joint 1: two waves that fade."""
+    return 8e-4 * np.sin(9.0 * q) * np.exp(-0.5 * q**2) + 4e-4 * np.cos(2.3 * q)
+
+
+@cache
+def _data(seed: int, m: int = 150) -> Measurements:
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(-1.5, 1.5, (m, 2))
+    real = q + np.column_stack([_error(q[:, 0]), np.zeros(m)])
+    return Measurements(q, Model(ARM).position(real, TRUTH) + SIGMA * rng.normal(size=(m, 2)))
+
+
+def _found(data: Measurements, place: str | None = "joint:1") -> Findings:
+    search = HypothesisSearch(hypotheses(ARM, frozenset()), Rows.of(data))
+    return Findings(search, None, Unknown(1e-3, place, None, (), 0.0), (), np.zeros(len(data), dtype=bool))  # type: ignore[arg-type]
+
+
+@cache
+def _curves(seed: int = 1) -> Curves:
+    found = find_curves(_found(_data(seed)), _data(seed))
+    assert found is not None
+    return found
+
+
+def test_the_curve_is_that_of_the_joint() -> None:
+    """Beside a constant, which is the joint's offset; some 95 % of it is in the band, waves being neighbors."""
+    (curve,) = _curves().curves
+    assert curve.joint == 1
+    gap = curve.error - _error(curve.angles)
+    assert np.mean(np.abs(gap - np.mean(gap)) < 1.96 * curve.std) > 0.85
+    assert np.std(gap) < 0.2 * np.std(_error(curve.angles))
+
+
+def test_fresh_rows_are_left_with_what_was_predicted() -> None:
+    fit, fresh = _curves().fit, _data(99, 400)
+    left = np.mean(np.sum(fit.position_residuals(fresh, Conditions()) ** 2, axis=1))
+    columns, covariance = fit.uncertain(fresh.postures, Conditions())
+    predicted = 2.0 * fit.sigma**2 + np.mean(np.einsum("mip,pq,miq->m", columns, covariance, columns))
+    assert fit.sigma == pytest.approx(SIGMA, rel=0.15)  # 250 degrees of freedom: standard error 0.045
+    assert left == pytest.approx(predicted, rel=0.25)
+    base = Model(ARM)
+    plain = fresh.positions - base.position(fresh.postures, TRUTH)
+    assert left < 0.3 * np.mean(np.sum(plain**2, axis=1))
+
+
+def test_estimates_scatter_as_their_covariance_says() -> None:
+    """Of lengths and one offset over 6 data sets: squared errors in units of the covariance, 3 on average."""
+    sizes = []
+    for seed in range(1, 7):
+        fit = _curves(seed).fit
+        error = (fit.values - TRUTH)[[0, 1, 3]]  # the first offset is shared with the curve's mean
+        sizes.append(error @ np.linalg.solve(fit.covariance()[np.ix_([0, 1, 3], [0, 1, 3])], error))
+    assert 0.25 * 3.0 < np.mean(sizes) < 2.0 * 3.0
+
+
+def test_nothing_is_looked_for_where_nothing_was_found() -> None:
+    assert find_curves(_found(_data(1), None), _data(1)) is None
+
+
+def test_noise_alone_gives_no_curve() -> None:
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-1.5, 1.5, (100, 2))
+    data = Measurements(q, Model(ARM).position(q, TRUTH) + SIGMA * rng.normal(size=(100, 2)))
+    assert find_curves(_found(data), data) is None
+
+
+def test_candidate_extends_the_arm() -> None:
+    found = _curves()
+    candidate = curve_candidate(found)
+    assert candidate.effects == ("joint_error_curve:1",)
+    assert candidate.specs[0].curve == found.curves[0].table
+    assert candidate.p_adjusted < 1e-6
+    arm = Arm(ARM.lengths, effects=candidate.specs, calibration=candidate.calibration)
+    left = _data(1).positions - Model(arm).position(_data(1).postures)
+    np.testing.assert_allclose(left, found.fit.position_residuals(_data(1), Conditions()), atol=1e-9)
+    assert "values_deg = [" in dump_arm(arm)
+
+
+def test_correction_brings_the_joint_where_it_should_be() -> None:
+    (curve,) = _curves().curves
+    reached = curve.angles + curve.correction + curve.table.at(curve.angles + curve.correction)
+    np.testing.assert_allclose(reached, curve.angles, atol=1e-9)
+
+
+def test_table_and_json() -> None:
+    (curve,) = _curves().curves
+    lines = curves_text([curve]).splitlines()
+    assert lines[0] == "joint,angle_deg,correction_deg,std_deg,error_deg"
+    assert len(lines) == 1 + len(curve.angles)
+    first = [float(cell) for cell in lines[1].split(",")]
+    expected = [1.0, *np.degrees([curve.angles[0], curve.correction[0], curve.std[0], curve.error[0]])]
+    np.testing.assert_allclose(first, expected, atol=6e-8)
+    said = json.loads(json.dumps(curve.to_json()))
+    assert (said["joint"], said["angle_deg"][0]) == (1, first[1])
+    assert said["from_deg"] == pytest.approx(np.degrees(curve.angles[0]))
+    assert len(said["correction_deg"]) == len(curve.angles)

@@ -1,0 +1,58 @@
+"""Splines of an error curve against scipy's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+from identification.error_curve import ErrorCurve, spline
+from identification.errors import InputError
+
+VALUES = 1e-3 * np.random.default_rng(3).normal(size=12)
+CURVE = ErrorCurve(-0.5, 1.7, VALUES)
+
+
+def test_agrees_with_scipy_and_is_zero_beyond_two_nodes() -> None:
+    """scipy's B-splines on the same nodes, whose values at the nodes are solved for densely."""
+    h = 2.2 / 11
+    knots = -0.5 + h * np.arange(-2, 15)  # of the 12 B-splines centered on the nodes, and of one beyond
+    nodes = np.linspace(-0.5, 1.7, 12)
+    design = np.column_stack([BSpline.basis_element(knots[k : k + 5], extrapolate=False)(nodes) for k in range(12)])
+    coefficients = np.linalg.solve(np.nan_to_num(design), VALUES)
+    q = np.linspace(-1.5, 2.7, 999)
+    each = [BSpline.basis_element(knots[k : k + 5], extrapolate=False)(q) for k in range(12)]
+    np.testing.assert_allclose(CURVE.at(q), np.nan_to_num(np.array(each)).T @ coefficients, atol=1e-15)
+    outside = (q < -0.5 - 2 * h) | (q > 1.7 + 2 * h)
+    assert np.all(CURVE.at(q[outside]) == 0.0)
+    np.testing.assert_allclose(CURVE.at(nodes), VALUES, atol=1e-16)
+
+
+def test_keeps_the_shape_of_the_angles() -> None:
+    q = np.linspace(-3.0, 3.0, 24).reshape(2, 3, 4)
+    np.testing.assert_array_equal(CURVE.at(q).ravel(), CURVE.at(q.ravel()))
+    assert CURVE.at(0.3).shape == ()
+
+
+def test_splines_sum_to_one() -> None:
+    x = np.linspace(0.0, 1.0, 50)
+    np.testing.assert_allclose(sum(spline(x - k) for k in range(-2, 4)), 1.0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "values", "message"),
+    [
+        (1.0, 1.0, VALUES, "from_deg, to_deg: found 57.2958 to 57.2958"),
+        (0.0, np.inf, VALUES, "from_deg, to_deg"),
+        (0.0, 1.0, VALUES[:3], "values_deg: found 3 values"),
+        (0.0, 1.0, [0.0, np.nan, 0.0, 0.0], "values_deg"),
+    ],
+)
+def test_bad_input(start: float, stop: float, values: np.ndarray, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        ErrorCurve(start, stop, values)
+
+
+def test_equal_by_value() -> None:
+    assert ErrorCurve(-0.5, 1.7, VALUES.copy()) == CURVE
+    assert ErrorCurve(-0.5, 1.8, VALUES) != CURVE
