@@ -14,7 +14,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import Arm
 from identification.arrays import Array
 from identification.effects import Chain, Effect
 from identification.gap.curve_fit import Basis, Evidence, Penalized, bases_of
@@ -22,6 +21,7 @@ from identification.gap.fit import Fit
 from identification.gap.hypotheses import Hypothesis
 from identification.gap.whitening import Rows
 from identification.information import column_lengths
+from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 FOLDS = 5  # of the cross-validation
@@ -200,8 +200,7 @@ def choose(system: System, margin: float) -> Explanation:
 def _with_curve(system: System, before: Explanation, joint: int) -> Explanation:
     """A curve at one more joint, in the place of the named functions of that joint's angle."""
     joints = tuple(sorted((*before.joints, joint)))
-    arm = system.found.model.arm
-    kept = tuple(h for h in before.kept if not is_function_of(h.effect, joint, arm))
+    kept = tuple(h for h in before.kept if not is_function_of(h.effect, joint, system.found.model))
     start = None
     if before.joints:
         first = system.penalized(kept, (joint,))
@@ -210,11 +209,11 @@ def _with_curve(system: System, before: Explanation, joint: int) -> Explanation:
     return system.explain(kept, joints, start)
 
 
-def is_function_of(effect: Effect, joint: int, arm: Arm) -> bool:
+def is_function_of(effect: Effect, joint: int, model: Model) -> bool:
     """Whether an effect adds to the angle of a joint (from 0) a function of that angle and of nothing else."""
     if effect.joint != joint + 1 or type(effect).joint_angles is Effect.joint_angles:
         return False
-    q, c, v = ca.SX.sym("q", arm.links), ca.SX.sym("c", 3 + arm.links), ca.SX.sym("v", len(effect.parameters))
-    angle = ca.SX(effect.joint_angles(Chain.of(arm, q, c), v))[joint]
-    others = ca.vertcat(*(q[k] for k in range(arm.links) if k != joint), c)
+    q, c, _, _ = model.symbols
+    angle = ca.SX(effect.joint_angles(Chain.of(model.arm, q, c), ca.SX.sym("v", len(effect.parameters))))[joint]
+    others = ca.vertcat(*(q[k] for k in range(model.joints) if k != joint), c)
     return bool(ca.depends_on(angle, q[joint])) and not bool(ca.depends_on(angle, others))

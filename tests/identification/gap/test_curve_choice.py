@@ -123,4 +123,4 @@ def test_model_response_is_that_of_a_refit() -> None:
     ],
 )
 def test_functions_of_one_angle(name: str, joint: int | None, own: bool) -> None:
-    assert is_function_of(build(EffectSpec(name, joint), 2), 1, ARM) == own
+    assert is_function_of(build(EffectSpec(name, joint), 2), 1, Model(ARM)) == own
