@@ -13,6 +13,7 @@ from identification.errors import InputError
 from identification.estimation.estimate import check
 from identification.gap.candidates import candidate, candidate_list, trial_list
 from identification.gap.certainty import fit_doubts
+from identification.gap.cross_validation import cross_validation
 from identification.gap.curves import curve_candidate, find_curves
 from identification.gap.detectability import Detectability, assess, require_spare
 from identification.gap.fit import Fit, fit
@@ -154,6 +155,7 @@ def diagnosis_of(
         replication=replications(fitted, found.search.rows, measurements, kept, named.effects),
         misfit=misfit(residuals.after, after.rank, measurements, arm.sigma, kept),
         confirmation=None if holdout is None or there is None else confirmation_of(measurements, holdout, there),
+        cross_validation=cross_validation(base, after, measurements, kept, generator),
         warnings=fit_doubts(arm, measurements, after, residuals.after[kept]),
         curves=curves,
         notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap)),
