@@ -72,9 +72,9 @@ def gap_text(diagnosis: Diagnosis) -> str:
         "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: the "
         f"{diagnosis.gap.floor}. A smaller gap alone does not prove a name."
     )
-    if diagnosis.confirmation is None:
-        return text
-    return f"{text} Expected on the held-out rows: what the named model predicts. It {diagnosis.confirmation}."
+    if diagnosis.confirmation is not None:
+        text += " Expected on the held-out rows: what the named model predicts."
+    return " ".join([text, *(f"The model {test}." for test in diagnosis.tests if test.confirmed is not None)])
 
 
 def trial_sheet(diagnosis: Diagnosis) -> Sheet:
@@ -125,8 +125,7 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
     if diagnosis.outlier_rows:
         shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
-    if diagnosis.confirmation is not None:
-        shown.append(Text(str(diagnosis.confirmation)))
+    shown += [Text(str(test)) for test in diagnosis.tests]
     if diagnosis.replication:
         shown.append(as_table(replication_sheet(diagnosis), "Sessions"))
     return [*shown, *(Text(f"note: {note}") for note in diagnosis.notes)]

@@ -10,15 +10,16 @@ from typing import Any
 
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
+from identification.gap import summary
 from identification.gap.confirmation import Confirmation
 from identification.gap.curve import Curve
 from identification.gap.detectability import Detectability, Size
 from identification.gap.holdout import Gap
 from identification.gap.misfit import Misfit
 from identification.gap.noise import Finding
-from identification.gap.order_range import OrderRange, in_words
+from identification.gap.order_range import OrderRange
 from identification.gap.probabilities import Probabilities
-from identification.gap.replication import Replication, said
+from identification.gap.replication import Replication
 
 
 @dataclass(frozen=True)
@@ -130,14 +131,6 @@ class Residuals:
     positions: Array
 
 
-VERDICTS = {
-    "none": "none: no missing effect is detectable in these data; effects larger than the sizes listed are excluded",
-    "named": "named: {effects} is missing from the model",
-    "ambiguous": "ambiguous: {count} explanations fit about equally well ({options}); measure more postures",
-    "unknown": "unknown: something outside the library at {where}{beside}",
-}
-
-
 @dataclass(frozen=True)
 class Diagnosis:
     """Whether model and data disagree, where, which effect is missing, and what is left with it in the model.
@@ -149,6 +142,7 @@ class Diagnosis:
     curves : error curves of joints that are part of the best set
     trials : every effect against the base model;  detectability : what the plan could show
     misfit : what is left against the sigma given, None without one;  confirmation : by held-out rows, None without
+    cross_validation : whether the named model holds for other postures, and for another stretch of time
     """
 
     arm: Arm
@@ -168,6 +162,7 @@ class Diagnosis:
     probabilities: Probabilities
     misfit: Misfit | None = None
     confirmation: Confirmation | None = None
+    cross_validation: tuple[Confirmation, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     shapes: tuple[OrderRange, ...] = ()
@@ -192,18 +187,7 @@ class Diagnosis:
     @property
     def sentence(self) -> str:
         """The verdict in one line."""
-        options = " | ".join(c.title for c in self.candidates)
-        beside = f", beside {self.named.title}" if self.effects else ""
-        shape = f" (shape: {self.shape})" if self.shape else ""
-        verdict = VERDICTS[self.verdict].format(
-            effects=self.named.title,
-            count=len(self.candidates),
-            options=options,
-            where=f"{self.where}{shape}",
-            beside=beside,
-        )
-        first = "not confirmed: " if self.confirmed is False else ""
-        return "; ".join((first + verdict + self._unexplained, *said(self.replication), *in_words(self.shapes)))
+        return summary.sentence(self)
 
     @property
     def probability(self) -> dict[str, float]:
@@ -232,16 +216,19 @@ class Diagnosis:
         return {"unknown" if n is None else titles.get(n, " + ".join(n)): p for n, p in found}
 
     @property
-    def _unexplained(self) -> str:
-        """What is left over the given sigma, where that is more than noise."""
-        if self.misfit is None or not self.misfit.significant:
-            return ""
-        return f"; scatter {self.misfit.ratio:.3g} x sigma_mm, not explained"
+    def tests(self) -> tuple[Confirmation, ...]:
+        """What rows that were not used for the fits say: the hold-out, and cross-validation."""
+        return (() if self.confirmation is None else (self.confirmation,)) + self.cross_validation
 
     @property
     def confirmed(self) -> bool | None:
-        """Whether rows not used so far confirm the verdict; None: no such rows, or too few."""
-        return None if self.confirmation is None else self.confirmation.confirmed
+        """Whether the hold-out confirms the verdict; None where it has too few rows.
+
+        Without a hold-out False where cross-validation refutes it, else None: the effects were chosen with all rows.
+        """
+        if self.confirmation is not None:
+            return self.confirmation.confirmed
+        return False if any(test.confirmed is False for test in self.cross_validation) else None
 
     def extended_arm(self, candidate: Candidate | None = None) -> Arm:
         """The arm with the effects of the best set (or of `candidate`) in its model, to be estimated, and the fitted
@@ -287,6 +274,7 @@ class Diagnosis:
             "gap": self.gap.to_json(),
             "confirmed": self.confirmed,
             "confirmation": None if self.confirmation is None else self.confirmation.to_json(),
+            "cross_validation": [test.to_json() for test in self.cross_validation],
             "misfit": None if self.misfit is None else self.misfit.to_json(),
             "sigma_mm": self.sigma,
             "degrees_of_freedom": self.detectability.freedom,
@@ -295,25 +283,7 @@ class Diagnosis:
         }
 
     def __str__(self) -> str:
-        lines = [self.sentence, *(f"  warning: {w}" for w in self.warnings)]
-        for c in self.candidates or (self.named,):
-            if not c.effects:
-                continue
-            figures = f"F = {c.f:.1f}, p = {c.p_adjusted:.2g}, Delta BIC = {c.delta_bic:.1f}"
-            lines.append(f"  {c.title}: {figures}")
-            lines += [f"    {label}: {', '.join(map(str, found))}" for label, found in c.estimates.items()]
-            lines.append(f"    95 % intervals: {c.reliance}")
-        lines.append(f"  {self.likely}")
-        lines += [f"  {effect}" for effect in self.replication]
-        lines += [f"  scatter: {f}" for f in self.scatter]
-        if self.outlier_rows:
-            lines.append(f"  left out as outliers: rows {', '.join(map(str, self.outlier_rows))}")
-        lines += [f"  {line}" for line in str(self.gap).splitlines()]
-        if self.confirmation is not None:
-            lines.append(f"  {self.confirmation}")
-        if not self.effects:
-            lines += [f"  excluded: {name} > {size}" for name, size in self.excluded.items()]
-        return "\n".join([*lines, *(f"  note: {n}" for n in self.notes)])
+        return summary.text(self)
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(str(self))}</pre>"

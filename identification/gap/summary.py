@@ -1,0 +1,67 @@
+"""A diagnosis in words: the verdict in one line, then what it rests on."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from identification.gap.order_range import in_words
+from identification.gap.replication import said
+
+if TYPE_CHECKING:
+    from identification.gap.result import Candidate, Diagnosis
+
+VERDICTS = {
+    "none": "none: no missing effect is detectable in these data; effects larger than the sizes listed are excluded",
+    "named": "named: {effects} is missing from the model",
+    "ambiguous": "ambiguous: {count} explanations fit about equally well ({options}); measure more postures",
+    "unknown": "unknown: something outside the library at {where}{beside}",
+}
+
+
+def sentence(found: Diagnosis) -> str:
+    """The verdict in one line, what speaks against it first."""
+    shape = f" (shape: {found.shape})" if found.shape else ""
+    verdict = VERDICTS[found.verdict].format(
+        effects=found.named.title,
+        count=len(found.candidates),
+        options=" | ".join(c.title for c in found.candidates),
+        where=f"{found.where}{shape}",
+        beside=f", beside {found.named.title}" if found.effects else "",
+    )
+    first = "not confirmed: " if found.confirmed is False else ""
+    return "; ".join([first + verdict, *unexplained(found), *said(found.replication), *in_words(found.shapes)])
+
+
+def unexplained(found: Diagnosis) -> list[str]:
+    """What is left over the given sigma, where that is more than noise."""
+    if found.misfit is None or not found.misfit.significant:
+        return []
+    return [f"scatter {found.misfit.ratio:.3g} x sigma_mm, not explained"]
+
+
+def rests_on(found: Diagnosis) -> list[str]:
+    """What the verdict rests on: the gap, the rows that were held out, and what the scatter does."""
+    lines = [*str(found.gap).splitlines(), *map(str, found.tests)]
+    lines += [f"scatter: {finding}" for finding in found.scatter]
+    if found.outlier_rows:
+        lines.append(f"left out as outliers: rows {', '.join(map(str, found.outlier_rows))}")
+    return lines
+
+
+def candidate_lines(candidate: Candidate) -> list[str]:
+    """How well a set of effects explains the data, and its estimates."""
+    figures = f"F = {candidate.f:.1f}, p = {candidate.p_adjusted:.2g}, Delta BIC = {candidate.delta_bic:.1f}"
+    estimates = [f"  {label}: {', '.join(map(str, found))}" for label, found in candidate.estimates.items()]
+    return [f"{candidate.title}: {figures}", *estimates, f"  95 % intervals: {candidate.reliance}"]
+
+
+def text(found: Diagnosis) -> str:
+    """All of it, for a terminal."""
+    lines = [f"warning: {w}" for w in found.warnings] + rests_on(found)
+    for candidate in found.candidates or (found.named,):
+        lines += candidate_lines(candidate) if candidate.effects else []
+    lines += [found.likely, *map(str, found.replication)]
+    if not found.effects:
+        lines += [f"excluded: {name} > {size}" for name, size in found.excluded.items()]
+    lines += [f"note: {note}" for note in found.notes]
+    return "\n".join([found.sentence, *(f"  {line}" for line in lines)])
