@@ -133,6 +133,7 @@ def diagnosis_of(
     after = fitted if chosen or curves else base
     there = None if holdout is None else held_out(base, after, measurements, kept, holdout)
     residuals = show_residuals(arm, measurements, base, after)
+    estimated = len(after.residual) - after.freedom  # parameters, less what a prior knows of them
     floor = noise_floor(residuals.after, measurements, kept, arm.sigma)
     gap = gap_of(residuals.before[kept], residuals.after[kept], there, floor)
     return Diagnosis(
@@ -143,7 +144,7 @@ def diagnosis_of(
         aliases=(*hidden, *alias_list(detectable, candidates)),
         where=found.unknown.place,
         shape=next((c.shape for c in curves if found.unknown.place == f"joint:{c.joint}"), found.unknown.shape),
-        scatter=(*found.scatter, *repeat_finding(residuals.after, after.rank, measurements, kept)),
+        scatter=(*found.scatter, *repeat_finding(residuals.after, estimated, measurements, kept)),
         outlier_rows=tuple(int(k) + 1 for k in np.flatnonzero(found.outlier)),
         gap=gap,
         trials=trial_list(found),
@@ -153,7 +154,7 @@ def diagnosis_of(
         shapes=order_ranges(fitted, found.search.rows, named.effects),
         probabilities=likely,
         replication=replications(fitted, found.search.rows, measurements, kept, named.effects),
-        misfit=misfit(residuals.after, after.rank, measurements, arm.sigma, kept),
+        misfit=misfit(residuals.after, estimated, measurements, arm.sigma, kept),
         confirmation=None if holdout is None or there is None else confirmation_of(measurements, holdout, there),
         cross_validation=cross_validation(base, after, measurements, kept, generator),
         warnings=fit_doubts(arm, measurements, after, residuals.after[kept]),
