@@ -15,6 +15,7 @@ from doe.report.terminal import number, table
 from identification.gap.result import Candidate, Diagnosis, Estimate
 
 MOST_TRIALS = 12
+ESTIMATES = "estimates [95 %]"
 
 
 def candidate_sheet(diagnosis: Diagnosis) -> Sheet:
@@ -30,7 +31,7 @@ def candidate_sheet(diagnosis: Diagnosis) -> Sheet:
         ]
         for c in diagnosis.candidates or (diagnosis.named,)
     ]
-    headings = ["effects", "probability", "F", "adjusted p", "Delta BIC", "estimates [95 %]"]
+    headings = ["effects", "probability", "F", "adjusted p", "Delta BIC", ESTIMATES]
     return Sheet(headings, rows)
 
 
@@ -144,7 +145,7 @@ def replication_sheet(diagnosis: Diagnosis) -> Sheet:
 
 def as_table(sheet: Sheet, title: str | None = None) -> Table:
     """The same sheet for a terminal."""
-    return table(sheet.headings, sheet.rows, title, left=sheet.headings[:1])
+    return table(sheet.headings, sheet.rows, title, left=[sheet.headings[0], ESTIMATES])
 
 
 def curve_sections(diagnosis: Diagnosis) -> list[Section]:

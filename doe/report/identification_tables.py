@@ -11,6 +11,7 @@ from rich.text import Text
 from doe.report.terminal import facts, number, significant, table
 from identification.compensate import Compensation
 from identification.estimation import Identification
+from identification.estimation.result import in_words
 
 
 def identification_tables(found: Identification) -> list[Any]:
@@ -25,7 +26,7 @@ def identification_tables(found: Identification) -> list[Any]:
     ]
     if data["p_value"] is not None:
         scatter = f"the residuals scatter {number(data['scatter_mm'], 5)} mm"
-        summary.append(("chi2", f"{data['chi2']:.2f}, p = {data['p_value']:.3g}: {scatter}"))
+        summary.append(("chi2", f"{data['chi2']:.2f}, {in_words(data['p_value'])}: {scatter}"))
     summary.append(("95 % intervals", found.uncertainty.sentence))
     warned = [Text(warning, style="bold") for warning in found.warnings]
     shown: list[Any] = [*warned, facts(summary), parameter_table(found)]

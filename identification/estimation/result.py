@@ -98,12 +98,13 @@ class Identification:
         """What chi2 says where it rejects the model or the sigma given, and what follows for the intervals."""
         if self.p_value is None or self.p_value >= LEVEL or self.scatter is None or not self.sigma:
             return None
-        figures = f"chi2 {self.chi2:.4g} with {self.dof} degrees of freedom (p = {_chance(self.p_value)})"
-        found = f"{figures}: the residuals scatter {self.scatter / self.sigma:.3g} times sigma_mm = {self.sigma:.4g}"
+        figures = f"chi2 {self.chi2:.4g}, {self.dof} degrees of freedom, {in_words(self.p_value)}"
+        times = f"{self.scatter / self.sigma:{'.3g' if self.scatter < 1000.0 * self.sigma else '.0f'}}"
+        found = f"the residuals scatter {times} times sigma_mm = {self.sigma:.4g} ({figures})"
         cause = "the model is incomplete or sigma_mm too small"
         relied = self.uncertainty.kind == "given"
-        follows = "the intervals rely on sigma_mm and are too narrow" if relied else "the intervals do not rely on it"
-        return f"misfit: {found}; {cause}, {follows}; armcal diagnose looks for what is missing"
+        follows = "rely on sigma_mm and are too narrow" if relied else "do not rely on sigma_mm"
+        return f"misfit: {found}: {cause}. The intervals {follows}; armcal diagnose looks for what is missing"
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -230,7 +231,7 @@ class Identification:
         sigma = (
             "unknown" if self.sigma is None else f"{self.sigma:.4g} mm ({'given' if self.sigma_known else 'estimated'})"
         )
-        chi2 = "" if self.p_value is None else f", chi2 {self.chi2:.4g}, p-value {self.p_value:.3g}"
+        chi2 = "" if self.p_value is None else f", chi2 {self.chi2:.4g}, {in_words(self.p_value)}"
         lines.append(f"sigma {sigma}, {self.dof} degrees of freedom{chi2}")
         lines.append(f"95 % intervals: {self.uncertainty.sentence}")
         lines.append(f"RMS {self.rms_before:.4g} -> {self.rms_after:.4g} mm")
@@ -252,8 +253,9 @@ def _cell(value: float | None, width: int) -> str:
     return f"{'-' if value is None else format(value, '.6g'):>{width}}"
 
 
-def _chance(p: float) -> str:
-    return f"{p:.2g}" if p > 0.0 else "0 to 300 digits"
+def in_words(p: float) -> str:
+    """`p = 0.012`; a probability below all numbers is no zero."""
+    return f"p = {p:.3g}" if p > 0.0 else "p < 1e-300"
 
 
 def _number(value: float) -> float | None:

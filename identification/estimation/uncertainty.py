@@ -81,12 +81,15 @@ class Uncertainty:
         return f"from the scatter, robust to what is left unexplained (sandwich over {self.count} {self.clusters})"
 
 
-def uncertainty(rows: FittedRows, decomposed: Spectrum, *, known: bool, reliance: str | None = None) -> Uncertainty:
+def uncertainty(
+    rows: FittedRows, decomposed: Spectrum, *, known: bool, reliance: str | None = None, doubtful: bool = False
+) -> Uncertainty:
     """The covariance that holds, and the degrees of freedom of its intervals.
 
     known : the rows are divided by a sigma that is given
     reliance : `given` or `estimated`: what the intervals rely on, whatever the residuals say; None: the sigma given as
         long as chi2 does not contradict it; else the scatter, robustly where something is left unexplained
+    doubtful : something is known to be left unexplained, or the noise to be no constant
     """
     p, plain = rows.p_value, decomposed.covariance
     trusted = p is None or BELIEVED[0] <= p <= BELIEVED[1]
@@ -94,7 +97,7 @@ def uncertainty(rows: FittedRows, decomposed: Spectrum, *, known: bool, reliance
         return Uncertainty("given", plain, np.full(len(plain), np.inf))
     robust = None
     if reliance is None and p is not None and not (known and p > BELIEVED[1]):
-        robust = _robust(rows, decomposed, known)
+        robust = _robust(rows, decomposed, known or doubtful)
     if robust is not None:
         return robust
     variance = rows.squares / rows.freedom if rows.freedom > 0 else np.nan

@@ -17,7 +17,8 @@ from identification.measurements import Measurements
 def certainty(search: HypothesisSearch, found: Fit) -> Uncertainty:
     """Covariance and degrees of freedom of a fit's estimates, an active bound left aside: it hides the value behind it.
 
-    The sigma that is given counts as long as no noise model was estimated from the residuals. With a prior it is the
+    The sigma that is given counts as long as no noise model was estimated from the residuals; then it is the sandwich,
+    which holds whether that model is right or not. With a prior it is the
     scatter: what is known beforehand of the parameters is no repeated measurement.
     """
     rows = search.rows
@@ -31,7 +32,7 @@ def certainty(search: HypothesisSearch, found: Fit) -> Uncertainty:
         jacobian.reshape(m, d, -1), residual.reshape(m, d), found.rank, rows.sequence, rows.posture_numbers
     )
     decomposed = spectrum(jacobian, found.model.scales)
-    return uncertainty(fitted, decomposed, known=sigma is not None)
+    return uncertainty(fitted, decomposed, known=sigma is not None, doubtful=search.noise_estimated)
 
 
 def fit_doubts(arm: Arm, measurements: Measurements, found: Fit, left: Array) -> tuple[str, ...]:

@@ -48,7 +48,7 @@ def test_a_sigma_that_chi2_rejects_is_not() -> None:
     assert found.sigma == SIGMA / 4.0  # as given
     assert found.scatter == pytest.approx(free.sigma)
     assert free.uncertainty.kind == "scatter"
-    assert str(found).startswith("misfit: chi2 ")
+    assert str(found).startswith("misfit: the residuals scatter ")
     assert found.to_json()["warnings"] == [found.misfit]
     # of the same size as from the scatter: the model is complete
     assert np.all((found.std / free.std > 0.5) & (found.std / free.std < 2.0))

@@ -61,7 +61,7 @@ def test_repeats_are_known_to_the_diagnosis() -> None:
 def test_a_noise_model_from_the_residuals_does_not_rely_on_sigma() -> None:
     rows = Rows.of(measured())
     search = HypothesisSearch(hypotheses(replace(ARM, sigma=0.2), frozenset()), rows, noise_estimated=True)
-    assert certainty(search, search.fit(())).kind == "scatter"
+    assert certainty(search, search.fit(())).kind == "sandwich"
 
 
 def test_data_in_the_frame_of_a_tracker_are_diagnosed_without_flipped_links() -> None:

@@ -1,0 +1,81 @@
+"""What `armcal identify` says first: misfit, another frame, postures outside the limits; and `--sigma`."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
+
+ECCENTRIC = '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.2\nb_deg = 0.1\n'
+
+
+def moved(folder: Folder) -> None:
+    """Write tracker.csv: data.csv in a frame that is turned by 70 degrees and shifted."""
+    with (folder.path / "data.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    turn, shift = np.exp(1j * np.radians(70.0)), 2500.0 - 800.0j
+    for row in rows:
+        place = turn * complex(float(row["x_mm"]), float(row["y_mm"])) + shift
+        row["x_mm"], row["y_mm"] = f"{place.real:.4f}", f"{place.imag:.4f}"
+    lines = [",".join(rows[0]), *(",".join(row.values()) for row in rows)]
+    folder.write("tracker.csv", "\n".join(lines) + "\n")
+
+
+def test_misfit_is_the_first_line_a_warning_and_in_json(folder: Folder) -> None:
+    folder.write("truth.toml", ARM + ECCENTRIC + CALIBRATION)
+    folder.simulated()
+    done = folder.armcal("identify", "arm.toml", "data.csv")
+    assert done.code == 0
+    assert done.out.startswith("misfit: the residuals scatter ")
+    assert "armcal: warning: misfit: " in done.err
+    found = folder.armcal("identify", "arm.toml", "data.csv", "--json").data
+    assert found["intervals"] in ("sandwich", "scatter")
+    assert found["warnings"][0].startswith("misfit: ")
+    given = folder.armcal("identify", "arm.toml", "data.csv", "--sigma", "given", "--json").data
+    assert (given["intervals"], given["sigma_mm"], given["clusters"]) == ("given", 0.1, None)
+    free = folder.armcal("identify", "arm.toml", "data.csv", "--sigma", "estimated", "--json").data
+    assert (free["intervals"], free["chi2"], free["warnings"]) == ("scatter", None, [])
+    assert free["sigma_mm"] == pytest.approx(given["scatter_mm"])
+    widths = [[p["high_95"] - p["low_95"] for p in kind["parameters"]] for kind in (given, free)]
+    assert all(narrow < wide for narrow, wide in zip(*widths, strict=True))
+
+
+def test_nothing_is_said_of_a_fit_that_holds(folder: Folder) -> None:
+    folder.simulated()
+    done = folder.armcal("identify", "arm.toml", "data.csv", "--json")
+    assert (done.err, done.data["warnings"], done.data["status"]) == ("", [], "converged")
+
+
+def test_data_in_the_frame_of_a_tracker(folder: Folder) -> None:
+    folder.simulated()
+    moved(folder)
+    words = ["identify", "arm.toml", "tracker.csv", "--out", "calibrated.toml"]
+    done = folder.armcal(*words)
+    assert done.code == 1
+    assert done.out.startswith("implausible: the fit leaves ")
+    assert 'add [[effects]] name = "base_offset"' in " ".join(done.out.split())
+    assert "calibrated.toml was not written: the fit is implausible" in done.out
+    assert not (folder.path / "calibrated.toml").exists()
+    assert folder.armcal("identify", "arm.toml", "tracker.csv", "--json").data["status"] == "implausible"
+    folder.write("arm.toml", ARM + '[[effects]]\nname = "base_offset"\n')
+    done = folder.armcal(*words)
+    assert (done.code, done.err) == (0, "")
+
+
+def test_postures_outside_the_limits_are_said(folder: Folder) -> None:
+    folder.simulated()
+    folder.write("arm.toml", ARM.replace("-120.0", "-60.0"))
+    warned = folder.armcal("identify", "arm.toml", "data.csv", "--json").data["warnings"]
+    assert len(warned) == 1
+    assert "of 12 postures lie outside the joint limits, the first in row " in warned[0]
+
+
+def test_without_any_sigma_none_can_be_relied_upon(folder: Folder) -> None:
+    folder.simulated()
+    folder.write("arm.toml", ARM.partition("[measurement]")[0])
+    refused = folder.armcal("identify", "arm.toml", "data.csv", "--sigma", "given")
+    assert refused.code == 2
+    assert "none is given" in refused.err
