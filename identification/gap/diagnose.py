@@ -124,7 +124,9 @@ def diagnosis_of(
     if (smooth := find_curves(found, measurements)) is not None:
         fitted, found, chosen = smooth.fit, replace(found, scatter=smooth.scatter), smooth.kept
         named = curve_candidate(smooth)
-        candidates, likely = (named,), likely.with_odds(named.keys, smooth.gain / 2.0)
+        # the curve of an unknown function is no name for it
+        known = named.keys if found.unknown.place is None else None
+        candidates, likely = (named,), likely.with_odds(known, smooth.gain / 2.0)
     candidates = tuple(replace(c, probability=likely.of(c.keys)) for c in candidates)
     curves = smooth.curves if smooth else ()
     hidden = hidden_orders(found.search, {h.label: h for h in chosen})

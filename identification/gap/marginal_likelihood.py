@@ -1,14 +1,19 @@
 """The Bayes factor of a set of effects against the base model, from one fit: how much likelier it makes the data.
 
-Base parameters have flat priors, sigma the prior 1 / sigma, and the amplitudes of the effects a normal prior whose size
-is counted in lambda, the length of what the effects do at the measured postures (off the base model) in units of sigma.
-With S the information of the amplitudes beside the base parameters, b their estimate and RSS what the fit leaves, prior
-variance lambda^2 sigma^2 V gives in closed form (Zellner's g-prior where V is S^-1)
+Base parameters have flat priors, sigma the prior 1 / sigma. Of the amplitudes of an effect not the values but the size
+lambda is known beforehand, the length of what it does at the measured postures (off the base model) in units of sigma.
+A missing effect is none of size zero: the prior density of the amplitudes b is proportional to
 
-    |I + lambda^2 S V|^(-1/2) ((RSS + b^T (S^-1 + lambda^2 V)^-1 b) / RSS_0)^(-f / 2)
+    (b^T S b / sigma^2) exp(-b^T V^-1 b / (2 lambda^2 sigma^2))
 
-with f the degrees of freedom of the base model and RSS_0 what it leaves. How large a missing effect is nobody knows:
-the mean over sizes equally spaced in log lambda is taken, from those just detectable to those that need no test.
+with S their information (V. E. Johnson and D. Rossell's moment prior, 2010; without the first factor it is A. Zellner's
+g-prior where V is S^-1). With RSS what the fit leaves, b its estimate, RSS_0 what the base model leaves and f its
+degrees of freedom, the Bayes factor is in closed form
+
+    |I + lambda^2 S V|^(-1/2) (R / RSS_0)^(-f / 2) E,   R = RSS + b^T (S^-1 + lambda^2 V)^-1 b,
+
+E the mean of b^T S b / (lambda sigma)^2 after the data, of each effect. How large a missing effect is nobody knows: the
+mean over sizes equally spaced in log lambda is taken, from those just detectable to those that need no test.
 """
 
 from __future__ import annotations
@@ -25,30 +30,36 @@ from identification.gap.fit import Fit
 
 # reasons: identification/README.md, "Constants"
 SIZES = 6.0 * 2.0 ** np.arange(7)  # lambda
-ALIKE = 0.4  # relative scatter of one family's parameters over the joints
+ALIKE = 0.3  # relative scatter of one family's parameters over the joints
+TINY = 1e-300  # sums of squares below it count as equal
 RANK = 1e-9  # eigenvalues below this share of the largest are directions that the data do not determine
 
 
 @dataclass(frozen=True)
 class Explained:
-    """What an effect or a set of effects explains, in groups of directions that are alike.
+    """What an effect or a set of M effects explains, in groups of directions that are alike.
 
     shares : (G,) prior variance along each direction of a group, in all 1 for each effect
-    counts : (G,) directions in the group;  squares : (G,) sum of squares explained along them
+    counts : (G,) directions in the group;  lengths : (G,) of what the fit explains along them
+    forms : (M, G, G) b^T S b of each effect as a quadratic form of what is explained
     """
 
     shares: Array
     counts: Array
-    squares: Array
+    lengths: Array
+    forms: Array
 
     def with_each(self, sizes: NDArray[np.int64], squares: Array) -> Explained:
-        """(H, G + 1) these groups and one more for each of H further effects.
+        """Groups (H, G + 1): these and one more for each of H further effects.
 
         sizes : (H,) parameters of the further effect;  squares : (H,) sum of squares that it explains beside the others
         """
-        own, further = (self.shares, self.counts, self.squares), (1.0 / sizes, sizes, squares)
-        both = (np.column_stack([np.tile(a, (len(b), 1)), b]) for a, b in zip(own, further, strict=True))
-        return Explained(*both)
+        own, further = (self.shares, self.counts, self.lengths), (1.0 / sizes, sizes, np.sqrt(squares))
+        both = [np.column_stack([np.tile(a, (len(b), 1)), b]) for a, b in zip(own, further, strict=True)]
+        forms = np.zeros(np.array(self.forms.shape) + 1)
+        forms[:-1, :-1, :-1] = self.forms
+        forms[-1, -1, -1] = 1.0
+        return Explained(both[0], both[1], both[2], forms)
 
 
 def explained(found: Fit, effects: Sequence[Sequence[str]], families: Sequence[bool]) -> Explained:
@@ -57,25 +68,36 @@ def explained(found: Fit, effects: Sequence[Sequence[str]], families: Sequence[b
     effects : names of the parameters of each effect;  families : their parameters are alike, one for each joint
     """
     of_effects = [found.model.parameters.index(name) for names in effects for name in names]
-    of_base = [k for k in range(len(found.values)) if k not in of_effects]
-    lengths = np.linalg.norm(found.triangle, axis=0)
-    jacobian = found.triangle / np.where(lengths > 0.0, lengths, 1.0)
-    q, z = np.linalg.qr(jacobian[:, of_base])[0], jacobian[:, of_effects]
-    z = z - q @ (q.T @ z)
-    z = z - q @ (q.T @ z)
-    information = z.T @ z
-    prior, start = np.zeros_like(information), 0
+    information, lengths = beside_base(found.triangle, of_effects)
+    prior, parts, start = np.zeros_like(information), [], 0
     for names, family in zip(effects, families, strict=True):
         own = slice(start, start + len(names))
-        prior[own, own] = amplitude_prior(information[own, own], lengths[of_effects][own] if family else None)
+        prior[own, own] = amplitude_prior(information[own, own], lengths[own] if family else None)
+        parts.append(np.zeros_like(information))
+        parts[-1][own, own] = information[own, own]
         start += len(names)
     values, vectors = np.linalg.eigh(information)
-    root = vectors * np.sqrt(
-        np.where(values > RANK * values.max(initial=0.0), values, 0.0)
-    )  # root root^T is the information
+    seen = values > RANK * values.max(initial=0.0)
+    root = vectors[:, seen] * np.sqrt(values[seen])  # root root^T is the information
     shares, turn = np.linalg.eigh(root.T @ prior @ root)
-    along = turn.T @ (root.T @ (lengths[of_effects] * found.values[of_effects]))
-    return Explained(np.maximum(shares, 0.0), np.ones(len(shares)), np.square(along))
+    back = vectors[:, seen] / np.sqrt(values[seen]) @ turn  # from what is explained to amplitudes
+    forms = np.array([back.T @ part @ back for part in parts]).reshape(len(parts), len(shares), len(shares))
+    along = turn.T @ (root.T @ (lengths * found.values[of_effects]))
+    return Explained(np.maximum(shares, 0.0), np.ones(len(shares)), along, forms)
+
+
+def beside_base(triangle: Array, of_effects: Sequence[int]) -> tuple[Array, Array]:
+    """(p, p) products of the effects' columns, of unit length, off those of all other parameters, and their lengths.
+
+    triangle : (r, all parameters) with the products of the Jacobian's columns
+    """
+    lengths = np.linalg.norm(triangle, axis=0)
+    columns = triangle / np.where(lengths > 0.0, lengths, 1.0)
+    q = np.linalg.qr(np.delete(columns, of_effects, axis=1))[0]
+    z = columns[:, of_effects]
+    for _ in range(2):  # the second pass removes what rounding left
+        z = z - q @ (q.T @ z)
+    return z.T @ z, lengths[of_effects]
 
 
 def amplitude_prior(information: Array, lengths: Array | None) -> Array:
@@ -96,7 +118,12 @@ def log_bayes_factor(found: Explained, left: Array, squares: float, freedom: int
     squares, freedom : sum of squares and degrees of freedom of the base model
     """
     gain = np.square(SIZES)[:, None] * found.shares[..., None, :]  # (..., sizes, G)
-    shrunk = np.sum(found.squares[..., None, :] / (1.0 + gain), axis=-1)
+    kept = gain / (1.0 + gain)
+    mean = kept * found.lengths[..., None, :]
+    rest = np.maximum(left[..., None] + np.sum(np.square(found.lengths)[..., None, :] * (1.0 - kept), axis=-1), TINY)
     volume = np.sum(found.counts[..., None, :] * np.log1p(gain), axis=-1)
-    fit = np.log(np.maximum(left[..., None] + shrunk, 1e-300) / squares)
-    return np.asarray(logsumexp(-0.5 * volume - 0.5 * freedom * fit, axis=-1) - np.log(len(SIZES)))
+    spread = np.einsum("mgg,...g->...m", found.forms, kept * found.counts[..., None, :])
+    moved = np.einsum("mgh,...g,...h->...m", found.forms, mean, mean) * (freedom / rest)[..., None]
+    moments = np.sum(np.log((spread + moved) / np.square(SIZES)[:, None]), axis=-1)
+    factors = -0.5 * volume - 0.5 * freedom * np.log(rest / squares) + moments
+    return np.asarray(logsumexp(factors, axis=-1) - np.log(len(SIZES)))

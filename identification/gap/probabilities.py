@@ -22,9 +22,9 @@ from identification.gap.unmodelled_survey import shapes_beside
 from identification.gap.workflow import Findings
 
 # reasons: identification/README.md, "Constants"
-FIRST = 1.0  # prior odds of one missing effect to none
-NEXT = 0.03  # prior odds of a further effect, for each that is there already
-OUTSIDE = 0.02  # prior odds of a shape outside the library to an effect of it
+FIRST = 2.0  # prior odds of one missing effect to none
+NEXT = 0.05  # prior odds of a further effect, for each that is there already
+OUTSIDE = 0.03  # prior odds of a shape outside the library to an effect of it
 CREDIBLE = 0.9  # probability of the credible set
 LISTED = 0.01  # less likely sets are not listed by name
 Names = tuple[str, ...]
@@ -47,11 +47,13 @@ class Probabilities:
         names = tuple(sorted(keys))
         return self.sets.get(names, 0.0) if names else self.none
 
-    def with_odds(self, keys: Iterable[str], log_odds: float) -> Probabilities:
-        """One explanation more, with its log odds to all others together."""
-        rest = 1.0 / (1.0 + np.exp(min(log_odds, 700.0)))
-        sets = {names: float(rest * p) for names, p in self.sets.items()} | {tuple(sorted(keys)): float(1.0 - rest)}
-        return Probabilities(float(rest * self.none), sets, float(rest * self.outside))
+    def with_odds(self, keys: Iterable[str] | None, log_odds: float) -> Probabilities:
+        """One explanation more, with its log odds to all others together; None: it is outside the library."""
+        rest = float(1.0 / (1.0 + np.exp(min(log_odds, 700.0))))
+        sets = {names: rest * p for names, p in self.sets.items()}
+        if keys is None:
+            return Probabilities(rest * self.none, sets, rest * self.outside + 1.0 - rest)
+        return Probabilities(rest * self.none, sets | {tuple(sorted(keys)): 1.0 - rest}, rest * self.outside)
 
     def beside(self, candidates: Iterable[Names]) -> dict[Names, float]:
         """Sets of effects that are no candidates but not unlikely, likeliest first."""
@@ -61,14 +63,18 @@ class Probabilities:
 
     @property
     def credible(self) -> dict[Names | None, float]:
-        """The fewest explanations that together have a probability of `CREDIBLE`, likeliest first.
+        """The explanations that together have a probability of `CREDIBLE`, likeliest first.
 
-        () is nothing missing, None something outside the library.
+        The last one belongs to them if more than half of its probability is needed, so that over many data the set
+        holds the truth about as often as it says. () is nothing missing, None something outside the library.
         """
         every: list[tuple[Names | None, float]] = [((), self.none), *self.sets.items(), (None, self.outside)]
-        ordered = sorted(every, key=lambda pair: -pair[1])
-        before = np.cumsum([0.0, *(p for _, p in ordered)])
-        return {names: p for (names, p), already in zip(ordered, before, strict=False) if already < CREDIBLE}
+        found: dict[Names | None, float] = {}
+        for names, p in sorted(every, key=lambda pair: -pair[1]):
+            if found and sum(found.values()) + 0.5 * p >= CREDIBLE:
+                break
+            found[names] = p
+        return found
 
 
 class _Option(NamedTuple):

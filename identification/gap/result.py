@@ -199,7 +199,7 @@ class Diagnosis:
     def likely(self) -> str:
         """The probabilities in one line, with the sets of effects that are no candidates but not unlikely."""
         other = ", ".join(f"{name} {p:.2f}" for name, p in self.other_sets.items())
-        text = ", ".join(f"{name} {p:.2f}" for name, p in self.probability.items())
+        text = ", ".join(f"{name} {p:.2f}" for name, p in self.probability.items() if p >= 0.005)
         return f"probability: {text}" + (f" (of that {other})" if other else "")
 
     @property
