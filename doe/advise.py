@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from doe.design import Design
+from doe.plan.tip_error import TipError, robust_or_none, tip_error
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from identification.errors import InputError
@@ -24,10 +25,12 @@ class Advice:
 
     designs : in the order of `runs`
     target : wanted standard deviation of the link lengths [mm], or None
+    tip_errors : of every design, if the model is right and if effects are missing; empty where no sizes are known
     """
 
     designs: tuple[Design, ...]
     target: float | None = None
+    tip_errors: tuple[TipError, ...] = ()
 
     @property
     def runs(self) -> tuple[int, ...]:
@@ -54,15 +57,19 @@ class Advice:
         """One row per number of runs, and the smallest number for the target."""
         smallest = self.smallest
         return {
-            "rows": [self._row(design) for design in self.designs],
+            "rows": [self._row(k) for k in range(len(self.designs))],
             "target_mm": self.target,
             "smallest_runs": None if smallest is None else len(smallest.plan),
         }
 
-    def _row(self, design: Design) -> dict[str, Any]:
-        data = design.to_json()
+    def _row(self, k: int) -> dict[str, Any]:
+        data = self.designs[k].to_json()
         keys = ("runs", "log_det", "bound", "efficiency", "certified_optimal", "std", "status")
-        return {key: data[key] for key in keys} | {"largest_length_std_mm": self.accuracy(design)}
+        tip = self.tip_errors[k].to_json() if self.tip_errors else None
+        return {key: data[key] for key in keys} | {
+            "largest_length_std_mm": self.accuracy(self.designs[k]),
+            "tip_error_mm": tip,
+        }
 
 
 def advise(
@@ -94,4 +101,6 @@ def advise(
     except KeyboardInterrupt:
         if not designs:
             raise
-    return Advice(tuple(designs), target)
+    wide = robust_or_none(problem)
+    errors = () if wide is None else tuple(tip_error(problem, wide, design.plan.postures) for design in designs)
+    return Advice(tuple(designs), target, errors)

@@ -71,14 +71,20 @@ def command(
     """Choose the RUNS postures that calibrate the arm best, with a certificate of how good they are."""
     from doe.plan.file import plan_text
     from doe.plan.order import check_order
-    from doe.report.design_tables import design_tables
+    from doe.problem.robust import with_choices
+    from doe.report.design_tables import design_tables, missing_lines
     from identification.files.arm import load_arm
 
     check_used(click.get_current_context())
     loaded = load_arm(arm)
     check_order(search.order)
+    if criterion.robust and search.discriminating:
+        raise InputError("--discriminating: found with --robust, allowed: one of them")
     problem = design_problem(loaded, criterion, postures, session.seed)
+    if criterion.robust and search.solver in (None, "fedorov"):
+        problem = with_choices(problem)
     design, data, extra = _searched(session, problem, loaded, search)
+    extra += missing_lines(design) if not search.discriminating else []
     if search.order is not None:
         design = _ordered(design, search.order, session.seed, data, extra)
     extra += output.write(plan_text(design.plan), "plan")

@@ -15,16 +15,31 @@ if TYPE_CHECKING:
     from doe.criteria import Criterion
     from doe.problem.problem import DesignProblem
     from identification.arm import Arm
-    from identification.model import Model
 
 
 @dataclass(frozen=True)
 class CriterionOptions:
-    """What is to be estimated well."""
+    """What is to be estimated well, and whether effects may be missing in the model."""
 
-    criterion: str = "D"
+    criterion: str | None = None
     test_poses: Path | None = None
     subset: str | None = None
+    robust: bool = False
+    missing: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Of the criterion: as asked for, else D, or I where effects may be missing."""
+        return self.criterion or ("I" if self.robust else "D")
+
+    @property
+    def effects(self) -> list[str] | None:
+        """Names of the effects that may be missing, None: all of the library. Raises `InputError` without --robust."""
+        if self.missing is None:
+            return None
+        if not self.robust:
+            raise InputError("--missing: found without --robust, allowed: with --robust")
+        return [word.strip() for word in self.missing.split(",")]
 
 
 @dataclass(frozen=True)
@@ -39,16 +54,25 @@ class PostureOptions:
     draws: int = 5
 
 
+ROBUST = (
+    click.option("--robust", is_flag=True, help="The arm may have effects of the library that its file does not name."),
+    click.option("--missing", metavar="NAMES", help="Only these effects, for --robust: backlash,gear_ratio"),
+)
+
+
 def criterion_options(names: str) -> Decorator:
-    """--criterion (one of `names`), --test-poses and --subset, as the argument `criterion`."""
+    """--criterion (one of `names`), --test-poses, --subset, --robust and --missing, as the argument `criterion`."""
     return grouped(
         CriterionOptions,
         "criterion",
-        click.option("--criterion", default="D", show_default=True, help=names),
+        click.option("--criterion", show_default="D; with --robust I", help=names),
         click.option("--test-poses", type=FILE, metavar="FILE", help="CSV of postures that matter, for criterion I."),
         click.option("--subset", help="Parameters that matter, for Ds: length_error:1,joint_offset:2"),
+        *ROBUST,
     )
 
+
+robust_options = grouped(CriterionOptions, "criterion", *ROBUST)
 
 posture_options = grouped(
     PostureOptions,
@@ -81,12 +105,26 @@ def design_problem(
     postures = postures or PostureOptions()
     model = Model(arm)
     restricted = DesignProblem.of(model, **_restrictions(arm, postures))
-    problem = replace(restricted, criterion=_criterion(wanted, model, restricted))
+    if wanted.robust:
+        if postures.uncertain is not None:
+            raise InputError("--uncertain: found with --robust, allowed: one of them")
+        return _robust(wanted, restricted)
+    problem = replace(restricted, criterion=_criterion(wanted, restricted))
     if postures.uncertain is None:
         return problem
     return ensemble_problem(
         problem, prior_draws(model, postures.draws, np.random.default_rng(seed)), postures.uncertain
     )
+
+
+def _robust(wanted: CriterionOptions, problem: DesignProblem) -> DesignProblem:
+    """The problem with the library's effects as a prior."""
+    from doe.problem.robust import missing_effects, robust_problem
+
+    wide = robust_problem(problem, missing_effects(problem, wanted.effects))
+    if wanted.name == "I" and wanted.test_poses is None:
+        return wide
+    return replace(wide, criterion=_criterion(wanted, wide))
 
 
 def _restrictions(arm: Arm, postures: PostureOptions) -> dict[str, Any]:
@@ -108,15 +146,16 @@ def _restrictions(arm: Arm, postures: PostureOptions) -> dict[str, Any]:
     return options
 
 
-def _criterion(wanted: CriterionOptions, model: Model, problem: DesignProblem) -> Criterion:
+def _criterion(wanted: CriterionOptions, problem: DesignProblem) -> Criterion:
     from doe.criteria import criterion
     from doe.plan.file import load_plan
 
     poses = None if wanted.test_poses is None else load_plan(wanted.test_poses, problem.joints).postures
+    parameters = problem.model.parameters
     return criterion(
-        wanted.criterion,
-        units=list(model.parameters.units),
-        subset=None if wanted.subset is None else indices(wanted.subset, model.names),
+        wanted.name,
+        units=list(parameters.units),
+        subset=None if wanted.subset is None else indices(wanted.subset, parameters.names),
         test_jacobians=None if poses is None else problem.scaled_jacobians(poses),
     )
 
@@ -125,7 +164,8 @@ def check_needed(wanted: CriterionOptions) -> None:
     """Raises `InputError` for an option that the criterion would ignore."""
     from doe.criteria import NAMES
 
-    name = wanted.criterion
+    name = wanted.name
+    _ = wanted.effects  # raises without --robust
     for option, given, needed in (("--test-poses", wanted.test_poses, "I"), ("--subset", wanted.subset, "Ds")):
         if given is not None and name in NAMES and name != needed:
             raise InputError(f"{option}: criterion {name} does not use it, allowed: with criterion {needed}")

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from doe.cli.common import Answer, Session, verb
 from doe.cli.options import FILE, Output, grouped, output_options
-from doe.cli.problems import CriterionOptions, criterion_options, design_problem
+from doe.cli.problems import CriterionOptions, PostureOptions, criterion_options, design_problem
+from identification.errors import InputError
+
+if TYPE_CHECKING:
+    from doe.problem.problem import DesignProblem
+    from identification.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -18,8 +24,9 @@ class RelaxationOptions:
 
     grid: int | None
     candidates: Path | None
-    solver: str
+    solver: str | None
     check: bool
+    runs: int | None
 
 
 relaxation_options = grouped(
@@ -28,9 +35,12 @@ relaxation_options = grouped(
     click.option("--grid", type=click.IntRange(min=2), help="Levels per joint; left out: about 10,000 in all."),
     click.option("--candidates", type=FILE, metavar="FILE", help="CSV of allowed postures instead of a grid."),
     click.option(
-        "--solver", default="column_generation", show_default=True, help="clarabel, scs or column_generation."
+        "--solver",
+        show_default="column_generation; with --robust multiplicative",
+        help="clarabel, scs, multiplicative or column_generation.",
     ),
     click.option("--check/--no-check", default=True, show_default=True, help="Cross-check by independent methods."),
+    click.option("--runs", type=click.IntRange(min=1), help="Number of measurements m, for --robust."),
 )
 
 
@@ -45,24 +55,48 @@ def command(
     """Optimal weights over candidate postures, with a certificate recomputed from the weights and a cross-check."""
     from doe.bounds.relaxation import relax
     from doe.cross_check import cross_check
-    from doe.plan.file import load_plan, plan_text
+    from doe.plan.file import plan_text
+    from doe.problem.robust import with_choices
     from doe.report.approximate import cross_check_table, relax_tables
     from identification.files.arm import load_arm
 
     loaded = load_arm(arm)
-    problem = design_problem(loaded, criterion)
-    levels = chosen.grid or default_levels(len(problem.active_joints))
+    check_runs(chosen, criterion)
+    problem = design_problem(
+        loaded, criterion, PostureOptions(candidates=chosen.candidates if criterion.robust else None)
+    )
+    problem = with_choices(problem) if criterion.robust and chosen.grid is None else problem
     with session.progress("relax") as progress:
         progress(0, 2, "weights")
-        listed = chosen.candidates
-        found = relax(problem, levels if listed is None else load_plan(listed, loaded.links).postures, chosen.solver)
+        solver = chosen.solver or ("multiplicative" if criterion.robust else "column_generation")
+        found = relax(problem, candidates(problem, chosen), solver, runs=chosen.runs)
         data, shown = found.to_json(), relax_tables(found)
         if chosen.check:
             progress(1, 2, "cross-check")
-            compared = cross_check(problem, found, max(2 * loaded.links, problem.fewest_runs), seed=session.seed)
+            runs = chosen.runs or max(2 * loaded.links, problem.fewest_runs)
+            compared = cross_check(problem, found, runs, seed=session.seed)
             data["cross_check"] = compared.rows()
             shown.append(cross_check_table(compared))
     return Answer(data, [*shown, *output.write(plan_text(found.plan), "plan with weights")])
+
+
+def check_runs(chosen: RelaxationOptions, criterion: CriterionOptions) -> None:
+    """Raises `InputError` where what is known beforehand needs the number of runs, and where nothing uses it."""
+    if criterion.robust and chosen.runs is None:
+        raise InputError("--robust: found without --runs, allowed: with the number of measurements")
+    if chosen.runs is not None and not criterion.robust:
+        raise InputError("--runs: found without --robust, allowed: with --robust")
+
+
+def candidates(problem: DesignProblem, chosen: RelaxationOptions) -> int | Array:
+    """Levels of a grid, or (N, n) postures [rad]."""
+    from doe.plan.file import load_plan
+
+    if problem.choices is not None:
+        return problem.choices
+    if chosen.candidates is not None:
+        return load_plan(chosen.candidates, problem.joints).postures
+    return chosen.grid or default_levels(len(problem.active_joints))
 
 
 def default_levels(joints: int) -> int:

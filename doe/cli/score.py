@@ -10,6 +10,7 @@ import click
 
 from doe.cli.common import Answer, Session, verb
 from doe.cli.options import FILE, Output, output_options
+from doe.cli.problems import CriterionOptions, design_problem, robust_options
 from identification.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,31 +26,37 @@ if TYPE_CHECKING:
 @click.argument("arm", type=FILE)
 @click.argument("plan", type=FILE)
 @click.option("--aliases", type=FILE, metavar="FILE", help="Draw which effects this plan can hardly distinguish.")
+@robust_options
 @output_options(picture="Draw the postures (.png, .svg, .pdf).")
-def command(session: Session, arm: Path, plan: Path, aliases: Path | None, output: Output) -> Answer:
+def command(
+    session: Session, arm: Path, plan: Path, aliases: Path | None, criterion: CriterionOptions, output: Output
+) -> Answer:
     """Score a PLAN of your own: efficiency against the bound, expected standard deviations, effects it could show."""
     from doe.plan.file import load_plan
     from doe.plan.observability import observability
+    from doe.problem.problem import DesignProblem
     from doe.report.design_tables import design_tables, observability_line
     from identification.files.arm import load_arm
+    from identification.model import Model
 
     loaded = load_arm(arm)
     given = load_plan(plan, loaded.links)
-    design = _scored(loaded, given, plan)
+    design = _scored(loaded, given, plan, criterion)
     preflight, tables = _preflight(loaded, given, plan, aliases, output.force)
     output.draw_plan(loaded, given.postures)
-    indices = observability(design.problem, given.postures)
+    indices = observability(DesignProblem.of(Model(loaded)), given.postures)
     data = design.to_json() | {"observability": indices.to_json(), "preflight": preflight}
     return Answer(data, [*design_tables(design), observability_line(indices), *tables])
 
 
-def _scored(arm: Arm, given: Plan, path: Path) -> Design:
+def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions) -> Design:
     """The plan judged. Raises `InputError` if it has too few runs; warns of runs that the arm cannot do."""
     from doe.design import score_plan
-    from doe.problem.problem import DesignProblem
-    from identification.model import Model
+    from doe.problem.robust import with_choices
 
-    problem = DesignProblem.of(Model(arm))
+    problem = design_problem(arm, criterion)
+    if criterion.robust:
+        problem = with_choices(problem, given.postures)
     if len(given) < problem.fewest_runs:
         need = f"allowed: at least {problem.fewest_runs} for {problem.parameters} parameters"
         raise InputError(f"{path}: {len(given)} runs, {need}")

@@ -53,8 +53,10 @@ def robust_problem(
     return replace(wide, criterion=average_error(wide) if criterion is None else criterion)
 
 
-def with_choices(problem: DesignProblem) -> DesignProblem:
+def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignProblem:
     """The problem with a list to choose from, its own or one of random allowed postures, half of them at limits.
+
+    also : (k, n) postures that are among them too
 
     Fast waves give a criterion thousands of local optima over all postures, none much better than the next: a list has
     enough of them, and its bound is a proof.
@@ -67,7 +69,8 @@ def with_choices(problem: DesignProblem) -> DesignProblem:
     middle = 0.5 * (problem.lower + problem.upper)
     moved = generator.random(at_limits.shape) < 0.5
     at_limits = np.where(moved, np.where(at_limits < middle, problem.lower, problem.upper), at_limits)
-    return replace(problem, choices=np.concatenate([anywhere, at_limits[problem.feasible(at_limits)]]))
+    more = [] if also is None else [also]
+    return replace(problem, choices=np.concatenate([anywhere, at_limits[problem.feasible(at_limits)], *more]))
 
 
 def average_error(problem: DesignProblem, poses: ArrayLike | None = None) -> I:

@@ -49,7 +49,20 @@ def advice_tables(advice: Advice) -> list[Any]:
         return [str(m), number(design.efficiency, 5), "yes" if m in good else "", *(number(v, 5) for v in figures)]
 
     headings = ("runs", "efficiency", "within 0.1 % of the bound", "largest std of a length [mm]", "of an angle [deg]")
-    return [Text(sentence(advice), style="bold"), table(headings, map(row, advice.designs))]
+    shown = [Text(sentence(advice), style="bold"), table(headings, map(row, advice.designs))]
+    return [*shown, *tip_error_table(advice)]
+
+
+def tip_error_table(advice: Advice) -> list[Any]:
+    """Expected error of the tip where nothing was measured, and what to do about effects that may be missing."""
+    if not advice.tip_errors:
+        return []
+    headings = ("runs", "model right [mm]", "effects missing [mm]", "missing, identify --prior [mm]")
+    pairs = zip(advice.runs, advice.tip_errors, strict=True)
+    rows = ([str(m), *(number(v, 4) for v in (e.right, e.missing, e.with_prior))] for m, e in pairs)
+    title = "Expected error of the tip (RMS over the workspace; effects of typical size missing in the model)"
+    advised = "Where effects may be missing, choose the postures with armcal design --robust."
+    return [table(headings, rows, title), Text(advised)]
 
 
 def sentence(advice: Advice) -> str:

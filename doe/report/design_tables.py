@@ -15,6 +15,7 @@ from doe.plan.order import Ordered
 from doe.plan.replicate_spacing import distance_to_keep
 from doe.report.terminal import facts, number, table
 from identification.arrays import Array
+from identification.kinematics.parameters import EFFECT
 
 
 def plan_table(design: Design, most: int = 24) -> Table:
@@ -93,6 +94,18 @@ def not_estimable_line(design: Design, most: int = 4) -> list[Text]:
         return [Text(f"no log det: {why} {', '.join(still)}")]
     more = ", ..." if len(combinations) > most else ""
     return [Text(f"no log det: not estimable from the plan: {', '.join(combinations[:most])}{more}")]
+
+
+def missing_lines(design: Design) -> list[Text]:
+    """What a plan is for where effects may be missing; or, where the model has none, that they may be."""
+    problem = design.problem
+    if problem.deviations:
+        effects = {name.partition(":")[0].partition(".")[0] for name in problem.deviations}
+        known = f"{len(problem.deviations)} parameters of {', '.join(sorted(effects))}"
+        return [Text(f"may be missing, each of its typical size: {known}; identify the arm with --prior")]
+    if problem.model.sigma is None or any(p.kind == EFFECT for p in problem.model.parameters):
+        return []
+    return [Text("The model has no effects, a real arm has: --robust chooses postures with the library's in mind.")]
 
 
 def observability_line(indices: Observability) -> Text:

@@ -22,8 +22,6 @@ from identification.estimation.prior import Prior
 from identification.gap.hypotheses import Hypothesis, hypotheses
 from identification.model import Model
 
-BY_ORDER = frozenset({"time", "directions"})  # what the order of the rows decides
-
 
 @dataclass(frozen=True)
 class LibraryPrior:
@@ -82,7 +80,7 @@ def _once(members: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def _why_not(effect: Effect, given: frozenset[str]) -> str | None:
-    missing = sorted((effect.needs - given) & (BY_ORDER | {"temperature"}))
+    missing = sorted((effect.needs - given) & {"time", "directions", "temperature"})
     if missing:
         return f"needs {', '.join(missing)}"
     return "no typical size" if any(p.typical is None for p in effect.parameters) else None

@@ -1,0 +1,94 @@
+"""`--robust` on the command line: plans, weights, scores, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from doe.cli.main import main
+
+ARM = """name = "two"
+links_mm = [300.0, 200.0]
+[joint_limits_deg]
+lower = [-170.0, -100.0]
+upper = [170.0, 100.0]
+[measurement]
+sigma_mm = 0.1
+"""
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    path = tmp_path / "arm.toml"
+    path.write_text(ARM)
+    return path
+
+
+def armcal(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def answer(*words: object) -> dict:  # type: ignore[type-arg]
+    result = armcal(*words, "--json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def test_design_score_and_relax_agree(arm: Path, tmp_path: Path) -> None:
+    plan, few = tmp_path / "plan.csv", "gear_ratio,encoder_eccentricity"
+    designed = answer("design", arm, "--runs", 6, "--robust", "--missing", few, "--out", plan)
+    assert (designed["criterion"], designed["runs"], designed["bound"]["source"]) == ("I", 6, "grid")
+    assert designed["value"] <= designed["bound"]["value"]
+    assert 0.0 < designed["efficiency"] <= 1.0
+    scored = answer("score", arm, plan, "--robust", "--missing", few)
+    assert scored["value"] == pytest.approx(designed["value"], rel=1e-6)
+    relaxed = answer("relax", arm, "--robust", "--missing", few, "--runs", 6, "--no-check")
+    assert relaxed["bound"]["value"] == pytest.approx(designed["bound"]["value"], rel=1e-9)
+
+
+def test_criteria_and_lists(arm: Path, tmp_path: Path) -> None:
+    rows = tmp_path / "rows.csv"
+    rows.write_text("q1_deg,q2_deg\n" + "\n".join(f"{13 * k % 300 - 150},{37 * k % 190 - 95}" for k in range(40)))
+    few = ("--robust", "--missing", "gear_ratio", "--candidates", rows)
+    for criterion in ("D", "A", "I"):
+        found = answer("design", arm, "--runs", 5, "--criterion", criterion, *few)
+        assert found["criterion"] == criterion
+        assert found["efficiency"] <= 1.0
+
+
+def test_advice_where_no_effect_is_known(arm: Path) -> None:
+    """One line, and only where it is news."""
+    assert "--robust chooses postures" in armcal("design", arm, "--runs", 4).output
+    assert (
+        "may be missing, each of its typical size"
+        in armcal("design", arm, "--runs", 4, "--robust", "--missing", "gear_ratio").output
+    )
+    known = arm.with_name("known.toml")
+    known.write_text(ARM + '[[effects]]\nname = "base_offset"\n')
+    assert "--robust" not in armcal("design", known, "--runs", 8).output
+
+
+def test_advise_says_what_missing_effects_cost(arm: Path) -> None:
+    row = answer("advise", arm, "--runs", "6:6")["rows"][0]["tip_error_mm"]
+    assert row["model_right"] < row["effects_missing_prior"] < row["effects_missing"]
+    assert "design --robust" in armcal("advise", arm, "--runs", "4:4").output
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["design", "--runs", "5", "--missing", "backlash"], "--missing: found without --robust"),
+        (["design", "--runs", "5", "--robust", "--uncertain", "worst"], "--uncertain: found with --robust"),
+        (["design", "--runs", "5", "--robust", "--discriminating"], "--discriminating: found with --robust"),
+        (["design", "--runs", "5", "--robust", "--missing", "gear"], "unknown name 'gear'"),
+        (["relax", "--robust"], "--robust: found without --runs"),
+        (["relax", "--runs", "5"], "--runs: found without --robust"),
+    ],
+)
+def test_what_does_not_fit_is_said(arm: Path, words: list[str], expected: str) -> None:
+    result = armcal(words[0], arm, *words[1:])
+    assert result.exit_code == 2
+    assert expected in result.output

@@ -1,0 +1,65 @@
+"""Expected errors of the tip against simulated arms, with the effects of the prior and without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doe.plan.tip_error import TipError, robust_or_none, tip_error
+from doe.problem.bayesian import EnsembleModel
+from doe.problem.problem import DesignProblem
+from doe.problem.robust import average_error, missing_effects, robust_problem, workspace
+from identification.arm import Arm
+from identification.model import Model
+
+ARM = Arm([300.0, 200.0], np.radians([-170, -100]), np.radians([170, 100]), 0.1)
+PLAIN = DesignProblem.of(Model(ARM))
+MISSING = missing_effects(PLAIN, ["encoder_eccentricity", "gear_ratio", "base_offset"])
+WIDE = robust_problem(PLAIN, MISSING)
+POSTURES = np.random.default_rng(3).uniform(ARM.lower, ARM.upper, (6, 2))
+
+
+def test_against_simulated_arms() -> None:
+    """1,000 arms of the prior, measured at the plan, fitted by the linear model without effects: least squares alone.
+
+    A mean square of one direction has the standard error sqrt(2 / 1000) = 4.5 %; four of them.
+    """
+    generator, count, wide = np.random.default_rng(1), 1000, MISSING.model
+    sizes = wide.parameters.vector(MISSING.prior.deviations, default=0.0)
+    poses = workspace(PLAIN)[:100]
+    found = {}
+    for name, size in (("right", 0.0), ("missing", 1.0)):
+        truth = size * sizes * generator.standard_normal((count, len(sizes)))
+        clean = wide.position(POSTURES, truth) - wide.position(POSTURES, np.zeros(len(sizes)))
+        data = (clean + 0.1 * generator.standard_normal(clean.shape)).reshape(count, -1)
+        jacobian, at_poses = PLAIN.model.jacobian(POSTURES).reshape(-1, 4), PLAIN.model.jacobian(poses).reshape(-1, 4)
+        estimates = np.linalg.lstsq(jacobian, data.T, rcond=None)[0]
+        real = (wide.position(poses, truth) - wide.position(poses, np.zeros(len(sizes)))).reshape(count, -1)
+        found[name] = float(np.sum((at_poses @ estimates - real.T) ** 2) / count / len(poses))
+    expected = tip_error(PLAIN, WIDE, POSTURES, poses)
+    assert expected.right**2 == pytest.approx(found["right"], rel=4.0 * np.sqrt(2.0 / count))
+    assert expected.missing**2 == pytest.approx(found["missing"], rel=4.0 * np.sqrt(2.0 / count))
+
+
+def test_with_the_prior_it_is_criterion_i() -> None:
+    poses = workspace(PLAIN)
+    expected = -replace(WIDE, criterion=average_error(WIDE, poses)).objective(POSTURES) * 0.1**2 / len(POSTURES)
+    assert tip_error(PLAIN, WIDE, POSTURES).with_prior ** 2 == pytest.approx(expected, rel=1e-9)
+
+
+def test_measured_postures_count() -> None:
+    kept = [replace(case, kept=POSTURES[:3]) for case in (PLAIN, WIDE)]
+    shared = tip_error(*kept, POSTURES[3:]).to_json()
+    assert shared == pytest.approx(tip_error(PLAIN, WIDE, POSTURES).to_json(), rel=1e-9)
+
+
+def test_too_few_runs_have_no_error() -> None:
+    assert tip_error(PLAIN, WIDE, POSTURES[:1]) == TipError(np.inf, np.inf, np.inf)
+
+
+def test_where_no_sizes_are_known_there_is_none() -> None:
+    assert robust_or_none(DesignProblem.of(Model(Arm([300.0, 200.0])))) is None
+    assert robust_or_none(replace(PLAIN, model=EnsembleModel(PLAIN.model, np.zeros((1, 4))))) is None
+    assert robust_or_none(WIDE) is None
