@@ -20,8 +20,8 @@ def identification_tables(found: Identification) -> list[Any]:
     given = "given" if found.sigma_known else "from the residuals"
     summary = [
         ("method", f"{data['method']}: {found.outcome}"),
-        ("RMS", f"{number(data['rms_before_mm'])} -> {number(data['rms_after_mm'])} mm"),
-        ("largest", f"{number(data['max_before_mm'])} -> {number(data['max_after_mm'])} mm"),
+        ("RMS error", f"{number(data['rms_before_mm'])} -> {number(data['rms_after_mm'])} mm (arm file -> identified)"),
+        ("largest error", f"{number(data['max_before_mm'])} -> {number(data['max_after_mm'])} mm"),
         ("sigma", f"{number(data['sigma_mm'], 5)} mm per axis ({given}), {data['dof']} degrees of freedom"),
     ]
     if data["p_value"] is not None:
@@ -44,9 +44,10 @@ def parameter_table(found: Identification) -> Table:
     return table(("name", "value", "std", "low 95 %", "high 95 %", "unit"), rows, "Parameters", left=("name", "unit"))
 
 
-def residual_text(error: float) -> str:
+def residual_text(error: float, reached: bool = True) -> str:
     """Distance of the calibrated model's tip from its target [mm], not to be read as the robot's accuracy."""
-    return "< 1e-6" if error < 1e-6 else number(error)
+    text = "< 1e-6" if error < 1e-6 else number(error)
+    return text if reached else f"{text}, not reached"
 
 
 def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
@@ -54,12 +55,12 @@ def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     joints = (f"q{j + 1} [deg]" for j in range(found.commands.shape[1]))
     found_rows = zip(found.targets, np.degrees(found.commands), found.errors, strict=True)
     rows = (
-        [str(row), *(f"{v:.3f}" for v in target), *(f"{v:.5f}" for v in command), residual_text(error)]
-        for row, (target, command, error) in enumerate(found_rows, start=1)
+        [str(row), *(f"{v:.3f}" for v in target), *(f"{v:.5f}" for v in command), residual_text(error, reached)]
+        for row, ((target, command, error), reached) in enumerate(zip(found_rows, found.reached, strict=True), start=1)
     )
     caption = f"first {most} of {len(found.targets)} targets; --out writes all"
     headings = ("target", "x [mm]", "y [mm]", *joints, "residual [mm]")
     data = found.to_json()
     unreachable = f"; rows out of reach: {', '.join(map(str, data['unreachable'][:20]))}" if data["unreachable"] else ""
-    reached = f"{data['reached']} of {data['targets']} targets reached{unreachable}"
+    reached = f"{data['reached']} of {data['targets']} targets reached by the calibrated model{unreachable}"
     return [reached, table(headings, rows, "Commands", most=most, caption=caption)]

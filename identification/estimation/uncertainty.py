@@ -78,7 +78,8 @@ class Uncertainty:
             return "from the sigma given"
         if self.kind == "scatter":
             return "from the scatter of the residuals"
-        return f"from the scatter, robust to what is left unexplained (sandwich over {self.count} {self.clusters})"
+        what = "stretches of time" if self.clusters == "stretches" else self.clusters
+        return f"from the scatter, robust to what is left unexplained (sandwich over {self.count} {what})"
 
 
 def uncertainty(

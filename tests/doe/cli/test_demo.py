@@ -108,13 +108,15 @@ def test_the_demo_shows_what_identify_and_diagnose_say_of_its_files(folder: Fold
     assert shown["identify"] == folder.armcal("identify", "d/arm.toml", "d/data.csv", "--json").data
     diagnosis = folder.armcal("diagnose", "d/arm.toml", "d/data.csv", "--holdout", "d/fresh.csv", "--json").data
     assert shown["diagnose"] == diagnosis
-    # the effect that is named, with the same values in the arm file that the demo writes and in `identify` of it; its
-    # deviations are of the scatter in `diagnose` and of the arm's sigma of 0.1 mm in `identify`
+    # the effect that is named, with the same values and intervals in `diagnose` and in `identify` of the arm file that
+    # the demo writes
     again = folder.armcal("identify", "d/extended.toml", "d/data.csv", "--json").data
     rows = {row["name"]: row for row in again["parameters"]}
     assert len(diagnosis["named"]["parameters"]) == 2
     for row in diagnosis["named"]["parameters"]:
         same = rows[row["name"]]
-        assert abs(row["value"] - same["value"]) <= 1e-7 * same["std"]
-        assert row["std"] / diagnosis["sigma_mm"] == pytest.approx(same["std"] / again["sigma_mm"], rel=1e-7)
+        for key in ("value", "low_95", "high_95"):
+            assert abs(row[key] - same[key]) <= 1e-7 * same["std"]
+        assert row["std"] == pytest.approx(same["std"], rel=1e-7)
+    assert diagnosis["named"]["intervals"] == again["intervals"]
     assert again["rms_after_mm"] == pytest.approx(diagnosis["gap"]["rms_after_mm"], rel=1e-9)
