@@ -153,6 +153,7 @@ class Arm(ByValue):
     lengths : (n,) nominal link lengths [mm]
     lower, upper : (n,) joint limits [rad]; left out: -pi..pi. Warns (`UserWarning`) of what looks like degrees
     sigma : standard deviation of one measured coordinate [mm]; None: estimated from the data
+    gear_ratios : (n,) turns of each motor per turn of its joint, 0: not known; None: of no joint
     """
 
     lengths: Array
@@ -164,6 +165,7 @@ class Arm(ByValue):
     constraints: tuple[Constraint, ...] = ()
     effects: tuple[EffectSpec, ...] = ()
     calibration: Calibration | None = None
+    gear_ratios: Array | None = None
 
     def __post_init__(self) -> None:
         lengths = readonly(self.lengths, -1)
@@ -176,7 +178,11 @@ class Arm(ByValue):
         lower, upper = _joint_limits(self.lower, self.upper, n)
         if self.sigma is not None:
             _require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
-        for field_name, value in (("lengths", lengths), ("lower", lower), ("upper", upper)):
+        ratios = None if self.gear_ratios is None else readonly(self.gear_ratios, -1)
+        if ratios is not None:
+            good = ratios.size == n and bool(np.all(np.isfinite(ratios) & (ratios >= 0.0)))
+            _require(good, f"gear_ratio: {ratios.tolist()}, allowed: {n} numbers >= 0, one for each joint")
+        for field_name, value in (("lengths", lengths), ("lower", lower), ("upper", upper), ("gear_ratios", ratios)):
             object.__setattr__(self, field_name, value)
 
     @property

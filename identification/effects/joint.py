@@ -9,7 +9,7 @@ import casadi as ca
 
 from identification.effects.base import Effect, register
 from identification.effects.chain import Chain
-from identification.effects.settings import Setting
+from identification.effects.settings import Scope, Setting
 from identification.kinematics.parameters import Parameter
 
 NOMINAL_TORQUE = 100.0  # [N m] order of magnitude, for the scale of compliance parameters only
@@ -83,15 +83,28 @@ class EncoderSecondHarmonic(_Harmonic):
         return 2
 
 
+def ripple_orders(scope: Scope) -> list[float]:
+    """Periods per turn: whole ones of gear teeth, and those of the motor's turns (a strain wave has two of them)."""
+    orders = [float(k) for k in range(3, 65)]
+    if scope.arm.gear_ratios is not None and scope.joint is not None:
+        ratio = float(scope.arm.gear_ratios[scope.joint - 1])
+        orders += [k * ratio for k in (1.0, 2.0, 3.0, 4.0) if ratio > 2.0]
+    return orders
+
+
 @register
 class TransmissionRipple(_Harmonic):
-    """Gear teeth or flex-spline error: a cos k q_j + b sin k q_j with a whole k from 3 to 64."""
+    """Gear teeth or flex-spline error: a cos k q_j + b sin k q_j.
+
+    Tried are the whole k from 3 to 64 and, where the arm file has the gear ratio of the joint, once to four times per
+    turn of the motor; a wave of another order is looked up where the data show one.
+    """
 
     name = "transmission_ripple"
     summary = "gear ripple, k times per turn"
     family = "transmission_ripple"
     typical = 1e-4
-    settings = MappingProxyType({"k": Setting(3, 64, whole=True)})
+    settings = MappingProxyType({"k": Setting(0.25, 2000.0, ripple_orders)})
 
     def order(self) -> float | ca.SX:
         return self.chosen["k"]

@@ -11,7 +11,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.measurements import Conditions
 
-STEPS = 16  # effort: times of a step that are tried; the best one is refined afterwards
+STEPS, FEWER, MANY_ROWS = 100, 40, 400  # effort: times of a step that are tried, and of more than so many rows
 MARGIN = 0.05  # of the session at either end, where a step would be a few rows
 DIGITS = 6  # of a value, significant: labels and files hold it exactly
 
@@ -76,9 +76,10 @@ def step_times(scope: Scope) -> list[float]:
     """Times between rows, spread evenly over the rows, at which a step may have happened."""
     time = scope.conditions.time
     if time is None or np.ptp(time) == 0.0:
-        time = np.linspace(-0.5, 0.5, STEPS + 2)
+        time = np.linspace(-0.5, 0.5, FEWER)
     values = np.unique(time)
     between = 0.5 * (values[1:] + values[:-1])
     first = int(np.ceil(MARGIN * len(between)))
     inner = between[first : len(between) - first]
-    return list(inner[np.unique(np.linspace(0, len(inner) - 1, STEPS).round().astype(int))])
+    count = STEPS if len(between) <= MANY_ROWS else FEWER
+    return list(inner[np.unique(np.linspace(0, len(inner) - 1, count).round().astype(int))])

@@ -75,6 +75,7 @@ def arm_from_tables(tables: dict[str, Any]) -> Arm:
         constraints=tuple(_constraint(table) for table in file.constraints),
         effects=tuple(spec for spec, _ in effects),
         calibration=None if file.calibration is None else _calibration(file.calibration, names),
+        gear_ratios=None if file.gear_ratio is None else readonly(file.gear_ratio),
     )
 
 

@@ -154,6 +154,9 @@ class ArmFile(_Table):
     gravity: GravityTable | None = Field(
         None, description="a table with acceleration_m_s2, link_masses_kg, center_of_mass, payload_kg"
     )
+    gear_ratio: list[NotNegative] | None = Field(
+        None, description="one number >= 0 for each joint: turns of its motor per turn, 0 where it is not known"
+    )
     constraints: list[ConstraintTable] = Field(default_factory=list, description="tables [[constraints]]")
     effects: list[EffectTable] = Field(default_factory=list, description="tables [[effects]]")
     calibration: CalibrationTable | None = Field(
@@ -169,6 +172,8 @@ class ArmFile(_Table):
             for key in keys:
                 if (values := getattr(table, key, None)) is not None:
                     _require_count(f"{place}.{key}", values, len(self.links_mm))
+        if self.gear_ratio is not None:
+            _require_count("gear_ratio", self.gear_ratio, len(self.links_mm), "values for", "joints")
         return self
 
     @model_validator(mode="after")

@@ -26,6 +26,7 @@ def dump_arm(arm: Arm) -> str:
     tables: Plain = {
         "name": arm.name,
         "links_mm": arm.lengths.tolist(),
+        **({} if arm.gear_ratios is None else {"gear_ratio": _floats(arm.gear_ratios)}),
         "joint_limits_deg": {"lower": _degrees(arm.lower), "upper": _degrees(arm.upper)},
     }
     if arm.sigma is not None:

@@ -59,8 +59,8 @@ def library_prior(
     left_out = {key: why for key, why in known.skipped.items() if names is None or key.partition(":")[0] in names}
     chosen: list[Hypothesis] = []
     for hypothesis in _once(known.members):
-        if names is not None and hypothesis.effect.name not in names:
-            continue
+        if hypothesis.effect.prior < 1.0 if names is None else hypothesis.effect.name not in names:
+            continue  # the rare ones only by name
         if reason := _why_not(hypothesis.effect, given):
             left_out[hypothesis.key] = reason
         else:

@@ -20,7 +20,8 @@ from identification.gap.fit import Fit
 from identification.gap.whitening import Rows
 
 # reasons: identification/README.md, "Constants"
-FREE_ORDERS = np.arange(0.5, 160.5, 0.5)  # periods per turn: every wave between has a likeness of 0.9 with one of them
+FREE_ORDERS = np.arange(0.5, 256.5, 0.5)  # periods per turn: every wave between has a likeness of 0.9 with one of them
+WAVES = {f"wave of {k:g} per turn": float(k) for k in FREE_ORDERS}  # shape -> periods per turn
 SMOOTH_ORDERS = np.arange(1, 6)  # of a smooth curve
 CENTRES, WIDTHS = 24, (0.2, 0.3, 0.45, 0.7, 1.0)  # of bumps [rad]: a likeness of 0.9 with every bump between
 PERIODS = (2.0, 1.5, 1.0, 0.75, 0.5, 0.35)  # of waves over the workspace, in units of the reach; a sketch
@@ -80,7 +81,7 @@ def _joint_shapes(postures: Array, j: int) -> list[NamedColumns]:
     q = postures[:, j]
     angle = np.multiply.outer(FREE_ORDERS, q)
     waves = np.stack([np.cos(angle), np.sin(angle)], axis=-1)  # (K, m, 2)
-    named = [(f"wave of {k:g} per turn", wave) for k, wave in zip(FREE_ORDERS, waves, strict=True)]
+    named = list(zip(WAVES, waves, strict=True))
     return [*named, *_local_shapes(q), *_smooth_shapes(q), *_shared_shapes(postures, j)]
 
 

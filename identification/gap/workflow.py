@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.gap.fit import Fit
+from identification.gap.further_orders import explained
 from identification.gap.hypotheses import HypothesisSet
 from identification.gap.noise import Finding, outliers, screen, whitened
 from identification.gap.search import HypothesisSearch
 from identification.gap.selection import Selection, select
-from identification.gap.unmodelled import Unknown, find_unmodelled
+from identification.gap.unmodelled import Unknown
 from identification.gap.whitening import Rows
 
 # reasons: identification/README.md, "Constants"
@@ -66,8 +67,8 @@ def investigate(
         seen.append(state)
         outlier, scatter, noisy = again, new, whitened(rows, named, new)
     tell("looking for what the library does not explain")
-    unknown = find_unmodelled(search, selection.chosen, generator)
-    found = Findings(search, selection, unknown, scatter, outlier)
+    last = explained(search, selection, draws, generator)
+    found = Findings(last.search, last.selection, last.unknown, scatter, outlier)
     others = [_explained(hypotheses, r, s, o, draws, generator) for r, s, o in _other_noise(found, rows, noisy, named)]
     best = min(others, key=lambda f: cost(f, len(rows)), default=found)
     return best if cost(best, len(rows)) < cost(found, len(rows)) - CREDIT else found
@@ -98,8 +99,8 @@ def _explained(
     generator: np.random.Generator,
 ) -> Findings:
     search = HypothesisSearch(hypotheses, rows.pick(~outlier), noise_estimated=bool(scatter))
-    selection = select(search, draws, generator)
-    return Findings(search, selection, find_unmodelled(search, selection.chosen, generator), scatter, outlier)
+    found = explained(search, select(search, draws, generator), draws, generator)
+    return Findings(found.search, found.selection, found.unknown, scatter, outlier)
 
 
 def cost(found: Findings, m: int) -> float:

@@ -245,8 +245,8 @@ BAD = [
     (PLAIN + BASE + "x0_mm = '1'\n", ["effects[1].x0_mm", "found '1'", "allowed: a finite number"]),
     (PLAIN + BASE + BASE, ["effects", "base_offset", "2 times", "allowed: once"]),
     (
-        PLAIN + '[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 65\n',
-        ["transmission_ripple:1", "k", "65", "allowed: a whole number 3 to 64"],
+        PLAIN + '[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 0\n',
+        ["transmission_ripple:1", "k", "0", "allowed: a number 0.25 to 2000"],
     ),
     (
         PLAIN + '[[effects]]\nname = "gravity_backlash"\njoint = 1\nb_deg = -1\n',

@@ -1,0 +1,71 @@
+"""Waves that the library has, but of an order that is not tried at first: found outside the tests, named inside.
+
+Gears make waves of hundreds of periods per turn and of orders that are no whole numbers. To try all of them in every
+test would cost power and time. The general shapes have them all; where one of those is what is left at a joint, it is
+added to the hypotheses with the weight of one order among all orders of that scan, and the search is made again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.arm import EffectSpec
+from identification.effects import build
+from identification.gap.hypotheses import Hypothesis, HypothesisSet
+from identification.gap.search import HypothesisSearch
+from identification.gap.selection import Selection, select
+from identification.gap.unmodelled import Unknown, find_unmodelled
+from identification.gap.unmodelled_shapes import FREE_ORDERS, WAVES
+
+# reasons: identification/README.md, "Constants"
+EFFECT, ORDER = "transmission_ripple", "k"
+LOWEST = 3.0  # periods per turn: slower waves are no teeth, they are part of some smooth curve
+BETWEEN = (-0.25, -0.125, 0.0, 0.125, 0.25)  # of an order, beside those scanned: likeness 0.97 with every one between
+WEIGHT = 0.2  # prior beside the orders that are tried at first
+LOOKUPS = 4  # effort
+
+
+@dataclass(frozen=True)
+class Explained:
+    """What a search names, and what is left beside it."""
+
+    search: HypothesisSearch
+    selection: Selection
+    unknown: Unknown
+
+
+def explained(search: HypothesisSearch, selection: Selection, draws: int, generator: np.random.Generator) -> Explained:
+    """What is left beside the selection; where that is a wave of a gear, searched again with it in the library."""
+    found = Explained(search, selection, find_unmodelled(search, selection.chosen, generator))
+    for _ in range(LOOKUPS):
+        wave = wave_of(found.unknown)
+        wider = None if wave is None else with_orders(found.search.hypotheses, *wave)
+        if wider is None or len(wider.members) == len(found.search.hypotheses.members):
+            break
+        again = HypothesisSearch(wider, search.rows, search.noise_estimated)
+        chosen = select(again, draws, generator)
+        found = Explained(again, chosen, find_unmodelled(again, chosen.chosen, generator))
+    return found
+
+
+def wave_of(unknown: Unknown) -> tuple[int, float] | None:
+    """Joint and order of an unknown shape that is a wave of a gear."""
+    order = WAVES.get(unknown.shape or "", 0.0)
+    if unknown.place is None or not unknown.place.startswith("joint:") or order < LOWEST:
+        return None
+    return int(unknown.place.partition(":")[2]), order
+
+
+def with_orders(known: HypothesisSet, joint: int, order: float) -> HypothesisSet:
+    """The hypotheses with waves of this order, and of some around it, at a joint (from 1)."""
+    arm, there = known.arm, {h.label for h in known.members}
+    weight = WEIGHT / (np.sqrt(arm.links) * len(FREE_ORDERS))
+    added = []
+    for beside in BETWEEN:
+        spec = EffectSpec(EFFECT, joint, {ORDER: order + beside})
+        hypothesis = Hypothesis(build(spec, arm.links, arm.lengths), spec, weight)
+        if hypothesis.label not in there:
+            added.append(hypothesis)
+    return replace(known, members=(*known.members, *added))
