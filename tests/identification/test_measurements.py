@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from identification.conditions import REMEMBERED, Conditions, past_from_order
 from identification.errors import InputError
 from identification.measurements import Measurements, directions_from_order, session_time
 
@@ -122,3 +123,49 @@ def test_origin_says_where_a_calibration_may_be_used() -> None:
         "joint_range_deg": [[-30.0, 10.0], [-20.0, 40.0]],
         "mean_temperature_C": 21.5,
     }
+
+
+def stop(angles: np.ndarray, width: float) -> np.ndarray:
+    """State of Prandtl's stop with all of the history, from 0 at the first angle."""
+    state = np.zeros(len(angles))
+    for i in range(1, len(angles)):
+        state[i] = np.clip(state[i - 1] + angles[i] - angles[i - 1], -width, width)
+    return state
+
+
+@pytest.mark.parametrize("width", [0.05, 0.3, 1.0, 2.5])
+def test_turning_points_are_all_that_hysteresis_remembers(width: float) -> None:
+    """The state from the turning points is that of the whole history, for random postures and for small steps."""
+    rng = np.random.default_rng(6)
+    for angles in (rng.uniform(-3.0, 3.0, 25), np.cumsum(rng.normal(0.0, 0.2, 40))):
+        past = past_from_order(angles[:, None])
+        assert past.shape == (len(angles), 1, REMEMBERED)
+        np.testing.assert_array_equal(past[1:, 0, -1], angles[:-1])  # the posture before
+        np.testing.assert_array_equal(past[0, 0], angles[0])
+        state = np.zeros(len(angles))
+        swings = np.diff(np.column_stack([past[:, 0], angles]), axis=1)
+        for swing in swings.T:
+            state = np.clip(state + swing, -width, width)
+        np.testing.assert_allclose(state, stop(angles, width), atol=1e-12)
+
+
+def test_the_past_follows_the_order_and_stays_with_its_rows() -> None:
+    q = np.array([[0.1], [0.5], [0.2], [0.9]])
+    data = Measurements(q, np.zeros((4, 2)), order=np.array([3.0, 1.0, 4.0, 2.0]))  # measured: 0.5, 0.9, 0.1, 0.2
+    past = data.conditions.past
+    assert past is not None
+    np.testing.assert_array_equal(past[:, 0, -1], [0.9, 0.5, 0.1, 0.5])
+    some = data.rows([0, 2]).conditions.past
+    assert some is not None
+    np.testing.assert_array_equal(some, past[[0, 2]])
+    both = past_from_order(np.stack([q, 2.0 * q]))  # two sessions at once
+    np.testing.assert_array_equal(both[1], 2.0 * past_from_order(q))
+
+
+def test_the_table_has_the_past_on_demand() -> None:
+    q = np.array([[0.1, 0.2], [0.3, 0.4]])
+    assert Conditions().table(2, 2, 1.0).shape == (2, Conditions.columns(2))
+    wide = Conditions(past=past_from_order(q)).table(2, 2, 1.0, q)
+    assert wide.shape == (2, Conditions.columns(2, past=True))
+    np.testing.assert_array_equal(wide[1, 6:], np.repeat(q[0], REMEMBERED))
+    np.testing.assert_array_equal(Conditions().table(2, 2, 1.0, q)[:, 6:], np.repeat(q, REMEMBERED, axis=1))

@@ -9,6 +9,7 @@ import numpy as np
 
 from doe.studies.blind.hidden_effects import (
     OUTSIDE,
+    by_library_name,
     family,
     key,
     outside_effect,
@@ -193,8 +194,8 @@ def data_set(cell: str, seed: int, planned: np.ndarray | None = None) -> DataSet
     truth = replace(truth, effects=hidden(spec, truth, run, rng))
     fresh = session(truth, rng.uniform(truth.lower, truth.upper, (200, truth.n)), rng)
     arm = arm_of(spec, truth, rng)
-    outside = [e for e in truth.effects if e[0] in OUTSIDE]
-    inside = [e for e in truth.effects if e[0] not in OUTSIDE]
+    named = [by_library_name(e) for e in truth.effects]
+    outside, inside = [e for e in named if e[0] in OUTSIDE], [e for e in named if e[0] not in OUTSIDE]
     error = noise(truth, run, rng, spec.noise)
     data = recorded(truth, run, error)
     wrong = np.flatnonzero(np.abs(error) > 10.0 * truth.sigma) + 1 if spec.noise == "outliers" else ()
@@ -211,6 +212,6 @@ def data_set(cell: str, seed: int, planned: np.ndarray | None = None) -> DataSet
         place_of(outside[0]) if outside else None,
         tuple(EffectSpec(e[0], e[1], settings_of(e)) for e in inside),
         tuple(map(int, wrong)),
-        {} if spec.wrong_masses or spec.rare or outside else true_values(truth),
+        {} if spec.wrong_masses or spec.rare or spec.outside else true_values(truth),
         more,
     )

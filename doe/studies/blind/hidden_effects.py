@@ -29,6 +29,7 @@ LIBRARY_WHOLE = (
     "axes_skew",
 )
 OUTSIDE = ("free_ripple", "bump", "cubic", "cable_pull", "step_drift")
+SINCE_INSIDE = {"free_ripple": "transmission_ripple", "step_drift": "base_step"}  # drawn as ever, named by now
 GRAVITY = ("joint_compliance", "link_bending", "gravity_backlash")
 
 
@@ -171,6 +172,11 @@ def outside_effect(truth: Truth, run: Session, lam: float, rng: np.random.Genera
         found = sized(truth, run, name, j, lam, rng, span)
         if found is not None:
             return found
+
+
+def by_library_name(effect: Drawn) -> Drawn:
+    """The effect by the name that the library has for it."""
+    return SINCE_INSIDE.get(effect[0], effect[0]), effect[1], effect[2]
 
 
 def key(effect: tuple[str, int | None, dict]) -> str:

@@ -83,8 +83,21 @@ class Series(Effect):
     def joint_angles(self, chain, values):
         q = chain.q[self.joint_index]
         return self.at_joint(values[0] * sum(ca.cos(k * q) for k in range(1, self.chosen["terms"] + 1)), chain)
+
+
+class Lag(Effect):
+    """The joint stays behind a part of its last motion: a formula of the posture before."""
+
+    name, summary, per_joint, needs = "lag", "stays behind", "required", frozenset({"past"})
+
+    def define(self):
+        return (self.parameter("c", "1", scale=self.link_length),)
+
+    def joint_angles(self, chain, values):
+        j = self.joint_index
+        return self.at_joint(values[0] * (chain.previous[j] - chain.q[j]), chain)
 '''
-NAMES = {"breathing": "Breathing", "link_jump": "LinkJump", "settling": "Settling", "series": "Series"}
+NAMES = {"lag": "Lag", "breathing": "Breathing", "link_jump": "LinkJump", "settling": "Settling", "series": "Series"}
 ARM = Arm(
     [300.0, 200.0, 150.0],
     gravity=Gravity([0.0, -9.81], [4.0, 3.0, 1.0], [0.5, 0.5, 0.5], 2.0),
@@ -119,7 +132,7 @@ def test_columns_of_a_users_own_effects_are_derivatives() -> None:
     found = known.columns(rows(), BASE)
     tried = [(h, c) for h, c in zip(known.members, found, strict=True) if h.spec.name in NAMES]
     assert {h.spec.name for h, _ in tried} == set(NAMES)
-    for hypothesis, columns in tried[:4] + tried[-9:]:
+    for hypothesis, columns in tried[:4] + tried[-12:]:
         model = Model(ARM.with_effects(*ARM.effects, hypothesis.spec))
         start = model.parameters.vector(BASE)
         for k, parameter in enumerate(model.effects[-1].parameters):
@@ -147,6 +160,7 @@ def test_values_of_settings_and_their_weights() -> None:
         ("breathing", None, {"rate": 3.5, "a": 6e-4, "b": -4e-4}),
         ("link_jump", 2, {"at": 0.1, "d": 0.4}),
         ("settling", None, {"x": 0.8, "tau": 0.15}),
+        ("lag", 2, {"c": 4e-4}),
         ("series", 3, {"terms": 3.0, "a": 1.5e-3}),
     ],
 )
