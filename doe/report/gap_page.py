@@ -48,7 +48,7 @@ def probability_sheet(diagnosis: Diagnosis) -> Sheet:
 def estimates_text(candidate: Candidate) -> str:
     """`a = 0.061 [0.052, 0.071] deg, ...`; of several effects a line for each, with its label."""
     several = len(candidate.effects) > 1
-    rows = ((label, ", ".join(map(estimate_text, found))) for label, found in candidate.estimates.items())
+    rows = ((label, ", ".join(map(estimate_text, found))) for label, found in candidate.estimates.items() if found)
     return "\n".join(f"{label}: {text}" if several else text for label, text in rows)
 
 

@@ -7,7 +7,7 @@ many rows as there are columns where there are more measurements.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import casadi as ca
@@ -25,6 +25,7 @@ from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 FOLDS = 5  # of the cross-validation
+STRETCHES = 10  # of time
 SAME = 1e-3  # [rad] angles that differ by less are one posture
 NEGLIGIBLE = 1e-10  # of a column's square
 HYPERPARAMETERS = 2  # that the data choose for each curve: size and length
@@ -57,43 +58,44 @@ class System:
     base_rank: int
 
     @cached_property
-    def jacobian(self) -> Array:
-        """(N, p) of the fit."""
-        return self.found.jacobian
-
-    @cached_property
     def bases(self) -> tuple[Basis, ...]:
         """Of the joints that move and have no curve in the arm's file yet."""
         arm = self.found.model.arm
         taken = {spec.joint for spec in arm.effects if spec.curve is not None}
         return bases_of(self.rows.postures, [j for j in range(arm.links) if j + 1 not in taken])
 
-    def _columns(self) -> Array:
-        """(N, n) model, curves and residual."""
-        parts = [self.jacobian / self.lengths]
-        levers = self.found.model.joint_levers(self.rows.postures, self.found.values, self.rows.conditions)
+    def _columns(self, rows: Rows) -> Array:
+        """(N, n) model, curves and residual, whitened as these rows are."""
+        at = (rows.postures, self.found.values, rows.conditions)
+        position, jacobian = self.found.model.linearize(*at)
+        levers = self.found.model.joint_levers(*at)
+        parts = [rows.whiten(jacobian) / self.lengths]
         for basis in self.bases:
-            functions = basis.at(self.rows.postures[:, basis.joint])
-            parts.append(self.rows.whiten(levers[:, :, basis.joint, None] * functions[:, None, :]))
-        return np.concatenate([*parts, self.found.residual[:, None]], axis=1)
+            functions = basis.at(rows.postures[:, basis.joint])
+            parts.append(rows.whiten(levers[:, :, basis.joint, None] * functions[:, None, :]))
+        return np.concatenate([*parts, rows.whiten(rows.positions - position)[:, None]], axis=1)
+
+    def _products(self, rows: Rows, fold: NDArray[np.int64]) -> Array:
+        """(folds, n, n) products of the columns over the rows of each fold (m,)."""
+        columns, number = self._columns(rows), np.repeat(fold, rows.dimension)
+        return np.stack([(part := columns[number == k]).T @ part for k in range(int(fold.max()) + 1)])
 
     @cached_property
     def _grams(self) -> Array:
-        """(FOLDS, n, n) products of the columns over the rows of each fold."""
-        columns, fold = self._columns(), np.repeat(folds(self.rows.postures), self.rows.dimension)
-        return np.stack([(part := columns[fold == k]).T @ part for k in range(FOLDS)])
+        """(FOLDS, n, n) products over the rows of each fold of postures."""
+        return self._products(self.rows, folds(self.rows.postures))
 
     @cached_property
     def lengths(self) -> Array:
         """(p,) of the Jacobian's columns."""
-        sizes = np.linalg.norm(self.jacobian, axis=0)
+        sizes = np.linalg.norm(self.found.triangle, axis=0)
         return column_lengths(sizes, self.found.model.scales)[0]
 
     @cached_property
     def _compressed(self) -> Array:
         """(min(N, n), n) columns with the same products as all rows have."""
         if len(self.found.residual) <= len(self.lengths) + sum(basis.count for basis in self.bases):
-            return self._columns()
+            return self._columns(self.rows)
         values, vectors = np.linalg.eigh(self._grams.sum(axis=0))
         return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
@@ -154,7 +156,20 @@ class System:
 
     def cross_validated(self, chosen: Explanation) -> float:
         """Sum of squares on postures left out, at the same priors: each fold predicted from the others."""
-        p, total = len(self.lengths), self._grams.sum(axis=0)
+        return self._left_out(chosen, self._grams, self._grams)
+
+    def left_in_time(self, chosen: Explanation) -> float:
+        """Sum of squares on stretches of time left out, each predicted from the others; not decorrelated."""
+        turn = np.empty(len(self.rows), dtype=np.int64)
+        turn[self.rows.sequence] = np.arange(len(self.rows))
+        fold = turn * STRETCHES // len(self.rows)
+        white = self._products(self.rows, fold)
+        plain = self._products(replace(self.rows, correlation=0.0), fold) if self.rows.correlation else white
+        return self._left_out(chosen, white, plain)
+
+    def _left_out(self, chosen: Explanation, fitted: Array, tested: Array) -> float:
+        """Sum of squares that products (folds, n, n) of one kind give, of what those of the other kind estimate."""
+        p, total = len(self.lengths), fitted.sum(axis=0)
         free, back = self._model_part(chosen.kept)
         use = np.concatenate([np.flatnonzero(free), self._curve_part(chosen.joints)])
         fixed = np.concatenate([back, np.zeros(len(total) - p - 1), [1.0]])
@@ -164,12 +179,18 @@ class System:
             pairs = zip(bases, np.exp(chosen.logs.reshape(-1, 2)), strict=True)
             penalty[free.sum() :] += 1.0 / np.concatenate([basis.variances(*pair)[0] for basis, pair in pairs])
         error = 0.0
-        for fold in self._grams:
-            rest = total - fold
-            solved = fixed.copy()
+        for fold, test in zip(fitted, tested, strict=True):
+            rest, solved = total - fold, fixed.copy()
             solved[use] -= np.linalg.solve(rest[np.ix_(use, use)] + np.diag(penalty), rest[use] @ fixed)
-            error += float(solved @ fold @ solved)
+            error += float(solved @ test @ solved)
         return error
+
+    def with_correlation(self, correlation: float) -> System:
+        """The same fit seen with another correlation from row to row."""
+        rows = replace(self.rows, correlation=correlation)
+        position = self.found.model.position(rows.postures, self.found.values, rows.conditions)
+        residual = rows.whiten(rows.positions - position)
+        return replace(self, rows=rows, found=replace(self.found, rows=rows, residual=residual))
 
 
 def folds(postures: Array) -> NDArray[np.int64]:

@@ -15,7 +15,7 @@ import numpy as np
 from identification.arrays import Array
 
 # reasons: identification/README.md, "Constants"
-MOST_WAVES = 6  # that are listed
+MOST_WAVES, SAID = 6, 3  # that are listed, and that the text says
 LEAST_SHARE = 0.03  # of the curve's variance, of each
 NAMED_SHARE = 0.8  # of the variance, that makes a shape the curve's name
 HARMONICS = 0.35  # deviation of a sawtooth's harmonics from 1, 1/2, 1/3
@@ -93,7 +93,8 @@ def shape_text(angles: Array, error: Array, std: Array, found: Sequence[Wave]) -
         return f"smooth curve {where}"
     if (period := _sawtooth(found)) is not None and share >= NAMED_SHARE:
         return f"sawtooth, {period:g} per turn, {where}"
-    listed = "; ".join(str(wave) for wave in found)
+    rest = f" and {len(found) - SAID} more" if len(found) > SAID else ""
+    listed = "; ".join(str(wave) for wave in found[:SAID]) + rest
     return f"{'waves' if share >= NAMED_SHARE else 'in part waves'}: {listed} ({100.0 * share:.0f} %) {where}"
 
 

@@ -27,6 +27,7 @@ from identification.measurements import Conditions, Measurements, joint_range
 from identification.model import Model
 
 TIDY = 7  # decimals of a value in degrees, in files
+SHARES = (0.0, 0.5, 0.75, 1.0)  # of a serial correlation
 
 
 @dataclass(frozen=True)
@@ -99,8 +100,28 @@ def find_curves(found: Findings, measurements: Measurements) -> Curves | None:
     gain = before - best.cost - _noise_cost(system, scatter)
     if not best.joints or gain <= WINDOW or not _predicts_better(system, best):
         return None
+    system, scatter, best = _for_other_times(system, scatter, best)
     fitted, curves = _fitted(system, best)
     return Curves(fitted, curves, best.kept, scatter, fit(base.model, system.rows, base.by_name), gain)
+
+
+def _for_other_times(
+    system: System, scatter: tuple[Finding, ...], best: Explanation
+) -> tuple[System, tuple[Finding, ...], Explanation]:
+    """With as much of the serial correlation as predicts stretches of time best that are left out.
+
+    What is left of one posture's error in its neighbors looks like correlation in time where postures follow each other
+    closely; taking all of it for noise discards what neighbors tell, taking none of it counts them too often.
+    """
+    if not system.rows.correlation:
+        return system, scatter, best
+    options = []
+    for share in SHARES:
+        other = system if share == 1.0 else system.with_correlation(share * system.rows.correlation)
+        explained = best if share == 1.0 else other.explain(best.kept, best.joints, best.logs)
+        white = tuple(f for f in scatter if f.name != "serial_correlation")
+        options.append((other, scatter if share else white, explained))
+    return min(options, key=lambda option: option[0].left_in_time(option[2]))
 
 
 def _noise_cost(system: System, scatter: Sequence[Finding]) -> float:
@@ -167,4 +188,5 @@ def curve_candidate(found: Curves) -> Candidate:
         Calibration(fitted.by_name, fitted.model.names, covariance, MappingProxyType(origin)),
         intervals=sure.kind,
         reliance=sure.sentence,
+        freedom=tuple(sure.freedom.tolist()),
     )

@@ -51,7 +51,8 @@ def rests_on(found: Diagnosis) -> list[str]:
 def candidate_lines(candidate: Candidate) -> list[str]:
     """How well a set of effects explains the data, and its estimates."""
     figures = f"F = {candidate.f:.1f}, p = {candidate.p_adjusted:.2g}, Delta BIC = {candidate.delta_bic:.1f}"
-    estimates = [f"  {label}: {', '.join(map(str, found))}" for label, found in candidate.estimates.items()]
+    stated = {label: found for label, found in candidate.estimates.items() if found}  # a curve has no parameters
+    estimates = [f"  {label}: {', '.join(map(str, found))}" for label, found in stated.items()]
     return [f"{candidate.title}: {figures}", *estimates, f"  95 % intervals: {candidate.reliance}"]
 
 

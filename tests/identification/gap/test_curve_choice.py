@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec
 from identification.effects import build
-from identification.gap.curve_choice import FOLDS, Explanation, System, choose, folds, is_function_of
+from identification.gap.curve_choice import FOLDS, STRETCHES, Explanation, System, choose, folds, is_function_of
 from identification.gap.hypotheses import HypothesisSet, hypotheses
 from identification.gap.search import HypothesisSearch
 from identification.gap.whitening import Rows
@@ -88,6 +88,24 @@ def test_cross_validation_predicts_each_fold_from_the_others() -> None:
         solved = np.linalg.solve(scaled.T @ scaled + penalty, scaled.T @ residual[there])
         error += float(np.sum((residual[~there] - every[~there] @ solved) ** 2))
     assert system.cross_validated(chosen) == pytest.approx(error, rel=1e-5)
+
+
+def test_stretches_of_time_are_predicted_from_the_others() -> None:
+    """Fitted as correlated rows, tested as they were measured: differences of successive rows by hand."""
+    plain, rho = _system(200, *RIPPLES), 0.6
+    system = plain.with_correlation(rho)
+    chosen = Explanation(system.named, (1,), 0.0, LOGS)
+    every = np.concatenate([plain.found.jacobian, _columns(plain, 1)], axis=1).reshape(200, 2, -1)
+    residual = plain.found.residual.reshape(200, 2)
+    before = [np.concatenate([v[:1], (v[1:] - rho * v[:-1]) / np.sqrt(1.0 - rho**2)]) for v in (every, residual)]
+    basis = next(b for b in system.bases if b.joint == 1)
+    penalty = np.diag(np.r_[np.zeros(8), 1.0 / basis.variances(*np.exp(LOGS))[0]])
+    stretch, error = np.arange(200) * STRETCHES // 200, 0.0
+    for k in range(STRETCHES):
+        a, r = (v[stretch != k].reshape(2 * int(np.sum(stretch != k)), -1) for v in before)
+        solved = np.linalg.solve(a.T @ a + penalty, a.T @ r)[:, 0]
+        error += float(np.sum((residual[stretch == k] - every[stretch == k] @ solved) ** 2))
+    assert system.left_in_time(chosen) == pytest.approx(error, rel=1e-5)
 
 
 def test_rows_of_one_posture_share_a_fold() -> None:
