@@ -37,14 +37,12 @@ def cross_validate(found: Fit, folds: Groups) -> CrossValidated:
     """Predict each part of the rows of a fit from the others;  folds : (m,) number of each row's part."""
     rows = replace(found.rows, correlation=0.0)  # each row has its own weight
     m, d = rows.positions.shape
-    position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
-    scales = found.model.scales[found.free]
-    jacobian, residual = jacobian[:, :, found.free] / scales, rows.positions - position
+    residual = rows.positions - found.model.position(rows.postures, found.values, rows.conditions)
+    jacobian, prior, left_by_prior = found.regression()
     white, right = rows.whiten(jacobian).reshape(m, d, -1), rows.whiten(residual).reshape(m, d)
     square, product = _normal(white, right)
-    if found.prior_rows is not None:
-        prior = found.prior_rows[:, found.free] / scales
-        square, product = square + prior.T @ prior, product - prior.T @ (found.prior_rows @ found.values)
+    square, product = square + prior.T @ prior, product + prior.T @ left_by_prior
+    determined = jacobian.shape[2] if len(prior) == 0 else found.effective
     left, expected = np.empty((m, d)), np.empty(m)
     for fold in np.unique(folds):
         part, rest = folds == fold, folds != fold
@@ -53,9 +51,10 @@ def cross_validate(found: Fit, folds: Groups) -> CrossValidated:
         step = inverse @ (product - own_product)
         left[part] = residual[part] - jacobian[part] @ step
         remaining = right[rest] - white[rest] @ step
-        freedom = max(remaining.size - len(scales), 1)
+        freedom = max(remaining.size - determined, 1.0)
         noise = np.sum((residual[rest] - jacobian[rest] @ step) ** 2) * d / freedom
-        spread = np.sum(remaining**2) / freedom * np.einsum("mip,pq,miq->m", jacobian[part], inverse, jacobian[part])
+        moved = jacobian[part] @ inverse
+        spread = np.sum(remaining**2) / freedom * np.einsum("mip,mip->m", moved, jacobian[part])
         expected[part] = noise + spread
     return CrossValidated(left, expected)
 

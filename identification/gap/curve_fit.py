@@ -83,13 +83,15 @@ class Evidence:
     """Penalized columns beside columns that are not, at given sizes and lengths of the priors.
 
     cost : -2 log of the marginal likelihood, up to a constant of the data;  slope : its derivatives (2 curves)
-    coefficients : (K,) of all curves;  covariance : (K, K) of the posterior for noise of one, a part at a time
+    coefficients : (K,) of all curves;  variances : (K,) of their prior for noise of one
+    covariance : (K, K) of the posterior for noise of one, a part at a time
     effective : number of coefficients that the data determine;  squares : penalized sum of squares
     """
 
     cost: float
     slope: Array
     coefficients: Array
+    variances: Array
     covariance: Array
     effective: float
     squares: float
@@ -130,7 +132,7 @@ class Penalized:
         pull = self.freedom / squares * coefficients**2 / variances
         parts = np.split((left - pull) / variances, np.cumsum([b.count for b in self.bases])[:-1])
         slope = [(2.0 * part @ v, part @ by_length) for part, (v, by_length) in zip(parts, found, strict=True)]
-        return Evidence(float(cost), np.ravel(slope), coefficients, covariance, float(left.sum()), squares)
+        return Evidence(float(cost), np.ravel(slope), coefficients, variances, covariance, float(left.sum()), squares)
 
     def _by_columns(self, variances: Array) -> tuple[Array, Array, float]:
         """Coefficients, posterior covariance, and log det of the prior over that of the posterior: K x K."""

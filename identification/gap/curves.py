@@ -34,12 +34,15 @@ SHARES = (0.0, 0.5, 0.75, 1.0)  # of a serial correlation
 class CurveFit(Fit):
     """A fit whose model has error curves, estimated beside its parameters.
 
-    bases : of the curves;  spread : (K, K) posterior covariance of their coefficients for noise of one
+    bases : of the curves;  coefficients, variances : (K,) of their cosines, and of the prior for noise of one
+    spread : (K, K) posterior covariance of their coefficients for noise of one
     response : (p, K) what a unit of each coefficient changes in the parameters
     determined : number of coefficients that the data determine
     """
 
     bases: tuple[Basis, ...] = ()
+    coefficients: Array = None  # type: ignore[assignment]
+    variances: Array = None  # type: ignore[assignment]
     spread: Array = None  # type: ignore[assignment]
     response: Array = None  # type: ignore[assignment]
     determined: float = 0.0
@@ -55,12 +58,24 @@ class CurveFit(Fit):
         response = np.where(free[:, None], self.response, 0.0)
         return super().covariance(bounded) + self.sigma**2 * response @ self.spread @ response.T
 
+    def regression(self) -> tuple[Array, Array, Array]:
+        """As of `Fit`, with the coefficients of the curves behind the parameters, and their prior."""
+        parameters, rows, left = super().regression()
+        curves = self._curve_columns(self.rows.postures, self.rows.conditions)
+        precisions = self.variances**-0.5
+        prior = np.asarray(block_diag(rows, np.diag(precisions)))
+        return np.concatenate([parameters, curves], axis=2), prior, np.r_[left, -precisions * self.coefficients]
+
+    def _curve_columns(self, postures: Array, conditions: Conditions) -> Array:
+        """(m, d, K) derivative of the positions by the coefficients."""
+        levers = self.model.joint_levers(postures, self.values, conditions)
+        columns = [levers[:, :, b.joint, None] * b.at(postures[:, b.joint])[:, None, :] for b in self.bases]
+        return np.concatenate(columns, axis=2)
+
     def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
         """As of `Fit`, with the coefficients of the curves behind the parameters."""
         jacobian = self.model.jacobian(postures, self.values, conditions)
-        levers = self.model.joint_levers(postures, self.values, conditions)
-        columns = [levers[:, :, b.joint, None] * b.at(postures[:, b.joint])[:, None, :] for b in self.bases]
-        moved = np.concatenate(columns, axis=2) + jacobian @ self.response
+        moved = self._curve_columns(postures, conditions) + jacobian @ self.response
         covariance = block_diag(super().covariance(), self.sigma**2 * self.spread)
         return np.concatenate([jacobian, moved], axis=2), np.asarray(covariance)
 
@@ -146,15 +161,26 @@ def _fitted(system: System, best: Explanation) -> tuple[CurveFit, tuple[Curve, .
         for b, e, lg in zip(bases, ends, best.logs[1::2], strict=True)
     )
     arm = system.found.model.arm
-    own = arm.effects[: len(arm.effects) - len(system.named)]
-    stay = {h.effect.label for h in best.kept}
-    specs = [s for s, e in zip(arm.effects, system.found.model.effects, strict=False) if e.label in stay]
+    added = len(system.named)  # the arm's own come first
+    own, stay = arm.effects[: len(arm.effects) - added], {h.effect.label for h in best.kept}
+    there = zip(
+        arm.effects[len(own) :], system.found.model.effects[len(system.found.model.effects) - added :], strict=True
+    )
+    specs = [spec for spec, effect in there if effect.label in stay]
     model = Model(arm.with_effects(*own, *specs, *(curve.spec for curve in curves)))
     refit = fit(model, system.rows, system.found.by_name)
     response = system.model_response(best)
-    fields = {**vars(refit), "bases": bases, "spread": evidence.covariance, "response": response}
-    fields = {name: fields[name] for name in CurveFit.__dataclass_fields__ if name in fields}
-    return CurveFit(**fields, determined=evidence.effective), curves
+    own_fields = {name: getattr(refit, name) for name in Fit.__dataclass_fields__}
+    found = CurveFit(
+        **own_fields,
+        bases=bases,
+        coefficients=evidence.coefficients,
+        variances=evidence.variances,
+        spread=evidence.covariance,
+        response=response,
+        determined=evidence.effective,
+    )
+    return found, curves
 
 
 def _curve(basis: Basis, coefficients: Array, covariance: Array, noise: float, log_length: float) -> Curve:

@@ -100,6 +100,15 @@ class Fit:
         full[np.ix_(free, free)] = self.sigma**2 * self._spectrum(free).covariance
         return full
 
+    def regression(self) -> tuple[Array, Array, Array]:
+        """The linear model at the fit: (m, d, q) columns at its rows, not whitened; (k, q) rows of the prior, in units
+        of the whitened noise, and (k,) what they leave. Parameters at a bound are left out."""
+        scales = self.model.scales[self.free]
+        columns = self.model.jacobian(self.rows.postures, self.values, self.rows.conditions)[:, :, self.free] / scales
+        if self.prior_rows is None:
+            return columns, np.zeros((0, len(scales))), np.zeros(0)
+        return columns, self.prior_rows[:, self.free] / scales, -self.prior_rows @ self.values
+
     def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
         """(m, d, q) what errors of the q estimates change in computed positions, and their (q, q) covariance."""
         return self.model.jacobian(postures, self.values, conditions), self.covariance()

@@ -10,6 +10,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.files.arm_text import dump_arm
+from identification.gap.cross_validation import cross_validate
 from identification.gap.curve import curves_text
 from identification.gap.curves import Curves, curve_candidate, find_curves
 from identification.gap.hypotheses import hypotheses
@@ -121,3 +122,21 @@ def test_table_and_json() -> None:
     assert (said["joint"], said["angle_deg"][0]) == (1, first[1])
     assert said["from_deg"] == pytest.approx(np.degrees(curve.angles[0]))
     assert len(said["correction_deg"]) == len(curve.angles)
+
+
+def test_cross_validation_fits_the_curves_again() -> None:
+    """Each part predicted by ridge regression of the other parts, at the prior that was found; written out."""
+    fit, data = _curves().fit, _data(1)
+    folds = np.arange(150) % 4
+    jacobian = fit.model.jacobian(data.postures, fit.values)
+    levers = fit.model.joint_levers(data.postures, fit.values)[:, :, 0]
+    columns = np.concatenate([jacobian, levers[:, :, None] * fit.bases[0].at(data.postures[:, 0])[:, None]], axis=2)
+    target = fit.position_residuals(data, Conditions()) + columns[:, :, 4:] @ fit.coefficients
+    penalty = np.diag(np.r_[np.zeros(4), 1.0 / fit.variances])
+    found = cross_validate(fit, folds)
+    for k in range(4):
+        a, r = columns[folds != k].reshape(-1, columns.shape[2]), target[folds != k].ravel()
+        solved = np.linalg.solve(a.T @ a + penalty, a.T @ r)
+        left = target[folds == k] - columns[folds == k] @ solved
+        np.testing.assert_allclose(found.residual[folds == k], left, atol=2e-4)  # tables are written to 1e-7 deg
+    assert np.mean(found.residual**2) * 2.0 == pytest.approx(np.mean(found.predicted), rel=0.2)
