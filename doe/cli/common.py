@@ -57,7 +57,12 @@ class Session:
         from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
 
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+        )
         with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(title, total=None, visible=False)
             started = time.monotonic()
@@ -199,7 +204,7 @@ def _print(answer: Answer, as_json: bool) -> None:
     from rich.console import Console
 
     width = None if sys.stdout.isatty() else 110  # a pipe or a file is not 80 characters wide
-    console = Console(width=width, highlight=False)
+    console = Console(width=width, highlight=False, markup=False)  # brackets of effects are no markup
     for part in answer.shown:
         console.print(part)
 

@@ -8,7 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from doe.cli.common import Answer, Session, verb
 from tests.doe.cli.conftest import Folder
 
 FULL = Path("/dev/full")
@@ -49,3 +51,11 @@ def test_closed_errors_and_a_pipe_that_ends_early(folder: Folder) -> None:
     assert done.stdout.startswith("{")
     done = shell(folder, "score arm.toml plan.csv --json", "| true")
     assert done.stderr == ""
+
+
+def test_brackets_are_no_markup() -> None:
+    @verb("armcal effects", "A line.")
+    def command(session: Session) -> Answer:
+        return Answer({}, ["transmission_ripple:1[k=20] and [red]"])
+
+    assert CliRunner().invoke(command, []).stdout == "transmission_ripple:1[k=20] and [red]\n"
