@@ -24,7 +24,7 @@ from identification.gap.notes import alias_list, hidden_orders, notes, order_not
 from identification.gap.order_range import order_ranges
 from identification.gap.probabilities import probabilities
 from identification.gap.repeats import noise_floor, repeat_finding
-from identification.gap.replication import replications
+from identification.gap.replicate import replications
 from identification.gap.result import Candidate, Diagnosis, Residuals
 from identification.gap.search import LEVEL_FACTOR, HypothesisSearch
 from identification.gap.selection import ALPHA_NEXT
@@ -155,7 +155,7 @@ def diagnosis_of(
         sigma=fitted.sigma,
         shapes=order_ranges(fitted, found.search.rows, named.effects),
         probabilities=likely,
-        replication=replications(fitted, found.search.rows, measurements, kept, named.effects),
+        replication=replications(fitted, measurements, kept, named.effects),
         misfit=misfit(residuals.after, estimated, measurements, arm.sigma, kept),
         confirmation=None if holdout is None or there is None else confirmation_of(measurements, holdout, there),
         cross_validation=cross_validation(base, after, measurements, kept, generator),

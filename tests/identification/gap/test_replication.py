@@ -8,7 +8,8 @@ from scipy import stats
 
 from identification.arm import Arm, EffectSpec
 from identification.gap.fit import fit
-from identification.gap.replication import Replication, replications, said
+from identification.gap.replicate import replications
+from identification.gap.replication import Replication, said
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from identification.model import Model
@@ -36,7 +37,7 @@ def found(*sizes: complex) -> tuple[Replication, Measurements]:
     rows = Rows.of(data)
     fitted = fit(Model(arm.with_effects(*arm.effects, spec)), rows)
     label = f"transmission_ripple:2[k={K}]"
-    (one,) = replications(fitted, rows, data, np.ones(len(data), dtype=bool), (label,))
+    (one,) = replications(fitted, data, np.ones(len(data), dtype=bool), (label,))
     return one, data
 
 
@@ -102,4 +103,4 @@ def test_one_session_has_nothing_to_compare() -> None:
     data = session(0, SIZE)
     rows = Rows.of(data)
     fitted = fit(Model(Arm(LENGTHS, effects=(EffectSpec("gear_ratio", 1),))), rows)
-    assert replications(fitted, rows, data, np.ones(len(data), dtype=bool), ("gear_ratio:1",)) == ()
+    assert replications(fitted, data, np.ones(len(data), dtype=bool), ("gear_ratio:1",)) == ()

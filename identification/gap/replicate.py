@@ -1,0 +1,87 @@
+"""Several sessions: does a named effect return in another session with the same size?
+
+All sessions share one fit, each with a base of its own. For one effect and one session, the effect's parameters are
+fitted to the other sessions alone (everything else still to all of them) and carried over; only the base of the session
+adapts. If that leaves less of the session than no effect at all, the effect returned; the gain is tested over groups of
+rows as a hold-out is (`gap.confirmation`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arrays import Array
+from identification.effects import Effect
+from identification.gap.confirmation import LEVEL, Mean, groupings, mean_of
+from identification.gap.fit import Fit
+from identification.gap.replication import InSession, Replication
+from identification.gap.shared_fit import Carried, Session, SharedFit
+from identification.measurements import Measurements
+
+
+def replications(
+    found: Fit, measurements: Measurements, kept: NDArray[np.bool_], labels: tuple[str, ...]
+) -> tuple[Replication, ...]:
+    """The named effects (their labels) of a fit to the kept rows across sessions; empty if there is one session."""
+    data = measurements.rows(kept)
+    if len(data.sessions) < 2:
+        return ()
+    turn = np.empty(len(data))
+    turn[data.sequence] = np.arange(len(data))
+    sessions = tuple(
+        Session(name, rows, groupings(data.postures[rows], data.posture_numbers[rows], turn[rows]))
+        for name, rows in zip(data.sessions, data.session_rows, strict=True)
+    )
+    problem = SharedFit.of(found, sessions)
+    return tuple(_replication(problem, effect) for effect in found.model.effects if effect.label in labels)
+
+
+def _replication(problem: SharedFit, effect: Effect) -> Replication:
+    """One effect in every session."""
+    own = problem.columns_of(effect)
+    parameters = [p for p in effect.parameters if p.name in problem.found.model.names]
+    factors = np.array([p.to_file for p in parameters])
+    carried = [problem.carried(k, own) for k in range(len(problem.sessions))]
+    there = tuple(_in_session(problem, k, one, factors) for k, one in enumerate(carried))
+    names, units = tuple(p.name for p in parameters), tuple(p.file_unit for p in parameters)
+    p_equal = problem.p_equal(own) if parameters else None
+    return Replication(effect.label, names, units, p_equal, _together(problem, carried), there)
+
+
+def _in_session(problem: SharedFit, k: int, carried: Carried, factors: Array) -> InSession:
+    session = problem.sessions[k]
+    values, deviations = (v[: len(factors)] * factors for v in (carried.values, carried.deviations))
+    gain = mean_of(carried.gains, session.groups, problem.white(carried.expected, len(session.rows)))
+    return InSession(
+        session.name,
+        tuple(values.tolist()),
+        tuple(np.abs(deviations).tolist()),
+        carried.explained,
+        _returns(gain, carried.expected, carried.unsure),
+    )
+
+
+def _together(problem: SharedFit, carried: list[Carried]) -> bool | None:
+    """Whether carried-over values explain something in all sessions together."""
+    gains = np.concatenate([c.gains for c in carried])
+    by_groups = []
+    for kind in zip(*(session.groups for session in problem.sessions), strict=True):
+        starts = np.cumsum([0, *(int(g.max()) + 1 for g in kind)])
+        by_groups.append(np.concatenate([g + start for g, start in zip(kind, starts, strict=False)]))
+    expected = sum(c.expected * len(c.gains) for c in carried) / len(gains)
+    gain = mean_of(gains, by_groups, problem.white(expected, len(gains)))
+    return _returns(gain, expected, any(c.unsure for c in carried))
+
+
+def _returns(gain: Mean, expected: float, unsure: bool) -> bool | None:
+    """Whether carried-over values explain something.
+
+    gain : mean square explained by them;  expected : if they were right;  unsure : the others do not know them well
+    """
+    if unsure:  # what is carried over is chance, and so is its sign
+        return None
+    if gain.p_above() <= LEVEL / 2.0:
+        return True
+    worse = gain._replace(value=-gain.value).p_above() <= LEVEL / 2.0
+    return False if worse or (gain.value <= 0.0 and gain.detects(expected)) else None

@@ -1,0 +1,207 @@
+"""A fit that several sessions share, as linear least squares: one effect's values carried from the others into one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc
+
+from identification.arrays import Array
+from identification.effects import Effect
+from identification.gap.confirmation import Groups
+from identification.gap.curves import CurveFit
+from identification.gap.fit import Fit
+from identification.sessions import BASE, SESSIONS
+
+Index = NDArray[np.int64]
+SINGULAR = 1e-10  # of the largest eigenvalue of columns of unit length
+
+
+class Session(NamedTuple):
+    """Numbers of its rows, and groups of these rows that count as independent: first by stretches of time."""
+
+    name: str
+    rows: Index
+    groups: tuple[Groups, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """The values of the other sessions in one.
+
+    values : (size,) its own [API units], with standard deviations
+    gains : (m,) whitened squares that carried-over values explain;  expected : their mean if those were right
+    explained : their share of the squares;  unsure : the other sessions do not know the values well
+    """
+
+    values: Array
+    deviations: Array
+    gains: Array
+    expected: float
+    explained: float
+    unsure: bool
+
+
+@dataclass(frozen=True, eq=False)
+class SharedFit:
+    """The fit at its solution, in whitened coordinates; coefficients of error curves are columns with a prior.
+
+    jacobian : (m, d, P) columns, each divided by its length;  response : (m, d) residual plus jacobian times values
+    lengths : (P,);  penalty : (P,) of the squares of the values that belong to those columns
+    curves : joint (from 1) -> columns of its error curve
+    """
+
+    found: Fit
+    jacobian: Array
+    response: Array
+    lengths: Array
+    penalty: Array
+    curves: dict[int, Index]
+    sessions: tuple[Session, ...]
+
+    @classmethod
+    def of(cls, found: Fit, sessions: tuple[Session, ...]) -> SharedFit:
+        """sessions : of the rows that the fit is to"""
+        rows, model = found.rows, found.model
+        shape = len(rows), rows.dimension, -1
+        columns, values, penalty = [found.jacobian.reshape(shape)], [found.values], [np.zeros(len(found.values))]
+        curves, end = {}, len(found.values)
+        if isinstance(found, CurveFit):
+            levers = model.joint_levers(rows.postures, found.values, rows.conditions)
+            for basis in found.bases:
+                functions = basis.at(rows.postures[:, basis.joint])
+                columns.append(rows.whiten(levers[:, :, basis.joint, None] * functions[:, None, :]).reshape(shape))
+                curves[basis.joint + 1] = np.arange(end, end + basis.count)
+                end += basis.count
+            values.append(found.coefficients)
+            penalty.append(1.0 / found.variances)
+        jacobian, known = np.concatenate(columns, axis=2), np.concatenate(values)
+        lengths = np.sqrt(np.einsum("mdp,mdp->p", jacobian, jacobian))
+        lengths = np.where(lengths > 0.0, lengths, 1.0)
+        response = found.residual.reshape(shape[:2]) + jacobian @ known
+        return cls(found, jacobian / lengths, response, lengths, np.concatenate(penalty) / lengths**2, curves, sessions)
+
+    def columns_of(self, effect: Effect) -> Index:
+        """Columns of an effect's parameters, or of its curve."""
+        names = self.found.model.names
+        own = [names.index(p.name) for p in effect.parameters if p.name in names]
+        return np.array(own) if own else self.curves[effect.joint or 0]
+
+    def white(self, expected: float, rows: int) -> float:
+        """Variance of a mean gain that white noise alone makes."""
+        return 4.0 * self.found.sigma**2 * expected / rows
+
+    @cached_property
+    def grams(self) -> list[Array]:
+        """For each session (P, P) J^T J."""
+        return [gram(self.jacobian[s.rows]) for s in self.sessions]
+
+    @cached_property
+    def moments(self) -> list[Array]:
+        """For each session (P,) J^T y."""
+        return [np.einsum("mdp,md->p", self.jacobian[s.rows], self.response[s.rows]) for s in self.sessions]
+
+    def carried(self, k: int, own: Index) -> Carried:
+        """The values (columns `own`) of the other sessions in session number k."""
+        split, rows = Split(self, own, k), self.sessions[k].rows
+        columns, rest = self._without_base(k, self.jacobian[rows][:, :, own], split.rest(rows))
+        there = columns @ split.there
+        gains = np.sum(rest**2 - (rest - there) ** 2, axis=1)
+        uncertain = np.einsum("ij,ji->", gram(columns), split.covariance_there)
+        return Carried(
+            values=split.here / self.lengths[own],
+            deviations=np.sqrt(np.maximum(np.diag(split.covariance_here), 0.0)) / self.lengths[own],
+            gains=gains,
+            expected=float(np.mean(np.sum(there**2, axis=1))),
+            explained=float(np.sum(gains) / max(np.sum(rest**2), 1e-300)),
+            unsure=bool(uncertain > 0.5 * np.sum(there**2)),
+        )
+
+    def _without_base(self, k: int, columns: Array, rest: Array) -> tuple[Array, Array]:
+        """Columns (m, d, size) and residuals (m, d) of a session after its base has adapted to them."""
+        names, rows = self.found.model.names, self.sessions[k].rows
+        base = [j for j, name in enumerate(names) if name in BASE or name.startswith(f"{SESSIONS}.")]
+        flat = self.jacobian[rows][:, :, base].reshape(rest.size, -1)
+        both = np.concatenate([columns.reshape(rest.size, -1), rest.reshape(-1, 1)], axis=1)
+        left = both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]
+        return left[:, :-1].reshape(columns.shape), left[:, -1].reshape(rest.shape)
+
+    def p_equal(self, own: Index) -> float:
+        """F test of one set of values for all sessions against one for each."""
+        p, count = len(self.lengths), len(self.sessions)
+        wide = p + (count - 1) * len(own)
+        whole, moment = np.zeros((wide, wide)), np.zeros(wide)
+        for k in range(count):
+            slots = np.arange(p)
+            if k:
+                slots[own] = p + (k - 1) * len(own) + np.arange(len(own))
+            whole[np.ix_(slots, slots)] += self.grams[k]
+            moment[slots] += self.moments[k]
+        whole[np.arange(p), np.arange(p)] += self.penalty
+        shared, moments = np.sum(self.grams, axis=0) + np.diag(self.penalty), np.sum(self.moments, axis=0)
+        separate = inverse(whole) @ moment
+        gained = float(moment @ separate - moments @ (inverse(shared) @ moments))
+        size = int(np.linalg.matrix_rank(whole, hermitian=True) - np.linalg.matrix_rank(shared, hermitian=True))
+        freedom = self.response.size - wide
+        left = float(np.sum(self.response**2) - moment @ separate)
+        return float(fdtrc(size, freedom, max(gained, 0.0) / size / (left / freedom))) if size and left > 0.0 else 1.0
+
+
+class Split:
+    """Least squares with one effect's values apart for session number k and for the others.
+
+    here, there : (size,) values in the session and in the others, with their covariances (size, size), which hold
+        whatever the dependence within groups of rows (sandwich over stretches of time)
+    """
+
+    def __init__(self, problem: SharedFit, own: Index, k: int) -> None:
+        p, size = len(problem.lengths), len(own)
+        slots = [np.arange(p) for _ in problem.sessions]
+        slots[k][own] = p + np.arange(size)
+        normal, moment = np.diag(np.r_[problem.penalty, problem.penalty[own]]), np.zeros(p + size)
+        for s, own_gram, own_moment in zip(slots, problem.grams, problem.moments, strict=True):
+            normal[np.ix_(s, s)] += own_gram
+            moment[s] += own_moment
+        back = inverse(normal)
+        values = back @ moment
+        both = np.r_[p + np.arange(size), own]
+        root = back[both] @ scores(problem, slots, values)
+        covariance = root @ root.T
+        self.here, self.there = values[p:], values[own]
+        self.covariance_here, self.covariance_there = covariance[:size, :size], covariance[size:, size:]
+        self._problem, self._others = problem, np.delete(np.arange(p), own)
+        self._values = values
+
+    def rest(self, rows: Index) -> Array:
+        """(m, d) of these rows without the effect."""
+        columns = self._problem.jacobian[rows][:, :, self._others]
+        return np.asarray(self._problem.response[rows] - columns @ self._values[self._others])
+
+
+def scores(problem: SharedFit, slots: list[Index], values: Array) -> Array:
+    """(p', groups) sum of J^T residual over each stretch of time, times a factor for their small number."""
+    found = []
+    for session, s in zip(problem.sessions, slots, strict=True):
+        jacobian, stretches = problem.jacobian[session.rows], session.groups[0]
+        each = np.einsum("mdp,md->mp", jacobian, problem.response[session.rows] - jacobian @ values[s])
+        count = int(stretches.max()) + 1
+        part, sums = np.zeros((count, len(s))), np.zeros((len(values), count))
+        np.add.at(part, stretches, each)
+        sums[s] = part.T * np.sqrt(count / max(count - 1, 1))
+        found.append(sums)
+    return np.hstack(found)
+
+
+def gram(columns: Array) -> Array:
+    """(p, p) of columns (m, d, p)."""
+    tall = columns.reshape(-1, columns.shape[-1])
+    return np.asarray(tall.T @ tall)
+
+
+def inverse(normal: Array) -> Array:
+    """Of a normal matrix; what the data do not determine is left out."""
+    return np.asarray(np.linalg.pinv(normal, hermitian=True, rcond=SINGULAR))
