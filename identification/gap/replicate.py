@@ -8,12 +8,14 @@ rows as a hold-out is (`gap.confirmation`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.effects import Effect
-from identification.gap.confirmation import LEVEL, Mean, groupings, mean_of
+from identification.gap.confirmation import LEVEL, Groups, Mean, groupings, mean_of
 from identification.gap.fit import Fit
 from identification.gap.replication import InSession, Replication
 from identification.gap.shared_fit import Carried, Session, SharedFit
@@ -42,7 +44,8 @@ def _replication(problem: SharedFit, effect: Effect) -> Replication:
     own = problem.columns_of(effect)
     parameters = [p for p in effect.parameters if p.name in problem.found.model.names]
     factors = np.array([p.to_file for p in parameters])
-    carried = [problem.carried(k, own) for k in range(len(problem.sessions))]
+    joint = None if parameters else effect.joint
+    carried = [problem.carried(k, own, joint) for k in range(len(problem.sessions))]
     there = tuple(_in_session(problem, k, one, factors) for k, one in enumerate(carried))
     names, units = tuple(p.name for p in parameters), tuple(p.file_unit for p in parameters)
     p_equal = problem.p_equal(own) if parameters else None
@@ -52,7 +55,7 @@ def _replication(problem: SharedFit, effect: Effect) -> Replication:
 def _in_session(problem: SharedFit, k: int, carried: Carried, factors: Array) -> InSession:
     session = problem.sessions[k]
     values, deviations = (v[: len(factors)] * factors for v in (carried.values, carried.deviations))
-    gain = mean_of(carried.gains, session.groups, problem.white(carried.expected, len(session.rows)))
+    gain = _gain(problem, carried.gains, _groups(session, carried), carried.expected)
     return InSession(
         session.name,
         tuple(values.tolist()),
@@ -66,12 +69,23 @@ def _together(problem: SharedFit, carried: list[Carried]) -> bool | None:
     """Whether carried-over values explain something in all sessions together."""
     gains = np.concatenate([c.gains for c in carried])
     by_groups = []
-    for kind in zip(*(session.groups for session in problem.sessions), strict=True):
-        starts = np.cumsum([0, *(int(g.max()) + 1 for g in kind)])
+    for kind in zip(*(_groups(session, c) for session, c in zip(problem.sessions, carried, strict=True)), strict=True):
+        starts = np.cumsum([0, *(int(g.max(initial=-1)) + 1 for g in kind)])
         by_groups.append(np.concatenate([g + start for g, start in zip(kind, starts, strict=False)]))
-    expected = sum(c.expected * len(c.gains) for c in carried) / len(gains)
-    gain = mean_of(gains, by_groups, problem.white(expected, len(gains)))
-    return _returns(gain, expected, any(c.unsure for c in carried))
+    expected = sum(c.expected * len(c.gains) for c in carried) / max(len(gains), 1)
+    return _returns(_gain(problem, gains, by_groups, expected), expected, any(c.unsure for c in carried))
+
+
+def _groups(session: Session, carried: Carried) -> list[Groups]:
+    """The groups of those rows of a session that it is about, numbered anew."""
+    return [np.unique(groups[carried.part], return_inverse=True)[1] for groups in session.groups]
+
+
+def _gain(problem: SharedFit, gains: Array, by_groups: Sequence[Groups], expected: float) -> Mean:
+    """Mean of the gains of rows; unknown without rows."""
+    if not len(gains):
+        return Mean(0.0, np.inf, 1.0)
+    return mean_of(gains, by_groups, problem.white(expected, len(gains)))
 
 
 def _returns(gain: Mean, expected: float, unsure: bool) -> bool | None:

@@ -15,10 +15,13 @@ from identification.effects import Effect
 from identification.gap.confirmation import Groups
 from identification.gap.curves import CurveFit
 from identification.gap.fit import Fit
+from identification.kinematics.parameters import JOINT_OFFSET
 from identification.sessions import BASE, SESSIONS
 
 Index = NDArray[np.int64]
 SINGULAR = 1e-10  # of the largest eigenvalue of columns of unit length
+
+FEWEST = 8  # rows that say something about a curve: one for each group
 
 
 class Session(NamedTuple):
@@ -34,10 +37,12 @@ class Carried:
     """The values of the other sessions in one.
 
     values : (size,) its own [API units], with standard deviations
+    part : which rows of the session this is about, numbers among them
     gains : (m,) whitened squares that carried-over values explain;  expected : their mean if those were right
     explained : their share of the squares;  unsure : the other sessions do not know the values well
     """
 
+    part: Index
     values: Array
     deviations: Array
     gains: Array
@@ -105,27 +110,43 @@ class SharedFit:
         """For each session (P,) J^T y."""
         return [np.einsum("mdp,md->p", self.jacobian[s.rows], self.response[s.rows]) for s in self.sessions]
 
-    def carried(self, k: int, own: Index) -> Carried:
-        """The values (columns `own`) of the other sessions in session number k."""
-        split, rows = Split(self, own, k), self.sessions[k].rows
-        columns, rest = self._without_base(k, self.jacobian[rows][:, :, own], split.rest(rows))
+    def carried(self, k: int, own: Index, joint: int | None = None) -> Carried:
+        """The values (columns `own`) of the other sessions in session number k.
+
+        joint : of an error curve (from 1), which says nothing beyond the angles of the others, and nothing of its level
+        """
+        split, part = Split(self, own, k), self._told_by_others(k, joint)
+        rows = self.sessions[k].rows[part]
+        columns, rest = self._adapted(rows, joint, self.jacobian[rows][:, :, own], split.rest(rows))
         there = columns @ split.there
         gains = np.sum(rest**2 - (rest - there) ** 2, axis=1)
         uncertain = np.einsum("ij,ji->", gram(columns), split.covariance_there)
         return Carried(
+            part=part,
             values=split.here / self.lengths[own],
             deviations=np.sqrt(np.maximum(np.diag(split.covariance_here), 0.0)) / self.lengths[own],
             gains=gains,
-            expected=float(np.mean(np.sum(there**2, axis=1))),
+            expected=float(np.sum(there**2) / max(len(rows), 1)),
             explained=float(np.sum(gains) / max(np.sum(rest**2), 1e-300)),
-            unsure=bool(uncertain > 0.5 * np.sum(there**2)),
+            unsure=bool(len(rows) < FEWEST or uncertain > 0.5 * np.sum(there**2)),
         )
 
-    def _without_base(self, k: int, columns: Array, rest: Array) -> tuple[Array, Array]:
-        """Columns (m, d, size) and residuals (m, d) of a session after its base has adapted to them."""
-        names, rows = self.found.model.names, self.sessions[k].rows
-        base = [j for j, name in enumerate(names) if name in BASE or name.startswith(f"{SESSIONS}.")]
-        flat = self.jacobian[rows][:, :, base].reshape(rest.size, -1)
+    def _told_by_others(self, k: int, joint: int | None) -> Index:
+        """Rows of session number k, as numbers among them, within the angles of a joint in the other sessions."""
+        rows = self.sessions[k].rows
+        if joint is None:
+            return np.arange(len(rows))
+        angles = self.found.rows.postures[:, joint - 1]
+        others = np.concatenate([angles[s.rows] for number, s in enumerate(self.sessions) if number != k])
+        return np.flatnonzero((angles[rows] >= others.min()) & (angles[rows] <= others.max()))
+
+    def _adapted(self, rows: Index, joint: int | None, columns: Array, rest: Array) -> tuple[Array, Array]:
+        """Columns (m, d, size) and residuals (m, d) of rows of a session after its base, and for a curve the offset of
+        its joint, have adapted to them."""
+        names = self.found.model.names
+        offset = f"{JOINT_OFFSET}:{joint}"
+        free = [j for j, n in enumerate(names) if n in BASE or n == offset or n.startswith(f"{SESSIONS}.")]
+        flat = self.jacobian[rows][:, :, free].reshape(rest.size, -1)
         both = np.concatenate([columns.reshape(rest.size, -1), rest.reshape(-1, 1)], axis=1)
         left = both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]
         return left[:, :-1].reshape(columns.shape), left[:, -1].reshape(rest.shape)

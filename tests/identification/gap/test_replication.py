@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from identification.arm import Arm, EffectSpec
+from identification.gap.diagnose import diagnose
 from identification.gap.fit import fit
 from identification.gap.replicate import replications
 from identification.gap.replication import Replication, said
@@ -104,3 +105,28 @@ def test_one_session_has_nothing_to_compare() -> None:
     rows = Rows.of(data)
     fitted = fit(Model(Arm(LENGTHS, effects=(EffectSpec("gear_ratio", 1),))), rows)
     assert replications(fitted, data, np.ones(len(data), dtype=bool), ("gear_ratio:1",)) == ()
+
+
+def bumpy(number: int, sign: float, width: float) -> Measurements:
+    """Two bumps in the error of joint 2, which turns by `width` to both sides."""
+    generator = np.random.default_rng(20 + number)
+    q = generator.uniform(-np.pi, np.pi, (70, 2))
+    q[:, 1] *= width / np.pi
+    bent, turn = q.copy(), BASES[number]
+    for center in (-0.6, 0.5):
+        bent[:, 1] += sign * 0.004 * np.exp(-0.5 * ((q[:, 1] - center) / 0.2) ** 2)
+    z = np.exp(1j * turn[0]) * (LENGTHS * np.exp(1j * np.cumsum(bent, axis=1))).sum(axis=1) + turn[1]
+    return Measurements(q, np.column_stack([z.real, z.imag]) + generator.normal(0.0, SIGMA, (70, 2)))
+
+
+@pytest.mark.parametrize(("sign", "answer"), [(1.0, True), (-1.0, False)])
+def test_a_curve_returns_where_both_sessions_have_measured(sign: float, answer: bool) -> None:
+    """One session covers a part of the angles of the other; its curve has another level there."""
+    data = pooled({"wide": bumpy(0, 1.0, np.pi), "narrow": bumpy(1, sign, 1.2)})
+    diagnosis = diagnose(Arm(LENGTHS), data, draws=399)
+    curve = next((r for r in diagnosis.replication if r.effect == "joint_error_curve:2"), None)
+    if answer:
+        assert curve is not None
+        assert curve.p_equal is None
+        assert curve.to_json()["sessions"][0]["parameters"] == []
+    assert (curve.replicates if curve else False) is answer
