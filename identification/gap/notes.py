@@ -77,10 +77,11 @@ def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measur
         if np.ptp(measurements.postures[:, j]) == 0.0
     ]
     if arm.sigma is not None:
-        ratio = fit.sigma / arm.sigma
+        left = fit.position_residuals(measurements, measurements.conditions)[~found.outlier]
+        ratio = float(np.sqrt(np.sum(left**2) / max(fit.freedom, 1))) / arm.sigma
         if measurements.sigma is None and not 0.67 < ratio < 1.5:
             of_file = f"{ratio:.2f} times the sigma_mm of the arm file"
-            said.append(f"the residual scatter is {of_file}; the tests use the residual scatter")
+            said.append(f"the residual scatter is {of_file}; the tests use the scatter, not sigma_mm")
     if gap.held_out_after is not None and gap.predicted is not None and gap.held_out_after > 3.0 * gap.predicted:
         times = gap.held_out_after / gap.predicted
         said.append(f"the held-out residuals are {times:.2g} times larger than predicted: other postures or set-up?")
