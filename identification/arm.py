@@ -6,7 +6,7 @@ Joints and links are counted from 1 for people (`Effect.joint`, names) and from 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -137,6 +137,13 @@ class Calibration(ByValue):
     def joint_offsets(self) -> Array:
         """(n,) [rad]."""
         return by_joint(self.values, JOINT_OFFSET)
+
+    def about(self, names: Iterable[str]) -> Calibration:
+        """All values, with the covariance of these parameters only."""
+        chosen = set(names)
+        kept = [k for k, name in enumerate(self.parameter_names) if name in chosen]
+        covariance = None if self.covariance is None else self.covariance[np.ix_(kept, kept)]
+        return replace(self, parameter_names=tuple(self.parameter_names[k] for k in kept), covariance=covariance)
 
     @property
     def effects(self) -> dict[str, float]:

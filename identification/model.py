@@ -292,9 +292,10 @@ class Model:
     @property
     def neutral_conditions(self) -> Array:
         """(4+n,) conditions where nothing is said: the arm's payload, mean temperature, the middle of session 1,
-        approach +1."""
+        approach +1; with a memory, of zero angles."""
         payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
-        return Conditions().table(1, self.joints, payload)[0]
+        past = np.zeros((1, self.joints)) if self.remembers else None
+        return Conditions().table(1, self.joints, payload, past)[0]
 
     def _postures(self, postures: ArrayLike) -> Array:
         q = np.atleast_2d(np.asarray(postures, dtype=float))

@@ -14,8 +14,8 @@ from identification.estimation import Identification
 from identification.estimation.result import in_words
 
 
-def identification_tables(found: Identification) -> list[Any]:
-    """Everything about a fit: what must be read first, the summary, the parameters."""
+def identification_tables(found: Identification, hidden: frozenset[str] = frozenset()) -> list[Any]:
+    """Everything about a fit: what must be read first, the summary, the parameters but for those `hidden`."""
     data = found.to_json()
     given = "given" if found.sigma_known else "from the residuals"
     summary = [
@@ -29,18 +29,19 @@ def identification_tables(found: Identification) -> list[Any]:
         summary.append(("chi2", f"{data['chi2']:.2f}, {in_words(data['p_value'])}: {scatter}"))
     summary.append(("95 % intervals", found.uncertainty.sentence))
     warned = [Text(warning, style="bold") for warning in found.warnings]
-    shown: list[Any] = [*warned, facts(summary), parameter_table(found)]
+    shown: list[Any] = [*warned, facts(summary), parameter_table(found, hidden)]
     if data["not_identifiable"]:
         shown.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         shown.extend(Text(f"  {combination}") for combination in data["not_identifiable"])
     return shown
 
 
-def parameter_table(found: Identification) -> Table:
-    """Parameters with 95 % intervals, in file units."""
+def parameter_table(found: Identification, hidden: frozenset[str] = frozenset()) -> Table:
+    """Parameters with 95 % intervals, in file units, but for those `hidden`."""
     keys = ("value", "std", "low_95", "high_95")
     named = zip(found.shown_names, found.to_json()["parameters"], strict=True)
-    rows = ([name, *(significant(p[key], p["std"]) for key in keys), p["unit"]] for name, p in named)
+    seen = ((name, p) for name, p in named if p["name"] not in hidden)
+    rows = ([name, *(significant(p[key], p["std"]) for key in keys), p["unit"]] for name, p in seen)
     return table(("name", "value", "std", "low 95 %", "high 95 %", "unit"), rows, "Parameters", left=("name", "unit"))
 
 

@@ -5,5 +5,14 @@ from identification.estimation.batch import BatchFit, estimate_batch, estimate_e
 from identification.estimation.estimate import estimate
 from identification.estimation.methods import METHODS
 from identification.estimation.result import Identification
+from identification.estimation.with_prior import estimate_with_prior
 
-__all__ = ["METHODS", "BatchFit", "Identification", "estimate", "estimate_batch", "estimate_each"]
+__all__ = [
+    "METHODS",
+    "BatchFit",
+    "Identification",
+    "estimate",
+    "estimate_batch",
+    "estimate_each",
+    "estimate_with_prior",
+]

@@ -14,6 +14,7 @@ from identification.errors import InputError, JobError, nearest
 from identification.estimation.levenberg_marquardt import Solution
 from identification.estimation.methods import METHODS
 from identification.estimation.plausibility import doubts
+from identification.estimation.prior import Prior
 from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import FittedRows, uncertainty
@@ -74,8 +75,11 @@ def estimate(
     return _result(problem, measurements, chosen, solution, decomposed, noise)
 
 
-def check(model: Model, measurements: Measurements) -> None:
-    """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations."""
+def check(model: Model, measurements: Measurements, prior: Prior | None = None) -> None:
+    """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations.
+
+    prior : of parameters that need no equation
+    """
     _check_kind("model", model, "linearize", "a Model, as in Model(arm)")
     _check_kind("measurements", measurements, "positions", "Measurements, as load_measurements(path) gives")
     n, m, p = model.joints, len(measurements), len(model.parameters)
@@ -87,6 +91,7 @@ def check(model: Model, measurements: Measurements) -> None:
     if p == 0:
         raise InputError("model: every parameter is known, allowed: at least one to estimate")
     _check_needs(model, measurements)
+    p -= 0 if prior is None else len(set(model.names) & set(prior.deviations))
     if (d := model.dimension) * m < p:
         found = f"{d} m = {d * m} < p = {p}"
         raise InputError(f"measurements: fewer equations than unknowns: {found}, allowed: m >= {-(-p // d)}")

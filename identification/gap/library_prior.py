@@ -3,7 +3,8 @@
 What is missing in the model of a real arm is not known, but what such effects amount to is (identification/README.md,
 "Typical sizes"). Each parameter is taken as normal with zero mean and its typical size as standard deviation. An effect
 with a setting that is not known (the order of a ripple) stands as K effects, one for each setting, each with 1/K of the
-variance: the same mean and covariance of the tip as one effect with a setting drawn at random.
+variance: the same mean and covariance of the tip as one effect with a setting drawn at random. In the same way an
+effect that few arms have has its share of the variance, `Effect.prior`.
 """
 
 from __future__ import annotations
@@ -12,14 +13,16 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
-from identification.arm import Arm
+from identification.arm import Arm, EffectSpec
 from identification.effects import Effect, library
 from identification.errors import InputError, nearest
 from identification.estimation.prior import Prior
 from identification.gap.hypotheses import Hypothesis, hypotheses
+from identification.measurements import Measurements
 from identification.model import Model
 
 
@@ -27,10 +30,12 @@ from identification.model import Model
 class LibraryPrior:
     """An arm with the library's effects added to its own, and how large those may be.
 
-    arm : the arm with all effects;  prior : of the added parameters;  left_out : effect -> why it is not among them
+    arm : the arm with all effects, those `added` last;  prior : of their parameters
+    left_out : effect -> why it is not among them
     """
 
     arm: Arm
+    added: tuple[EffectSpec, ...]
     prior: Prior
     left_out: Mapping[str, str]
 
@@ -38,6 +43,22 @@ class LibraryPrior:
     def model(self) -> Model:
         """The arm's model with all effects."""
         return Model(self.arm)
+
+    @property
+    def effects(self) -> list[str]:
+        """Those added, `name` or `name:joint`."""
+        return list(dict.fromkeys(spec.key for spec in self.added))
+
+    @property
+    def sentence(self) -> str:
+        """What is in the prior, in words."""
+        kinds = dict.fromkeys(spec.name for spec in self.added)
+        return f"with a prior of typical sizes: {len(self.prior.deviations)} parameters of {', '.join(kinds)}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Key `prior` of `identify` (identification/files/README.md, "JSON keys")."""
+        count = len(self.prior.deviations)
+        return {"parameters": count, "effects": self.effects, "left_out": dict(self.left_out)}
 
 
 def library_prior(
@@ -48,7 +69,7 @@ def library_prior(
 ) -> LibraryPrior:
     """All effects of the library that the arm may have and that rows with the data `given` can show.
 
-    given : of `time`, `directions`, `temperature`, what rows have;  names : of effects, None: all
+    given : of `time`, `directions`, `past`, `temperature`, what rows have;  names : of effects, None: all
     most_settings : of one effect at one joint; of more, as many are taken at even distances
     Raises `InputError` for names that are not in the library, and where no effect is left.
     """
@@ -69,7 +90,15 @@ def library_prior(
         raise InputError("effects: none of the library's is left for the prior, allowed: at least one")
     kept = _thinned(chosen, most_settings)
     wide = _extended(arm, kept)
-    return LibraryPrior(wide, Prior(_deviations(Model(wide).effects, kept)), MappingProxyType(left_out))
+    prior, added = Prior(_deviations(Model(wide).effects, kept)), tuple(h.spec for h in kept)
+    return LibraryPrior(wide, added, prior, MappingProxyType(left_out))
+
+
+def given_by(measurements: Measurements) -> frozenset[str]:
+    """What rows have: time, directions and earlier motions follow from their order."""
+    return frozenset(
+        {"time", "directions", "past"} | ({"temperature"} if measurements.temperature is not None else set())
+    )
 
 
 def _once(members: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -80,7 +109,7 @@ def _once(members: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def _why_not(effect: Effect, given: frozenset[str]) -> str | None:
-    missing = sorted((effect.needs - given) & {"time", "directions", "temperature"})
+    missing = sorted((effect.needs - given) & {"time", "directions", "past", "temperature"})
     if missing:
         return f"needs {', '.join(missing)}"
     return "no typical size" if any(p.typical is None for p in effect.parameters) else None
@@ -115,7 +144,7 @@ def _deviations(effects: Sequence[Effect], added: Sequence[Hypothesis]) -> dict[
     alike = Counter(h.key for h in added)
     pairs = zip(effects[len(effects) - len(added) :], added, strict=True)
     return {
-        p.name: float(p.typical / np.sqrt(alike[h.key]))
+        p.name: float(p.typical * np.sqrt(e.prior / alike[h.key]))
         for e, h in pairs
         for p in e.parameters
         if p.typical is not None

@@ -39,6 +39,13 @@ def test_sizes_are_typical_and_shared_by_settings() -> None:
     assert all_at_once == pytest.approx(drawn, rel=1e-12)
 
 
+def test_a_rare_effect_has_its_share_of_the_variance() -> None:
+    """Present in one arm of five with the deviation d, absent else: the mean square is d^2 / 5."""
+    found = library_prior(ARM, names=["axis_tilt"])
+    tilt = found.model.effects[-1]
+    assert found.prior.deviations["axis_tilt:2.a"] == pytest.approx((tilt.parameters[0].typical or 0.0) / np.sqrt(5.0))
+
+
 def test_few_settings_stand_for_all() -> None:
     found = ripples(dict(library_prior(ARM, most_settings=4).prior.deviations), 2)
     assert list(found) == [10, 26, 41, 57]  # the middles of four quarters of 3 to 64
