@@ -16,7 +16,8 @@ from scipy.special import chdtrc, chdtri
 from identification.arrays import Array
 from identification.gap.fit import Fit
 from identification.gap.omnibus_test import MANY
-from identification.gap.quadratic_forms import BlockForm, Form, LagForm, ratio, ratio_moments
+from identification.gap.posture_neighbors import lag_form
+from identification.gap.quadratic_forms import BlockForm, Form, SparseForm, ratio, ratio_moments
 from identification.gap.whitening import Rows
 from identification.information import column_space
 
@@ -26,6 +27,8 @@ MOST_OUTLIERS = 0.25  # of the rows: the robust scale is then 1.26 times too lar
 LEVEL = 0.01  # convention: of any finding on white noise, after Holm's correction
 DRAWS = 999  # the smallest p-value times the number of tests must reach LEVEL; raised for many joints
 HINT = 0.2  # tuned: adjusted p-value above which the noise counts as the same everywhere
+CORRELATIONS = np.linspace(0.0, 0.95, 20)  # of one row with the next
+CLEAR = 1e-10  # eigenvalues of a normal matrix, of the largest
 GRID = np.geomspace(0.05, 50.0, 31)  # variance ratios; the likelihood is flat over a step of 26 %
 
 
@@ -89,7 +92,7 @@ def screen(found: Fit, rows: Rows, generator: np.random.Generator) -> tuple[Find
     rows : with the relative sigma of the data only (no noise model yet)
     """
     tests = scatter_tests(found, rows, generator)
-    return (*_variance_finding(tests), *_correlation_finding(tests))
+    return (*_variance_finding(tests), *_correlation_finding(tests, found, rows))
 
 
 @dataclass(frozen=True)
@@ -99,12 +102,14 @@ class ScatterTests:
     adjusted : p-values after Holm's correction
     values : (1 + B,) statistics of the residuals, then of B draws of white noise
     forms : (m, d, d) shapes of the extra covariance, see `variance_forms`;  residual : (m d,) whitened, of unit size
+    neighbors : some of the serial correlation is explained by posture, see `lag_form`
     """
 
     adjusted: dict[str, float]
     values: dict[str, Array]
     forms: dict[str, Array]
     residual: Array
+    neighbors: bool
 
 
 def scatter_tests(found: Fit, rows: Rows, generator: np.random.Generator) -> ScatterTests:
@@ -122,12 +127,11 @@ def scatter_tests(found: Fit, rows: Rows, generator: np.random.Generator) -> Sca
     residual -= q @ (q.T @ residual)
     residual /= np.sqrt(np.mean(residual**2))
     tested = {name: BlockForm(form - np.eye(rows.dimension)) for name, form in forms.items()}
-    values = _values(
-        tested | {"serial_correlation": LagForm(rows.sequence, rows.dimension)}, residual, q, draws, generator
-    )
+    lag = lag_form(rows, residual)
+    values = _values(tested | {"serial_correlation": lag}, residual, q, draws, generator)
     values["time_noise"] = np.abs(values["time_noise"])
     p = {name: (1.0 + np.sum(v[1:] >= v[0])) / (draws + 1.0) for name, v in values.items()}
-    return ScatterTests(holm(p), values, forms, residual)
+    return ScatterTests(holm(p), values, forms, residual, isinstance(lag, SparseForm))
 
 
 def homoscedastic(found: Fit, rows: Rows, generator: np.random.Generator) -> bool:
@@ -182,13 +186,43 @@ def _variance_finding(tests: ScatterTests) -> tuple[Finding, ...]:
     return (Finding(name, tests.adjusted[name], -ratio if falling else ratio),)
 
 
-def _correlation_finding(tests: ScatterTests) -> tuple[Finding, ...]:
+def _correlation_finding(tests: ScatterTests, found: Fit, rows: Rows, level: float = LEVEL) -> tuple[Finding, ...]:
+    """Serial correlation, with its size: of what posture does not explain, relative to all that is left."""
     p, statistic = tests.adjusted["serial_correlation"], tests.values["serial_correlation"]
-    if p > LEVEL:
+    if p > level:
         return ()
+    if not tests.neighbors:
+        return (Finding("serial_correlation", p, likely_correlation(found, rows)),)
     # less the mean of the draws: the projection makes white noise look alternating
-    rho = float(np.clip(statistic[0] - statistic[1:].mean(), 0.0, 0.95))
+    rho = float(np.clip(statistic[0] - statistic[1:].mean(), 0.0, CORRELATIONS[-1]))
     return (Finding("serial_correlation", p, rho),)
+
+
+def memory(found: Fit, rows: Rows, generator: np.random.Generator) -> tuple[Finding, ...]:
+    """Serial correlation that the residuals of a fitted model hint at, whether or not it is sure."""
+    return _correlation_finding(scatter_tests(found, rows, generator), found, rows, HINT)
+
+
+def likely_correlation(found: Fit, rows: Rows) -> float:
+    """The lag-1 correlation of largest restricted likelihood, which allows for the parameters that were fitted.
+
+    H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are unequal", 1971.
+    """
+    position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
+    left, columns = rows.positions - position, jacobian / found.model.scales
+    costs = [_restricted_cost(replace(rows, correlation=float(rho)), left, columns) for rho in CORRELATIONS]
+    return float(CORRELATIONS[int(np.argmin(costs))])
+
+
+def _restricted_cost(rows: Rows, left: Array, columns: Array) -> float:
+    """-2 log of the restricted likelihood of a noise model."""
+    residual, basis = rows.whiten(left), rows.whiten(columns)
+    values, turn = np.linalg.eigh(basis.T @ basis)
+    seen = values > CLEAR * values.max(initial=0.0)
+    scores = turn[:, seen].T @ (basis.T @ residual)
+    squares = float(residual @ residual - np.sum(scores**2 / values[seen]))
+    freedom = len(residual) - int(seen.sum())
+    return freedom * np.log(max(squares, 1e-300)) + rows.log_determinant + float(np.sum(np.log(values[seen])))
 
 
 def whitened(rows: Rows, found: Fit, findings: tuple[Finding, ...]) -> Rows:

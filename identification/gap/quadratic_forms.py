@@ -8,11 +8,15 @@ with B = P A P its mean is tr B / nu and its mean square (2 tr B^2 + (tr B)^2) /
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,30 @@ class LagForm:
         return 0.5 * (len(self.sequence) - 1) * self.dimension
 
 
-Form = BlockForm | LagForm
+@dataclass(frozen=True)
+class SparseForm:
+    """sum_ij A_ij e_i^T e_j over d coordinates;  matrix : (m, m) symmetric"""
+
+    matrix: csr_array
+    dimension: int
+
+    def times(self, vectors: Array) -> Array:
+        """(m d, B) A v of vectors (m d, B)."""
+        rows = vectors.reshape(self.matrix.shape[0], -1)
+        return np.asarray(self.matrix @ rows).reshape(vectors.shape)
+
+    @property
+    def trace(self) -> float:
+        """tr A."""
+        return self.dimension * float(self.matrix.trace())
+
+    @property
+    def squared_trace(self) -> float:
+        """tr A^2."""
+        return self.dimension * float(self.matrix.power(2).sum())
+
+
+Form = BlockForm | LagForm | SparseForm
 
 
 def ratio(form: Form, sample: Array) -> Array:

@@ -10,10 +10,10 @@ from scipy.special import fdtrc
 
 from identification.arrays import Array
 from identification.gap.noise import LEVEL, Finding
+from identification.gap.posture_neighbors import FAR
 from identification.measurements import Measurements
 
 # reasons: identification/README.md, "Constants"
-FAR = 0.1  # of the session, between two repeats that share no slow error
 FEWEST = 4  # degrees of freedom of a standard deviation worth printing
 
 Groups = NDArray[np.int64]
