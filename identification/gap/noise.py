@@ -16,8 +16,8 @@ from scipy.special import chdtrc, chdtri
 from identification.arrays import Array
 from identification.gap.fit import Fit
 from identification.gap.omnibus_test import MANY
-from identification.gap.posture_neighbors import lag_form
-from identification.gap.quadratic_forms import BlockForm, Form, SparseForm, ratio, ratio_moments
+from identification.gap.posture_neighbors import lag_of
+from identification.gap.quadratic_forms import BlockForm, Form, ratio, ratio_moments
 from identification.gap.whitening import Rows
 from identification.information import column_space
 
@@ -102,14 +102,14 @@ class ScatterTests:
     adjusted : p-values after Holm's correction
     values : (1 + B,) statistics of the residuals, then of B draws of white noise
     forms : (m, d, d) shapes of the extra covariance, see `variance_forms`;  residual : (m d,) whitened, of unit size
-    neighbors : some of the serial correlation is explained by posture, see `lag_form`
+    correlation : serial, where posture explains some of it, see `posture_neighbors.Lag`
     """
 
     adjusted: dict[str, float]
     values: dict[str, Array]
     forms: dict[str, Array]
     residual: Array
-    neighbors: bool
+    correlation: float | None
 
 
 def scatter_tests(found: Fit, rows: Rows, generator: np.random.Generator) -> ScatterTests:
@@ -127,11 +127,11 @@ def scatter_tests(found: Fit, rows: Rows, generator: np.random.Generator) -> Sca
     residual -= q @ (q.T @ residual)
     residual /= np.sqrt(np.mean(residual**2))
     tested = {name: BlockForm(form - np.eye(rows.dimension)) for name, form in forms.items()}
-    lag = lag_form(rows, residual)
-    values = _values(tested | {"serial_correlation": lag}, residual, q, draws, generator)
+    lag = lag_of(rows, residual)
+    values = _values(tested | {"serial_correlation": lag.form}, residual, q, draws, generator)
     values["time_noise"] = np.abs(values["time_noise"])
     p = {name: (1.0 + np.sum(v[1:] >= v[0])) / (draws + 1.0) for name, v in values.items()}
-    return ScatterTests(holm(p), values, forms, residual, isinstance(lag, SparseForm))
+    return ScatterTests(holm(p), values, forms, residual, lag.size)
 
 
 def homoscedastic(found: Fit, rows: Rows, generator: np.random.Generator) -> bool:
@@ -188,14 +188,11 @@ def _variance_finding(tests: ScatterTests) -> tuple[Finding, ...]:
 
 def _correlation_finding(tests: ScatterTests, found: Fit, rows: Rows, level: float = LEVEL) -> tuple[Finding, ...]:
     """Serial correlation, with its size: of what posture does not explain, relative to all that is left."""
-    p, statistic = tests.adjusted["serial_correlation"], tests.values["serial_correlation"]
+    p = tests.adjusted["serial_correlation"]
     if p > level:
         return ()
-    if not tests.neighbors:
-        return (Finding("serial_correlation", p, likely_correlation(found, rows)),)
-    # less the mean of the draws: the projection makes white noise look alternating
-    rho = float(np.clip(statistic[0] - statistic[1:].mean(), 0.0, CORRELATIONS[-1]))
-    return (Finding("serial_correlation", p, rho),)
+    size = likely_correlation(found, rows) if tests.correlation is None else tests.correlation
+    return (Finding("serial_correlation", p, float(np.clip(size, 0.0, CORRELATIONS[-1]))),)
 
 
 def memory(found: Fit, rows: Rows, generator: np.random.Generator) -> tuple[Finding, ...]:

@@ -7,7 +7,7 @@ what that mean explains is not serial correlation.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -24,25 +24,42 @@ NEIGHBORS, SEARCHED = 4, 64
 EXPLAINS = 3.0  # standard deviations of the slope on the neighbors' mean
 
 
-def lag_form(rows: Rows, residual: Array) -> Form:
-    """Lag-1 products of what posture does not explain of residuals (m d,): e^T F^T L F e with F = I - c S.
+class Lag(NamedTuple):
+    """The lag-1 correlation of residuals as a quadratic form that is large where it is.
 
-    S takes the mean over neighbors, c is the slope of the residuals on it; 0 where it is not clearly positive.
+    size : of what posture does not explain, relative to all that is left; None where posture explains nothing
+    """
+
+    form: Form
+    size: float | None
+
+
+def lag_of(rows: Rows, residual: Array) -> Lag:
+    """Of what posture does not explain of residuals (m d,): u = F e with F = I - c S.
+
+    S takes the mean over neighbors, c is the slope of the residuals on it; 0 where it is not clearly positive. The
+    correlation r = u^T L u / u^T u is exceeded by white noise where e^T F^T (L - r I) F e > 0.
     """
     import scipy.sparse as sp
 
-    plain = LagForm(rows.sequence, rows.dimension)
-    e = residual.reshape(len(rows), -1)
+    m, e = len(rows), residual.reshape(len(rows), -1)
     means = neighbor_means(rows)
     near = means @ e
     slope = float(np.clip(np.sum(e * near) / max(np.sum(near**2), 1e-300), 0.0, 1.0))
     if slope * np.sqrt(np.sum(near**2)) <= EXPLAINS * np.sqrt(np.mean(e**2)):
-        return plain
-    m, sequence = len(rows), rows.sequence
-    before, after = sequence[:-1], sequence[1:]
+        return Lag(LagForm(rows.sequence, rows.dimension), None)
+    before, after = rows.sequence[:-1], rows.sequence[1:]
     lag = sp.csr_array((np.full(m - 1, 0.5), (before, after)), shape=(m, m))
-    left = sp.eye_array(m, format="csr") - slope * means
-    return SparseForm((left.T @ (lag + lag.T) @ left).tocsr(), rows.dimension)
+    lag = lag + lag.T
+    left = (sp.eye_array(m, format="csr") - slope * means).tocsr()
+    u = left @ e
+    found = float(np.sum(u * (lag @ u)) / np.sum(u**2))
+    products, squares = left.T @ lag @ left, left.T @ left
+    white = float(products.trace() / squares.trace())
+    return Lag(
+        SparseForm((products - found * squares).tocsr(), rows.dimension),
+        float((found - white) * np.sum(u**2) / np.sum(e**2)),
+    )
 
 
 def neighbor_means(rows: Rows) -> csr_array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from identification.gap.fit import Fit
 from identification.gap.further_orders import explained
 from identification.gap.hypotheses import HypothesisSet
-from identification.gap.noise import Finding, outliers, screen, whitened
+from identification.gap.noise import Finding, memory, outliers, screen, whitened
 from identification.gap.search import HypothesisSearch
 from identification.gap.selection import Selection, select
 from identification.gap.unmodelled import Unknown
@@ -71,7 +71,28 @@ def investigate(
     found = Findings(last.search, last.selection, last.unknown, scatter, outlier)
     others = [_explained(hypotheses, r, s, o, draws, generator) for r, s, o in _other_noise(found, rows, noisy, named)]
     best = min(others, key=lambda f: cost(f, len(rows)), default=found)
-    return best if cost(best, len(rows)) < cost(found, len(rows)) - CREDIT else found
+    found = best if cost(best, len(rows)) < cost(found, len(rows)) - CREDIT else found
+    return min((found, *_with_memory(found, rows, draws, generator)), key=lambda f: cost(f, len(rows)))
+
+
+def _with_memory(found: Findings, rows: Rows, draws: int, generator: np.random.Generator) -> list[Findings]:
+    """The same data with serially correlated noise, where the base model's residuals hint at it.
+
+    An effect that was named takes the correlation out of the residuals that were screened: a drift, a step or an offset
+    can be the slow part of such noise, and of few rows it often is. The lower BIC is right, without a credit: it is 5
+    to 24 lower where the noise is correlated and 2 to 29 higher where there is a drift or a step (simulated, 30 and 50
+    rows).
+    """
+    known = any(finding.name == "serial_correlation" for finding in found.scatter)
+    if known or (not found.unknown.chosen and found.unknown.place is None):
+        return []
+    hypotheses, plain = found.search.hypotheses, rows.pick(~found.outlier)
+    base = HypothesisSearch(hypotheses, plain).fit(())
+    hint = memory(base, plain, generator)
+    if not hint:
+        return []
+    scatter = (*found.scatter, *hint)
+    return [_explained(hypotheses, whitened(rows, base, scatter), scatter, found.outlier, draws, generator)]
 
 
 def _other_noise(
