@@ -9,7 +9,10 @@ new data together, its residual sum of squares, in units of the noise variance, 
 with C_j the covariance of rival j's parameters from the data at hand, J_j its Jacobian at the new postures. Postures
 are added one at a time and then exchanged; C_j and what j has already given way to i are updated like a Kalman filter.
 Delta BIC between i and j grows by a normal variable of mean lambda^2 and variance 4 lambda^2, which gives an upper
-bound on the probability that the right candidate is the only one left within the window of the ambiguity set.
+bound on the probability that the right candidate is the only one left within the window of the ambiguity set. All
+candidates may be wrong: the bound is multiplied by their probability together, and by the share of choices made anew
+without a fifth of the rows that fall on one of them; what such choices leave of rows that they have not seen counts
+as noise.
 """
 
 from __future__ import annotations
@@ -67,7 +70,8 @@ class _Options:
 class Rivals:
     """What is known of K candidates, and what they predict at the N postures of the pool.
 
-    weights : (K,) probabilities;  bic_lead : (K, K) BIC_j - BIC_i of rival j over truth i
+    weights : (K,) probabilities if one of them is right;  right : probability that one is
+    bic_lead : (K, K) BIC_j - BIC_i of rival j over truth i
     positions : (K, N, d) in units of sigma
     jacobians : K times (N, d, p_j) in units of sigma, parameters scaled such that their covariance is the identity
     """
@@ -76,6 +80,7 @@ class Rivals:
     bic_lead: Array
     positions: Array
     jacobians: list[Array]
+    right: float = 1.0
 
 
 def discriminate(
@@ -138,7 +143,7 @@ def _pool(
 
 def _rivals(diagnosis: Diagnosis, measurements: Measurements, options: _Options) -> Rivals:
     """Predictions of every candidate, fitted to the data at hand, over the pool."""
-    sigma = diagnosis.sigma
+    sigma = scatter_of_new_rows(diagnosis, measurements.dimension)
     positions, jacobians = [], []
     for candidate in diagnosis.candidates:
         model = Model(diagnosis.extended_arm(candidate))
@@ -146,8 +151,16 @@ def _rivals(diagnosis: Diagnosis, measurements: Measurements, options: _Options)
         positions.append(position / sigma)
         jacobians.append(jacobian @ _root(candidate, model) / sigma)
     delta = np.array([candidate.delta_bic for candidate in diagnosis.candidates])
-    weights = np.exp(-0.5 * delta)
-    return Rivals(weights / weights.sum(), delta[None, :] - delta[:, None], np.array(positions), jacobians)
+    weights = np.array([candidate.probability or 0.0 for candidate in diagnosis.candidates])
+    right = (float(weights.sum()) or 1.0) * (1.0 if diagnosis.choice is None else diagnosis.choice.again)
+    weights = np.exp(-0.5 * delta) if weights.sum() == 0.0 else weights
+    return Rivals(weights / weights.sum(), delta[None, :] - delta[:, None], np.array(positions), jacobians, right)
+
+
+def scatter_of_new_rows(diagnosis: Diagnosis, dimension: int) -> float:
+    """Standard deviation [mm] per coordinate of rows that chose no effect: the noise, and the mismatch that is left."""
+    mismatch = 0.0 if diagnosis.choice is None else diagnosis.choice.excess
+    return float(np.sqrt(diagnosis.sigma**2 + mismatch / dimension))
 
 
 def _root(candidate: Candidate, model: Model) -> Array:
@@ -220,6 +233,6 @@ def _result(
         Plan(options.postures[chosen]),
         readonly(conditions.payload) if payloads and conditions.payload is not None else None,
         readonly(conditions.directions) if "directions" in needs and conditions.directions is not None else None,
-        float(rivals.weights @ chance.min(axis=1)),
+        rivals.right * float(rivals.weights @ chance.min(axis=1)),
         pairs,
     )

@@ -84,6 +84,7 @@ class CurveFit(Fit):
 class Curves:
     """fit : with the curves in the model;  kept : named effects beside them;  scatter : findings that still hold
     base : the base model, fitted to the same rows;  gain : cost of the named effects alone, less that of the curves
+    held_out : mean square distance [mm^2] on postures left out
     """
 
     fit: CurveFit
@@ -92,6 +93,13 @@ class Curves:
     scatter: tuple[Finding, ...]
     base: Fit
     gain: float
+    held_out: float
+
+    @property
+    def excess(self) -> float:
+        """Mean square distance [mm^2] on postures left out, beyond noise and what uncertain parameters make; >= 0."""
+        n, row = len(self.fit.residual), self.fit.rows.dimension * self.fit.sigma**2
+        return max(0.0, self.held_out - row * (1.0 + self.fit.effective / n))
 
 
 def find_curves(found: Findings, measurements: Measurements) -> Curves | None:
@@ -117,7 +125,8 @@ def find_curves(found: Findings, measurements: Measurements) -> Curves | None:
         return None
     system, scatter, best = _for_other_times(system, scatter, best)
     fitted, curves = _fitted(system, best)
-    return Curves(fitted, curves, best.kept, scatter, fit(base.model, system.rows, base.by_name), gain)
+    again = fit(base.model, system.rows, base.by_name)
+    return Curves(fitted, curves, best.kept, scatter, again, gain, system.cross_validated(best) / len(system.rows))
 
 
 def _for_other_times(

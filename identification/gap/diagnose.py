@@ -13,16 +13,24 @@ from identification.errors import InputError
 from identification.estimation.estimate import check
 from identification.gap.candidates import candidate, candidate_list, trial_list
 from identification.gap.certainty import fit_doubts
+from identification.gap.choice_validation import ChoiceValidation, disagreement, validate_choice
 from identification.gap.cross_validation import cross_validation
 from identification.gap.curves import curve_candidate, find_curves
 from identification.gap.detectability import Detectability, assess, require_spare
 from identification.gap.fit import Fit, fit
-from identification.gap.holdout import check_holdout, check_same_arm, confirmation_of, gap_of, held_out
+from identification.gap.holdout import (
+    check_holdout,
+    check_same_arm,
+    confirmation_of,
+    gap_of,
+    held_out,
+    held_out_conditions,
+)
 from identification.gap.hypotheses import hypotheses
 from identification.gap.misfit import misfit
 from identification.gap.notes import alias_list, hidden_orders, notes, order_notes
 from identification.gap.order_range import order_ranges
-from identification.gap.probabilities import probabilities
+from identification.gap.probabilities import Probabilities, probabilities
 from identification.gap.repeats import noise_floor, repeat_finding
 from identification.gap.replicate import replications
 from identification.gap.result import Candidate, Diagnosis, Residuals
@@ -133,7 +141,9 @@ def diagnosis_of(
     detectable = assess_data(found, fitted.sigma)
     base = fit(Model(arm), Rows.of(measurements).pick(kept))  # as `identify` fits it
     after = fitted if chosen or curves else base
-    there = None if holdout is None else held_out(base, after, measurements, kept, holdout)
+    validated = None if curves else validate_choice(found, measurements, generator)
+    mismatch = smooth.excess if smooth else mismatch_of(found, likely, validated, measurements, holdout)
+    there = None if holdout is None else held_out(base, after, measurements, kept, holdout, mismatch)
     residuals = show_residuals(arm, measurements, base, after)
     estimated = len(after.residual) - after.freedom  # parameters, less what a prior knows of them
     floor = noise_floor(residuals.after, measurements, kept, arm.sigma)
@@ -155,6 +165,7 @@ def diagnosis_of(
         sigma=fitted.sigma,
         shapes=order_ranges(fitted, found.search.rows, named.effects),
         probabilities=likely,
+        choice=validated,
         replication=replications(fitted, measurements, kept, named.effects),
         misfit=misfit(residuals.after, estimated, measurements, arm.sigma, kept),
         confirmation=None if holdout is None or there is None else confirmation_of(measurements, holdout, there),
@@ -163,6 +174,21 @@ def diagnosis_of(
         curves=curves,
         notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap)),
     )
+
+
+def mismatch_of(
+    found: Findings,
+    likely: Probabilities,
+    validated: ChoiceValidation | None,
+    measurements: Measurements,
+    holdout: Measurements | None,
+) -> float:
+    """Mean square distance [mm^2] that the choice of the named model adds in the hold-out: what cross-validation of
+    the choice shows, or what other explanations predict there, whichever is more."""
+    if validated is None or holdout is None:
+        return 0.0
+    there = held_out_conditions(measurements, holdout)
+    return max(validated.excess, disagreement(found, likely, holdout, there))
 
 
 def verdict_of(found: Findings) -> str:

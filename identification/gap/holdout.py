@@ -98,9 +98,17 @@ def confirmation_of(measurements: Measurements, holdout: Measurements, there: He
 
 
 def held_out(
-    base: Fit, named: Fit, measurements: Measurements, kept: NDArray[np.bool_], holdout: Measurements
+    base: Fit,
+    named: Fit,
+    measurements: Measurements,
+    kept: NDArray[np.bool_],
+    holdout: Measurements,
+    mismatch: float = 0.0,
 ) -> HeldOut:
-    """What the two models leave in the hold-out, and what the named one should."""
+    """What the two models leave in the hold-out, and what the named one should.
+
+    mismatch : mean square distance [mm^2] that the choice of the named model adds
+    """
     there = held_out_conditions(measurements, holdout)
     before, after = (fit.position_residuals(holdout, there) for fit in (base, named))
     own = np.square(named.position_residuals(measurements, measurements.conditions)[kept]).sum(axis=1)
@@ -112,7 +120,7 @@ def held_out(
     return HeldOut(
         np.square(before).sum(axis=1),
         np.square(after).sum(axis=1),
-        Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom),
+        Mean(scale * left.value + added.value + mismatch, scale**2 * left.variance + added.variance, left.freedom),
         np.square(before - after).sum(axis=1),
         float(np.sqrt(scale * left.value / named.model.dimension)),
         named.model.dimension,

@@ -11,6 +11,7 @@ from typing import Any
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.gap import summary
+from identification.gap.choice_validation import ChoiceValidation
 from identification.gap.confirmation import Confirmation
 from identification.gap.curve import Curve
 from identification.gap.detectability import Detectability, Size
@@ -142,6 +143,7 @@ class Diagnosis:
     curves : error curves of joints that are part of the best set
     trials : every effect against the base model;  detectability : what the plan could show
     misfit : what is left against the sigma given, None without one;  confirmation : by held-out rows, None without
+    choice : the effects chosen anew without a part of the rows; None where that was not tried
     cross_validation : whether the named model holds for other postures, and for another stretch of time
     """
 
@@ -160,6 +162,7 @@ class Diagnosis:
     residuals: Residuals
     sigma: float
     probabilities: Probabilities
+    choice: ChoiceValidation | None = None
     misfit: Misfit | None = None
     confirmation: Confirmation | None = None
     cross_validation: tuple[Confirmation, ...] = ()
@@ -200,7 +203,10 @@ class Diagnosis:
         """The probabilities in one line, with the sets of effects that are no candidates but not unlikely."""
         other = ", ".join(f"{name} {p:.2f}" for name, p in self.other_sets.items())
         text = ", ".join(f"{name} {p:.2f}" for name, p in self.probability.items() if p >= 0.005)
-        return f"probability: {text}" + (f" (of that {other})" if other else "")
+        again = (
+            f"; chosen again in {self.choice.again:.0%} of the tries without a fifth of the rows" if self.choice else ""
+        )
+        return f"probability: {text}" + (f" (of that {other})" if other else "") + again
 
     @property
     def other_sets(self) -> dict[str, float]:
@@ -260,6 +266,7 @@ class Diagnosis:
             "candidates": [c.to_json() for c in self.candidates],
             "probabilities": self.probability,
             "credible_set": list(self.credible_set),
+            "chosen_again": None if self.choice is None else self.choice.again,
             "other_sets": [{"effects": name.split(" + "), "probability": p} for name, p in self.other_sets.items()],
             "classes": list(self.classes),
             "aliases": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.aliases],

@@ -13,6 +13,7 @@ from doe.discrimination.t_optimal import discriminate
 from doe.problem.constraints import constraints_of
 from identification.arm import Arm, Gravity, WorkspaceBox
 from identification.errors import InputError
+from identification.gap.choice_validation import ChoiceValidation
 from identification.gap.diagnose import diagnose
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
@@ -61,7 +62,8 @@ def test_noncentrality_is_the_misfit_of_the_refitted_rival() -> None:
                 - second.position(options.postures[chosen], None, picked)
             ).ravel()
             jacobian = second.jacobian(options.postures[chosen], None, picked).reshape(6, -1) / second.scales
-            covariance = found.sigma**2 * np.eye(6) + jacobian @ scaled @ jacobian.T
+            scatter = found.sigma**2 + (found.choice.excess if found.choice else 0.0) / 2.0
+            covariance = scatter * np.eye(6) + jacobian @ scaled @ jacobian.T
             expected = delta @ np.linalg.solve(covariance, delta)
             assert settled[i, j] == pytest.approx(expected, rel=1e-6, abs=1e-9)
             # adding posture 7 adds what the list with it has more
@@ -79,8 +81,11 @@ def test_chosen_postures_beat_random_ones() -> None:
         settled, _ = module._noncentrality(rivals, list(range(4 * k, 4 * k + 4)))
         chance = module._pair_chance(rivals, settled[:, :, None])[:, :, 0]
         np.fill_diagonal(chance, 1.0)
-        chances.append(rivals.weights @ chance.min(axis=1))
+        chances.append(rivals.right * rivals.weights @ chance.min(axis=1))
     assert best.chance >= max(chances)
+    assert best.chance <= sum(c.probability for c in found.candidates)  # perhaps none of them is right
+    unstable = replace(found, choice=ChoiceValidation(0.25, 0.0))
+    assert discriminate(ARM, unstable, data, 4, seed=1).chance <= 0.25  # each try chooses something else
     assert 0.0 <= best.chance <= 1.0
 
 
