@@ -13,11 +13,11 @@ import numpy as np
 
 from identification.effects.base import Effect, register
 from identification.effects.chain import Chain
-from identification.effects.settings import Scope, Setting, step_times
+from identification.effects.settings import Scope, Setting, clock, step_times
 from identification.kinematics.parameters import Parameter
 
 RARE = 0.2  # prior beside a common effect
-STEP = Setting(-0.5, 0.5, step_times)  # time of a step in the session
+STEP = Setting(-0.5, 1000.0, step_times)  # time of a step, see `clock`
 TIME_CONSTANTS = (0.05, 0.1, 0.2, 0.4, 0.8)  # of a session: neighbors are alike to 0.98, beyond them drift or nothing
 WIDTHS = (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)  # of hysteresis, in ranges of the joint: below backlash, above gear ratio
 
@@ -56,7 +56,7 @@ class _Step(_Rare):
 
     def after(self, chain: Chain) -> ca.SX:
         """1 after the step, 0 before."""
-        return chain.time > self.chosen["at"]
+        return clock(chain.time, chain.session) > self.chosen["at"]
 
 
 @register

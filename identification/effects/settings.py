@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from identification.arrays import Array
 from identification.measurements import Conditions
 
 STEPS, FEWER, MANY_ROWS = 100, 40, 400  # effort: times of a step that are tried, and of more than so many rows
+SESSION = 1.1  # from one session to the next on the clock of steps, a gap of 0.1 between them
 MARGIN = 0.05  # of the session at either end, where a step would be a few rows
 DIGITS = 6  # of a value, significant: labels and files hold it exactly
 
@@ -72,14 +74,22 @@ class Setting:
         return f"a {'whole ' if self.whole else ''}number {self.low:g} to {self.high:g}"
 
 
+def clock(time: Any, session: Any) -> Any:
+    """One time over all sessions: that of the first from -0.5 to 0.5, of every further one 1.1 later. Numbers, arrays
+    or CasADi symbols."""
+    return time + SESSION * session
+
+
 def step_times(scope: Scope) -> list[float]:
-    """Times between rows, spread evenly over the rows, at which a step may have happened."""
+    """Times at which a step may have happened: between rows, spread evenly over them, and between sessions."""
     time = scope.conditions.time
     if time is None or np.ptp(time) == 0.0:
-        time = np.linspace(-0.5, 0.5, FEWER)
-    values = np.unique(time)
+        return list(np.linspace(-0.5, 0.5, FEWER)[2:-2])
+    sessions = np.zeros(len(time)) if scope.conditions.session is None else scope.conditions.session
+    values = np.unique(clock(time, sessions))
     between = 0.5 * (values[1:] + values[:-1])
     first = int(np.ceil(MARGIN * len(between)))
-    inner = between[first : len(between) - first]
+    inner = between[first : len(between) - first] if 2 * first < len(between) else between
     count = STEPS if len(between) <= MANY_ROWS else FEWER
-    return list(inner[np.unique(np.linspace(0, len(inner) - 1, count).round().astype(int))])
+    spread = inner[np.unique(np.linspace(0, len(inner) - 1, count).round().astype(int))]
+    return [*spread, *((np.unique(sessions)[1:] - 0.5) * SESSION)]

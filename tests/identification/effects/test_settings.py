@@ -7,6 +7,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.effects import Scope, Setting
+from identification.effects.settings import clock, step_times
 from identification.measurements import Conditions
 
 SCOPE = Scope(Arm([300.0, 200.0]), 2, np.zeros((3, 2)), Conditions(time=np.array([-0.5, 0.1234567, 0.5])))
@@ -30,3 +31,22 @@ def test_a_pair_is_every_whole_number() -> None:
 )
 def test_values_are_listed_or_computed(values: object, expected: list[float]) -> None:
     assert Setting(-0.5, 0.5, values).scan(SCOPE) == expected  # type: ignore[arg-type]
+
+
+def test_steps_are_tried_between_rows_and_between_sessions() -> None:
+    time = np.linspace(-0.5, 0.5, 9)
+    one = step_times(Scope(SCOPE.arm, 1, np.zeros((9, 2)), Conditions(time=time)))
+    np.testing.assert_allclose(one, time[1:-2] + 0.0625)  # between rows, but for the first and the last
+    two = Conditions(time=np.tile(time, 2), session=np.repeat([0.0, 1.0], 9))
+    found = step_times(Scope(SCOPE.arm, 1, np.zeros((18, 2)), two))
+    assert any(at == pytest.approx(0.55) for at in found)
+    assert max(found) == pytest.approx(1.1 + 0.5 - 0.1875)
+    assert clock(0.5, 0) < 0.55 < clock(-0.5, 1)
+
+
+def test_many_rows_have_fewer_steps() -> None:
+    many = Conditions(time=np.linspace(-0.5, 0.5, 1000))
+    found = step_times(Scope(SCOPE.arm, 1, np.zeros((1000, 2)), many))
+    assert len(found) == 40
+    assert step_times(SCOPE) == pytest.approx([-0.18827165, 0.31172835])
+    assert all(-0.5 < at < 0.5 for at in step_times(Scope(SCOPE.arm)))
