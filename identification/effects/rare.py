@@ -93,17 +93,21 @@ class LinkStep(_Step):
 
 @register
 class BaseStep(_Step):
-    """The base or the instrument is moved at a time of the session: + (x, y) for t > at."""
+    """The base or the instrument is moved at a time of the session: + (x, y) on one side of it.
+
+    side : 1 for t > at, -1 for t < at. Where the model has no `base_offset` that is not the same.
+    """
 
     name = "base_step"
     summary = "base or tracker jumps during the session"
     family = "base_step"
+    settings = MappingProxyType({"at": STEP, "side": Setting(-1, 1, (-1.0, 1.0), whole=True)})
 
     def define(self) -> tuple[Parameter, ...]:
         return tuple(self.parameter(short, "mm", scale=1.0, typical=0.1) for short in ("x", "y"))
 
     def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return values * self.after(chain)
+        return values * (self.chosen["side"] * (clock(chain.time, chain.session) - self.chosen["at"]) > 0)
 
 
 class _Load(_Rare):

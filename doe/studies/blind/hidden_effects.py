@@ -112,7 +112,8 @@ def settings_of(effect: Drawn) -> dict[str, float]:
     """The settings of an effect, as an arm file has them."""
     names = {"k": "k", "at": "at", "tau": "tau", "width": "width_deg"}
     units = {"width": 180.0 / np.pi}
-    return {names[n]: float(v) * units.get(n, 1.0) for n, v in effect[2].items() if n in names}
+    found = {names[n]: float(v) * units.get(n, 1.0) for n, v in effect[2].items() if n in names}
+    return found | ({"side": 1.0} if effect[0] == "base_step" else {})
 
 
 def sized(

@@ -111,12 +111,12 @@ def test_a_ripple_beside_one_that_is_in_the_arm() -> None:
     assert (found.verdict, found.effects) == ("named", ("transmission_ripple:2[k=29]",))
 
 
-def test_a_wave_of_no_whole_order_is_a_curve_and_not_two_ripples() -> None:
+def test_a_wave_of_no_whole_order_is_one_ripple_and_not_two() -> None:
     rng = np.random.default_rng(22)
     run = simulator.session(TRUTH, rng.uniform(-np.pi, np.pi, (120, 3)), rng)
     wave = ("free_ripple", 2, {"k": 20.5, "a": 6e-4, "b": 6e-4})
     found = diagnose(ARM, simulator.measure(replace(TRUTH, effects=[wave]), run, rng, "white"), draws=399)
-    assert (found.verdict, found.where, found.effects) == ("unknown", "joint:2", ("joint_error_curve:2",))
+    assert (found.verdict, found.effects) == ("named", ("transmission_ripple:2[k=20.5]",))
 
 
 def test_nothing_missing_gives_the_sizes_excluded() -> None:
@@ -128,10 +128,15 @@ def test_nothing_missing_gives_the_sizes_excluded() -> None:
     assert found.excluded["encoder_eccentricity:2"].value > 0.0
 
 
-@pytest.mark.parametrize(("name", "place"), [("bump", "joint:2"), ("free_ripple", "joint:2"), ("step_drift", "time")])
-def test_unknown_effects_are_placed(name: str, place: str) -> None:
+def test_unknown_effects_are_placed() -> None:
+    found = diagnosed("bump")
+    assert (found.verdict, found.where) == ("unknown", "joint:2")
+
+
+@pytest.mark.parametrize(("name", "effect"), [("free_ripple", "transmission_ripple:2"), ("step_drift", "base_step")])
+def test_waves_of_any_order_and_steps_in_time_are_named(name: str, effect: str) -> None:
     found = diagnosed(name)
-    assert (found.verdict, found.where) == ("unknown", place)
+    assert (found.verdict, [spec.key for spec in found.named.specs]) == ("named", [effect])
 
 
 def test_json_has_the_documented_keys_and_no_nan() -> None:
@@ -252,7 +257,8 @@ def test_many_far_rows_are_structure_not_outliers() -> None:
     positions = data.positions.copy()
     positions[:12] += 2.0  # 40 sigma: the tracker was bumped after the twelfth row
     found = diagnose(ARM, replace(data, positions=positions), draws=399)
-    assert (found.verdict, found.where) == ("unknown", "time")
+    assert (found.verdict, [spec.key for spec in found.named.specs]) == ("named", ["base_step"])
+    assert found.named.specs[0].values["at"] == pytest.approx(11.5 / 59 - 0.5, abs=1e-6)
     assert found.outlier_rows == ()
 
 

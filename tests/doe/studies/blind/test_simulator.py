@@ -33,7 +33,7 @@ VALUES = {
     "thermal_transient": ({"a": 3e-4, "tau": 0.2},) * 2,
     "joint_step": ({"b": 1e-3, "at": 0.1},) * 2,
     "link_step": ({"d": 0.3, "at": -0.2},) * 2,
-    "base_step": ({"x": 0.2, "y": -0.3, "at": 0.05},) * 2,
+    "base_step": ({"x": 0.2, "y": -0.3, "at": 0.05}, {"x": 0.2, "y": -0.3, "at": 0.05, "side": 1.0}),
     "joint_hysteresis": ({"b": 1e-3, "width": 0.9}, {"b": 1e-3, "width_deg": np.degrees(0.9)}),
     "payload_error": ({"d": 2.0},) * 2,
     "gravity_tilt": ({"angle": 0.1},) * 2,
