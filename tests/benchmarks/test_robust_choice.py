@@ -22,7 +22,7 @@ from doe.problem.robust import average_error, robust_problem
 from doe.solvers import solve
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.estimation import estimate
+from identification.estimation import estimate, estimate_with_prior
 from identification.files.measurement import load_measurements
 from identification.gap.library_prior import library_prior
 from identification.measurements import Measurements
@@ -113,6 +113,20 @@ def designs(data: Measurements, runs: int) -> dict[str, NDArray[np.intp]]:
         "I": DesignProblem.of(Model(ARM), choices=data.postures, criterion=average_error(plain)),
     }
     return {name: rows_of(data, solve(case, runs).plan.postures) for name, case in problems.items()}
+
+
+@pytest.mark.benchmark
+@pytest.mark.skipif(not DATA.exists(), reason="the UR10 measurements are not beside the checkout")
+def test_linear_fits_are_those_of_identify() -> None:
+    """`estimate_with_prior` on three random choices: the same error on the other rows to a thousandth."""
+    data = load_measurements(DATA / "measurements.csv", 3)
+    library, fits, generator = library_prior(ARM, given_by(data)), LinearFits.of(data), np.random.default_rng(0)
+    for _ in range(3):
+        chosen = generator.choice(len(data), 20, replace=False)
+        found = estimate_with_prior(library.model, data.rows(chosen), library.prior)
+        missed = data.positions - library.model.position(data.postures, found.parameters, data.conditions)
+        error = np.sqrt(np.delete(np.sum(missed**2, axis=1), chosen).mean())
+        assert error == pytest.approx(fits.errors([chosen])[0], rel=1e-3)
 
 
 @pytest.mark.benchmark
