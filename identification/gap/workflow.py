@@ -55,6 +55,7 @@ def investigate(
     seen: list[tuple[object, ...]] = []
     for number in range(PASSES):
         tell(f"testing the effects, pass {number + 1}")
+        used = scatter, outlier
         search = HypothesisSearch(hypotheses, noisy.pick(~outlier), noise_estimated=bool(scatter))
         selection = select(search, draws, generator)
         again = outliers(search.fit(selection.chosen), noisy)
@@ -68,7 +69,7 @@ def investigate(
         outlier, scatter, noisy = again, new, whitened(rows, named, new)
     tell("looking for what the library does not explain")
     last = explained(search, selection, draws, generator)
-    found = Findings(last.search, last.selection, last.unknown, scatter, outlier)
+    found = Findings(last.search, last.selection, last.unknown, *used)
     others = [_explained(hypotheses, r, s, o, draws, generator) for r, s, o in _other_noise(found, rows, noisy, named)]
     best = min(others, key=lambda f: cost(f, len(rows)), default=found)
     found = best if cost(best, len(rows)) < cost(found, len(rows)) - CREDIT else found
