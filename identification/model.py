@@ -10,7 +10,7 @@ over links k..n, which is what eq. 4 prints.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -23,6 +23,7 @@ from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, build_all, measured_position
 from identification.effects.places import position_and_state, widths
+from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, ParameterSet, chain_parameters
 from identification.kinematics.planar import DIMENSION, joint_points, symbolic_points
@@ -170,7 +171,7 @@ class Model:
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """SX of postures q (n), conditions c (see `condition_table`), parameters (p) and position (d)."""
-        width = Conditions.columns(self.joints, self.remembers)
+        width = len(self.neutral_conditions)
         q, c, p = ca.SX.sym("q", self.joints), ca.SX.sym("c", width), ca.SX.sym("p", len(self.parameters))
         return q, c, p, self._measured(q, c, self._everything(p))
 
@@ -180,7 +181,18 @@ class Model:
         return ca.vertcat(*(slot.get(name, self.fixed.get(name, 0.0)) for name in self.all_parameters.names))
 
     def _measured(self, q: ca.SX, c: ca.SX, values: ca.SX) -> ca.SX:
-        return measured_position(Chain.of(self.arm, q, c), self.effects, values)
+        return measured_position(self.chain(q, c), self.effects, values)
+
+    def chain(self, q: ca.SX, c: ca.SX) -> Chain:
+        """The nominal chain at the symbols of a posture and its conditions."""
+        width = Conditions.columns(self.joints, self.remembers)
+        chain = Chain.of(self.arm, q, c[:width])
+        return replace(chain, errors=c[width:]) if self._curves else chain
+
+    @cached_property
+    def _curves(self) -> dict[int, ErrorCurve]:
+        """Joint (from 0) -> its error curve."""
+        return {effect.joint_index: effect.curve for effect in self.effects if effect.curve is not None}
 
     def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
         """n + 1 points (d,) of base, joints and tip [mm] at a posture (n,) [rad], as `points` gives them."""
@@ -221,7 +233,7 @@ class Model:
         """Of (q, c, p): the derivative with respect to what is added at each place, (d, P), and the state."""
         q, c, p, _ = self.symbols
         added = ca.SX.sym("added", sum(widths(self.joints).values()))
-        position, state = position_and_state(Chain.of(self.arm, q, c), self.effects, self._everything(p), added)
+        position, state = position_and_state(self.chain(q, c), self.effects, self._everything(p), added)
         found = ca.substitute([ca.jacobian(position, added), state], [added], [ca.SX.zeros(added.numel())])
         return vectorize(ca.Function("place_levers", [q, c, p], ca.cse(found)))
 
@@ -285,7 +297,7 @@ class Model:
     def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Callable[[ArrayLike, Conditions | None], Array]:
         """Numpy function of (m, n) postures and conditions that gives an expression of the nominal chain, (m, rows)."""
         q, c, _, _ = self.symbols
-        function = ca.Function("expression", [q, c], [ca.cse(ca.densify(expression(Chain.of(self.arm, q, c))))])
+        function = ca.Function("expression", [q, c], [ca.cse(ca.densify(expression(self.chain(q, c))))])
         evaluate = vectorize(function)
         return lambda postures, conditions: evaluate(*self._arguments(postures, None, conditions)[:2])[0][..., 0]
 
@@ -295,7 +307,8 @@ class Model:
         approach +1; with a memory, of zero angles."""
         payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
         past = np.zeros((1, self.joints)) if self.remembers else None
-        return Conditions().table(1, self.joints, payload, past)[0]
+        table = Conditions().table(1, self.joints, payload, past)[0]
+        return np.append(table, np.zeros(self.joints)) if self._curves else table
 
     def _postures(self, postures: ArrayLike) -> Array:
         q = np.atleast_2d(np.asarray(postures, dtype=float))
@@ -313,6 +326,13 @@ class Model:
         return q, self.condition_table(q, conditions or Conditions()), p[..., None, :]
 
     def condition_table(self, postures: Array, conditions: Conditions) -> Array:
-        """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory."""
+        """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory,
+        and n of errors that curves say."""
         past = postures if self.remembers else None
-        return conditions.table(postures.shape[:-1], self.joints, float(self.neutral_conditions[0]), past)
+        table = conditions.table(postures.shape[:-1], self.joints, float(self.neutral_conditions[0]), past)
+        if not self._curves:
+            return table
+        errors = np.zeros(postures.shape)  # tables are looked up here: as formulas they would be thousands of terms
+        for joint, curve in self._curves.items():
+            errors[..., joint] = curve.at(postures[..., joint])
+        return np.concatenate([table, errors], axis=-1)

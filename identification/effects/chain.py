@@ -27,6 +27,7 @@ class Chain:
     session: ca.SX  # number of the session, from 0
     directions: ca.SX  # (n,) +1 or -1
     past: ca.SX | None = None  # (n, 12) turning points before (`past_from_order`) [rad], None: the posture itself
+    errors: ca.SX | None = None  # (n,) [rad] that error curves say at this posture, None: there are none
     turn: ca.SX | float = 0.0  # [rad] of gravity, against the arm's own
 
     @classmethod
