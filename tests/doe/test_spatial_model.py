@@ -330,7 +330,7 @@ def test_the_measured_plan_gives_the_true_parameters(model: SpatialModel) -> Non
     exact = estimate(model, measured(model, true, postures, 0.0, 1), sigma=0.1)  # type: ignore[arg-type]
     assert exact.status.succeeded
     np.testing.assert_allclose(exact.parameters * model.scales, true * model.scales, atol=1e-6)  # mm at the tip
-    noisy = estimate(model, measured(model, true, postures, 0.1, 1))  # type: ignore[arg-type]
+    noisy = estimate(model, measured(model, true, postures, 0.1, 1), sigma="given")  # type: ignore[arg-type]
     jacobian = difference_jacobian(model, postures, true).reshape(120, -1)
     covariance = 0.1**2 * np.linalg.inv(jacobian.T @ jacobian)
     size = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
