@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +12,13 @@ from scipy.optimize import least_squares
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.errors import InputError
 from identification.estimation import estimate
+from identification.files.arm import load_arm
+from identification.files.measurement import load_measurements
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.validate import Figures, validate
 
+UR10 = Path(__file__).parents[1] / "data" / "ur10_planar"
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 ERRORS, OFFSETS = np.array([1.5, -0.6, -0.4, 0.7]), np.radians([0.5, -0.5, 0.7, -0.3])
 A, B = 0.002, -0.001  # [rad] of an eccentric encoder at joint 2
@@ -164,3 +168,21 @@ def test_what_cannot_be_validated(arm: Arm, m: int, refit: str, sentence: str) -
     q = postures(m, 12)
     with pytest.raises(InputError, match=sentence):
         validate(arm, Measurements(q, tip(q)), refit)
+
+
+def test_what_one_session_of_the_real_robot_taught_carries_over_to_another() -> None:
+    """README.md and notebook 5: error curves found in series A, series C predicted; positions in complex numbers."""
+    arm, data = load_arm(UR10 / "ur10_from_A.toml"), load_measurements(UR10 / "measurements.csv")
+    lengths = arm.lengths + arm.calibration.length_errors
+    plain = data.postures + arm.calibration.joint_offsets
+    bent = plain.copy()
+    for spec in arm.effects:
+        if spec.curve is not None:
+            bent[:, spec.joint - 1] += spec.curve.at(data.postures[:, spec.joint - 1])
+    left = []
+    for angles in (plain, bent):
+        z = (lengths * np.exp(1j * np.cumsum(angles, axis=1))).sum(axis=1)
+        left.append(np.sqrt(np.mean(rigid(np.column_stack([z.real, z.imag]), data.positions) ** 2)))
+    found = validate(arm, data)
+    assert found.model.rms == pytest.approx(left[1], rel=1e-6)
+    assert found.model.rms < 0.33 < 0.8 * left[0]
