@@ -208,7 +208,8 @@ def test_the_diagnoses_table_knows_nothing_of_the_truth(tmp_path: Path) -> None:
     said = polars.read_parquet(tmp_path / "study" / blind.DIAGNOSES)
     assert {"hidden", "place", "wrong_rows", "gap_true_mm"}.isdisjoint(said.columns)
     truth = polars.read_parquet(tmp_path / "study" / blind.TRUTH)
-    assert truth["place"].null_count() == 0
+    for row in truth.iter_rows(named=True):  # some of these shapes have become effects of the library
+        assert (row["place"] is None) == bool(row["hidden"])
 
 
 def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
