@@ -88,7 +88,8 @@ class SharedFit:
         lengths = np.sqrt(np.einsum("mdp,mdp->p", jacobian, jacobian))
         lengths = np.where(lengths > 0.0, lengths, 1.0)
         response = found.residual.reshape(shape[:2]) + jacobian @ known
-        return cls(found, jacobian / lengths, response, lengths, np.concatenate(penalty) / lengths**2, curves, sessions)
+        jacobian /= lengths  # in place: with curves it is large
+        return cls(found, jacobian, response, lengths, np.concatenate(penalty) / lengths**2, curves, sessions)
 
     def columns_of(self, effect: Effect) -> Index:
         """Columns of an effect's parameters, or of its curve."""
