@@ -119,6 +119,8 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     shown: list[Any] = [Text(diagnosis.sentence, style="bold"), *map(Text, diagnosis.warnings)]
     shown += [as_table(gap_sheet(diagnosis)), as_table(effects)]
     shown.append(Text(diagnosis.likely))
+    if len(diagnosis.rounds) > 1:
+        shown.append(Text("Named in rounds, with the gap each left: " + "; ".join(map(str, diagnosis.rounds)) + "."))
     if diagnosis.effects:
         shown.append(Text(f"95 % intervals: {diagnosis.named.reliance}"))
     if diagnosis.curves:

@@ -34,6 +34,7 @@ from identification.gap.probabilities import Probabilities, probabilities
 from identification.gap.repeats import noise_floor, repeat_finding
 from identification.gap.replicate import replications
 from identification.gap.result import Candidate, Diagnosis, Residuals
+from identification.gap.rounds import rounds_of
 from identification.gap.search import LEVEL_FACTOR, HypothesisSearch
 from identification.gap.selection import ALPHA_NEXT
 from identification.gap.whitening import Rows
@@ -163,6 +164,7 @@ def diagnosis_of(
         detectability=detectable,
         residuals=residuals,
         sigma=fitted.sigma,
+        rounds=rounds_of(found.search, (*found.selection.path, chosen)),
         shapes=order_ranges(fitted, found.search.rows, named.effects),
         probabilities=likely,
         choice=validated,

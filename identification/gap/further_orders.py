@@ -14,7 +14,7 @@ import numpy as np
 from identification.arm import EffectSpec
 from identification.effects import build
 from identification.gap.hypotheses import Hypothesis, HypothesisSet
-from identification.gap.search import HypothesisSearch
+from identification.gap.search import HypothesisSearch, series_joints
 from identification.gap.selection import Selection, select
 from identification.gap.unmodelled import Unknown, find_unmodelled
 from identification.gap.unmodelled_shapes import FREE_ORDERS, WAVES
@@ -41,11 +41,13 @@ def explained(search: HypothesisSearch, selection: Selection, draws: int, genera
     found = Explained(search, selection, find_unmodelled(search, selection.chosen, generator))
     for _ in range(LOOKUPS):
         wave = wave_of(found.unknown)
+        if wave is not None and wave[0] in series_joints(found.selection.chosen):
+            break  # one wave more would be a term of a series
         wider = None if wave is None else with_orders(found.search.hypotheses, *wave)
         if wider is None or len(wider.members) == len(found.search.hypotheses.members):
             break
         again = HypothesisSearch(wider, search.rows, search.noise_estimated)
-        chosen = select(again, draws, generator)
+        chosen = select(again, draws, generator, found.selection.path)
         found = Explained(again, chosen, find_unmodelled(again, chosen.chosen, generator))
     return found
 

@@ -21,6 +21,7 @@ from identification.gap.noise import Finding
 from identification.gap.order_range import OrderRange
 from identification.gap.probabilities import Probabilities
 from identification.gap.replication import Replication
+from identification.gap.rounds import Round
 
 
 @dataclass(frozen=True)
@@ -137,6 +138,7 @@ class Diagnosis:
     """Whether model and data disagree, where, which effect is missing, and what is left with it in the model.
 
     verdict : `none`, `named`, `ambiguous` or `unknown`;  where : place of an unknown effect, with the shape seen there
+    rounds : what each round of naming added, and the gap it left
     shapes : named waves that the range of their joint cannot tell from their neighbors
     replication : of several sessions, what each named effect is in each
     warnings : what is doubtful about the fit, to be read before the verdict is believed
@@ -169,6 +171,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     shapes: tuple[OrderRange, ...] = ()
+    rounds: tuple[Round, ...] = ()
     replication: tuple[Replication, ...] = ()
     curves: tuple[Curve, ...] = ()
 
@@ -286,6 +289,7 @@ class Diagnosis:
             "sigma_mm": self.sigma,
             "degrees_of_freedom": self.detectability.freedom,
             "trials": [vars(t) for t in self.trials],
+            "rounds": [one.to_json() for one in self.rounds],
             "notes": list(self.notes),
         }
 

@@ -15,6 +15,7 @@ from identification.gap.fit import Fit, fit
 from identification.gap.hypotheses import Hypothesis, HypothesisSet, Slopes, projected
 from identification.gap.noise import homoscedastic
 from identification.gap.omnibus_test import OmnibusTest, Scatter, omnibus_test
+from identification.gap.order_range import order_of
 from identification.gap.whitening import Rows
 from identification.information import column_space
 from identification.model import Model
@@ -22,7 +23,14 @@ from identification.model import Model
 # reasons: identification/README.md, "Constants"
 LEVEL_FACTOR = 0.5  # tuned: factor on the levels where the noise model was estimated from the same data
 SAME_COLUMNS = 1000  # effort: rows from which all columns are those at the base fit
+WAVES = 3  # of one joint: encoder, its second harmonic, a gear; more are the series of an unknown function
 Choice = tuple[Hypothesis, ...]
+
+
+def series_joints(chosen: Choice) -> set[int | None]:
+    """Joints with `WAVES` waves of their angle already: more of them are the series of some other function."""
+    joints = [h.spec.joint for h in chosen if order_of(h.effect) is not None]
+    return {joint for joint in joints if joints.count(joint) >= WAVES}
 
 
 @dataclass(frozen=True)
@@ -167,6 +175,12 @@ class HypothesisSearch:
         values = np.array([found.by_name[p.name] for p in effect.parameters])
         return self._linear_state(rest, found.residual + self.base_columns.matrix[:, self._places(member)] @ values)
 
+    def linear_bic_without(self, chosen: Choice, member: Hypothesis) -> float:
+        """BIC of a set less one member, but for what is the same whichever it is, from the linear model."""
+        state = self.state_without(chosen, member)
+        n = len(state.residual)
+        return float(n * np.log(state.squares / n) - member.size * np.log(n) + 2.0 * np.log(member.weight))
+
     def changes(self, chosen: Choice) -> tuple[list[Hypothesis], Array]:
         """Hypotheses that can still be added to a set, and (H,) the change of BIC by each, from the linear fit."""
         state = self.state(chosen)
@@ -184,7 +198,7 @@ class HypothesisSearch:
 
     def _places(self, member: Hypothesis) -> NDArray[np.int64]:
         """Which of the columns are those of a hypothesis."""
-        k = [h.label for h in self.hypotheses.members].index(member.label)
+        k = self.hypotheses.place(member)
         return np.asarray(self.base_columns.starts[k] + np.arange(self.base_columns.sizes[k]))
 
     def _linear_state(self, chosen: Choice, residual: Array) -> State:
@@ -200,6 +214,12 @@ class HypothesisSearch:
         used, freedom = {h.effect.label for h in chosen}, len(residual) - basis.shape[1]
         members = self.hypotheses.members
         full = projected(basis, members, columns)
-        usable = [h.effect.label not in used and h.size < freedom for h in members]
+        full_up = series_joints(chosen)
+        usable = [
+            h.effect.label not in used
+            and h.size < freedom
+            and not (h.spec.joint in full_up and order_of(h.effect) is not None)
+            for h in members
+        ]
         keep = np.flatnonzero((full.sizes > 0) & np.array(usable, dtype=bool))  # of the others nothing can be told
         return State(residual, [members[k] for k in keep], full.subset(keep))

@@ -61,6 +61,7 @@ def text(found: Diagnosis) -> str:
     lines = [f"warning: {w}" for w in found.warnings] + rests_on(found)
     for candidate in found.candidates or (found.named,):
         lines += candidate_lines(candidate) if candidate.effects else []
+    lines += [f"round {k}: {one}" for k, one in enumerate(found.rounds, start=1) if len(found.rounds) > 1]
     lines += [found.likely, *map(str, found.replication)]
     if not found.effects:
         lines += [f"excluded: {name} > {size}" for name, size in found.excluded.items()]

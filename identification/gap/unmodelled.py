@@ -11,10 +11,9 @@ from identification.gap.search import Choice, HypothesisSearch
 from identification.gap.unmodelled_survey import LEVEL, Sample, Survey, adjusted, survey_all
 
 # reasons: identification/README.md, "Constants"
-SERIES_TERMS = 3  # effects at one joint that are the series of one unknown function
 # BIC that an unknown shape must gain on k effects that it would replace, 6 (2 - k): one effect is believed, two have no
-# credit left, three or four at once are the series expansion of something else
-ODDS = {1: 6.0, 2: 0.0, 3: -6.0, 4: -12.0}
+# credit left, three or more at once may be the series expansion of something else
+ODDS = 6.0
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "axes_skew": "workspace"}
 
 
@@ -40,13 +39,10 @@ def find_unmodelled(search: HypothesisSearch, chosen: Choice, generator: np.rand
     p = adjusted(search, surveys[0], sample, generator) if surveys[0].listed else 1.0
     best = search.bic(chosen)
     options = [_option(search, kept, shapes) for kept, shapes in zip(sets, surveys, strict=True) if shapes.listed]
-    joint = _joint_with_series(chosen)
-    if joint is not None and options:
-        return _best(p, [o for o in options if effects_at(o.kept, joint) == 0] or options, place=joint)
     if p <= LEVEL * search.level_factor:
         return _best(p, options)
     fewer = [(o, len(chosen) - len(o.kept)) for o in options]
-    replacing = [o for o, k in fewer if k > 0 and o.bic < best - ODDS[k]]
+    replacing = [o for o, k in fewer if k > 0 and o.bic < best - ODDS * (2 - k)]
     return _best(p, replacing) if replacing else Unknown(p, None, None, chosen, best)
 
 
@@ -59,24 +55,10 @@ class _Option(NamedTuple):
     shape: str
 
 
-def _best(p: float, options: list[_Option], place: str | None = None) -> Unknown:
-    """The option of the lowest BIC;  place : where it counts as, whatever the place of the shape."""
+def _best(p: float, options: list[_Option]) -> Unknown:
+    """The option of the lowest BIC."""
     best = min(options, key=lambda option: option.bic)
-    shape = best.shape if place in (None, best.place) else None
-    return Unknown(p, place or best.place, shape, best.kept, best.bic)
-
-
-def effects_at(chosen: Choice, place: str) -> int:
-    """How many effects of a set sit at a place."""
-    return sum(place_of(h.key) == place for h in chosen)
-
-
-def _joint_with_series(chosen: Choice) -> str | None:
-    """A joint with `SERIES_TERMS` effects or more: they are the series of one unknown function."""
-    for place in (place_of(h.key) for h in chosen):
-        if place.startswith("joint:") and effects_at(chosen, place) >= SERIES_TERMS:
-            return place
-    return None
+    return Unknown(p, best.place, best.shape, best.kept, best.bic)
 
 
 def _option(search: HypothesisSearch, kept: Choice, shapes: Survey) -> _Option:

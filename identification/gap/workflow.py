@@ -12,7 +12,7 @@ from identification.gap.fit import Fit
 from identification.gap.further_orders import explained
 from identification.gap.hypotheses import HypothesisSet
 from identification.gap.noise import Finding, memory, outliers, screen, whitened
-from identification.gap.search import HypothesisSearch
+from identification.gap.search import Choice, HypothesisSearch
 from identification.gap.selection import Selection, select
 from identification.gap.unmodelled import Unknown
 from identification.gap.whitening import Rows
@@ -53,11 +53,13 @@ def investigate(
     scatter: tuple[Finding, ...] = ()
     outlier = outliers(HypothesisSearch(hypotheses, rows).fit(()), rows)
     seen: list[tuple[object, ...]] = []
+    known: tuple[Choice, ...] = ((),)
     for number in range(PASSES):
         tell(f"testing the effects, pass {number + 1}")
         used = scatter, outlier
         search = HypothesisSearch(hypotheses, noisy.pick(~outlier), noise_estimated=bool(scatter))
-        selection = select(search, draws, generator)
+        selection = select(search, draws, generator, known)
+        known = selection.path
         again = outliers(search.fit(selection.chosen), noisy)
         plain = rows.pick(~again)
         named = HypothesisSearch(hypotheses, plain).fit(selection.chosen)
@@ -70,7 +72,7 @@ def investigate(
     tell("looking for what the library does not explain")
     last = explained(search, selection, draws, generator)
     found = Findings(last.search, last.selection, last.unknown, *used)
-    others = [_explained(hypotheses, r, s, o, draws, generator) for r, s, o in _other_noise(found, rows, noisy, named)]
+    others = [_explained(found, *other, draws, generator) for other in _other_noise(found, rows, noisy, named)]
     best = min(others, key=lambda f: cost(f, len(rows)), default=found)
     found = best if cost(best, len(rows)) < cost(found, len(rows)) - CREDIT else found
     return min((found, *_with_memory(found, rows, draws, generator)), key=lambda f: cost(f, len(rows)))
@@ -87,13 +89,13 @@ def _with_memory(found: Findings, rows: Rows, draws: int, generator: np.random.G
     known = any(finding.name == "serial_correlation" for finding in found.scatter)
     if known or (not found.unknown.chosen and found.unknown.place is None):
         return []
-    hypotheses, plain = found.search.hypotheses, rows.pick(~found.outlier)
-    base = HypothesisSearch(hypotheses, plain).fit(())
+    plain = rows.pick(~found.outlier)
+    base = HypothesisSearch(found.search.hypotheses, plain).fit(())
     hint = memory(base, plain, generator)
     if not hint:
         return []
     scatter = (*found.scatter, *hint)
-    return [_explained(hypotheses, whitened(rows, base, scatter), scatter, found.outlier, draws, generator)]
+    return [_explained(found, whitened(rows, base, scatter), scatter, found.outlier, draws, generator)]
 
 
 def _other_noise(
@@ -113,15 +115,18 @@ def _other_noise(
 
 
 def _explained(
-    hypotheses: HypothesisSet,
+    before: Findings,
     rows: Rows,
     scatter: tuple[Finding, ...],
     outlier: NDArray[np.bool_],
     draws: int,
     generator: np.random.Generator,
 ) -> Findings:
+    """The findings with another explanation of the scatter than before."""
+    hypotheses = before.search.hypotheses
     search = HypothesisSearch(hypotheses, rows.pick(~outlier), noise_estimated=bool(scatter))
-    found = explained(search, select(search, draws, generator), draws, generator)
+    selection = select(search, draws, generator, before.selection.path)
+    found = explained(search, selection, draws, generator)
     return Findings(found.search, found.selection, found.unknown, scatter, outlier)
 
 

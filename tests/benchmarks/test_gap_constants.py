@@ -24,33 +24,24 @@ OUTSIDE, OUTLIERS, SHAKING = "outside, lambda 7", "three outliers, lambda 8", "n
 MEASURES = {NONE: "alarm", ONE: "exact", TWO: "exact", OUTSIDE: "located", OUTLIERS: "exact", SHAKING: "alarm"}
 UNMODELLED = ("unmodelled", "unmodelled_survey", "unmodelled_shapes")
 MODULES = ("selection", "search", "noise", *UNMODELLED, "workflow", "diagnose")
-ODDS = {1: 6.0, 2: 0.0, 3: -6.0, 4: -12.0}
 
 # module, constant, smaller value, larger value, cells that it acts on
 CONSTANTS: list[tuple[str, str, Any, Any, tuple[str, ...]]] = [
     ("selection", "ALPHA_FIRST", 0.0175, 0.07, (NONE, ONE)),
     ("selection", "ALPHA_NEXT", 0.0025, 0.01, (ONE, TWO)),
     ("unmodelled_survey", "LEVEL", 0.0005, 0.002, (OUTSIDE, ONE)),
-    (
-        "unmodelled",
-        "ODDS",
-        {k: v - 6.0 for k, v in ODDS.items()},
-        {k: v + 6.0 for k, v in ODDS.items()},
-        (OUTSIDE, TWO),
-    ),
+    ("unmodelled", "ODDS", 3.0, 12.0, (OUTSIDE, TWO)),
     ("unmodelled_survey", "BOOTSTRAP_LEVEL", 0.025, 0.1, (OUTSIDE,)),
-    ("unmodelled", "SERIES_TERMS", 2, 6, (OUTSIDE,)),
+    ("search", "WAVES", 2, 6, (OUTSIDE,)),
     ("noise", "OUTLIER", 3.0, 12.0, (OUTLIERS,)),
     ("noise", "HINT", 0.1, 0.4, (SHAKING,)),
     ("noise", "LEVEL", 0.005, 0.02, (SHAKING,)),
     ("search", "LEVEL_FACTOR", 0.25, 1.0, (SHAKING,)),
     ("workflow", "CREDIT", 3.0, 12.0, (OUTSIDE,)),
     ("selection", "WINDOW", 3.0, 12.0, (ONE,)),
-    ("selection", "MOST", 2, 3, (OUTSIDE,)),
     ("unmodelled_shapes", "CENTRES", 12, 48, (OUTSIDE,)),
     ("workflow", "PASSES", 2, 8, (SHAKING,)),
-    ("selection", "ALPHA_PAIR", 1e-6, 1e-4, (TWO,)),
-    ("selection", "PAIR_HINT", 0.175, 0.7, (TWO,)),
+    ("selection", "ALPHA_SEVERAL", 1e-6, 1e-4, (TWO,)),
     ("selection", "MARGIN", 4.0, 16.0, (ONE,)),
     ("selection", "REFITS", 3, 12, (ONE,)),
 ]

@@ -12,6 +12,7 @@ from doe.studies.blind.hidden_effects import (
     by_library_name,
     family,
     key,
+    many_effects,
     outside_effect,
     parameters_of,
     place_of,
@@ -28,6 +29,7 @@ from doe.studies.blind.simulator import (
     measure,
     measure_more,
     noise,
+    position,
     random_truth,
     recorded,
     session,
@@ -46,6 +48,7 @@ class DataSet:
     wrong_rows : outliers, counted from 1
     values : parameter name -> true value of base and hidden effects [API units], to judge intervals; empty where the
         arm's maker is wrong about it or the library has no such effect
+    exact : (200, 2) hold-out without noise [mm], where many effects are hidden
     more : (postures, payload or None, directions or None, number) -> the data with further measurements at their end
     """
 
@@ -58,6 +61,7 @@ class DataSet:
     wrong_rows: tuple[int, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
     more: Callable[[Array, Array | None, Array | None, int], Measurements] | None = None
+    exact: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -75,11 +79,13 @@ class CellSpec:
     families: bool = True  # compliance in all joints at once among the hidden effects
     rare: str = ""  # name of the hidden effect, where the cell is of a rare one
     order: float = 0.0  # periods per turn of the hidden gear ripple, where the cell is of one
+    many: str = ""  # see `many_effects`: each effect of a size lambda from 8 to 40, the rows from 50 to 200
     designed: bool = False  # postures of somebody's plan instead of random ones, the same for SAME_ARM sets
 
 
 RARE = RARE_WHOLE + RARE_JOINT
 WAVES = (101.0, 202.0, 37.3)
+MANY_SIZES, MANY_ROWS = (8.0, 40.0), (50, 100, 200)
 CELLS = {
     "none m=20": CellSpec(20),
     "none m=50": CellSpec(50),
@@ -107,6 +113,8 @@ CELLS = {
     "one, lambda 8, discriminating plan": CellSpec(50, 8.0, designed=True),
     **{f"{name}, lambda {lam:g}": CellSpec(50, lam, rare=name, reported=False) for name in RARE for lam in (8.0, 10.0)},
     **{f"wave {k:g}, lambda {lam:g}": CellSpec(50, lam, order=k, reported=False) for k in WAVES for lam in (8.0, 10.0)},
+    "many effects": CellSpec(50, MANY_SIZES[0], many="robot"),
+    "many effects, harmonics": CellSpec(50, MANY_SIZES[0], many="harmonics"),
 }
 SAME_ARM = 10  # consecutive sets with one arm and plan where plans are designed, which takes time
 
@@ -126,6 +134,8 @@ def truth_of(spec: CellSpec, rng: np.random.Generator) -> Truth:
 
 def hidden(spec: CellSpec, truth: Truth, run: Session, rng: np.random.Generator) -> list[Drawn]:
     """The effects of a data set."""
+    if spec.many:
+        return many_effects(truth, run, spec.many, MANY_SIZES, rng)
     effects: list[Drawn] = []
     while spec.lam is not None and len(effects) < spec.effects:
         if spec.outside:
@@ -187,7 +197,8 @@ def data_set(cell: str, seed: int, planned: np.ndarray | None = None) -> DataSet
         truth, postures = shared_truth(cell, seed), planned
     else:
         truth = truth_of(spec, rng)
-        postures = rng.uniform(truth.lower, truth.upper, (max(spec.m, truth.n + 4), truth.n))
+        count = int(rng.choice(MANY_ROWS)) if spec.many else max(spec.m, truth.n + 4)
+        postures = rng.uniform(truth.lower, truth.upper, (count, truth.n))
     run = session(truth, postures, rng)
     if spec.rare in LOADS:  # they only show through compliance that the arm's model has
         truth = replace(truth, known=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
@@ -214,4 +225,11 @@ def data_set(cell: str, seed: int, planned: np.ndarray | None = None) -> DataSet
         tuple(map(int, wrong)),
         {} if spec.wrong_masses or spec.rare or spec.outside else true_values(truth),
         more,
+        exact(truth, fresh) if spec.many else None,
     )
+
+
+def exact(truth: Truth, run: Session) -> Array:
+    """(m, 2) positions without noise [mm]."""
+    p = position(truth, run)
+    return np.column_stack([p.real, p.imag])

@@ -146,6 +146,26 @@ def random_effect(truth: Truth, run: Session, lam: float, rng: np.random.Generat
             return found
 
 
+def many_effects(
+    truth: Truth, run: Session, kind: str, sizes: tuple[float, float], rng: np.random.Generator
+) -> list[Drawn]:
+    """What a real robot has at once, each effect of its own size lambda between two (even on a logarithmic scale).
+
+    kind : `robot`: compliance of all joints, an offset of the base, every encoder eccentric, backlash in one joint and
+        a ripple in one; `harmonics`: first and second harmonic of every encoder
+    """
+    joints = range(1, truth.n + 1)
+    listed: list[tuple[str, int | None]] = [("encoder_eccentricity", j) for j in joints]
+    if kind == "harmonics":
+        listed += [("encoder_second_harmonic", j) for j in joints]
+    else:
+        listed += [("joint_compliance*", None), ("base_offset", None)]
+        listed += [(name, int(rng.integers(1, truth.n + 1))) for name in ("backlash", "transmission_ripple")]
+    low, high = np.log(sizes)
+    drawn = (sized(truth, run, name, j, float(np.exp(rng.uniform(low, high))), rng) for name, j in listed)
+    return [effect for effect in drawn if effect is not None]
+
+
 def library_columns(truth: Truth, run: Session) -> np.ndarray:
     """(2m, C) base Jacobian and the columns of every effect of the library but the ripples."""
     pairs = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_skew": "ab"}

@@ -1,0 +1,40 @@
+"""The rounds in which effects were named: what each added, what it took back, and the gap it left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from identification.gap.search import Choice, HypothesisSearch
+from identification.measurements import rms_distance
+
+
+@dataclass(frozen=True)
+class Round:
+    """added, removed : effects with their settings;  rms : root mean square distance [mm] left, outliers left out"""
+
+    added: tuple[str, ...]
+    removed: tuple[str, ...]
+    rms: float
+
+    def __str__(self) -> str:
+        changes = [*(f"+ {label}" for label in self.added), *(f"- {label}" for label in self.removed)]
+        return f"{' '.join(changes)}: {self.rms:.4g} mm left"
+
+    def to_json(self) -> dict[str, object]:
+        """An entry of `rounds` (identification/files/README.md, "JSON keys")."""
+        return {"added": list(self.added), "removed": list(self.removed), "rms_mm": self.rms}
+
+
+def rounds_of(search: HypothesisSearch, path: tuple[Choice, ...]) -> tuple[Round, ...]:
+    """From the sets of effects after each round, the first of them empty; rounds that changed nothing are left out."""
+    labels = [[h.label for h in chosen] for chosen in path]
+    rows, found = search.rows, []
+    for k in range(1, len(path)):
+        before, after = labels[k - 1], labels[k]
+        added = tuple(label for label in after if label not in before)
+        removed = tuple(label for label in before if label not in after)
+        if added or removed:
+            fitted = search.fit(path[k])
+            computed = fitted.model.position(rows.postures, fitted.values, rows.conditions)
+            found.append(Round(added, removed, rms_distance(rows.positions - computed)))
+    return tuple(found)
