@@ -126,7 +126,8 @@ class Penalized:
         variances = np.concatenate([v for v, _ in found])
         solve = self._by_rows if len(self.residual) < len(variances) else self._by_columns
         coefficients, covariance, determinant = solve(variances)
-        squares = float(self.residual @ self.residual - self.right @ coefficients)
+        whole = float(self.residual @ self.residual)
+        squares = max(whole - float(self.right @ coefficients), 1e-14 * whole, 1e-300)  # a perfect fit leaves rounding
         cost = self.freedom * np.log(squares / self.freedom) + determinant
         left = 1.0 - np.diag(covariance) / variances  # share of each coefficient that the data determine
         pull = self.freedom / squares * coefficients**2 / variances

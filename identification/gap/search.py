@@ -175,6 +175,12 @@ class HypothesisSearch:
         values = np.array([found.by_name[p.name] for p in effect.parameters])
         return self._linear_state(rest, found.residual + self.base_columns.matrix[:, self._places(member)] @ values)
 
+    @cached_property
+    def repeated(self) -> int:
+        """Coordinates measured at a posture that was measured before."""
+        distinct = len(np.unique(np.round(self.rows.postures, 9), axis=0))
+        return self.rows.dimension * (len(self.rows) - distinct)
+
     def linear_bic_without(self, chosen: Choice, member: Hypothesis) -> float:
         """BIC of a set less one member, but for what is the same whichever it is, from the linear model."""
         state = self.state_without(chosen, member)

@@ -131,7 +131,7 @@ def _longer(search: HypothesisSearch, chosen: Choice) -> Choice | None:
     Two settings of one effect are no such set: they do not mask each other, and joint noise makes ripples of any order.
     """
     state = search.state(chosen)
-    if not state.members or state.against.freedom < SPARE_AFTER:
+    if not state.members or state.against.freedom - search.repeated < SPARE_AFTER:
         return None
     named = {h.key for h in chosen}
     change = np.where([h.key in named for h in state.members], np.inf, state.change)
@@ -144,15 +144,18 @@ def sets_p(search: HypothesisSearch, chosen: Choice, longer: Choice) -> float:
     added = [h for h in longer if h not in chosen]
     count, total = len(added), sum(h.weight for h in search.hypotheses.members)
     log_sets = count * np.log(total) - lgamma(count + 1.0) - sum(np.log(h.weight) for h in added)
-    p = max(nested_p(search.fit(chosen), search.fit(longer)), TINY)
+    p = max(nested_p(search.fit(chosen), search.fit(longer), search.repeated), TINY)
     return float(np.exp(min(np.log(p) + log_sets, 0.0)))
 
 
-def nested_p(before: Fit, after: Fit) -> float:
-    """p-value of the F test of a fit against one of a model that it contains."""
-    size = after.rank - before.rank
-    f = (before.squares - after.squares) / size / (after.squares / after.freedom)
-    return float(fdtrc(size, after.freedom, f))
+def nested_p(before: Fit, after: Fit, repeated: int = 0) -> float:
+    """p-value of the F test of a fit against one of a model that it contains.
+
+    repeated : coordinates of repeats, which are no degrees of freedom: what they repeat may be an error that is there
+    """
+    size, freedom = max(after.rank - before.rank, 1), max(after.freedom - repeated, 1)
+    f = (before.squares - after.squares) / size / max(after.squares / freedom, TINY)
+    return float(fdtrc(size, freedom, f))
 
 
 def exchanges(search: HypothesisSearch, chosen: Choice, window: float = WINDOW) -> list[Choice]:

@@ -152,6 +152,8 @@ def adjusted(search: HypothesisSearch, shapes: Survey, sample: Sample, generator
     against = sample.against(basis)
     scatter = tail(against, shapes.smallest, wild_draws(corrected, against, DRAWS[0], generator))
     scatter *= LEVEL / BOOTSTRAP_LEVEL
+    if not sample.whole and shapes.smallest <= 1.0 / (DRAWS[-1] + 1.0):
+        return max(shapes.smallest, scatter)  # Bonferroni's bound for white noise, as the weights sum to 1
     white = 1.0
     for draws in DRAWS:
         white = tail(against, shapes.smallest, white_draws(against, draws, generator))
