@@ -52,7 +52,7 @@ def validate_choice(
 ) -> ChoiceValidation | None:
     """None where nothing was chosen, or where rows are so many or so few that nothing can be learnt."""
     chosen = found.unknown.chosen
-    rows = Rows.of(measurements).pick(~found.outlier)
+    rows = Rows.of(measurements).pick(found.used)
     if not chosen or not 2 * FOLDS <= len(rows) <= MOST_ROWS:
         return None
     search = HypothesisSearch(found.search.hypotheses, rows)

@@ -114,7 +114,7 @@ def find_curves(found: Findings, measurements: Measurements) -> Curves | None:
     named, base = found.search.fit(chosen), found.search.fit(())
     systems = [(System(named, found.search.rows, chosen, base.rank), found.scatter)]
     if found.scatter:
-        plain = Rows.of(measurements).pick(~found.outlier)
+        plain = Rows.of(measurements).pick(found.used)
         again = fit(named.model, plain, named.by_name)
         systems.append((System(again, plain, chosen, base.rank), ()))
     before = systems[0][0].explain(chosen, ()).cost + _noise_cost(*systems[0])

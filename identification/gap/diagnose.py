@@ -38,7 +38,7 @@ from identification.gap.rounds import rounds_of
 from identification.gap.search import LEVEL_FACTOR, HypothesisSearch
 from identification.gap.selection import ALPHA_NEXT
 from identification.gap.whitening import Rows
-from identification.gap.workflow import Findings, investigate
+from identification.gap.workflow import Findings, investigate_some
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.progress import Progress, silent
@@ -81,7 +81,7 @@ def diagnose(
         check_same_arm(first, measurements, holdout)
     generator = np.random.default_rng(seed)
     progress(1, STEPS, "base model fitted")
-    found = investigate(library, rows, draws, generator, lambda message: progress(2, STEPS, message))
+    found = investigate_some(library, rows, draws, generator, lambda message: progress(2, STEPS, message))
     progress(6, STEPS, "assessing the plan, the sizes excluded, and the held-out data")
     result = diagnosis_of(arm, measurements, holdout, found, draws, generator)
     progress(STEPS, STEPS, result.sentence)
@@ -141,7 +141,8 @@ def diagnosis_of(
     hidden = hidden_orders(found.search, {h.label: h for h in chosen})
     detectable = assess_data(found, fitted.sigma)
     base = fit(Model(arm), Rows.of(measurements).pick(kept))  # as `identify` fits it
-    after = fitted if chosen or curves else base
+    of_used = base if found.sampled is None else fit(Model(arm), Rows.of(measurements).pick(found.used), base.by_name)
+    after = fitted if chosen or curves else of_used
     validated = None if curves else validate_choice(found, measurements, generator)
     mismatch = smooth.excess if smooth else mismatch_of(found, likely, validated, measurements, holdout)
     there = None if holdout is None else held_out(base, after, measurements, kept, holdout, mismatch)
@@ -171,7 +172,7 @@ def diagnosis_of(
         replication=replications(fitted, measurements, kept, named.effects),
         misfit=misfit(residuals.after, estimated, measurements, arm.sigma, kept),
         confirmation=None if holdout is None or there is None else confirmation_of(measurements, holdout, there),
-        cross_validation=cross_validation(base, after, measurements, kept, generator),
+        cross_validation=cross_validation(of_used, after, measurements, found.used, generator),
         warnings=fit_doubts(arm, measurements, after, residuals.after[kept]),
         curves=curves,
         notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from identification.gap.unmodelled import Unknown
 from identification.gap.whitening import Rows
 
 # reasons: identification/README.md, "Constants"
+MOST_ROWS = 2000  # effort: of more, effects are looked for in so many
 PASSES = 4  # effort: rounds of naming and screening
 CREDIT = 6.0  # odds of 20 to 1 for another explanation of the scatter
 
@@ -26,7 +27,8 @@ CREDIT = 6.0  # odds of 20 to 1 for another explanation of the scatter
 class Findings:
     """What the data say.
 
-    search : the fits, to the rows that were kept, with their noise model;  outlier : (m,) rows left out
+    search : the fits, to the rows that were used, with their noise model;  outlier : (m,) rows left out
+    sampled : (m,) rows that effects were looked for in; None: in all
     """
 
     search: HypothesisSearch
@@ -34,6 +36,32 @@ class Findings:
     unknown: Unknown
     scatter: tuple[Finding, ...]
     outlier: NDArray[np.bool_]
+    sampled: NDArray[np.bool_] | None = None
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """(m,) rows that the search was made with."""
+        return ~self.outlier if self.sampled is None else ~self.outlier & self.sampled
+
+
+def investigate_some(
+    hypotheses: HypothesisSet,
+    rows: Rows,
+    draws: int,
+    generator: np.random.Generator,
+    tell: Callable[[str], None] = lambda message: None,
+) -> Findings:
+    """`investigate`, of very many rows with `MOST_ROWS` of them, taken at random since every fourth of a grid may be
+    the same angle; outliers are then looked for among all."""
+    if len(rows) <= MOST_ROWS:
+        return investigate(hypotheses, rows, draws, generator, tell)
+    some = np.sort(generator.permutation(len(rows))[:MOST_ROWS])
+    found = investigate(hypotheses, rows.pick(some), draws, generator, tell)
+    outlier = outliers(found.search.fit(found.unknown.chosen), rows)
+    outlier[some] = found.outlier
+    sampled = np.zeros(len(rows), dtype=bool)
+    sampled[some] = True
+    return replace(found, outlier=outlier, sampled=sampled)
 
 
 def investigate(
