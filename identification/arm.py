@@ -9,15 +9,25 @@ import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array, ByValue, readonly
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
-from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint, chain_parameters, of_effects
+from identification.kinematics.parameters import (
+    JOINT_OFFSET,
+    LENGTH_ERROR,
+    REVOLUTE,
+    by_joint,
+    chain_parameters,
+    of_effects,
+)
+
+if TYPE_CHECKING:
+    from identification.kinematics.spatial import SpatialChain
 
 MAX_LINKS = 12
 # what files may say: beyond these, squares overflow and sines of angles are noise
@@ -30,9 +40,9 @@ MANY_TURNS = 10.0 * np.pi + 1e-6  # [rad] no arm turns a joint farther; degrees 
 
 @dataclass(frozen=True, eq=False)
 class Gravity(ByValue):
-    """Loads of an arm that moves in a vertical plane; gravity torques need it."""
+    """Loads of an arm that moves in a vertical plane or in space; gravity torques need it."""
 
-    acceleration: Array  # (2,) [m/s^2] in the base frame
+    acceleration: Array  # (d,) [m/s^2] in the base frame
     link_masses: Array  # (n,) [kg]
     center_of_mass: Array  # (n,) fraction of the link from its joint
     payload: float = 0.0  # [kg] at the tip
@@ -43,31 +53,56 @@ class Gravity(ByValue):
 
 
 @dataclass(frozen=True)
+class Machining:
+    """What the geometry of a spatial arm is off by, as standard deviations: the prior of its corrections."""
+
+    translation: float = 1.0  # [mm]
+    rotation: float = np.radians(0.5)  # [rad]
+
+
+@dataclass(frozen=True)
 class WorkspaceBox:
-    """The tip stays inside `x` and `y` [mm]."""
+    """The tip stays inside `x`, `y` and, in space, `z` [mm]."""
 
     x: tuple[float, float]
     y: tuple[float, float]
+    z: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
 class KeepOutCircle:
-    """Every link stays outside the circle [mm]."""
+    """Every link stays outside the circle, in space the sphere [mm]."""
 
-    center: tuple[float, float]
+    center: tuple[float, ...]
+    radius: float
+
+
+@dataclass(frozen=True)
+class KeepOutCylinder:
+    """Every link stays outside a cylinder with flat ends [mm]."""
+
+    start: tuple[float, float, float]
+    end: tuple[float, float, float]
     radius: float
 
 
 @dataclass(frozen=True)
 class LineOfSight:
-    """The tracker sees the tip: inside its cone, nothing of the arm between."""
+    """The tracker sees the tip: inside its cone, nothing of the arm between; in space in its range and from in front.
 
-    tracker: tuple[float, float]  # [mm]
+    reach : smallest and largest distance [mm];  facing : direction of the reflector in the frame of the tip
+    acceptance : [rad] largest angle between that direction and the one to the tracker
+    """
+
+    tracker: tuple[float, ...]  # [mm]
     half_angle: float  # [rad]
-    toward: tuple[float, float]  # [mm] a point on the cone's axis
+    toward: tuple[float, ...]  # [mm] a point on the cone's axis
+    reach: tuple[float, float] | None = None
+    facing: tuple[float, float, float] | None = None
+    acceptance: float = float(np.pi / 2.0)
 
 
-Constraint = WorkspaceBox | KeepOutCircle | LineOfSight
+Constraint = WorkspaceBox | KeepOutCircle | KeepOutCylinder | LineOfSight
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,14 +188,16 @@ class Calibration(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class Arm(ByValue):
-    """A planar arm of n links.
+    """A planar arm of n links, or a spatial one of n joints (`of_chain`).
 
     Parameters
     ----------
-    lengths : (n,) nominal link lengths [mm]
+    lengths : (n,) nominal link lengths [mm]; of a spatial arm the distances over which each joint acts (`levers`)
     lower, upper : (n,) joint limits [rad]; left out: -pi..pi. Warns (`UserWarning`) of what looks like degrees
     sigma : standard deviation of one measured coordinate [mm]; None: estimated from the data
     gear_ratios : (n,) turns of each motor per turn of its joint, 0: not known; None: of no joint
+    chain : the geometry in space, None: a planar arm
+    machining : what that geometry may be off by
     """
 
     lengths: Array
@@ -173,6 +210,14 @@ class Arm(ByValue):
     effects: tuple[EffectSpec, ...] = ()
     calibration: Calibration | None = None
     gear_ratios: Array | None = None
+    chain: SpatialChain | None = None
+    machining: Machining = Machining()
+
+    @classmethod
+    def of_chain(cls, chain: SpatialChain, **options: Any) -> Arm:
+        """A spatial arm, with the joint limits of the chain; `options` are those of `Arm`."""
+        limits = np.array([(joint.lower, joint.upper) for joint in chain.joints]).T
+        return cls(**{"lengths": chain.levers, "lower": limits[0], "upper": limits[1], **options, "chain": chain})
 
     def __post_init__(self) -> None:
         lengths = readonly(self.lengths, -1)
@@ -182,7 +227,8 @@ class Arm(ByValue):
         _require(
             bool(np.all(np.isfinite(lengths) & (lengths > 0))), f"links_mm: {lengths.tolist()}, allowed: lengths > 0"
         )
-        lower, upper = _joint_limits(self.lower, self.upper, n)
+        sliding = [] if self.chain is None else [j for j, kind in enumerate(self.chain.joint_types) if kind != REVOLUTE]
+        lower, upper = _joint_limits(self.lower, self.upper, n, sliding)
         if self.sigma is not None:
             _require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
         ratios = None if self.gear_ratios is None else readonly(self.gear_ratios, -1)
@@ -197,30 +243,50 @@ class Arm(ByValue):
         """n, the number of links (and joints)."""
         return int(self.lengths.size)
 
+    @property
+    def dimension(self) -> int:
+        """d, coordinates of a measured position: 2 in the plane, 3 in space."""
+        return 2 if self.chain is None else 3
+
+    @property
+    def reach(self) -> float:
+        """Length of the stretched nominal arm [mm]."""
+        return float(np.sum(self.lengths)) if self.chain is None else self.chain.reach
+
     def with_effects(self, *effects: EffectSpec) -> Arm:
         """The same arm with these effects instead of its own."""
         return replace(self, effects=tuple(effects))
 
 
-def _joint_limits(lower_limits: ArrayLike | None, upper_limits: ArrayLike | None, n: int) -> tuple[Array, Array]:
-    """(n,) lower and (n,) upper, -pi and pi where None. Raises `InputError` for others than n pairs in order."""
+def _joint_limits(
+    lower_limits: ArrayLike | None, upper_limits: ArrayLike | None, n: int, sliding: list[int]
+) -> tuple[Array, Array]:
+    """(n,) lower and (n,) upper, -pi and pi where None. Raises `InputError` for others than n pairs in order.
+
+    sliding : joints from 0 whose limits are lengths [mm]
+    """
     lower = readonly(np.full(n, -np.pi) if lower_limits is None else lower_limits, -1)
     upper = readonly(np.full(n, np.pi) if upper_limits is None else upper_limits, -1)
     for name, limits in (("lower", lower), ("upper", upper)):
         _require(limits.size == n, f"joint_limits_deg.{name}: {limits.size} values for {n} links, allowed: {n}")
         _require(bool(np.all(np.isfinite(limits))), f"joint_limits_deg.{name}: values must be finite")
     for j in np.flatnonzero(lower >= upper):
-        low, high = np.degrees(lower[j]), np.degrees(upper[j])
-        raise InputError(f"joint_limits_deg: joint {j + 1} has lower {low:g} >= upper {high:g}, allowed: lower < upper")
-    _warn_if_degrees(lower, upper)
+        unit, (low, high) = "mm", (lower[j], upper[j])
+        if j not in sliding:
+            unit, (low, high) = "deg", np.degrees((low, high))
+        raise InputError(
+            f"joint_limits_{unit}: joint {j + 1} has lower {low:g} >= upper {high:g}, allowed: lower < upper"
+        )
+    turning = np.setdiff1d(np.arange(n), sliding)
+    _warn_if_degrees(lower[turning], upper[turning], turning)
     return lower, upper
 
 
-def _warn_if_degrees(lower: Array, upper: Array) -> None:
+def _warn_if_degrees(lower: Array, upper: Array, joints: NDArray[np.intp]) -> None:
     limits = np.where(-lower > upper, lower, upper)  # the farther one of each joint
     if (far := np.abs(limits) > MANY_TURNS).any():
         j = int(np.argmax(far))
-        found = f"limit {limits[j]:g} of joint {j + 1} is {abs(limits[j]) / (2.0 * np.pi):.0f} turns"
+        found = f"limit {limits[j]:g} of joint {joints[j] + 1} is {abs(limits[j]) / (2.0 * np.pi):.0f} turns"
         message = f"Arm: {found} and looks like degrees; lower and upper are in radians"
         warnings.warn(message, UserWarning, stacklevel=5)
 

@@ -23,6 +23,7 @@ class Conditions(ByValue):
     directions : (m, n) sign of the last motion of each joint, +1 or -1, None: +1
     session : (m,) number of the session of each row, from 0, None: 0
     past : (m, n, 12) what each joint remembers of the postures before (`past_from_order`) [rad], None: nothing
+    marker : (m,) number of the measured point of each row, from 0, None: the first
     For K sessions at once, (K, m), (K, m, n) and (K, m, n, 12).
     """
 
@@ -32,6 +33,7 @@ class Conditions(ByValue):
     directions: Array | None = None
     session: Array | None = None
     past: Array | None = None
+    marker: Array | None = None
 
     @staticmethod
     def columns(n: int, past: bool = False) -> int:

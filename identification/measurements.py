@@ -95,6 +95,8 @@ class Measurements(ByValue):
     repeats : (m,) equal numbers mark repeats of one posture, None: not given
     session : (m,) name of the session of each row, between which the arm or the instrument was set up anew; None: one
     session_names : the sessions in the order of their numbers, also where only some of them are among these rows
+    marker : (m,) name of the measured point of each row, where several are measured; None: one
+    marker_names : the points in the order of their numbers
     past : (m, n, 12) what each joint remembers of the rows before; None: it follows from the order
 
     Raises `InputError` for no rows, other shapes (nothing is broadcast), and values that no measurement can have.
@@ -110,6 +112,8 @@ class Measurements(ByValue):
     repeats: NDArray[np.int64] | None = None
     session: NDArray[np.str_] | None = None
     session_names: tuple[str, ...] = ()
+    marker: NDArray[np.str_] | None = None
+    marker_names: tuple[str, ...] = ()
     past: Array | None = None
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -137,11 +141,12 @@ class Measurements(ByValue):
         if self.repeats is not None:
             object.__setattr__(self, "repeats", self.repeats.astype(np.int64))
             self.repeats.setflags(write=False)
-        if self.session is not None:
-            object.__setattr__(self, "session", _names("session", self.session, m))
-            object.__setattr__(
-                self, "session_names", tuple(dict.fromkeys((*self.session_names, *self.session.tolist())))
-            )
+        for name in ("session", "marker"):
+            if (given := getattr(self, name)) is not None:
+                texts = _names(name, given, m)
+                object.__setattr__(self, name, texts)
+                every = dict.fromkeys((*getattr(self, f"{name}_names"), *texts.tolist()))
+                object.__setattr__(self, f"{name}_names", tuple(every))
 
     def __len__(self) -> int:
         return len(self.postures)
@@ -183,6 +188,14 @@ class Measurements(ByValue):
         return np.array([number[name] for name in self.session.tolist()])
 
     @property
+    def marker_numbers(self) -> NDArray[np.int64] | None:
+        """(m,) number of each row's measured point among `marker_names`, None: there is one."""
+        if self.marker is None:
+            return None
+        number = {name: k for k, name in enumerate(self.marker_names)}
+        return np.array([number[name] for name in self.marker.tolist()], dtype=np.int64)
+
+    @property
     def sequence(self) -> NDArray[np.int64]:
         """(m,) row numbers in the order of measurement, one session after another."""
         order = np.arange(len(self), dtype=float) if self.order is None else self.order
@@ -218,7 +231,8 @@ class Measurements(ByValue):
             if self.directions is None:
                 directions[rows] = directions_from_order(self.postures[rows], order[rows])
         temperature = None if self.temperature is None else self.temperature - np.mean(self.temperature)
-        return Conditions(self.payload, temperature, time, directions, self._session_numbers, self._past)
+        marker = None if self.marker_numbers is None else self.marker_numbers.astype(float)
+        return Conditions(self.payload, temperature, time, directions, self._session_numbers, self._past, marker)
 
     @cached_property
     def _past(self) -> Array:
@@ -245,5 +259,5 @@ class Measurements(ByValue):
         the subset.
         """
         frozen = replace(self, directions=self.conditions.directions, past=self._past)
-        columns = [name for name in (*_VALUES, "session", "past") if getattr(frozen, name) is not None]
+        columns = [name for name in (*_VALUES, "session", "marker", "past") if getattr(frozen, name) is not None]
         return replace(frozen, **{name: getattr(frozen, name)[index] for name in columns})

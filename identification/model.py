@@ -4,13 +4,13 @@
 
 Parameters are the length errors dl_j [mm], the joint offsets dq_j [rad] and those of the effects. The derivative with
 respect to the ORIENTATION offset dtheta_k touches link k only (eq. 8); that with respect to the joint offset dq_k sums
-over links k..n, which is what eq. 4 prints.
+over links k..n, which is what eq. 4 prints. For arms in space see identification/kinematics/spatial.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -21,14 +21,15 @@ from numpy.typing import ArrayLike
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.conditions import Conditions
-from identification.effects import Chain, Effect, build_all, measured_position
-from identification.effects.places import position_and_state, widths
+from identification.effects import Chain, Effect, build_all
+from identification.effects.chain import geometry_of
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
-from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, ParameterSet, chain_parameters
-from identification.kinematics.planar import DIMENSION, joint_points, symbolic_points
+from identification.expressions import Expressions
+from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, ParameterSet
+from identification.kinematics.planar import PlanarGeometry
 from identification.kinematics.planar_linear import PlanarClosedForm
-from identification.vectorize import vectorize
+from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR, SpatialChain
 
 
 @dataclass(frozen=True)
@@ -37,10 +38,12 @@ class Model:
 
     known : parameter name -> value [mm, rad] of parameters that are not estimated, besides those that the arm's own
         effects fix
+    held : the geometry of a spatial arm is held by the prior of its machining (see `prior`)
     """
 
     arm: Arm
     known: Mapping[str, float] | None = None
+    held: bool = True
 
     def __post_init__(self) -> None:
         for name in self.known or {}:
@@ -48,7 +51,7 @@ class Model:
 
     def __getstate__(self) -> dict[str, Any]:
         """What pickles: the CasADi functions do not, and are built anew where they are needed."""
-        return {"arm": self.arm, "known": self.known}
+        return {"arm": self.arm, "known": self.known, "held": self.held}
 
     # -- parameters ------------------------------------------------------------------------------------------------
     @cached_property
@@ -58,21 +61,23 @@ class Model:
 
     @cached_property
     def _built(self) -> tuple[tuple[Effect, EffectSpec], ...]:
-        effects = build_all(self.arm.effects, self.joints, self.arm.lengths)
+        effects = build_all(self.arm.effects, self.joints, self.arm.lengths, self.dimension)
         return tuple(zip(effects, self.arm.effects, strict=True))
 
     @cached_property
-    def all_parameters(self) -> ParameterSet:
-        """Every parameter, estimated or known: length errors, joint offsets, then those of the effects."""
-        chain = chain_parameters(self._best_lengths())
-        return ParameterSet.of((*chain, *(p for effect in self.effects for p in effect.parameters)))
+    def geometry(self) -> PlanarGeometry | SpatialChain:
+        """The kinematics."""
+        return geometry_of(self.arm)
 
-    def _best_lengths(self) -> Array:
-        """(n,) best known link lengths [mm]: nominal plus calibrated or known errors, as far as anything is left."""
-        chain = chain_parameters(self.arm.lengths)
-        errors = chain.vector(self._calibrated() | dict(self.known or {}))[chain.indices(LENGTH_ERROR)]
-        best = self.arm.lengths + errors
-        return np.where(best == 0.0, self.arm.lengths, np.abs(best))
+    @cached_property
+    def geometry_parameters(self) -> ParameterSet:
+        """Those of the geometry, estimated or known."""
+        return self.geometry.parameters(self._calibrated() | dict(self.known or {}))
+
+    @cached_property
+    def all_parameters(self) -> ParameterSet:
+        """Every parameter, estimated or known: those of the geometry, then those of the effects."""
+        return ParameterSet.of((*self.geometry_parameters, *(p for effect in self.effects for p in effect.parameters)))
 
     @cached_property
     def fixed(self) -> Mapping[str, float]:
@@ -89,6 +94,16 @@ class Model:
         return ParameterSet.of(p for p in self.all_parameters if p.name not in self.fixed)
 
     @property
+    def prior(self) -> dict[str, float]:
+        """Name -> standard deviation before the data [API unit] of what a spatial arm's geometry is off by; empty in
+        the plane, and where nothing holds it."""
+        if self.arm.chain is None or not self.held:
+            return {}
+        sizes = {"mm": self.arm.machining.translation, "rad": self.arm.machining.rotation}
+        kinds = (TRANSLATION_ERROR, ROTATION_ERROR, JOINT_OFFSET)
+        return {p.name: sizes[p.unit] for p in self.parameters if p.kind in kinds}
+
+    @property
     def names(self) -> tuple[str, ...]:
         """(p) names of the estimated parameters."""
         return self.parameters.names
@@ -96,7 +111,7 @@ class Model:
     @property
     def dimension(self) -> int:
         """d, measured coordinates per posture."""
-        return DIMENSION
+        return self.arm.dimension
 
     @property
     def joints(self) -> int:
@@ -105,8 +120,8 @@ class Model:
 
     @property
     def joint_types(self) -> tuple[str, ...]:
-        """(n) `revolute`, every one."""
-        return (REVOLUTE,) * self.joints
+        """(n) `revolute` or `prismatic`."""
+        return self.geometry.joint_types
 
     @property
     def sigma(self) -> float | None:
@@ -116,7 +131,7 @@ class Model:
     @property
     def reach(self) -> float:
         """Length of the stretched nominal arm [mm]."""
-        return float(np.sum(self.arm.lengths))
+        return self.arm.reach
 
     @property
     def scales(self) -> Array:
@@ -155,8 +170,10 @@ class Model:
     def closed_form(self) -> PlanarClosedForm | None:
         """Least squares in closed form for lengths and offsets, as if there were no other effects than a base offset.
 
-        None where a length or an offset is known.
+        None in space, and where a length or an offset is known.
         """
+        if self.arm.chain is not None:
+            return None
         chain = [*self.parameters.indices(LENGTH_ERROR), *self.parameters.indices(JOINT_OFFSET)]
         base = [k for k, name in enumerate(self.names) if name in ("base_offset.x0", "base_offset.y0")]
         if len(chain) < 2 * self.joints:
@@ -169,81 +186,46 @@ class Model:
 
     # -- symbols ---------------------------------------------------------------------------------------------------
     @cached_property
+    def expressions(self) -> Expressions:
+        """The model in CasADi symbols."""
+        extra = (*(["marker"] if self._markers else []), *(["errors"] if self._curves else []))
+        return Expressions(
+            self.arm, self.effects, self.all_parameters, self.parameters, self.fixed, self.remembers, extra
+        )
+
+    @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """SX of postures q (n), conditions c (see `condition_table`), parameters (p) and position (d)."""
-        width = len(self.neutral_conditions)
-        q, c, p = ca.SX.sym("q", self.joints), ca.SX.sym("c", width), ca.SX.sym("p", len(self.parameters))
-        return q, c, p, self._measured(q, c, self._everything(p))
+        return self.expressions.symbols
 
-    def _everything(self, p: ca.SX) -> ca.SX:
-        """Values of `all_parameters`, where p has those of `parameters`."""
-        slot = {name: p[k] for k, name in enumerate(self.names)}
-        return ca.vertcat(*(slot.get(name, self.fixed.get(name, 0.0)) for name in self.all_parameters.names))
+    @property
+    def position_function(self) -> ca.Function:
+        """CasADi (q, c, p) -> position (d) [mm]."""
+        return self.expressions.position_function
 
-    def _measured(self, q: ca.SX, c: ca.SX, values: ca.SX) -> ca.SX:
-        return measured_position(self.chain(q, c), self.effects, values)
+    @property
+    def jacobian_function(self) -> ca.Function:
+        """CasADi (q, c, p) -> position (d) [mm] and its exact derivative with respect to the parameters (d, p)."""
+        return self.expressions.jacobian_function
 
-    def chain(self, q: ca.SX, c: ca.SX) -> Chain:
-        """The nominal chain at the symbols of a posture and its conditions."""
-        width = Conditions.columns(self.joints, self.remembers)
-        chain = Chain.of(self.arm, q, c[:width])
-        return replace(chain, errors=c[width:]) if self._curves else chain
+    def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
+        """Points (d,) of base, joints and tip [mm] at a posture (n,) [rad], as `points` gives them."""
+        return self.geometry.symbolic_points(q, self._geometry_values)
+
+    @cached_property
+    def _geometry_values(self) -> Array:
+        """Best known values of `geometry_parameters`."""
+        return self.geometry_parameters.vector(self.best_known)
 
     @cached_property
     def _curves(self) -> dict[int, ErrorCurve]:
         """Joint (from 0) -> its error curve."""
         return {effect.joint_index: effect.curve for effect in self.effects if effect.curve is not None}
 
-    def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
-        """n + 1 points (d,) of base, joints and tip [mm] at a posture (n,) [rad], as `points` gives them."""
-        return symbolic_points(self._chain_values[0], q + ca.DM(self._chain_values[1]))
-
-    @cached_property
-    def _chain_values(self) -> tuple[Array, Array]:
-        """(n,) best known lengths [mm] and (n,) joint offsets [rad]."""
-        best = self.all_parameters.vector(self.best_known)
-        errors, offsets = (best[self.all_parameters.indices(kind)] for kind in (LENGTH_ERROR, JOINT_OFFSET))
-        return self.arm.lengths + errors, offsets
-
-    @cached_property
-    def position_function(self) -> ca.Function:
-        """CasADi (q, c, p) -> position (d) [mm]."""
-        q, c, p, position = self.symbols
-        return ca.Function("position", [q, c, p], [position], ["q", "c", "p"], ["position"])
-
-    @cached_property
-    def jacobian_function(self) -> ca.Function:
-        """CasADi (q, c, p) -> position (d) [mm] and its exact derivative with respect to the parameters (d, p)."""
-        q, c, p, position = self.symbols
-        outputs = ca.cse([position, ca.jacobian(position, p)])
-        return ca.Function("jacobian", [q, c, p], outputs, ["q", "c", "p"], ["position", "jacobian"])
-
-    @cached_property
-    def _levers(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        """Of (q, c, p): the derivative with respect to an angle added at each joint, (d, n)."""
-        q, c, p, _ = self.symbols
-        turns = ca.SX.sym("turns", self.joints)
-        values = self._everything(p)
-        values[self.all_parameters.indices(JOINT_OFFSET).tolist()] += turns
-        levers = ca.substitute(ca.jacobian(self._measured(q, c, values), turns), turns, ca.SX.zeros(self.joints))
-        return vectorize(ca.Function("levers", [q, c, p], [ca.cse(levers)]))
-
-    @cached_property
-    def _place_levers(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        """Of (q, c, p): the derivative with respect to what is added at each place, (d, P), and the state."""
-        q, c, p, _ = self.symbols
-        added = ca.SX.sym("added", sum(widths(self.joints).values()))
-        position, state = position_and_state(self.chain(q, c), self.effects, self._everything(p), added)
-        found = ca.substitute([ca.jacobian(position, added), state], [added], [ca.SX.zeros(added.numel())])
-        return vectorize(ca.Function("place_levers", [q, c, p], ca.cse(found)))
-
-    @cached_property
-    def _position(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        return vectorize(self.position_function)
-
-    @cached_property
-    def _jacobian(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        return vectorize(self.jacobian_function)
+    @property
+    def _markers(self) -> bool:
+        """True if several points of the tool are measured."""
+        return self.arm.chain is not None and len(self.arm.chain.tools) > 1
 
     # -- batches ---------------------------------------------------------------------------------------------------
     def position(
@@ -253,7 +235,7 @@ class Model:
 
         Postures (K, m, n), with conditions (K, m), are K plans, each with its own parameter set or all with one.
         """
-        return self._position(*self._arguments(postures, parameters, conditions))[0][..., 0]
+        return self.expressions.position(*self._arguments(postures, parameters, conditions))[0][..., 0]
 
     def jacobian(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
@@ -265,7 +247,7 @@ class Model:
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
     ) -> tuple[Array, Array]:
         """Positions (..., m, d) and Jacobians (..., m, d, p) in one pass."""
-        position, jacobian = self._jacobian(*self._arguments(postures, parameters, conditions))
+        position, jacobian = self.expressions.jacobian(*self._arguments(postures, parameters, conditions))
         return position[..., 0], jacobian
 
     def joint_levers(
@@ -276,39 +258,37 @@ class Model:
         offsets = self.parameters.indices(JOINT_OFFSET)
         if len(offsets) == self.joints:  # compiled already: they are columns of the Jacobian
             return self.jacobian(postures, parameters, conditions)[..., offsets]
-        return self._levers(*self._arguments(postures, parameters, conditions))[0]
+        return self.expressions.joint_levers(*self._arguments(postures, parameters, conditions))[0]
 
     def place_levers(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
     ) -> tuple[Array, Array]:
         """What effects act through: (m, d, P) derivative of the positions by what is added at each place of the chain,
         and (m, S) the state that it may depend on (effects/places.py)."""
-        levers, state = self._place_levers(*self._arguments(postures, parameters, conditions))
+        levers, state = self.expressions.place_levers(*self._arguments(postures, parameters, conditions))
         return levers, state[..., 0]
 
     def points(self, postures: ArrayLike) -> Array:
-        """(m, n + 1, d) base, joints and tip [mm] at (m, n) postures [rad], at the best known lengths and offsets.
+        """(m, n + 1, d) base, joints and tip [mm] at (m, n) postures [rad], as the geometry is best known; in space
+        n + 2 points, the tip's being the first that is measured.
 
         In the frame of the base, without effects: for constraints and pictures; `position` is what is measured.
         """
-        q = self._postures(postures)
-        return joint_points(self._chain_values[0], q + self._chain_values[1])
+        return self.geometry.points(self._postures(postures), self._geometry_values)
 
     def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Callable[[ArrayLike, Conditions | None], Array]:
         """Numpy function of (m, n) postures and conditions that gives an expression of the nominal chain, (m, rows)."""
-        q, c, _, _ = self.symbols
-        function = ca.Function("expression", [q, c], [ca.cse(ca.densify(expression(self.chain(q, c))))])
-        evaluate = vectorize(function)
+        evaluate = self.expressions.on_chain(expression)
         return lambda postures, conditions: evaluate(*self._arguments(postures, None, conditions)[:2])[0][..., 0]
 
     @property
     def neutral_conditions(self) -> Array:
         """(4+n,) conditions where nothing is said: the arm's payload, mean temperature, the middle of session 1,
-        approach +1; with a memory, of zero angles."""
+        approach +1; with a memory, of zero angles; of several markers the first."""
         payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
         past = np.zeros((1, self.joints)) if self.remembers else None
         table = Conditions().table(1, self.joints, payload, past)[0]
-        return np.append(table, np.zeros(self.joints)) if self._curves else table
+        return np.append(table, np.zeros(self._markers + self.joints * bool(self._curves)))
 
     def _postures(self, postures: ArrayLike) -> Array:
         q = np.atleast_2d(np.asarray(postures, dtype=float))
@@ -326,10 +306,13 @@ class Model:
         return q, self.condition_table(q, conditions or Conditions()), p[..., None, :]
 
     def condition_table(self, postures: Array, conditions: Conditions) -> Array:
-        """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory,
-        and n of errors that curves say."""
+        """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory, one of
+        the marker where there are several, and n of errors that curves say."""
         past = postures if self.remembers else None
         table = conditions.table(postures.shape[:-1], self.joints, float(self.neutral_conditions[0]), past)
+        if self._markers:
+            marker = np.broadcast_to(0.0 if conditions.marker is None else conditions.marker, postures.shape[:-1])
+            table = np.concatenate([table, marker[..., None]], axis=-1)
         if not self._curves:
             return table
         errors = np.zeros(postures.shape)  # tables are looked up here: as formulas they would be thousands of terms

@@ -53,7 +53,9 @@ def simulate(
 
 def _check_scatter(truth: Arm) -> None:
     """Raises `InputError` for an effect on the scatter without its values: it would be none."""
-    for effect, spec in zip(build_all(truth.effects, truth.links, truth.lengths), truth.effects, strict=True):
+    for effect, spec in zip(
+        build_all(truth.effects, truth.links, truth.lengths, truth.dimension), truth.effects, strict=True
+    ):
         missing = [p.toml_key for p in effect.parameters if p.short not in spec.values]
         if effect.scatter and missing:
             raise InputError(f"effects: {spec.key}: no value of {', '.join(missing)}, allowed: a number for each")
@@ -68,7 +70,7 @@ def disturbed(
     generator: np.random.Generator,
 ) -> Array:
     """(m, d) errors with the truth's effects on the scatter applied, in the order of the arm file."""
-    built = [(build(spec, truth.links, truth.lengths), spec) for spec in truth.effects]
+    built = [(build(spec, truth.links, truth.lengths, dimension=truth.dimension), spec) for spec in truth.effects]
     noisy = [(effect, spec) for effect, spec in built if isinstance(effect, NoiseEffect)]
     if not noisy:
         return errors

@@ -7,11 +7,14 @@ parameters is computed per parameter set.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
+
+PART = 4096  # of a batch at a time: the arrays of an instruction, 32 kB each, stay in the processor's cache
 
 BINARY = {
     ca.OP_ADD: "{0} + {1}",
@@ -75,23 +78,34 @@ def vectorize(function: ca.Function) -> Callable[..., tuple[np.ndarray, ...]]:
     def evaluate(*arguments: ArrayLike) -> tuple[np.ndarray, ...]:
         inputs = [np.asarray(a, dtype=float) for a in arguments]
         batch = np.broadcast_shapes(*(a.shape[:-1] for a in inputs))
-        outputs = compiled([[a[..., k] for k in range(a.shape[-1])] for a in inputs])
-        return tuple(
-            _assemble(values, place, sparsity.shape, batch)
-            for values, place, sparsity in zip(outputs, places, sparsities, strict=True)
-        )
+        # components first: each is written in contiguous runs; structural zeros are zero
+        full = [np.zeros((*sparsity.shape, *batch)) for sparsity in sparsities]
+        for part in _parts(batch):
+            outputs = compiled([[a[..., k] for k in range(a.shape[-1])] for a in (_of(a, part) for a in inputs)])
+            for array, values, place in zip(full, outputs, places, strict=True):
+                for value, (row, column) in zip(values, place, strict=True):
+                    where: tuple[int | slice, ...] = (row, column, *part)
+                    array[where] = value
+        return tuple(np.moveaxis(array, (0, 1), (-2, -1)) for array in full)
 
     return evaluate
 
 
-def _assemble(
-    values: Sequence[ArrayLike], places: Sequence[tuple[int, int]], shape: tuple[int, int], batch: tuple[int, ...]
-) -> np.ndarray:
-    """Component arrays to one array of shape batch + (rows, columns); structural zeros are zero."""
-    full = np.zeros((*shape, *batch))  # components first: each is written in one contiguous run
-    for value, (row, column) in zip(values, places, strict=True):
-        full[row, column] = value
-    return np.moveaxis(full, (0, 1), (-2, -1))
+def _parts(batch: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
+    """The batch cut along its longest axis into parts whose arrays stay in the processor's cache."""
+    if (total := math.prod(batch)) <= PART:
+        yield (slice(None),) * len(batch)
+        return
+    axis = int(np.argmax(batch))
+    rows = max(1, PART * batch[axis] // total)
+    for start in range(0, batch[axis], rows):
+        yield tuple(slice(start, start + rows) if k == axis else slice(None) for k in range(len(batch)))
+
+
+def _of(array: np.ndarray, part: tuple[slice, ...]) -> np.ndarray:
+    """What a part of the batch needs of an argument; axes that broadcast stay."""
+    own = part[len(part) - (array.ndim - 1) :]
+    return array[tuple(one if size > 1 else slice(None) for one, size in zip(own, array.shape[:-1], strict=True))]
 
 
 def _compile(function: ca.Function) -> Callable[[list[list[np.ndarray]]], list[list[np.ndarray]]]:

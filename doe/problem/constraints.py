@@ -64,7 +64,7 @@ def constraints_of(model: Model) -> tuple[Constraint, ...]:
             made.append(InsideBox(model, (given.x[0], given.y[0]), (given.x[1], given.y[1])))
         elif isinstance(given, KeepOutCircle):
             made.append(OutsideSphere(model, given.center, given.radius))
-        else:
+        elif isinstance(given, LineOfSight):
             made.append(InSight(model, given))
     return tuple(made)
 

@@ -74,7 +74,9 @@ def draw_constraints(axes: Axes, arm: Arm) -> None:
             (x0, x1), (y0, y1) = constraint.x, constraint.y
             axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=LIMIT, ls="--"))
         elif isinstance(constraint, KeepOutCircle):
-            axes.add_patch(Circle(constraint.center, constraint.radius, fc=BEFORE, alpha=0.25))
+            axes.add_patch(
+                Circle((constraint.center[0], constraint.center[1]), constraint.radius, fc=BEFORE, alpha=0.25)
+            )
         elif isinstance(constraint, LineOfSight):
             tracker, toward = np.array(constraint.tracker), np.array(constraint.toward)
             axis = np.arctan2(*(toward - tracker)[::-1])

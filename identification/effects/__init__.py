@@ -34,6 +34,7 @@ __all__ = [
     "build_all",
     "library",
     "measured_position",
+    "of_dimension",
     "register",
 ]
 
@@ -56,30 +57,43 @@ def library() -> Mapping[str, type[Effect]]:
     return MappingProxyType(_LIBRARY)
 
 
-def build_all(specs: Sequence[EffectSpec], links: int, lengths: Array | None = None) -> tuple[Effect, ...]:
+def of_dimension(dimension: int) -> Mapping[str, type[Effect]]:
+    """The effects that arms of this many coordinates can have."""
+    return {name: cls for name, cls in library().items() if dimension in cls.dimensions}
+
+
+def build_all(
+    specs: Sequence[EffectSpec], links: int, lengths: Array | None = None, dimension: int = 2
+) -> tuple[Effect, ...]:
     """The effects of an arm, each with a name of its own: where two share name and joint, the settings are added.
 
     Raises `InputError` as `build` does, and for two effects that share name, joint and settings.
     """
     alike = Counter(spec.key for spec in specs)
-    effects = tuple(build(spec, links, lengths, tagged=alike[spec.key] > 1) for spec in specs)
+    effects = tuple(build(spec, links, lengths, alike[spec.key] > 1, dimension) for spec in specs)
     for key, times in Counter(effect.key for effect in effects).items():
         if times > 1:
             raise InputError(f"effects: {key} is given {times} times, allowed: once")
     return effects
 
 
-def build(spec: EffectSpec, links: int, lengths: Array | None = None, tagged: bool = False) -> Effect:
+def build(
+    spec: EffectSpec, links: int, lengths: Array | None = None, tagged: bool = False, dimension: int = 2
+) -> Effect:
     """The effect that an arm file's `[[effects]]` entry asks for.
 
-    Raises `InputError` for an unknown name, a joint that is missing, not allowed or out of range, an unknown parameter.
+    Raises `InputError` for an unknown name, a joint that is missing, not allowed or out of range, an unknown parameter,
+    and an effect that arms of this dimension cannot have.
     """
     if spec.name not in library():
         raise InputError(f"effects: unknown name {spec.name!r}, {nearest(spec.name, library())}")
     cls = library()[spec.name]
+    if dimension not in cls.dimensions:
+        kind = "planar" if dimension == 3 else "spatial"
+        raise InputError(f"effects: {spec.name} is of {kind} arms, {nearest(spec.name, of_dimension(dimension))}")
     _check_joint(cls, spec, links)
     chosen = {name: _check_setting(cls, name, spec) for name in cls.settings}
-    effect = cls(np.ones(links) if lengths is None else lengths, spec.joint, chosen, tagged)
+    effect = cls(np.ones(links) if lengths is None else lengths, spec.joint, chosen, tagged, dimension)
     if cls.tabulated != (spec.curve is not None):
         found = "has no table of values" if cls.tabulated else "has a table of values"
         raise InputError(f"effects: {spec.key} {found}, allowed: one for joint_error_curve, none for others")

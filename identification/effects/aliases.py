@@ -31,6 +31,7 @@ class ToolOffset(Effect):
     name = "tool_offset"
     summary = "target not at the tip"
     alias = "the length and the joint offset of the last link"
+    dimensions = (2,)  # in space the tool is part of the geometry
 
     def define(self) -> tuple[Parameter, ...]:
         return tuple(self.parameter(short, "mm", scale=1.0, typical=1.0) for short in ("x", "y"))
@@ -46,6 +47,7 @@ class BaseRotation(Effect):
     name = "base_rotation"
     summary = "base turned against the measurements"
     alias = "the offset of joint 1"
+    dimensions = (2,)  # in space the base is part of the geometry
 
     def define(self) -> tuple[Parameter, ...]:
         return (self.parameter("angle", "rad", scale=float(self.lengths[0]), typical=1e-3),)

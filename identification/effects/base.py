@@ -40,6 +40,9 @@ class Effect:
     nuisance : True for what is no fault of the arm, which `diagnose` does not look for
     scatter : True for an effect on the noise, which the model of the mean ignores (`identification.effects.noise`)
     tabulated : True for an effect that is a table of values (`EffectSpec.curve`) and has no parameters
+    dimensions : coordinates of the arms that may have it: 2 in the plane, 3 in space
+
+    dimension : coordinates of this effect's arm
 
     tagged : whether the names say the settings, `transmission_ripple:1[k=20].a`: where an arm has another such effect
         at the same joint (`build_all` knows)
@@ -58,15 +61,22 @@ class Effect:
     nuisance: ClassVar[bool] = False
     scatter: ClassVar[bool] = False
     tabulated: ClassVar[bool] = False
+    dimensions: ClassVar[tuple[int, ...]] = (2, 3)
     curve: ErrorCurve | None = None
 
     def __init__(
-        self, lengths: Array, joint: int | None = None, chosen: Mapping[str, Any] | None = None, tagged: bool = False
+        self,
+        lengths: Array,
+        joint: int | None = None,
+        chosen: Mapping[str, Any] | None = None,
+        tagged: bool = False,
+        dimension: int = 2,
     ) -> None:
         self.lengths = lengths
         self.joint = joint
         self.chosen = dict(chosen or {})
         self.tagged = tagged
+        self.dimension = dimension
         self.parameters: tuple[Parameter, ...] = self.define()
 
     @property
@@ -128,7 +138,7 @@ class Effect:
         return 0.0
 
     def gravity_turn(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """Angle [rad] by which gravity is turned for every effect of gravity."""
+        """Angle [rad] by which gravity is turned for all effects of gravity; in space (3,), about the base's axes."""
         return 0.0
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX | float:
@@ -144,19 +154,19 @@ class Effect:
         return 0.0, 0.0
 
     def tool(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """(2,) offset of the measured point in the frame of the last link [mm]."""
+        """(d,) offset of the measured point in the frame of the last link [mm]."""
         return 0.0
 
     def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """Rotation of the arm about its base [rad]."""
+        """Rotation of the arm about its base [rad]; in space (3,), about its x, y, z."""
         return 0.0
 
     def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """(2,) shift of the base [mm]."""
+        """(d,) shift of the base [mm]."""
         return 0.0
 
     def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX | float:
-        """(2,) what the instrument adds to the true position [mm]."""
+        """(d,) what the instrument adds to the true position [mm]."""
         return 0.0
 
 

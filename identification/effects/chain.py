@@ -1,4 +1,4 @@
-"""The nominal planar arm at one posture, in CasADi symbols: what effects may depend on, gravity torques included."""
+"""The nominal arm at one posture, in CasADi symbols: what effects may depend on, gravity torques included."""
 
 from __future__ import annotations
 
@@ -6,19 +6,32 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
+import numpy as np
 
 from identification.arm import Arm, Gravity
 from identification.arrays import Array
 from identification.conditions import REMEMBERED, Conditions
 from identification.errors import InputError
-from identification.kinematics.planar import rotate, symbolic_points
+from identification.kinematics.frames import Frame
+from identification.kinematics.parameters import REVOLUTE
+from identification.kinematics.planar import PlanarGeometry, rotate, symbolic_points
+from identification.kinematics.spatial import SpatialChain
+
+
+def geometry_of(arm: Arm) -> PlanarGeometry | SpatialChain:
+    """The kinematics of an arm, planar or spatial, with one interface."""
+    return PlanarGeometry(arm.lengths) if arm.chain is None else arm.chain
 
 
 @dataclass(frozen=True)
 class Chain:
-    """The symbols of a planar arm at one posture, for effects to use. All CasADi SX; lengths in mm, angles in rad."""
+    """The symbols of an arm at one posture, for effects to use. All CasADi SX; lengths in mm, angles in rad.
 
-    lengths: Array  # (n,) nominal link lengths [mm]
+    What bends and pulls in the plane (`orientations`, `load_moment`, `load_force`) is of planar arms only.
+    """
+
+    geometry: PlanarGeometry | SpatialChain
+    lengths: Array  # (n,) nominal link lengths [mm]; in space the distances over which each joint acts
     gravity: Gravity | None
     q: ca.SX  # (n,) commanded joint angles [rad]
     payload: ca.SX  # [kg]
@@ -28,14 +41,16 @@ class Chain:
     directions: ca.SX  # (n,) +1 or -1
     past: ca.SX | None = None  # (n, 12) turning points before (`past_from_order`) [rad], None: the posture itself
     errors: ca.SX | None = None  # (n,) [rad] that error curves say at this posture, None: there are none
-    turn: ca.SX | float = 0.0  # [rad] of gravity, against the arm's own
+    turn: ca.SX | float = 0.0  # [rad] of gravity, against the arm's own; in space three, about x, y, z of the base
+    marker: ca.SX | None = None  # number of the measured point, from 0
 
     @classmethod
     def of(cls, arm: Arm, q: ca.SX, c: ca.SX) -> Chain:
         """An arm at a posture q (n) under conditions c (columns of `Conditions.table`, with the past or without)."""
         n, first = arm.links, Conditions.columns(arm.links)
         past = ca.reshape(c[first:], REMEMBERED, n).T if c.numel() > first else None
-        return cls(arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3], c[4 : 4 + n], past)
+        kind = cls if arm.chain is None else SpatialState
+        return kind(geometry_of(arm), arm.lengths, arm.gravity, q, c[0], c[1], c[2], c[3], c[4 : 4 + n], past)
 
     @property
     def previous(self) -> ca.SX:
@@ -50,6 +65,11 @@ class Chain:
     def links(self) -> int:
         """n, the number of links."""
         return int(self.lengths.size)
+
+    @property
+    def dimension(self) -> int:
+        """d, coordinates of a point."""
+        return self.geometry.dimension
 
     @cached_property
     def orientations(self) -> ca.SX:
@@ -106,3 +126,52 @@ class Chain:
         """(2,) point at `fraction` of a link [m], nominal pose."""
         start, end = self._points[link : link + 2]
         return start + fraction * (end - start)
+
+
+class SpatialState(Chain):
+    """The symbols of a spatial arm."""
+
+    @cached_property
+    def frames(self) -> list[Frame]:
+        """n + 2 nominal frames of base, joints and tip, in the frame of the base [mm]."""
+        return self.chain.frames(self.q, {})
+
+    @cached_property
+    def chain(self) -> SpatialChain:
+        """The geometry, its base at the origin."""
+        assert isinstance(self.geometry, SpatialChain)
+        return replace(self.geometry, base=np.eye(4))
+
+    @cached_property
+    def acceleration(self) -> ca.SX:
+        """(3,) of gravity [m/s^2] in the frame of the base, turned."""
+        turn, given = ca.SX(self.turn), ca.SX(ca.DM(self.required_gravity.acceleration))
+        if turn.is_zero():
+            return given
+        frame = Frame.world()
+        for axis in range(3):
+            frame = frame.turned(axis, turn[axis])
+        return ca.mtimes(frame.axes, given)
+
+    @cached_property
+    def loads(self) -> list[tuple[ca.SX, int, ca.SX]]:  # type: ignore[override]
+        """(mass [kg], link, place (3,) [mm]) of every mass: of a link on the line from its joint's frame to the next,
+        as far along as the file says; the payload at the first measured point."""
+        gravity, chain = self.required_gravity, self.chain
+        found = [(self.payload, self.links - 1, chain.tool(self.frames[-1], next(iter(chain.tools)), {}))]
+        for k, (mass, share) in enumerate(zip(gravity.link_masses, gravity.center_of_mass, strict=True)):
+            found.append((ca.SX(mass), k, self.frames[k + 1].point(ca.SX(ca.DM(share * chain.link_vectors[k])))))
+        return found
+
+    @cached_property
+    def torques(self) -> ca.SX:
+        """(n,) gravity torques about revolute joints [N m], forces along prismatic ones [N]."""
+        found = []
+        for j, joint in enumerate(self.chain.joints):
+            frame = self.frames[j + 1]
+            beyond = [(mass, place - frame.origin) for mass, k, place in self.loads if k >= j]
+            weights = [mass * self.acceleration for mass, _ in beyond]
+            if joint.type == REVOLUTE:
+                weights = [ca.cross(at / 1000.0, weight) for (_, at), weight in zip(beyond, weights, strict=True)]
+            found.append(ca.dot(ca.mtimes(frame.axes, ca.DM(joint.axis)), sum(weights, ca.SX.zeros(3))))
+        return ca.vertcat(*found)

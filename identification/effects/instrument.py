@@ -15,6 +15,7 @@ class AxesSkew(Effect):
     name = "axes_skew"
     summary = "instrument axes of unequal scale or not square"
     family = "axes_skew"
+    dimensions = (2,)
 
     def define(self) -> tuple[Parameter, ...]:
         return tuple(self.parameter(short, "1", scale=self.reach, typical=5e-5) for short in ("a", "b"))

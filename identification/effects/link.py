@@ -19,6 +19,7 @@ class LinkBending(Effect):
 
     name = "link_bending"
     summary = "links bend under the loads beyond them"
+    dimensions = (2,)
     needs = frozenset({"gravity"})
     family = "gravity"
 

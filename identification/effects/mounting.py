@@ -13,12 +13,18 @@ from identification.kinematics.parameters import Parameter
 MAX_SESSIONS = 99
 
 
+def rotations(short: str, dimension: int) -> tuple[str, ...]:
+    """Names of the parameters of a rotation: `w` in the plane, `wx`, `wy`, `wz` in space."""
+    return (short,) if dimension == 2 else tuple(f"{short}{axis}" for axis in "xyz")
+
+
 @register
 class BaseOffset(Effect):
     """The base does not stand at the origin of the measurements: + (x0, y0)."""
 
     name = "base_offset"
     summary = "base not at the origin of the measurements"
+    dimensions = (2,)  # in space the base is part of the geometry
     family = "base_offset"
 
     def define(self) -> tuple[Parameter, ...]:
@@ -30,7 +36,7 @@ class BaseOffset(Effect):
 
 @register
 class BaseDrift(Effect):
-    """The base (or the tracker) creeps during the session: + (vx, vy) t, t = -0.5..0.5."""
+    """The base (or the tracker) creeps during the session: + (vx, vy) t, t = -0.5..0.5; in space + (vx, vy, vz) t."""
 
     name = "base_drift"
     summary = "base or tracker creeps during the session"
@@ -38,7 +44,8 @@ class BaseDrift(Effect):
     family = "base_drift"
 
     def define(self) -> tuple[Parameter, ...]:
-        return tuple(self.parameter(short, "mm/session", scale=1.0, typical=0.05) for short in ("vx", "vy"))
+        shorts = ("vx", "vy", "vz")[: self.dimension]
+        return tuple(self.parameter(short, "mm/session", scale=1.0, typical=0.05) for short in shorts)
 
     def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
         return values * chain.time
@@ -46,7 +53,7 @@ class BaseDrift(Effect):
 
 @register
 class BaseRotationDrift(Effect):
-    """The base (or the tracker) turns during the session: rotation by w t, t = -0.5..0.5."""
+    """The base (or the tracker) turns during the session: by w t, t = -0.5..0.5; in space by (wx, wy, wz) t."""
 
     name = "base_rotation_drift"
     summary = "base or tracker turns during the session"
@@ -54,15 +61,18 @@ class BaseRotationDrift(Effect):
     family = "base_rotation_drift"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("w", "rad/session", scale=self.reach, typical=5e-5),)
+        shorts = rotations("w", self.dimension)
+        return tuple(self.parameter(short, "rad/session", scale=self.reach, typical=5e-5) for short in shorts)
 
     def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return values[0] * chain.time
+        return values * chain.time
 
 
 @register
 class SessionBase(Effect):
     """Each session after the first has its own base: + (x, y), rotation by w, relative to that of the first.
+
+    In space + (x, y, z) and rotations by (wx, wy, wz) about the axes of the base.
 
     Nothing physical is missing: arm or instrument was set up anew. `identify` and `diagnose` add it by themselves
     where the data name sessions, and leave it out of what they write.
@@ -77,22 +87,24 @@ class SessionBase(Effect):
 
     def define(self) -> tuple[Parameter, ...]:
         """Of every session after the first, in turn."""
+        shifts = [(short, "mm", 1.0, 1000.0) for short in "xyz"[: self.dimension]]
+        turns = [(short, "rad", self.reach, 3.0) for short in rotations("w", self.dimension)]
         return tuple(
             self.parameter(f"{short}{number}", unit, scale=scale, typical=typical)
             for number in range(2, int(self.chosen["sessions"]) + 1)
-            for short, unit, scale, typical in (
-                ("x", "mm", 1.0, 1000.0),
-                ("y", "mm", 1.0, 1000.0),
-                ("w", "rad", self.reach, 3.0),
-            )
+            for short, unit, scale, typical in (*shifts, *turns)
         )
 
     def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return ca.dot(self._sessions(chain), values[2::3])
+        return self._own(chain, values)[self.dimension :]
 
     def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return self._own(chain, values)[: self.dimension]
+
+    def _own(self, chain: Chain, values: ca.SX) -> ca.SX:
+        """Shift and rotation of the row's session, zero for the first."""
         there = self._sessions(chain)
-        return ca.vertcat(ca.dot(there, values[0::3]), ca.dot(there, values[1::3]))
+        return ca.mtimes(ca.reshape(values, -1, there.numel()), there)
 
     def _sessions(self, chain: Chain) -> ca.SX:
         """1 for the session of the row, 0 for every other."""

@@ -93,7 +93,7 @@ class LinkStep(_Step):
 
 @register
 class BaseStep(_Step):
-    """The base or the instrument is moved at a time of the session: + (x, y) on one side of it.
+    """The base or the instrument is moved at a time of the session: + (x, y), in space + (x, y, z), on one side of it.
 
     side : 1 for t > at, -1 for t < at. Where the model has no `base_offset` that is not the same.
     """
@@ -104,7 +104,7 @@ class BaseStep(_Step):
     settings = MappingProxyType({"at": STEP, "side": Setting(-1, 1, (-1.0, 1.0), whole=True)})
 
     def define(self) -> tuple[Parameter, ...]:
-        return tuple(self.parameter(short, "mm", scale=1.0, typical=0.1) for short in ("x", "y"))
+        return tuple(self.parameter(short, "mm", scale=1.0, typical=0.1) for short in "xyz"[: self.dimension])
 
     def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
         return values * (self.chosen["side"] * (clock(chain.time, chain.session) - self.chosen["at"]) > 0)
@@ -134,17 +134,18 @@ class PayloadError(_Load):
 
 @register
 class GravityTilt(_Load):
-    """The base leans: gravity is turned by an angle, for every effect of gravity."""
+    """The base leans: gravity is turned by an angle, in space by two about x and y, for every effect of gravity."""
 
     name = "gravity_tilt"
     summary = "base leans against gravity"
     family = "gravity_tilt"
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("angle", "rad", scale=1.0, typical=5e-3),)
+        shorts = ("angle",) if self.dimension == 2 else ("x", "y")
+        return tuple(self.parameter(short, "rad", scale=1.0, typical=5e-3) for short in shorts)
 
     def gravity_turn(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return values[0]
+        return values[0] if self.dimension == 2 else ca.vertcat(values, 0.0)
 
 
 @register
@@ -161,6 +162,7 @@ class AxisTilt(_Rare):
     per_joint = "required"
     first_joint = 2
     family = "axis_tilt"
+    dimensions = (2,)  # in space the geometry has it
 
     def define(self) -> tuple[Parameter, ...]:
         scale = float(np.sum(self.lengths[self.joint_index :]))

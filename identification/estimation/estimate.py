@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
+from identification.estimation.checks import Noise, check, weighting
 from identification.estimation.levenberg_marquardt import Solution
 from identification.estimation.methods import METHODS
 from identification.estimation.plausibility import doubts
@@ -18,24 +19,14 @@ from identification.estimation.prior import Prior
 from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import FittedRows, uncertainty
+from identification.estimation.with_prior import estimate_with_prior
 from identification.information import RANK_TOLERANCE, Spectrum, identifiability_of, spectrum
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.placed import placed_model
 from identification.status import Status
 
-RELIANCE = ("given", "estimated")
 LARGEST_SHARE = 0.1  # a combination whose standard deviation exceeds this share of the arm's reach is not estimable
-
-
-class Noise(NamedTuple):
-    """Weights of the rows and the standard deviation of one coordinate; `sigma` is None where it must be estimated.
-
-    reliance : what the intervals rely on, see `uncertainty`
-    """
-
-    weights: Array  # (m,) 1/sigma_i^2 where sigma is known, else relative
-    sigma: float | None  # root mean square over rows [mm]
-    reliance: str | None = None
 
 
 def estimate(
@@ -58,11 +49,19 @@ def estimate(
     weights : (m,) relative weights >= 0 of the rows, on top of sigma: the variance of row i is sigma^2 / weights_i, so
         a row of weight 3 moves the estimates as three equal rows would; rows of weight 0 are left out
 
+    Where a spatial arm stands and where its measured points are is found from nothing, unless the arm says so. Its
+    geometry is held by the prior of its machining (`Model.held`), as by `estimate_with_prior`.
+
     A plan that does not make everything estimable is no error: what is estimable is estimated, the rest is named in
     `not_identifiable`, and `status` says so. Raises `InputError` for data that do not fit the model, `JobError` if the
     method fails.
     """
     check(model, measurements)
+    model = placed_model(model, measurements)
+    if prior := getattr(model, "prior", None):
+        if method not in (None, "gauss_newton"):
+            raise InputError(f"method: {method} for a spatial arm held by a prior, allowed: gauss_newton")
+        return estimate_with_prior(model, measurements, Prior(prior), sigma, weights)
     noise = weighting(model, measurements, sigma, weights)
     problem = Problem.of(model, measurements, noise.weights)
     chosen = method or ("linear" if problem.exact_form else "gauss_newton")
@@ -73,71 +72,6 @@ def estimate(
     if not status.succeeded:
         raise JobError(f"{chosen}: {status.value} Nothing damps this method; gauss_newton may do better.")
     return _result(problem, measurements, chosen, solution, decomposed, noise)
-
-
-def check(model: Model, measurements: Measurements, prior: Prior | None = None) -> None:
-    """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations.
-
-    prior : of parameters that need no equation
-    """
-    _check_kind("model", model, "linearize", "a Model, as in Model(arm)")
-    _check_kind("measurements", measurements, "positions", "Measurements, as load_measurements(path) gives")
-    n, m, p = model.joints, len(measurements), len(model.parameters)
-    if measurements.links != n:
-        raise InputError(f"measurements: {measurements.links} joints for an arm of {n} links, allowed: {n}")
-    if measurements.dimension != model.dimension:
-        allowed = f"allowed: {model.dimension} as the model has"
-        raise InputError(f"measurements: positions of {measurements.dimension} coordinates, {allowed}")
-    if p == 0:
-        raise InputError("model: every parameter is known, allowed: at least one to estimate")
-    _check_needs(model, measurements)
-    p -= 0 if prior is None else len(set(model.names) & set(prior.deviations))
-    if (d := model.dimension) * m < p:
-        found = f"{d} m = {d * m} < p = {p}"
-        raise InputError(f"measurements: fewer equations than unknowns: {found}, allowed: m >= {-(-p // d)}")
-
-
-def _check_needs(model: Model, measurements: Measurements) -> None:
-    for effect in model.effects:
-        if "temperature" in effect.needs and measurements.temperature is None:
-            raise InputError(f"effects: {effect.key} needs the column temperature_C, the measurements have none")
-        if "gravity" in effect.needs and model.arm.gravity is None:
-            allowed = "an arm file with a [gravity] table"
-            raise InputError(f"effects: {effect.key} needs gravity torques, allowed: {allowed}")
-
-
-def _check_kind(name: str, value: object, needed: str, allowed: str) -> None:
-    if not hasattr(value, needed):
-        raise InputError(f"{name}: found {type(value).__name__}, allowed: {allowed}")
-
-
-def weighting(
-    model: Model, measurements: Measurements, sigma: ArrayLike | str | None, weights: ArrayLike | None
-) -> Noise:
-    """Which sigma holds (argument, then rows, then arm), and the weights that follow. Raises `InputError`."""
-    m = len(measurements)
-    relative = np.ones(m) if weights is None else np.asarray(weights, dtype=float)
-    if relative.shape != (m,) or not np.all(np.isfinite(relative) & (relative >= 0.0)) or not np.any(relative):
-        raise InputError(f"weights: shape {relative.shape}, allowed: ({m},) finite numbers >= 0, not all zero")
-    if isinstance(sigma, str) and sigma not in RELIANCE:
-        raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}")
-    reliance = sigma if isinstance(sigma, str) else None if sigma is None else "given"
-    if reliance == "estimated":
-        return Noise(relative, None, reliance)
-    numbers = None if isinstance(sigma, str) else sigma
-    given = next((s for s in (numbers, measurements.sigma, model.sigma) if s is not None), None)
-    if given is None and reliance == "given":
-        allowed = "measurement.sigma_mm in the arm file, or a column sigma_mm in the measurements"
-        raise InputError(f"sigma: 'given', but none is given, allowed: {allowed}")
-    return Noise(relative, None) if given is None else _known_noise(relative, np.asarray(given, dtype=float), reliance)
-
-
-def _known_noise(relative: Array, deviations: Array, reliance: str | None) -> Noise:
-    """From relative weights (m,) and one standard deviation [mm] or (m,) of them."""
-    m = len(relative)
-    if deviations.shape not in ((), (m,)) or not np.all(np.isfinite(deviations) & (deviations > 0.0)):
-        raise InputError(f"sigma_mm: shape {deviations.shape}, allowed: one number or ({m},), each finite and > 0")
-    return Noise(relative / deviations**2, float(np.sqrt(np.mean(deviations**2))), reliance)
 
 
 def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spectrum, Problem]:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
 from identification.arrays import Array
-from identification.estimation.estimate import Noise, check, weighting
+from identification.estimation.checks import Noise, check, weighting
 from identification.estimation.methods import gauss_newton
 from identification.estimation.plausibility import doubts
 from identification.estimation.prior import Prior, effective_count
@@ -26,6 +26,7 @@ from identification.estimation.uncertainty import Uncertainty
 from identification.information import identifiability_of, spectrum
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.placed import placed_model
 from identification.status import Status
 
 ROUNDS = 3  # of fit and noise: the model is nearly linear, so that the second changes little
@@ -47,6 +48,8 @@ def estimate_with_prior(
 
     Raises `InputError` for data that do not fit the model, and fewer equations than parameters without a prior.
     """
+    model = placed_model(model, measurements)
+    prior = Prior({**getattr(model, "prior", {}), **prior.deviations})
     check(model, measurements, prior)
     noise = weighting(model, measurements, sigma, weights)
     problem = replace(Problem.of(model, measurements, noise.weights), prior=prior)

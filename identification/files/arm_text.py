@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import tomlkit
 
-from identification.arm import Arm, Calibration, Constraint, EffectSpec, Gravity, KeepOutCircle, WorkspaceBox
+from identification.arm import (
+    Arm,
+    Calibration,
+    Constraint,
+    EffectSpec,
+    Gravity,
+    KeepOutCircle,
+    KeepOutCylinder,
+    WorkspaceBox,
+)
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.files.arm import FileName, arm_from_tables, built, effects_of, file_names
@@ -101,6 +110,9 @@ def _constraint_table(constraint: Constraint) -> Plain:
     if isinstance(constraint, KeepOutCircle):
         center = _floats(constraint.center)
         return {"kind": "keep_out_circle", "center_mm": center, "radius_mm": float(constraint.radius)}
+    if isinstance(constraint, KeepOutCylinder):
+        ends = {"start_mm": _floats(constraint.start), "end_mm": _floats(constraint.end)}
+        return {"kind": "keep_out_cylinder", **ends, "radius_mm": float(constraint.radius)}
     return {
         "kind": "line_of_sight",
         "tracker_mm": _floats(constraint.tracker),

@@ -57,7 +57,7 @@ class Bundle:
     def _slopes(self) -> tuple[list[ca.SX], ca.SX, ca.SX, ca.SX]:
         """Per template (P, size), with the symbols of posture, conditions and state."""
         n = self.arm.links
-        q, state = ca.SX.sym("q", n), ca.SX.sym("state", state_size(n))
+        q, state = ca.SX.sym("q", n), ca.SX.sym("state", state_size(n, self.arm.dimension))
         c = ca.SX.sym("c", Conditions.columns(n, self.remembers))
         chain = Chain.of(self.arm, q, c)
         return [_slopes(template.effect, chain, state) for template in self.templates], q, c, state
@@ -139,7 +139,7 @@ def _scanned_bundle(arm: Arm, by_joint: Mapping[int | None, Sequence[tuple[int, 
         one = group[0][1]
         chosen: dict[str, Any] = {name: ca.SX.sym(name) for name in one.chosen}
         members = tuple(number for number, _ in group)
-        templates.append(Template(type(one)(one.lengths, joint, chosen), members))
+        templates.append(Template(type(one)(one.lengths, joint, chosen, dimension=one.dimension), members))
         symbols += chosen.values()
         values = np.array([[effect.chosen[name] for name in chosen] for _, effect in group])
         settings.append(np.pad(values, ((0, longest - len(group)), (0, 0)), mode="edge"))

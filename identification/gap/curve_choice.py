@@ -235,6 +235,6 @@ def is_function_of(effect: Effect, joint: int, model: Model) -> bool:
     if effect.joint != joint + 1 or type(effect).joint_angles is Effect.joint_angles:
         return False
     q, c, _, _ = model.symbols
-    angle = ca.SX(effect.joint_angles(model.chain(q, c), ca.SX.sym("v", len(effect.parameters))))[joint]
+    angle = ca.SX(effect.joint_angles(model.expressions.chain(q, c), ca.SX.sym("v", len(effect.parameters))))[joint]
     others = ca.vertcat(*(q[k] for k in range(model.joints) if k != joint), c)
     return bool(ca.depends_on(angle, q[joint])) and not bool(ca.depends_on(angle, others))

@@ -67,7 +67,7 @@ def with_orders(known: HypothesisSet, joint: int, order: float) -> HypothesisSet
     added = []
     for beside in BETWEEN:
         spec = EffectSpec(EFFECT, joint, {ORDER: order + beside})
-        hypothesis = Hypothesis(build(spec, arm.links, arm.lengths), spec, weight)
+        hypothesis = Hypothesis(build(spec, arm.links, arm.lengths, dimension=arm.dimension), spec, weight)
         if hypothesis.label not in there:
             added.append(hypothesis)
     return replace(known, members=(*known.members, *added))

@@ -15,7 +15,7 @@ import numpy as np
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.effects import Effect, Scope, Setting, build, build_all, library
+from identification.effects import Effect, Scope, Setting, build, build_all, of_dimension
 from identification.effects.places import state_size
 from identification.gap.columns import Bundle, bundles
 from identification.gap.f_tests import CHUNK, Columns, Dictionary, dictionary
@@ -130,7 +130,7 @@ class HypothesisSet:
 
     def slopes(self, rows: Rows) -> Slopes:
         """The part of the columns that needs no fit, to be computed once for all fits to the same rows."""
-        state = np.zeros((len(rows), state_size(self.arm.links)))
+        state = np.zeros((len(rows), state_size(self.arm.links, self.arm.dimension)))
         return [b.slopes(rows.postures, rows.conditions, state) if b.fixed else None for b in self._bundles]
 
     def matrix(
@@ -173,9 +173,10 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
     """
     available = {"time", "directions", "past"} | (given & {"temperature"})
     available |= set() if arm.gravity is None else {"gravity"}
-    shown = {name: cls for name, cls in library().items() if not (cls.alias or cls.scatter or cls.nuisance)}
+    known = of_dimension(arm.dimension)
+    shown = {name: cls for name, cls in known.items() if not (cls.alias or cls.scatter or cls.nuisance)}
     shown = {name: cls for name, cls in shown.items() if not cls.tabulated}
-    own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths)}
+    own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths, arm.dimension)}
     members: list[Hypothesis] = []
     skipped: dict[str, str] = {}
     for name, cls in shown.items():
@@ -188,7 +189,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
             members += found
             if not found:
                 skipped[spec.key] = "already in the arm's model"
-    aliases = {name: cls.alias for name, cls in library().items() if cls.alias is not None}
+    aliases = {name: cls.alias for name, cls in known.items() if cls.alias is not None}
     return HypothesisSet(arm, tuple(members), skipped, aliases)
 
 
@@ -207,7 +208,7 @@ def _with_settings(cls: type[Effect], spec: EffectSpec, scope: Scope) -> list[Hy
     arm, scans = scope.arm, [Setting.of(setting).scan(scope) for setting in cls.settings.values()]
     specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
     weight = cls.prior * (1.0 if spec.joint is None else 1.0 / np.sqrt(arm.links)) / max(len(specs), 1)
-    found = [Hypothesis(build(s, arm.links, arm.lengths), s, weight) for s in specs]
+    found = [Hypothesis(build(s, arm.links, arm.lengths, dimension=arm.dimension), s, weight) for s in specs]
     if not cls.settings and len(found[0].effect.parameters) > 1 and _not_negative(found[0].effect):
         found.append(replace(found[0], tied=True))
     return found

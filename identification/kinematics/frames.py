@@ -64,6 +64,10 @@ class Frame:
         """Shifted along an own axis."""
         return Frame(self.origin + self.axes[:, axis] * distance, self.axes)
 
+    def along(self, direction: Array, distance: ca.SX | float) -> Frame:
+        """Shifted along a constant direction (3,) of this frame."""
+        return Frame(self.origin + ca.mtimes(self.axes, ca.DM(direction)) * distance, self.axes)
+
     def turned(self, axis: int, angle: ca.SX | float) -> Frame:
         """Turned by an angle [rad] about an own axis."""
         cosine, sine = ca.cos(angle), ca.sin(angle)

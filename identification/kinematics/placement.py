@@ -45,14 +45,23 @@ def placed(frames: Array, measured: Array, reach: float) -> Placement:
     return min((_alternated(frames, measured, start) for start in starts), key=lambda found: found.rms)
 
 
+def placed_tool(frames: Array, measured: Array, base: Array) -> Array:
+    """(3,) the measured point in the frame of the tip that explains measured points (m, 3) best.
+
+    frames : (m, 4, 4) nominal poses of the tip in the base;  base : (4, 4) its pose [mm]
+    """
+    local = (measured - base[:3, 3]) @ base[:3, :3]  # in the base's frame
+    return np.asarray(np.einsum("mji,mj->i", frames[:, :3, :3], local - frames[:, :3, 3]) / len(frames))
+
+
 def _alternated(frames: Array, measured: Array, tool: Array) -> Placement:
     turns, origins = frames[:, :3, :3], frames[:, :3, 3]
     before = np.inf
     for _ in range(ROUNDS):
         base = registered(origins + turns @ tool, measured)
-        local = (measured - base[:3, 3]) @ base[:3, :3]  # in the base's frame
-        tool = np.einsum("mji,mj->i", turns, local - origins) / len(frames)
-        squares = float(np.mean(np.sum((local - origins - turns @ tool) ** 2, axis=1)))
+        tool = placed_tool(frames, measured, base)
+        left = measured - (origins + turns @ tool) @ base[:3, :3].T - base[:3, 3]
+        squares = float(np.mean(np.sum(left**2, axis=1)))
         if squares > before * (1.0 - ENOUGH):
             break
         before = squares

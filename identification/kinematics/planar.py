@@ -5,13 +5,60 @@ Link j points along theta_j = q_1 + ... + q_j and ends at sum_{k <= j} l_k (cos 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+
 import casadi as ca
 import numpy as np
 
-from identification.arrays import Array
-from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
+from identification.arrays import Array, ByValue
+from identification.kinematics.parameters import JOINT_OFFSET, REVOLUTE, ParameterSet, chain_parameters
 
 DIMENSION = 2  # coordinates of a point
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarGeometry(ByValue):
+    """Links of nominal lengths (n,) [mm] behind revolute joints, with length errors and joint offsets."""
+
+    lengths: Array
+    dimension = DIMENSION
+
+    @property
+    def joint_types(self) -> tuple[str, ...]:
+        """(n) `revolute`, every one."""
+        return (REVOLUTE,) * len(self.lengths)
+
+    def parameters(self, best: Mapping[str, float]) -> ParameterSet:
+        """(2 n) length errors and joint offsets, scaled by the best known lengths, as far as anything is left."""
+        nominal = chain_parameters(self.lengths)
+        found = self.lengths + nominal.vector(best)[: len(self.lengths)]
+        return chain_parameters(np.where(found == 0.0, self.lengths, np.abs(found)))
+
+    def link_lengths(self, values: ca.SX) -> ca.SX:
+        """(n,) lengths [mm] at values (2 n) of the parameters."""
+        return ca.SX(ca.DM(self.lengths)) + values[: len(self.lengths)]
+
+    def tip(self, q: ca.SX, values: ca.SX, added: Mapping[str, ca.SX], marker: ca.SX | None = None) -> ca.SX:
+        """(2,) measured point [mm] at real joint angles (n,) but for their offsets, before the instrument.
+
+        added : what effects add at each place of the chain (identification/effects/places.py)
+        marker : of spatial arms
+        """
+        lengths, offsets = self.link_lengths(values) + added["extensions"], values[len(self.lengths) :]
+        points, theta = symbolic_chain(lengths, q + offsets, added["deflections"], added["slopes"])
+        tip = points[-1] + rotate(theta, added["tool"])
+        return rotate(added["base_rotation"], tip) + added["base_translation"]
+
+    def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
+        """n + 1 points (2,) of base, joints and tip [mm] at a posture (n,) and values (2 n) of the parameters."""
+        lengths, offsets = np.split(values, 2)
+        return symbolic_points(self.lengths + lengths, q + ca.DM(offsets))
+
+    def points(self, postures: Array, values: Array) -> Array:
+        """(..., n + 1, 2) the same at postures (..., n)."""
+        lengths, offsets = np.split(values, 2)
+        return joint_points(self.lengths + lengths, postures + offsets)
 
 
 def orientation_transform(parameters: ParameterSet) -> Array:

@@ -1,17 +1,19 @@
 """A chain of revolute and prismatic joints in space, with the errors that a calibration may find.
 
-    tip = base * error_0 * prod_j [origin_j * error_j * motion_j(q_j + offset_j)] * end * (tool + its error)
+    tip = error_0 * base * prod_j [origin_j * error_j * motion_j(q_j + offset_j)] * end * (tool + its error)
 
 `origin_j` is the nominal pose of joint j's frame in the frame of the joint before (as in URDF). `error_j` are six local
 corrections in the frame of joint j before it moves: translations along x, y, z, then rotations about x, y, z. `base` is
-the pose of the arm's base in the frame of the instrument, `tool` a measured point in the frame at the end of the chain.
+the pose of the arm's base in the frame of the instrument; its errors are a shift along the axes of the instrument and
+rotations about its own axes. `tool` is a measured point in the frame at the end of the chain.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -20,10 +22,12 @@ from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
 from identification.kinematics.frames import AXES, Frame, rotation_about
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE, Parameter, ParameterSet
+from identification.vectorize import vectorize
 
 DIMENSION = 3  # coordinates of a point
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
 ALIGNED = 1.0 - 1e-12  # cosine from which an axis is one of the frame's own
+Values = Mapping[str, ca.SX | float]  # parameter name -> value
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +79,17 @@ def _to_z(axis: Array) -> Array:
 class SpatialChain(ByValue):
     """Joints from base to tip.
 
-    end : (4, 4) pose of the tip's frame in that of the last joint [mm];  base : (4, 4) pose of the base as known
-    tools : name of each measured point -> (3,) its place in the tip's frame as known [mm]
+    end : (4, 4) pose of the tip's frame in that of the last joint [mm];  base : (4, 4) pose of the base
+    tools : name of each measured point -> (3,) its place in the tip's frame [mm]
+    known : those of `base` and `tool` that are given, and not to be found from the measurements
     """
 
     joints: tuple[Joint, ...]
     end: Array
     base: Array = field(default_factory=lambda: np.eye(4))
     tools: Mapping[str, Array] = field(default_factory=lambda: {"1": np.zeros(3)})
+    known: frozenset[str] = frozenset()
+    dimension = DIMENSION
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "end", readonly(self.end))
@@ -107,8 +114,29 @@ class SpatialChain(ByValue):
     def _steps(self) -> list[float]:
         return [float(np.linalg.norm(matrix[:3, 3])) for matrix in (*(j.origin for j in self.joints), self.end)]
 
+    @property
+    def joint_types(self) -> tuple[str, ...]:
+        """(n) `revolute` or `prismatic`."""
+        return tuple(joint.type for joint in self.joints)
+
+    def parameters(self, best: Mapping[str, float] = MappingProxyType({})) -> ParameterSet:
+        """What there is to find: `every_parameter` without the base and tools that are known, without the errors along
+        or about a joint's own axis, which are its offset, and without those of joint 1 where the base is to be found,
+        which move all that lies beyond as the base does."""
+        left_out = {PRISMATIC: TRANSLATION_ERROR, REVOLUTE: ROTATION_ERROR}
+        own = {
+            f"{left_out[joint.type].removesuffix('error')}{AXES[k]}:{j}"
+            for j, joint in enumerate(self.joints, start=1)
+            if abs(joint.axis[k := int(np.argmax(np.abs(joint.axis)))]) >= ALIGNED
+        }
+        return ParameterSet.of(
+            p
+            for p in self.every_parameter
+            if p.kind.partition("_")[0] not in self.known and p.name not in own and (p.joint != 1 or BASE in self.known)
+        )
+
     @cached_property
-    def parameters(self) -> ParameterSet:
+    def every_parameter(self) -> ParameterSet:
         """All of the geometry: base (6), tools (3 each), and for each joint its offset and six errors."""
         found = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)
         for name in self.tools:
@@ -120,23 +148,71 @@ class SpatialChain(ByValue):
             found += _six("translation_", "rotation_", f":{j}", lever, kinds, j)
         return ParameterSet.of(found)
 
-    def frames(self, q: ca.SX, values: Mapping[str, ca.SX | float]) -> list[Frame]:
+    def link_lengths(self, values: ca.SX) -> ca.SX:
+        """(n,) lengths [mm] of the straight lines from each joint's frame to the next, as nominal."""
+        return ca.SX(ca.DM(self._steps[1:]))
+
+    def frames(self, q: ca.SX, values: Values, added: Mapping[str, ca.SX] = MappingProxyType({})) -> list[Frame]:
         """n + 2 frames in CasADi symbols: base, each joint after it moved, tip.
 
         q : (n,) positions of the joints [rad, mm];  values : parameter name -> value, zero where missing
+        added : what effects add at each place of the chain (identification/effects/places.py)
         """
-        frame = _corrected(Frame.world().placed(self.base), values, "base.", "base.r", "")
+        frame = self._placed_base(values, added)
         found = [frame]
         for j, joint in enumerate(self.joints, start=1):
-            frame = _corrected(frame.placed(joint.origin), values, "translation_", "rotation_", f":{j}")
+            frame = _corrected(frame.placed(joint.origin), values, j)
             frame = joint.moved(frame, q[j - 1] + values.get(f"joint_offset:{j}", 0.0))
             found.append(frame)
+            if "extensions" in added and self._steps[j]:
+                frame = frame.along(self.link_vectors[j - 1] / self._steps[j], added["extensions"][j - 1])
         return [*found, frame.placed(self.end)]
 
-    def tool(self, frame: Frame, name: str, values: Mapping[str, ca.SX | float]) -> ca.SX:
+    @cached_property
+    def link_vectors(self) -> list[Array]:
+        """(n) vectors (3,) [mm] from each joint's frame to that of the next before it moves, in its own axes."""
+        return [matrix[:3, 3] for matrix in (*(joint.origin for joint in self.joints[1:]), self.end)]
+
+    def _placed_base(self, values: Values, added: Mapping[str, ca.SX]) -> Frame:
+        shift = ca.vertcat(*(ca.SX(values.get(f"base.{axis}", 0.0)) for axis in AXES))
+        base = Frame.world().placed(self.base)
+        frame = _turned(
+            Frame(base.origin + shift + added.get("base_translation", 0.0), base.axes), values, "base.r", ""
+        )
+        for k in range(DIMENSION if "base_rotation" in added else 0):
+            frame = frame.turned(k, added["base_rotation"][k])
+        return frame
+
+    def tool(self, frame: Frame, name: str, values: Values, added: ca.SX | float = 0.0) -> ca.SX:
         """(3,) position of a measured point of the tip's frame."""
         errors = [values.get(f"tool[{name}].{axis}", 0.0) for axis in AXES]
-        return frame.point(ca.DM(self.tools[name]) + ca.vertcat(*errors))
+        return frame.point(ca.DM(self.tools[name]) + ca.vertcat(*errors) + added)
+
+    def tip(self, q: ca.SX, values: ca.SX, added: Mapping[str, ca.SX], marker: ca.SX | None = None) -> ca.SX:
+        """(3,) measured point [mm] at real joint positions (n,) but for their offsets, before the instrument.
+
+        values : those of `parameters`;  marker : number of the measured point from 0, None: the first
+        """
+        named = {name: values[k] for k, name in enumerate(self.parameters().names)}
+        frame = self.frames(q, named, added)[-1]
+        points = [self.tool(frame, name, named, added["tool"]) for name in self.tools]
+        found = points[0]
+        for k, point in enumerate(points[1:] if marker is not None else [], start=1):
+            found = ca.if_else(marker == k, point, found)
+        return found
+
+    def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
+        """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""
+        named = dict(zip(self.parameters().names, np.asarray(values, dtype=float).tolist(), strict=True))
+        at_home = replace(self, base=np.eye(4))
+        frames = at_home.frames(q, {name: value for name, value in named.items() if not name.startswith("base.")})
+        return [*(frame.origin for frame in frames[:-1]), self.tool(frames[-1], next(iter(self.tools)), named)]
+
+    def points(self, postures: Array, values: Array) -> Array:
+        """(..., n + 2, 3) the same at postures (..., n)."""
+        q = ca.SX.sym("q", len(self))
+        points = ca.horzcat(*(ca.SX(point) for point in self.symbolic_points(q, values)))
+        return np.swapaxes(vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))(postures)[0], -1, -2)
 
 
 def _six(
@@ -147,14 +223,16 @@ def _six(
     return found + [Parameter(name, "rad", scale=lever, kind=kinds[1], joint=joint) for name in turns]
 
 
-def _corrected(
-    frame: Frame, values: Mapping[str, ca.SX | float], translation: str, rotation: str, suffix: str
-) -> Frame:
-    """The frame after its six local corrections."""
+def _corrected(frame: Frame, values: Values, joint: int) -> Frame:
+    """The frame of a joint, counted from 1, after its six local corrections."""
     for k, axis in enumerate(AXES):
-        if (name := f"{translation}{axis}{suffix}") in values:
+        if (name := f"translation_{axis}:{joint}") in values:
             frame = frame.moved(k, values[name])
+    return _turned(frame, values, "rotation_", f":{joint}")
+
+
+def _turned(frame: Frame, values: Values, prefix: str, suffix: str) -> Frame:
     for k, axis in enumerate(AXES):
-        if (name := f"{rotation}{axis}{suffix}") in values:
+        if (name := f"{prefix}{axis}{suffix}") in values:
             frame = frame.turned(k, values[name])
     return frame

@@ -44,7 +44,10 @@ def tip_by_exponentials(chain: SpatialChain, q: Array, values: dict[str, float],
             found = found @ elementary(f"{second}{axis}{suffix}", 3 + k)
         return found
 
-    place = chain.base @ six("base.", "base.r", "")
+    shift, turn = ([values.get(f"base.{r}{axis}", 0.0) for axis in "xyz"] for r in ("", "r"))
+    place = pose(shift) @ chain.base
+    for k in range(3):
+        place = place @ expm(turn[k] * twist(np.eye(6)[3 + k]))
     for j, (joint, angle) in enumerate(zip(chain.joints, q, strict=True), start=1):
         place = place @ joint.origin @ six("translation_", "rotation_", f":{j}")
         along = joint.type == PRISMATIC
@@ -62,8 +65,8 @@ def chain() -> SpatialChain:
 
 
 def position_and_jacobian(chain: SpatialChain, q: Array, values: Array) -> tuple[Array, Array]:
-    symbols, p = ca.SX.sym("q", len(chain)), ca.SX.sym("p", len(chain.parameters))
-    named = {name: p[k] for k, name in enumerate(chain.parameters.names)}
+    symbols, p = ca.SX.sym("q", len(chain)), ca.SX.sym("p", len(chain.every_parameter))
+    named = {name: p[k] for k, name in enumerate(chain.every_parameter.names)}
     tip = chain.tool(chain.frames(symbols, named)[-1], "1", named)
     found = vectorize(ca.Function("tip", [symbols, p], [tip, ca.jacobian(tip, p)]))(q, values)
     return found[0][..., 0], found[1]
@@ -76,7 +79,7 @@ def postures(chain: SpatialChain, count: int) -> Array:
 
 def test_every_error_against_exponentials(chain: SpatialChain) -> None:
     generator = np.random.default_rng(6)
-    names = chain.parameters.names
+    names = chain.every_parameter.names
     assert len(names) == 6 + 3 + 7 * len(chain)
     for q in postures(chain, 5):
         values = generator.uniform(-0.3, 0.3, len(names))
@@ -85,7 +88,7 @@ def test_every_error_against_exponentials(chain: SpatialChain) -> None:
 
 
 def test_jacobian_against_differences(chain: SpatialChain) -> None:
-    names = chain.parameters.names
+    names = chain.every_parameter.names
     values = np.random.default_rng(7).uniform(-0.1, 0.1, len(names))
     q = postures(chain, 1)[0]
     found = position_and_jacobian(chain, q, values)[1]
@@ -119,7 +122,7 @@ def test_pinocchio_agrees() -> None:
         placed = [value for joint, angle in zip(found.joints, q, strict=True) for value in _pinocchio(joint, angle)]
         pinocchio.framesForwardKinematics(model, data, np.array(placed))
         np.testing.assert_allclose(
-            position_and_jacobian(found, q, np.zeros(len(found.parameters)))[0],
+            position_and_jacobian(found, q, np.zeros(len(found.every_parameter)))[0],
             1000.0 * data.oMf[frame].translation,
             atol=1e-9,
         )

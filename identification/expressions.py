@@ -1,0 +1,111 @@
+"""A model in CasADi symbols, and the functions of it that run on arrays of postures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from identification.arm import Arm
+from identification.conditions import Conditions
+from identification.effects import Chain, Effect, measured_position
+from identification.effects.places import position_and_state, split, widths
+from identification.kinematics.parameters import ParameterSet
+from identification.vectorize import vectorize
+
+Evaluate = Callable[..., tuple[np.ndarray, ...]]
+
+
+@dataclass(frozen=True)
+class Expressions:
+    """Position of the tip and its derivatives as expressions of posture q, conditions c and parameters p.
+
+    every, estimated : all parameters, and those of the vector p;  fixed : name -> value of the others
+    extra : further columns of the conditions, in order: `marker`, and `errors` that curves say
+    """
+
+    arm: Arm
+    effects: tuple[Effect, ...]
+    every: ParameterSet
+    estimated: ParameterSet
+    fixed: Mapping[str, float]
+    remembers: bool
+    extra: tuple[str, ...]
+
+    @cached_property
+    def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """SX of postures q (n), conditions c, parameters (p) and position (d)."""
+        n = self.arm.links
+        width = Conditions.columns(n, self.remembers) + ("marker" in self.extra) + n * ("errors" in self.extra)
+        q, c, p = ca.SX.sym("q", n), ca.SX.sym("c", width), ca.SX.sym("p", len(self.estimated))
+        return q, c, p, measured_position(self.chain(q, c), self.effects, self.values(p))
+
+    def values(self, p: ca.SX) -> ca.SX:
+        """Values of `every` parameter, where p has those of the estimated ones."""
+        slot = {name: p[k] for k, name in enumerate(self.estimated.names)}
+        return ca.vertcat(*(slot.get(name, self.fixed.get(name, 0.0)) for name in self.every.names))
+
+    def chain(self, q: ca.SX, c: ca.SX) -> Chain:
+        """The nominal chain at the symbols of a posture and its conditions."""
+        width = Conditions.columns(self.arm.links, self.remembers)
+        chain = Chain.of(self.arm, q, c[:width])
+        if "marker" in self.extra:
+            chain, width = replace(chain, marker=c[width]), width + 1
+        return replace(chain, errors=c[width:]) if "errors" in self.extra else chain
+
+    @cached_property
+    def position_function(self) -> ca.Function:
+        """CasADi (q, c, p) -> position (d) [mm]."""
+        q, c, p, position = self.symbols
+        return ca.Function("position", [q, c, p], [ca.cse(position)], ["q", "c", "p"], ["position"])
+
+    @cached_property
+    def jacobian_function(self) -> ca.Function:
+        """CasADi (q, c, p) -> position (d) [mm] and its exact derivative with respect to the parameters (d, p)."""
+        q, c, p, position = self.symbols
+        outputs = ca.cse([position, ca.jacobian(position, p)])
+        return ca.Function("jacobian", [q, c, p], outputs, ["q", "c", "p"], ["position", "jacobian"])
+
+    @cached_property
+    def position(self) -> Evaluate:
+        """Of arrays (q, c, p): the position."""
+        return vectorize(self.position_function)
+
+    @cached_property
+    def jacobian(self) -> Evaluate:
+        """Of arrays (q, c, p): position and Jacobian."""
+        return vectorize(self.jacobian_function)
+
+    @cached_property
+    def joint_levers(self) -> Evaluate:
+        """Of arrays (q, c, p): the derivative with respect to an angle added at each joint, (d, n)."""
+        added, position, _ = self._with_added
+        turns = split(added, self.arm.links, self.arm.dimension)["joint_angles"]
+        return self._at_zero("levers", [ca.jacobian(position, turns)])
+
+    @cached_property
+    def place_levers(self) -> Evaluate:
+        """Of arrays (q, c, p): the derivative with respect to what is added at each place, (d, P), and the state."""
+        added, position, state = self._with_added
+        return self._at_zero("place_levers", [ca.jacobian(position, added), state])
+
+    @cached_property
+    def _with_added(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """What is added at all places, the position with it, and the state."""
+        q, c, p, _ = self.symbols
+        added = ca.SX.sym("added", sum(widths(self.arm.links, self.arm.dimension).values()))
+        return added, *position_and_state(self.chain(q, c), self.effects, self.values(p), added)
+
+    def _at_zero(self, name: str, expressions: list[ca.SX]) -> Evaluate:
+        """The expressions where nothing is added."""
+        added = self._with_added[0]
+        found = ca.substitute(expressions, [added], [ca.SX.zeros(added.numel())])
+        return vectorize(ca.Function(name, list(self.symbols[:3]), ca.cse(found)))
+
+    def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Evaluate:
+        """Of arrays (q, c): an expression of the nominal chain."""
+        q, c = self.symbols[:2]
+        return vectorize(ca.Function("expression", [q, c], [ca.cse(ca.densify(expression(self.chain(q, c))))]))

@@ -1,0 +1,91 @@
+"""Spatial models: the planar arm as one whose axes are parallel, derivatives against finite differences, gravity
+torques against the work of the loads."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm, EffectSpec, Gravity
+from identification.conditions import Conditions
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.frames import pose
+from identification.kinematics.parameters import PRISMATIC
+from identification.kinematics.spatial import Joint, SpatialChain
+from identification.model import Model
+
+LENGTHS = np.array([400.0, 300.0, 150.0])
+UP = np.array([0.0, 0.0, 1.0])
+ORIGINS = [pose(), pose((400.0, 0.0, 0.0)), pose((300.0, 0.0, 0.0))]
+PARALLEL = SpatialChain(
+    tuple(Joint(f"j{k}", origin, UP) for k, origin in enumerate(ORIGINS, start=1)), pose((150.0, 0.0, 0.0))
+)
+SPECS = (EffectSpec("joint_compliance"), EffectSpec("encoder_eccentricity", 2), EffectSpec("thermal_growth"))
+POSTURES = np.random.default_rng(2).uniform(-2.0, 2.0, (7, 3))
+WARM = Conditions(temperature=np.linspace(-3.0, 3.0, 7), time=np.linspace(-0.5, 0.5, 7))
+SIX = chain_of(
+    [
+        DHRow(0.0, np.pi / 2, 300.0),
+        DHRow(-400.0, 0.1, 0.0),
+        DHRow(0.0, np.pi / 2, 0.0, type=PRISMATIC, limits=(100.0, 500.0)),
+        DHRow(50.0, -np.pi / 2, 80.0),
+    ]
+)
+
+
+def test_the_planar_arm_is_one_whose_axes_are_parallel() -> None:
+    """Same positions with the same effects; the masses hang in the plane."""
+    loads = [12.0, 8.0, 4.0], [0.5, 0.4, 0.6], 3.0
+    level = Gravity(np.array([0.0, -9.81]), *map(np.array, loads[:2]), loads[2])
+    flat = Model(Arm(LENGTHS, gravity=level, effects=SPECS))
+    gravity = Gravity(np.array([0.0, -9.81, 0.0]), *map(np.array, loads[:2]), loads[2])
+    space = Model(Arm.of_chain(PARALLEL, gravity=gravity, effects=SPECS))
+    values = np.array([1e-5, 2e-5, 3e-5, 4e-4, -3e-4, 2e-5])
+    planar = flat.position(POSTURES, np.r_[np.zeros(6), values], WARM)
+    spatial = space.position(POSTURES, np.r_[np.zeros(len(space.geometry_parameters)), values], WARM)
+    np.testing.assert_allclose(spatial, np.c_[planar, np.zeros(7)], atol=1e-9)
+    np.testing.assert_allclose(space.points(POSTURES)[:, 1:, :2], flat.points(POSTURES), atol=1e-9)
+
+
+@pytest.mark.parametrize("chain", [PARALLEL, SIX], ids=["parallel", "with a sliding joint"])
+def test_derivatives_against_finite_differences(chain: SpatialChain) -> None:
+    gravity = Gravity(np.array([0.0, 1.0, -9.7]), np.full(len(chain), 5.0), np.full(len(chain), 0.5), 2.0)
+    specs = (*SPECS[:2], EffectSpec("base_drift"), EffectSpec("base_rotation_drift"), EffectSpec("gravity_tilt"))
+    model = Model(Arm.of_chain(chain, gravity=gravity, effects=specs))
+    generator = np.random.default_rng(3)
+    q = np.array([[joint.lower, joint.upper] for joint in chain.joints])
+    postures = generator.uniform(q[:, 0], q[:, 1], (7, len(chain)))
+    values = np.maximum(1e-4 * generator.standard_normal(len(model.names)), model.parameters.lower)
+    steps = 1e-3 / model.scales  # a thousandth of a millimetre at the tip: rounding is 1e-10 of it
+    jacobian = model.jacobian(postures, values, WARM)
+    for k, step in enumerate(steps):
+        moved = step * np.eye(len(values))[k]
+        ends = [model.position(postures, values + sign * moved, WARM) for sign in (1.0, -1.0)]
+        np.testing.assert_allclose((ends[0] - ends[1]) / (2.0 * step), jacobian[..., k], atol=1e-5 * model.scales[k])
+    levers = model.joint_levers(postures, values, WARM)
+    for j in range(len(chain)):
+        step = 1e-6 * np.eye(len(chain))[j]
+        # of the angle as it is, not as effects of the commanded one see it: without effects both are one
+        bare = Model(Arm.of_chain(chain))
+        change = (bare.position(postures + step) - bare.position(postures - step)) / 2e-6
+        np.testing.assert_allclose(levers[..., j], change, atol=1e-2 * np.abs(change).max())
+
+
+def test_gravity_torques_are_the_work_of_the_loads() -> None:
+    """tau_j = -dU/dq_j of the potential energy of all masses [J], by central differences in plain numpy."""
+    masses, share, payload = np.array([7.0, 5.0, 3.0, 2.0]), np.array([0.5, 0.3, 0.7, 0.5]), 1.5
+    down = np.array([0.3, -1.0, -9.7])
+    arm = Arm.of_chain(SIX, gravity=Gravity(down, masses, share, payload))
+    model, q = Model(arm), np.array([0.4, -1.1, 320.0, 0.9])
+
+    def energy(posture: np.ndarray) -> float:
+        points, home = (model.points(q[None])[0, 1:] / 1000.0 for q in (posture, posture * [1.0, 1.0, 0.0, 1.0]))
+        ends = points[1:].copy()
+        ends[1] = home[2]  # link 2 ends where joint 3 begins to slide
+        return float(-down @ (masses @ (points[:-1] + share[:, None] * (ends - points[:-1])) + payload * points[-1]))
+
+    torques = model.on_chain(lambda chain: chain.torques)(q[None], Conditions())[0]
+    for j, length in enumerate((1.0, 1.0, 1000.0, 1.0)):  # a slide is in millimetres, its force per metre
+        step = 1e-5 * length * np.eye(4)[j]
+        expected = -(energy(q + step) - energy(q - step)) / 2e-5
+        assert torques[j] == pytest.approx(expected, abs=1e-6)
