@@ -37,6 +37,7 @@ LAYERS = {
     "identification.information": 4,
     "identification.simulate": 4,
     "identification.placed": 4,
+    "identification.minimal": 4,
     "identification.estimation": 5,
     "identification.compensate": 6,
     "identification.sessions": 5,

@@ -57,11 +57,11 @@ def estimate(
     method fails.
     """
     check(model, measurements)
-    model = placed_model(model, measurements)
     if prior := getattr(model, "prior", None):
         if method not in (None, "gauss_newton"):
             raise InputError(f"method: {method} for a spatial arm held by a prior, allowed: gauss_newton")
         return estimate_with_prior(model, measurements, Prior(prior), sigma, weights)
+    model = placed_model(model, measurements)
     noise = weighting(model, measurements, sigma, weights)
     problem = Problem.of(model, measurements, noise.weights)
     chosen = method or ("linear" if problem.exact_form else "gauss_newton")

@@ -41,8 +41,21 @@ def placed(frames: Array, measured: Array, reach: float) -> Placement:
 
     frames : (m, 4, 4) nominal poses of the tip in the base;  reach : [mm] that gives the starts of the tool their size
     """
-    starts = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * 0.1 * reach
-    return min((_alternated(frames, measured, start) for start in starts), key=lambda found: found.rms)
+    moments = _Moments.of(frames, measured)
+    tools = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * 0.1 * reach
+    before = np.full(len(tools), np.inf)
+    for _ in range(ROUNDS):
+        rotations = moments.rotations(tools)
+        tools = moments.tools(rotations)
+        squares = moments.squares(rotations, tools)
+        if np.all(squares > before * (1.0 - ENOUGH)):
+            break
+        before = squares
+    best = int(np.argmin(squares))
+    tool = tools[best]
+    base = registered(frames[:, :3, 3] + frames[:, :3, :3] @ tool, measured)
+    left = measured - (frames[:, :3, 3] + frames[:, :3, :3] @ tool) @ base[:3, :3].T - base[:3, 3]
+    return Placement(base, tool, float(np.sqrt(np.mean(np.sum(left**2, axis=1)))))
 
 
 def placed_tool(frames: Array, measured: Array, base: Array) -> Array:
@@ -54,15 +67,42 @@ def placed_tool(frames: Array, measured: Array, base: Array) -> Array:
     return np.asarray(np.einsum("mji,mj->i", frames[:, :3, :3], local - frames[:, :3, 3]) / len(frames))
 
 
-def _alternated(frames: Array, measured: Array, tool: Array) -> Placement:
-    turns, origins = frames[:, :3, :3], frames[:, :3, 3]
-    before = np.inf
-    for _ in range(ROUNDS):
-        base = registered(origins + turns @ tool, measured)
-        tool = placed_tool(frames, measured, base)
-        left = measured - (origins + turns @ tool) @ base[:3, :3].T - base[:3, 3]
-        squares = float(np.mean(np.sum(left**2, axis=1)))
-        if squares > before * (1.0 - ENOUGH):
-            break
-        before = squares
-    return Placement(base, tool, float(np.sqrt(squares)))
+class _Moments(NamedTuple):
+    """Means over the rows that the sum of squares needs, so that a round costs the same for any number of them.
+
+    With positions p and rotations R of the tip and measured points y, each less its mean: of y p^T (3, 3), of y_k R
+    (3, 3, 3), of R^T p (3,), of R^T R (3, 3), of |p|^2 + |y|^2.
+    """
+
+    points: Array
+    turns: Array
+    along: Array
+    gram: Array
+    squared: float
+
+    @classmethod
+    def of(cls, frames: Array, measured: Array) -> _Moments:
+        """Of poses (m, 4, 4) and measured points (m, 3)."""
+        p, turn, y = (a - a.mean(axis=0) for a in (frames[:, :3, 3], frames[:, :3, :3], measured))
+        m = len(p)
+        points, turns = y.T @ p / m, np.einsum("mk,mij->kij", y, turn) / m
+        along, gram = np.einsum("mji,mj->i", turn, p) / m, np.einsum("mji,mjk->ik", turn, turn) / m
+        return cls(points, turns, along, gram, float(np.sum(p**2 + y**2)) / m)
+
+    def rotations(self, tools: Array) -> Array:
+        """(s, 3, 3) best rotations of the base for tools (s, 3) (Kabsch)."""
+        left, _, right = np.linalg.svd(self.points + np.einsum("kij,sj->ski", self.turns, tools))
+        left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]  # no mirror
+        return np.asarray(left @ right)
+
+    def tools(self, rotations: Array) -> Array:
+        """(s, 3) best tools for rotations (s, 3, 3) of the base."""
+        target = np.einsum("ski,kij->sj", rotations, self.turns) - self.along
+        return np.asarray(np.linalg.lstsq(self.gram, target.T, rcond=1e-9)[0].T)
+
+    def squares(self, rotations: Array, tools: Array) -> Array:
+        """(s,) mean squared distances left [mm^2]."""
+        crossed = np.einsum("ski,ki->s", rotations, self.points)
+        crossed += np.einsum("ski,kij,sj->s", rotations, self.turns, tools)
+        own = 2.0 * tools @ self.along + np.einsum("si,ij,sj->s", tools, self.gram, tools)
+        return np.asarray(self.squared + own - 2.0 * crossed)
