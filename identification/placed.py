@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
+from identification.errors import InputError, nearest
 from identification.kinematics.placement import placed, placed_tool, registered
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.measurements import Measurements
@@ -19,23 +23,63 @@ ENOUGH = 500  # rows: a start is good to far less than the errors of the geometr
 
 
 def placed_model(model: Model, measurements: Measurements) -> Model:
-    """The model with base and measured points from a closed form on the nominal chain; planar arms stay as they are."""
-    chain = model.arm.chain if isinstance(model, Model) else None
-    if chain is None or chain.known >= {BASE, TOOL}:
+    """The model with base and measured points from a closed form on the geometry as best known, the points named as in
+    the data; planar arms stay as they are.
+
+    Raises `InputError` for measured points that the arm does not have.
+    """
+    arm = model.arm if isinstance(model, Model) else None
+    if arm is None or arm.chain is None:
         return model
+    arm = replace(arm, chain=with_markers(arm.chain, measurements))
+    if arm.chain.known >= {BASE, TOOL}:
+        return replace(model, arm=arm)
     some = np.unique(np.linspace(0, len(measurements) - 1, ENOUGH).astype(int))
     rows = measurements.rows(some)
     markers = np.zeros(len(rows), dtype=np.int64) if rows.marker_numbers is None else rows.marker_numbers
-    found = placed_chain(chain, rows.postures, rows.positions, markers)
-    return replace(model, arm=replace(model.arm, chain=found))
+    values = {}
+    if arm.calibration is not None:
+        placed_kinds = {BASE, TOOL} - arm.chain.known
+        kept = {k: v for k, v in arm.calibration.values.items() if re.split(r"[.\[]", k)[0] not in placed_kinds}
+        arm = replace(arm, calibration=replace(arm.calibration, values=kept, base=None, tools={}))
+        values = kept
+    found = placed_chain(arm.chain, rows.postures, rows.positions, markers, values)
+    return replace(model, arm=replace(arm, chain=found))
 
 
-def placed_chain(chain: SpatialChain, postures: Array, positions: Array, markers: NDArray[np.int64]) -> SpatialChain:
+def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChain:
+    """The chain with the measured points that the data name, in the order of the data; `InputError` for others.
+
+    One point that the arm knows is the one that is measured, whatever the data call it.
+    """
+    names, tools = measurements.marker_names, chain.tools
+    if not names:
+        if len(tools) > 1:
+            found = "no column marker, and the arm has several measured points"
+            raise InputError(f"measurements: {found}, allowed: one of {', '.join(tools)} in each row")
+        return chain
+    if len(tools) == 1 == len(names):
+        return replace(chain, tools=dict(zip(names, tools.values(), strict=True)))
+    if TOOL not in chain.known:
+        return replace(chain, tools={name: tools.get(name, np.zeros(3)) for name in names})
+    for name in names:
+        if name not in tools:
+            raise InputError(f"measurements.marker: unknown name {name!r}, {nearest(name, tools)}")
+    return replace(chain, tools={name: tools[name] for name in dict.fromkeys((*names, *tools))})
+
+
+def placed_chain(
+    chain: SpatialChain,
+    postures: Array,
+    positions: Array,
+    markers: NDArray[np.int64],
+    values: Mapping[str, float] = MappingProxyType({}),
+) -> SpatialChain:
     """The chain with base and tools that explain (m, 3) positions [mm] at (m, n) postures best.
 
-    markers : (m,) number of each row's measured point
+    markers : (m,) number of each row's measured point;  values : best known errors of the geometry
     """
-    names, frames = list(chain.tools), tip_frames(chain, postures)
+    names, frames = list(chain.tools), tip_frames(chain, postures, values)
     base, tools = chain.base, {name: np.array(place) for name, place in chain.tools.items()}
     first = int(np.bincount(markers).argmax())
     own = markers == first
@@ -51,10 +95,10 @@ def placed_chain(chain: SpatialChain, postures: Array, positions: Array, markers
     return replace(chain, base=base, tools=tools)
 
 
-def tip_frames(chain: SpatialChain, postures: Array) -> Array:
-    """(m, 4, 4) nominal poses of the tip in the base at postures (m, n)."""
+def tip_frames(chain: SpatialChain, postures: Array, values: Mapping[str, float] = MappingProxyType({})) -> Array:
+    """(m, 4, 4) poses of the tip in the base at postures (m, n), with errors of the geometry by name."""
     q = ca.SX.sym("q", len(chain))
-    tip = replace(chain, base=np.eye(4)).frames(q, {})[-1]
+    tip = replace(chain, base=np.eye(4)).frames(q, values)[-1]
     origin, axes = vectorize(ca.Function("tip", [q], [ca.densify(tip.origin), ca.densify(tip.axes)]))(postures)
     frames = np.tile(np.eye(4), (len(postures), 1, 1))
     frames[:, :3, 3], frames[:, :3, :3] = origin[..., 0], axes

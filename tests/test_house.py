@@ -26,7 +26,11 @@ LAYERS = {
     "identification.effects": 2,
     "identification.conditions": 2,
     "identification.measurements": 2,
+    "identification.files.schema": 2,
     "identification.files.arm_schema": 2,
+    "identification.files.arm_schema_spatial": 2,
+    "identification.files.arm_effects": 2,
+    "identification.files.arm_spatial": 2,
     "identification.files.arm": 2,  # knows the effects an arm file names
     "identification.files.arm_text": 2,
     "identification.files.measurement": 2,

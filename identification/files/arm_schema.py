@@ -1,43 +1,44 @@
-"""The arm file's tables and what each key allows. The description of a field is the end of its error message."""
+"""The tables of a planar arm's file and what each key allows."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from identification.arm import LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
 from identification.arrays import Array
-from identification.errors import InputError, nearest
+from identification.errors import InputError
+from identification.files.schema import (
+    Angle,
+    Length,
+    NotNegative,
+    Pair,
+    Positive,
+    Schema,
+    Sigma,
+    StrictTable,
+    require_count,
+)
 
 ROUNDED = 1e-5  # of a correlation, where a covariance is written with six digits
-Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
-Positive = Annotated[float, Field(gt=0)]
-Length = Annotated[float, Field(ge=LENGTH_RANGE[0], le=LENGTH_RANGE[1])]
-Angle = Annotated[float, Field(ge=-LARGEST_ANGLE, le=LARGEST_ANGLE)]
-Sigma = Annotated[float, Field(ge=SIGMA_RANGE[0], le=SIGMA_RANGE[1])]
-NotNegative = Annotated[float, Field(ge=0)]
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class LimitsTable(_Table):
+class LimitsTable(StrictTable):
     """`[joint_limits_deg]`."""
 
     lower: list[Angle] = Field(description=f"one angle [deg] for each link, up to {LARGEST_ANGLE:g}")
     upper: list[Angle] = Field(description=f"one angle [deg] for each link, up to {LARGEST_ANGLE:g}")
 
 
-class MeasurementTable(_Table):
+class MeasurementTable(StrictTable):
     """`[measurement]`."""
 
     sigma_mm: Sigma | None = Field(None, description=f"a number > 0 [mm], {SIGMA_RANGE[0]:g} to {SIGMA_RANGE[1]:g}")
 
 
-class GravityTable(_Table):
+class GravityTable(StrictTable):
     """`[gravity]`."""
 
     acceleration_m_s2: Pair = Field(description="two numbers [m/s^2]")
@@ -48,7 +49,7 @@ class GravityTable(_Table):
     payload_kg: NotNegative = Field(0.0, description="a number >= 0 [kg]")
 
 
-class BoxTable(_Table):
+class BoxTable(StrictTable):
     """`kind = "workspace_box"`."""
 
     kind: Literal["workspace_box"]
@@ -63,7 +64,7 @@ class BoxTable(_Table):
         return self
 
 
-class CircleTable(_Table):
+class CircleTable(StrictTable):
     """`kind = "keep_out_circle"`."""
 
     kind: Literal["keep_out_circle"]
@@ -71,7 +72,7 @@ class CircleTable(_Table):
     radius_mm: Positive = Field(description="a number > 0 [mm]")
 
 
-class SightTable(_Table):
+class SightTable(StrictTable):
     """`kind = "line_of_sight"`."""
 
     kind: Literal["line_of_sight"]
@@ -104,11 +105,9 @@ class EffectTable(BaseModel):
         return dict(self.__pydantic_extra__)
 
 
-class CalibrationTable(_Table):
-    """`[calibration]`."""
+class CovarianceTable(StrictTable):
+    """What every `[calibration]` has."""
 
-    length_errors_mm: list[float] = Field(description="one number [mm] for each link")
-    joint_offsets_deg: list[float] = Field(description="one angle [deg] for each link")
     effects: dict[str, float] = Field(
         default_factory=dict, description="a table of numbers, its keys as EFFECT:JOINT.PARAMETER"
     )
@@ -130,17 +129,24 @@ class CalibrationTable(_Table):
             return self
         if self.parameters is None:
             raise InputError("calibration.parameters: is missing, allowed: the names of the rows of covariance")
-        _require_count("calibration.covariance", self.covariance, len(self.parameters), "rows for", "parameters")
+        require_count("calibration.covariance", self.covariance, len(self.parameters), "rows for", "parameters")
         for row in self.covariance:
-            _require_count("calibration.covariance", row, len(self.parameters), "values in a row for", "parameters")
+            require_count("calibration.covariance", row, len(self.parameters), "values in a row for", "parameters")
         check_covariance(self.matrix, self.parameters)
         return self
+
+
+class CalibrationTable(CovarianceTable):
+    """`[calibration]`."""
+
+    length_errors_mm: list[float] = Field(description="one number [mm] for each link")
+    joint_offsets_deg: list[float] = Field(description="one angle [deg] for each link")
 
 
 ConstraintTable = Annotated[BoxTable | CircleTable | SightTable, Field(discriminator="kind")]
 
 
-class ArmFile(_Table):
+class ArmFile(StrictTable):
     """The whole file."""
 
     links_mm: list[Length] = Field(
@@ -148,6 +154,7 @@ class ArmFile(_Table):
         max_length=MAX_LINKS,
         description=f"1 to {MAX_LINKS} link lengths > 0 [mm], {LENGTH_RANGE[0]:g} to {LENGTH_RANGE[1]:g}",
     )
+    kind: Literal["planar"] = Field("planar", description="planar or spatial")
     name: str = Field("arm", description="a text")
     joint_limits_deg: LimitsTable | None = Field(None, description="a table with lower and upper")
     measurement: MeasurementTable | None = Field(None, description="a table with sigma_mm")
@@ -171,9 +178,9 @@ class ArmFile(_Table):
         ):
             for key in keys:
                 if (values := getattr(table, key, None)) is not None:
-                    _require_count(f"{place}.{key}", values, len(self.links_mm))
+                    require_count(f"{place}.{key}", values, len(self.links_mm))
         if self.gear_ratio is not None:
-            _require_count("gear_ratio", self.gear_ratio, len(self.links_mm), "values for", "joints")
+            require_count("gear_ratio", self.gear_ratio, len(self.links_mm), "values for", "joints")
         return self
 
     @model_validator(mode="after")
@@ -186,88 +193,19 @@ class ArmFile(_Table):
         return self
 
 
-def _require_count(key: str, values: list[Any], count: int, what: str = "values for", whose: str = "links") -> None:
-    if len(values) != count:
-        raise InputError(f"{key}: found {len(values)} {what} {count} {whose}, allowed: {count}")
-
-
-_CONSTRAINTS: dict[str, type[BaseModel]] = {
-    "workspace_box": BoxTable,
-    "keep_out_circle": CircleTable,
-    "line_of_sight": SightTable,
-}
-_MODELS: dict[str, type[BaseModel]] = {
-    "": ArmFile,
-    "joint_limits_deg": LimitsTable,
-    "measurement": MeasurementTable,
-    "gravity": GravityTable,
-    "effects": EffectTable,
-    "calibration": CalibrationTable,
-    **{f"constraints.{kind}": model for kind, model in _CONSTRAINTS.items()},
-}
-
-
-def validated(tables: dict[str, Any]) -> ArmFile:
-    """The tables of an arm file, checked. Raises `InputError` naming key, what was found and what is allowed."""
-    try:
-        return ArmFile.model_validate(tables)
-    except ValidationError as error:
-        details = error.errors(include_url=False)
-        # a misspelt key is both unknown and missing: the first of the two says more
-        first = min(details, key=lambda detail: detail["type"] != "extra_forbidden")
-        raise InputError(_sentence(first)) from None
-
-
-def _sentence(detail: Any) -> str:
-    loc, kind = detail["loc"], detail["type"]
-    key = _dotted(loc)
-    if kind == "extra_forbidden":
-        return f"{key}: unknown key, {nearest(str(loc[-1]), _model(loc[:-1]).model_fields)}"
-    if kind == "union_tag_invalid":
-        tag = str(detail["ctx"]["tag"])
-        return f"{key}.kind: found {tag!r}, {nearest(tag, _CONSTRAINTS)}"
-    if kind == "union_tag_not_found":
-        return f"{key}.kind: is missing, allowed: {', '.join(sorted(_CONSTRAINTS))}"
-    if kind == "value_error":  # from a validator above: a sentence already
-        return f"{key}.{detail['ctx']['error']}"
-    found = "is missing" if kind == "missing" else f"found {_shown(detail)}"
-    return f"{key}: {found}, allowed: {_allowed(loc)}"
-
-
-def _dotted(loc: tuple[int | str, ...]) -> str:
-    """`constraints[2].x_mm`: entries are counted from 1, and the kind of a constraint is not part of its key."""
-    if loc[0] == "constraints":
-        loc = (*loc[:2], *loc[3:])
-    text = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in loc)
-    return text.removeprefix(".")
-
-
-def _model(loc: tuple[int | str, ...]) -> type[BaseModel]:
-    return _MODELS[".".join(part for part in loc if isinstance(part, str))]
-
-
-def _allowed(loc: tuple[int | str, ...]) -> str:
-    """The description of the innermost field that `loc` lies in."""
-    if loc[0] == "effects" and len(loc) == 3 and loc[2] not in EffectTable.model_fields:
-        return "a finite number"
-    for end in range(len(loc), 0, -1):
-        path = ".".join(part for part in loc[: end - 1] if isinstance(part, str))
-        fields = _MODELS[path].model_fields if path in _MODELS else {}
-        if loc[end - 1] in fields:
-            return str(fields[str(loc[end - 1])].description)
-    return "a table"
-
-
-def _shown(detail: Any) -> str:
-    value = detail["input"]
-    if detail["type"] in ("too_long", "too_short"):
-        return f"{len(value)} values"
-    if isinstance(value, dict):
-        return "a table"
-    if isinstance(value, bool):
-        return str(value).lower()
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
+PLANAR = Schema(
+    {
+        "": ArmFile,
+        "joint_limits_deg": LimitsTable,
+        "measurement": MeasurementTable,
+        "gravity": GravityTable,
+        "effects": EffectTable,
+        "calibration": CalibrationTable,
+        "constraints.workspace_box": BoxTable,
+        "constraints.keep_out_circle": CircleTable,
+        "constraints.line_of_sight": SightTable,
+    }
+)
 
 
 def check_covariance(matrix: Array, names: list[str]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,16 +23,20 @@ from identification.arm import (
 )
 from identification.arrays import Array
 from identification.errors import InputError, nearest
-from identification.files.arm import FileName, arm_from_tables, built, effects_of, file_names
-from identification.files.arm_schema import ArmFile, validated
+from identification.files.arm import arm_from_tables
+from identification.files.arm_effects import FileName, built, file_names
+from identification.files.io import PathLike
 from identification.files.toml import Plain, append_tables, replace_table
+from identification.kinematics.parameters import GEOMETRY, chain_parameters
 
 if TYPE_CHECKING:
     from identification.effects import Effect
 
 
 def dump_arm(arm: Arm) -> str:
-    """The text of an arm file for `arm`; `load_arm` reads the same arm from it, to rounding (1e-14)."""
+    """The text of an arm file for a planar `arm`; `load_arm` reads the same arm from it, to rounding (1e-14)."""
+    if arm.chain is not None:
+        raise InputError(f"arm {arm.name}: is spatial, allowed: a planar arm; copy the arm file it was read from")
     tables: Plain = {
         "name": arm.name,
         "links_mm": arm.lengths.tolist(),
@@ -48,36 +53,40 @@ def dump_arm(arm: Arm) -> str:
     return text if arm.calibration is None else with_calibration(text, arm.calibration)
 
 
-def with_effects(text: str, specs: Iterable[EffectSpec]) -> str:
+def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".") -> str:
     """`text` of an arm file with `[[effects]]` entries added for those of `specs` that it does not have yet.
 
     Values of the specs (API units) are written in file units, and so become known. Comments and order of the text stay.
     Raises `InputError` for effects that the arm cannot have.
+
+    folder : where the files are that the text names
     """
-    text, _, file = _parsed(text)
-    there = {effect.label for _, effect in effects_of(file)}
-    wanted = built(specs, len(file.links_mm))
+    text, _, arm = _parsed(text, folder)
+    there = {effect.label for _, effect in built(arm.effects, arm.links, arm.dimension)}
+    wanted = built(specs, arm.links, arm.dimension)
     tables = [_effect_table(spec, effect) for spec, effect in wanted if effect.label not in there]
     return append_tables(text, "effects", tables) if tables else text
 
 
-def with_calibration(text: str, calibration: Calibration) -> str:
+def with_calibration(text: str, calibration: Calibration, folder: PathLike = ".") -> str:
     """`text` of an arm file with its `[calibration]` replaced or added; comments and order of the rest stay.
 
     Effects with estimated values must stand under `[[effects]]` of the text: see `with_effects`. Raises `InputError`
     for a calibration of another number of links, or of effects the text does not have.
+
+    folder : where the files are that the text names
     """
-    text, before, file = _parsed(text)
-    tables = _calibration_table(calibration, file_names(len(file.links_mm), effects_of(file)))
-    arm_from_tables({**before, "calibration": tables})  # nothing is written that could not be read again
+    text, before, arm = _parsed(text, folder)
+    tables = _calibration_table(arm, calibration)
+    arm_from_tables({**before, "calibration": tables}, folder)  # nothing is written that could not be read again
     return replace_table(text, "calibration", tables)
 
 
-def _parsed(text: str) -> tuple[str, Plain, ArmFile]:
-    """The text without a byte-order mark, its tables, and the file that they describe without a calibration."""
+def _parsed(text: str, folder: PathLike) -> tuple[str, Plain, Arm]:
+    """The text without a byte-order mark, its tables, and the arm that they describe without a calibration."""
     text = text.removeprefix("\ufeff")
     tables = tomllib.loads(text)
-    return text, tables, validated({key: value for key, value in tables.items() if key != "calibration"})
+    return text, tables, arm_from_tables({key: value for key, value in tables.items() if key != "calibration"}, folder)
 
 
 # -- tables, as plain Python in file units --------------------------------------------------------------------
@@ -111,8 +120,7 @@ def _constraint_table(constraint: Constraint) -> Plain:
         center = _floats(constraint.center)
         return {"kind": "keep_out_circle", "center_mm": center, "radius_mm": float(constraint.radius)}
     if isinstance(constraint, KeepOutCylinder):
-        ends = {"start_mm": _floats(constraint.start), "end_mm": _floats(constraint.end)}
-        return {"kind": "keep_out_cylinder", **ends, "radius_mm": float(constraint.radius)}
+        raise InputError("constraints: a cylinder in a plane, allowed: keep_out_circle")
     return {
         "kind": "line_of_sight",
         "tracker_mm": _floats(constraint.tracker),
@@ -142,13 +150,13 @@ def _in_file(value: float, factor: float) -> float:
     return float(value) if factor == 1.0 else _tidy(float(value) * factor)
 
 
-def _calibration_table(calibration: Calibration, names: list[FileName]) -> Plain:
+def _calibration_table(arm: Arm, calibration: Calibration) -> Plain:
+    chain = None if arm.chain is None else replace(arm.chain, tools=calibration.tools or arm.chain.tools)
+    geometry = chain_parameters(arm.lengths) if chain is None else chain.parameters()
+    names = file_names(geometry, built(arm.effects, arm.links, arm.dimension))
     by_api = {name.api: name for name in names}
     _require_known((*calibration.effects, *calibration.parameter_names), by_api)
-    tables: Plain = {
-        "length_errors_mm": _floats(calibration.length_errors),
-        "joint_offsets_deg": _degrees(calibration.joint_offsets),
-    }
+    tables: Plain = _planar_errors(calibration) if chain is None else _spatial_errors(calibration, by_api)
     order = [by_api[api] for api in calibration.parameter_names]
     if order:
         tables["parameters"] = [name.file for name in order]
@@ -158,6 +166,26 @@ def _calibration_table(calibration: Calibration, names: list[FileName]) -> Plain
         tables["effects"] = {by_api[api].file: _in_file(value, by_api[api].factor) for api, value in effects.items()}
     if calibration.provenance:
         tables["provenance"] = _plain(calibration.provenance)
+    return tables
+
+
+def _planar_errors(calibration: Calibration) -> Plain:
+    return {
+        "length_errors_mm": _floats(calibration.length_errors),
+        "joint_offsets_deg": _degrees(calibration.joint_offsets),
+    }
+
+
+def _spatial_errors(calibration: Calibration, by_api: Mapping[str, FileName]) -> Plain:
+    from identification.files.arm_spatial import point_table, pose_table
+
+    geometry = {name: value for name, value in calibration.values.items() if GEOMETRY.fullmatch(name)}
+    _require_known(geometry, by_api)
+    tables: Plain = {"values": {name: _in_file(value, by_api[name].factor) for name, value in geometry.items()}}
+    if calibration.base is not None:
+        tables["base"] = pose_table(calibration.base)
+    if calibration.tools:
+        tables["tools"] = {name: point_table(place) for name, place in calibration.tools.items()}
     return tables
 
 

@@ -1,6 +1,7 @@
 """Rigid transformations in space: (4, 4) homogeneous matrices in numpy, and elementary motions in CasADi.
 
-Rotations by roll, pitch and yaw (r, p, y) are those of URDF: Rz(y) Ry(p) Rx(r), about fixed axes.
+Rotations by roll, pitch and yaw (r, p, y) are those of URDF: Rz(y) Ry(p) Rx(r), about fixed axes; files speak of
+rotations about own axes, x, then y, then z.
 """
 
 from __future__ import annotations
@@ -46,6 +47,16 @@ def roll_pitch_yaw(rotation: Array) -> Array:
         return np.array([roll, pitch, 0.0])
     roll = float(np.arctan2(rotation[2, 1], rotation[2, 2]))
     return np.array([roll, pitch, float(np.arctan2(rotation[1, 0], rotation[0, 0]))])
+
+
+def from_own_axes(x: float, y: float, z: float) -> Array:
+    """(3, 3) Rx(x) Ry(y) Rz(z): turned about its own x, then its own y, then its own z axis (intrinsic X-Y-Z)."""
+    return from_roll_pitch_yaw(-x, -y, -z).T
+
+
+def own_axes_angles(rotation: Array) -> Array:
+    """(3,) angles [rad] with `from_own_axes` of them the rotation (3, 3)."""
+    return -roll_pitch_yaw(rotation.T)
 
 
 @dataclass(frozen=True)

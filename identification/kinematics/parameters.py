@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -33,6 +34,8 @@ REVOLUTE, PRISMATIC = "revolute", "prismatic"
 JOINT_UNITS: Mapping[str, str] = MappingProxyType({REVOLUTE: "rad", PRISMATIC: "mm"})
 # kinds of parameters; those of the chain belong to a joint, those of the effects may
 LENGTH_ERROR, JOINT_OFFSET, EFFECT = "length_error", "joint_offset", "effect"
+# names of the parameters of a chain, in the plane and in space
+GEOMETRY = re.compile(r"(length_error|joint_offset|(translation|rotation)_[xyz]):\d+|base\.r?[xyz]|tool\[.*\]\.[xyz]")
 
 
 @dataclass(frozen=True)
@@ -192,4 +195,4 @@ def by_joint(values: Mapping[str, float], kind: str) -> Array:
 
 def of_effects(values: Mapping[str, float]) -> dict[str, float]:
     """The values whose names are those of effects."""
-    return {name: value for name, value in values.items() if name.partition(":")[0] not in (LENGTH_ERROR, JOINT_OFFSET)}
+    return {name: value for name, value in values.items() if not GEOMETRY.fullmatch(name)}

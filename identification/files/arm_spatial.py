@@ -1,0 +1,236 @@
+"""Spatial arms in arm files, `kind = "spatial"`: a URDF file or Denavit-Hartenberg tables -> `Arm.of_chain`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from identification.arm import (
+    Arm,
+    Calibration,
+    Constraint,
+    KeepOutCircle,
+    KeepOutCylinder,
+    LineOfSight,
+    Machining,
+    WorkspaceBox,
+)
+from identification.arrays import Array, readonly
+from identification.errors import InputError, nearest
+from identification.files.arm_effects import (
+    FileName,
+    calibrated_effects,
+    check_gravity,
+    covariance_of,
+    effects_of,
+    file_names,
+    gravity_of,
+)
+from identification.files.arm_schema_spatial import (
+    POINTS,
+    SPATIAL,
+    AnglesTable,
+    CylinderTable,
+    MachiningTable,
+    PoseTable,
+    SpatialArmFile,
+    SpatialBoxTable,
+    SpatialCalibrationTable,
+    SpatialConstraint,
+    SphereTable,
+    TravelsTable,
+)
+from identification.files.io import PathLike
+from identification.files.schema import require_count
+from identification.files.urdf import Urdf, read_urdf
+from identification.kinematics.corrected import before_errors
+from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, chain_of
+from identification.kinematics.frames import from_own_axes, own_axes_angles, pose
+from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE
+from identification.kinematics.spatial import BASE, TOOL, Joint, SpatialChain
+
+
+def spatial_arm(tables: Mapping[str, Any], folder: PathLike) -> Arm:
+    """The arm of parsed TOML; raises `InputError` naming key, what was found and what is allowed.
+
+    folder : where the URDF file is
+    """
+    file: SpatialArmFile = SPATIAL.validated(tables)
+    chain = _standing(file, _chain(file, folder))
+    joints = len(chain)
+    file.require_counts(joints)
+    effects = effects_of(file.effects, joints, chain.dimension)
+    check_gravity(file.gravity, effects)
+    table, calibration = file.calibration, None
+    if table is not None:
+        chain = _with_markers(chain, table)
+        calibration = _calibration(table, chain, file_names(chain.parameters(), effects))
+        chain = before_errors(chain, calibration.values, calibration.base, calibration.tools)
+    return Arm.of_chain(
+        chain,
+        sigma=None if file.measurement is None else file.measurement.sigma_mm,
+        name=file.name,
+        gravity=gravity_of(file.gravity, joints),
+        constraints=tuple(_constraint(table) for table in file.constraints),
+        effects=tuple(spec for spec, _ in effects),
+        calibration=calibration,
+        gear_ratios=None if file.gear_ratio is None else readonly(file.gear_ratio),
+        machining=_machining(file.machining),
+    )
+
+
+# -- geometry ----------------------------------------------------------------------------------------------------------
+def urdf_of(tables: Mapping[str, Any], folder: PathLike) -> tuple[Urdf, str, str] | None:
+    """The URDF file that the tables of an arm file name, with base and tip link; None where they name none."""
+    name = tables.get("urdf")
+    if not isinstance(name, str):
+        return None
+    path = Path(folder) / name
+    if not path.resolve().is_relative_to(Path(folder).resolve()):
+        raise InputError(f"urdf: {name!r} is outside the folder of the arm file, allowed: a file beside it or below")
+    return read_urdf(path), str(tables["base_link"]), str(tables["tip_link"])
+
+
+def _chain(file: SpatialArmFile, folder: PathLike) -> SpatialChain:
+    """The nominal geometry with its joint limits."""
+    if file.dh is None:
+        found = urdf_of(file.model_dump(include={"urdf", "base_link", "tip_link"}), folder)
+        assert found is not None
+        urdf, base, tip = found
+        chain = urdf.chain(base, tip)
+    else:
+        given = dict.fromkeys(row.convention for row in file.dh if row.convention)
+        if len(given) > 1:
+            raise InputError(f"dh: found conventions {' and '.join(given)}, allowed: one for all rows")
+        chain = chain_of([_row(file, k) for k in range(len(file.dh))], next(iter(given), STANDARD))
+    joints = _limited(chain.joints, REVOLUTE, "joint_limits_deg", file.joint_limits_deg, np.pi / 180.0)
+    joints = _limited(joints, PRISMATIC, "joint_limits_mm", file.joint_limits_mm, 1.0)
+    return replace(chain, joints=joints)
+
+
+def _row(file: SpatialArmFile, k: int) -> DHRow:
+    """Row k of `[[dh]]`; limits of a prismatic joint are set later, those here stand for some."""
+    row = (file.dh or [])[k]
+    if row.joint == PRISMATIC and file.joint_limits_mm is None:
+        found = "a prismatic joint without limits"
+        raise InputError(f"dh[{k + 1}]: {found}, allowed: lower and upper in [joint_limits_mm]")
+    alpha, offset = np.radians((row.alpha_deg, row.offset_deg))
+    return DHRow(row.a_mm, float(alpha), row.d_mm, float(offset), row.joint, (-np.pi, np.pi))
+
+
+def _limited(
+    joints: Iterable[Joint], kind: str, key: str, table: AnglesTable | TravelsTable | None, factor: float
+) -> tuple[Joint, ...]:
+    """The joints, those of a kind with the limits of a table, in order."""
+    if table is None:
+        return tuple(joints)
+    found = list(joints)
+    own = [k for k, joint in enumerate(found) if joint.type == kind]
+    for name, values in (("lower", table.lower), ("upper", table.upper)):
+        require_count(f"{key}.{name}", values, len(own), whose=f"{kind} joints")
+    for k, lower, upper in zip(own, table.lower, table.upper, strict=True):
+        found[k] = replace(found[k], lower=lower * factor, upper=upper * factor)
+    return tuple(found)
+
+
+def _standing(file: SpatialArmFile, chain: SpatialChain) -> SpatialChain:
+    """With base and measured points, where the file gives them."""
+    if file.base is not None:
+        chain = replace(chain, base=_pose(file.base), known=chain.known | {BASE})
+    if file.tool is not None:
+        chain = replace(chain, tools=_tools(file.tool), known=chain.known | {TOOL})
+    return chain
+
+
+def _pose(table: PoseTable) -> Array:
+    angles = np.radians((table.rx_deg, table.ry_deg, table.rz_deg)).tolist()
+    return pose((table.x_mm, table.y_mm, table.z_mm), from_own_axes(*angles))
+
+
+def _tools(table: Mapping[str, Any], place: str = "tool") -> dict[str, Array]:
+    """Name -> (3,) point of `[tool]`, which is of marker 1, or of `[tool.MARKER]`."""
+    several = table and all(isinstance(value, dict) for value in table.values())
+    points = (
+        {name: (f"{place}.{name}.", value) for name, value in table.items()} if several else {"1": ("tool.", table)}
+    )
+    read = {name: POINTS.validated(value, where) for name, (where, value) in points.items()}
+    return {name: readonly((point.x_mm, point.y_mm, point.z_mm)) for name, point in read.items()}
+
+
+def pose_table(matrix: Array) -> dict[str, float]:
+    """(4, 4) as `[base]` has it."""
+    angles = np.degrees(own_axes_angles(matrix[:3, :3]))
+    return point_table(matrix[:3, 3]) | {
+        f"r{axis}_deg": float(f"{a:.15g}") for axis, a in zip("xyz", angles, strict=True)
+    }
+
+
+def point_table(place: Array) -> dict[str, float]:
+    """(3,) as `[tool]` has it."""
+    return {f"{axis}_mm": float(x) for axis, x in zip("xyz", place, strict=True)}
+
+
+# -- what else the file says -------------------------------------------------------------------------------------------
+def _machining(table: MachiningTable | None) -> Machining:
+    usual = Machining()
+    if table is None:
+        return usual
+    rotation = usual.rotation if table.rotation_deg is None else float(np.radians(table.rotation_deg))
+    return Machining(usual.translation if table.translation_mm is None else table.translation_mm, rotation)
+
+
+def _constraint(table: SpatialConstraint) -> Constraint:
+    if isinstance(table, SpatialBoxTable):
+        return WorkspaceBox(_pair(table.x_mm), _pair(table.y_mm), _pair(table.z_mm))
+    if isinstance(table, SphereTable):
+        return KeepOutCircle(tuple(table.center_mm), table.radius_mm)
+    if isinstance(table, CylinderTable):
+        return KeepOutCylinder(_triple(table.start_mm), _triple(table.end_mm), table.radius_mm)
+    half, accepted = np.radians((table.half_angle_deg, table.acceptance_deg or 90.0)).tolist()
+    facing = None if table.facing is None else _triple(table.facing)
+    reach = None if table.range_mm is None else _pair(table.range_mm)
+    return LineOfSight(tuple(table.tracker_mm), half, tuple(table.toward_mm), reach, facing, accepted)
+
+
+def _pair(values: list[float]) -> tuple[float, float]:
+    return values[0], values[1]
+
+
+def _triple(values: list[float]) -> tuple[float, float, float]:
+    return values[0], values[1], values[2]
+
+
+# -- calibration -------------------------------------------------------------------------------------------------------
+def _with_markers(chain: SpatialChain, table: SpatialCalibrationTable) -> SpatialChain:
+    """With the measured points of the calibration, where the file does not give them as known."""
+    if TOOL in chain.known or not table.tools:
+        return chain
+    return replace(chain, tools=_tools(table.tools, "calibration.tools"))
+
+
+def _calibration(table: SpatialCalibrationTable, chain: SpatialChain, names: list[FileName]) -> Calibration:
+    if table.base is not None and BASE in chain.known:
+        raise InputError("calibration.base: found beside [base], allowed: one of them")
+    if table.tools and TOOL in chain.known:
+        raise InputError("calibration.tools: found beside [tool], allowed: one of them")
+    geometry = {name.file: name for name in names if GEOMETRY.fullmatch(name.file)}
+    values = {}
+    for key, value in table.values.items():
+        if key not in geometry:
+            raise InputError(f"calibration.values: unknown parameter {key!r}, {nearest(key, geometry)}")
+        values[key] = value / geometry[key].factor
+    of_effects = [name for name in names if name.file not in geometry]
+    order, covariance = covariance_of(table, names)
+    return Calibration(
+        values | calibrated_effects(table, of_effects),
+        order,
+        covariance,
+        MappingProxyType(dict(table.provenance)),
+        None if table.base is None else _pose(table.base),
+        {} if TOOL in chain.known or not table.tools else dict(chain.tools),
+    )

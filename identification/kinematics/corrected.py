@@ -1,0 +1,65 @@
+"""A spatial chain with its errors composed into it: where base, tools and joints really are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from identification.arrays import Array
+from identification.kinematics.frames import AXES, from_own_axes, pose, rotation_about
+from identification.kinematics.parameters import REVOLUTE
+from identification.kinematics.spatial import Joint, SpatialChain
+
+Numbers = Mapping[str, float]  # parameter name -> value [mm, rad]; what is not there is zero
+
+
+def corrected(chain: SpatialChain, values: Numbers) -> SpatialChain:
+    """The chain whose nominal geometry is this one's with its errors."""
+    joints = tuple(
+        replace(joint, origin=_corrected_origin(joint, j, values)) for j, joint in enumerate(chain.joints, start=1)
+    )
+    return replace(chain, joints=joints, base=composed_base(chain, values), tools=composed_tools(chain, values))
+
+
+def composed_base(chain: SpatialChain, values: Numbers) -> Array:
+    """(4, 4) pose of the base in the frame of the instrument [mm]."""
+    shift, turn = _six(values, "base.", "base.r", "")
+    return pose(chain.base[:3, 3] + shift, chain.base[:3, :3] @ turn)
+
+
+def composed_tools(chain: SpatialChain, values: Numbers) -> dict[str, Array]:
+    """Name of each measured point -> (3,) its place in the tip's frame [mm]."""
+    return {name: np.asarray(place) + _tool_error(values, name) for name, place in chain.tools.items()}
+
+
+def before_errors(chain: SpatialChain, values: Numbers, base: Array | None, tools: Mapping[str, Array]) -> SpatialChain:
+    """The chain of which the errors make these: the reverse of `composed_base` and `composed_tools`.
+
+    base : (4, 4) or None: as it is;  tools : those of these names, the others as they are
+    """
+    if base is not None:
+        shift, turn = _six(values, "base.", "base.r", "")
+        chain = replace(chain, base=pose(base[:3, 3] - shift, base[:3, :3] @ turn.T))
+    if tools:
+        chain = replace(chain, tools={name: place - _tool_error(values, name) for name, place in tools.items()})
+    return chain
+
+
+def _corrected_origin(joint: Joint, j: int, values: Numbers) -> Array:
+    """(4, 4) of joint j, counted from 1, with its offset."""
+    shift, turn = _six(values, "translation_", "rotation_", f":{j}")
+    offset = values.get(f"joint_offset:{j}", 0.0)
+    moved = pose(rotation=rotation_about(joint.axis, offset)) if joint.type == REVOLUTE else pose(joint.axis * offset)
+    return np.asarray(joint.origin @ pose(shift, turn) @ moved)
+
+
+def _six(values: Numbers, translation: str, rotation: str, suffix: str) -> tuple[Array, Array]:
+    """(3,) translation and (3, 3) rotation of six errors."""
+    shift = np.array([values.get(f"{translation}{axis}{suffix}", 0.0) for axis in AXES])
+    return shift, from_own_axes(*(values.get(f"{rotation}{axis}{suffix}", 0.0) for axis in AXES))
+
+
+def _tool_error(values: Numbers, name: str) -> Array:
+    return np.array([values.get(f"tool[{name}].{axis}", 0.0) for axis in AXES])
