@@ -31,20 +31,19 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     arm = model.arm if isinstance(model, Model) else None
     if arm is None or arm.chain is None:
         return model
-    arm = replace(arm, chain=with_markers(arm.chain, measurements))
-    if arm.chain.known >= {BASE, TOOL}:
-        return replace(model, arm=arm)
+    chain = with_markers(arm.chain, measurements)
+    if chain.known >= {BASE, TOOL}:
+        return model if chain is arm.chain else replace(model, arm=replace(arm, chain=chain))
     some = np.unique(np.linspace(0, len(measurements) - 1, ENOUGH).astype(int))
     rows = measurements.rows(some)
     markers = np.zeros(len(rows), dtype=np.int64) if rows.marker_numbers is None else rows.marker_numbers
-    values = {}
-    if arm.calibration is not None:
-        placed_kinds = {BASE, TOOL} - arm.chain.known
-        kept = {k: v for k, v in arm.calibration.values.items() if re.split(r"[.\[]", k)[0] not in placed_kinds}
-        arm = replace(arm, calibration=replace(arm.calibration, values=kept, base=None, tools={}))
-        values = kept
-    found = placed_chain(arm.chain, rows.postures, rows.positions, markers, values)
-    return replace(model, arm=replace(arm, chain=found))
+    if (calibration := arm.calibration) is not None:
+        found_anew = {BASE, TOOL} - chain.known
+        kept = {name: v for name, v in calibration.values.items() if re.split(r"[.\[]", name)[0] not in found_anew}
+        calibration = replace(calibration, values=kept, base=None, tools={})
+    values = {} if calibration is None else calibration.values
+    found = placed_chain(chain, rows.postures, rows.positions, markers, values)
+    return replace(model, arm=replace(arm, chain=found, calibration=calibration))
 
 
 def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChain:
@@ -57,6 +56,8 @@ def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChai
         if len(tools) > 1:
             found = "no column marker, and the arm has several measured points"
             raise InputError(f"measurements: {found}, allowed: one of {', '.join(tools)} in each row")
+        return chain
+    if tuple(tools)[: len(names)] == names:
         return chain
     if len(tools) == 1 == len(names):
         return replace(chain, tools=dict(zip(names, tools.values(), strict=True)))
