@@ -21,7 +21,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
@@ -207,24 +206,31 @@ def symbolic_turn(axis: str, angle: Any) -> ca.SX:
 
 
 # -- the oracle: the same chain in numpy, derivatives by finite differences ------------------------------------------
+def turn(axis: str, angles: ArrayLike) -> Array:
+    """(..., 3, 3) rotations about an axis by angles (...): Rodrigues' formula."""
+    sine, cosine = np.sin(angles)[..., None, None], np.cos(angles)[..., None, None]
+    cross = np.cross(np.eye(3), np.eye(3)[AXES.index(axis)])  # cross @ v = axis x v
+    return np.eye(3) + sine * cross + (1.0 - cosine) * cross @ cross
+
+
 def chain_points(model: SpatialModel, postures: Array, values: Array) -> Array:
     """(m, n + 2, 3) base, places of the joints, tip [mm] of postures (m, n)."""
     error = dict(zip(model.names, np.asarray(values).tolist(), strict=True))
-    place, frame = np.zeros((len(postures), 3)), Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (len(postures), 1)))
+    place, frame = np.zeros((len(postures), 3)), np.eye(3)
     points = [place]
     for j, (joint, q) in enumerate(zip(model.chain, postures.T, strict=True)):
-        place = place + frame.apply(np.array(joint.offset) + [error.get(f"translation_{a}:{j + 1}", 0.0) for a in AXES])
+        place = place + frame @ (np.array(joint.offset) + [error.get(f"translation_{a}:{j + 1}", 0.0) for a in AXES])
         for axis in AXES:
-            frame = frame * Rotation.from_euler(axis, error.get(f"rotation_{axis}:{j + 1}", 0.0))
+            frame = frame @ turn(axis, error.get(f"rotation_{axis}:{j + 1}", 0.0))
         scale, cosine, sine = (error.get(f"{name}:{j + 1}", 0.0) for name in ("scale", "encoder_cos", "encoder_sin"))
         motion = q + scale * q + cosine * np.cos(q) + sine * np.sin(q)
         if joint.type == "revolute":
-            frame = frame * Rotation.from_euler(joint.axis, motion[:, None])
+            frame = frame @ turn(joint.axis, motion)
         else:
-            place = place + motion[:, None] * frame.apply(np.eye(3)[AXES.index(joint.axis)])
+            place = place + motion[:, None] * frame[..., AXES.index(joint.axis)]
         points.append(place)
     tip = np.array(model.tip) + [error.get(f"tool.{a}", 0.0) for a in AXES]
-    return np.stack([*points, place + frame.apply(tip)], axis=1)
+    return np.stack([*points, place + frame @ tip], axis=1)
 
 
 def tip_positions(model: SpatialModel, postures: Array, values: Array | None = None) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from doe.studies.paper.tables import JOINT_OFFSETS_DEG, LENGTH_ERRORS, LENGTHS, SIGMA, paper_arm, paper_truth
 from identification.arrays import Array
 from identification.estimation import estimate
-from identification.information import identifiability
+from identification.information import spectrum
 from identification.model import Model
 from identification.simulate import simulate
 
@@ -232,7 +232,7 @@ def four_links_three_points(generator: np.random.Generator, replications: int) -
     """Largest rank of the Jacobian of 4 links over random plans with 3 points."""
     model = Model(paper_arm(4))
     plans = generator.uniform(-np.pi, np.pi, (100, 3, 4))
-    ranks = [identifiability(model.jacobian(plan), model.names, model.scales).rank for plan in plans]
+    ranks = [spectrum(model.jacobian(plan), model.scales).rank for plan in plans]
     return Erratum(
         "Table III, 4 links, 3 points",
         "8 parameters identified",
