@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -104,6 +105,7 @@ def unit(module: str) -> str:
     return max((name for name in LAYERS if f"{module}.".startswith(f"{name}.")), key=len, default=module)
 
 
+@cache
 def graph() -> dict[str, set[str]]:
     """Module -> our modules that it imports, deferred imports too; a package stands for its `__init__`.
 

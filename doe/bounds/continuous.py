@@ -8,13 +8,14 @@ where the model allows.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 
-from doe.problem.derivatives import Derivatives, constraint_derivatives, jacobian_derivatives
+from doe.problem.derivatives import Derivatives, constraint_derivatives, constraint_values, jacobian_derivatives
 from doe.problem.feasible import random_postures
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
@@ -51,6 +52,10 @@ class ContinuousSet:
     @cached_property
     def _walls(self) -> Derivatives:
         return constraint_derivatives(self.problem, range(self.problem.joints))
+
+    @cached_property
+    def _margins(self) -> Callable[[Array], Array]:
+        return constraint_values(self.problem)
 
     def sensitivities(self, postures: Array, gradient: Array) -> Array:
         """(m,) tr(G F(q))."""
@@ -162,7 +167,7 @@ class ContinuousSet:
         values = self.sensitivities(q, gradient)
         if barrier == 0.0:
             return values
-        margins = self._walls(q)[0]
+        margins = self._margins(q)
         inside = np.all(margins > 0.0, axis=1) & self.problem.feasible(q)
         logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
         return np.where(inside, values + barrier * logarithms, -np.inf)

@@ -22,8 +22,21 @@ def jacobian_derivatives(problem: DesignProblem, joints: Sequence[int]) -> Deriv
 
 def constraint_derivatives(problem: DesignProblem, joints: Sequence[int]) -> Derivatives:
     """Of the symbolic forms of all constraints, which are kept >= 0."""
+    q, values = _constraints(problem)
+    return _compiled(q, values, joints)
+
+
+def constraint_values(problem: DesignProblem) -> Callable[[Array], Array]:
+    """Postures (m, n) -> (m, k): the values of `constraint_derivatives` alone."""
+    q, values = _constraints(problem)
+    function = vectorize(ca.Function("constraints", [q], [values]))
+    return lambda postures: function(postures)[0][..., 0]
+
+
+def _constraints(problem: DesignProblem) -> tuple[ca.SX, ca.SX]:
+    """Joint angles (n,), and the symbolic forms (k,) of all constraints."""
     q = ca.SX.sym("q", problem.joints)
-    return _compiled(q, ca.vertcat(*(constraint.symbolic(q) for constraint in problem.constraints)), joints)
+    return q, ca.vertcat(*(constraint.symbolic(q) for constraint in problem.constraints))
 
 
 def _compiled(q: ca.SX, values: ca.SX, joints: Sequence[int]) -> Derivatives:

@@ -103,8 +103,8 @@ def test_ctrl_c_says_that_files_are_left(folder: Folder, monkeypatch: pytest.Mon
     assert not (folder.path / "half" / "report.html").exists()
 
 
-def test_the_demo_shows_what_identify_and_diagnose_say_of_its_files(folder: Folder) -> None:
-    shown = folder.armcal("demo", "--out", "d", "--json").data
+def test_the_demo_shows_what_identify_and_diagnose_say_of_its_files(demo: tuple[Folder, Outcome]) -> None:
+    folder, shown = demo[0], demo[1].data
     assert shown["identify"] == folder.armcal("identify", "d/arm.toml", "d/data.csv", "--json").data
     diagnosis = folder.armcal("diagnose", "d/arm.toml", "d/data.csv", "--holdout", "d/fresh.csv", "--json").data
     assert shown["diagnose"] == diagnosis

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -14,6 +15,7 @@ from click.testing import CliRunner
 
 from doe.cli.compare import command
 from doe.design import score
+from doe.jobs.isolated import Outcome
 from doe.jobs.row_table import RowTable, frame_of
 from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
@@ -108,7 +110,19 @@ def test_claim_that_the_problem_does_not_confirm_is_not_correct() -> None:
     assert not found["correct"]
 
 
-def test_solvers_run_in_their_own_processes_and_failures_are_rows(tmp_path: Path) -> None:
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spares the start of a process per run where the test is not about that."""
+
+    def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> Outcome:
+        return Outcome(function(*arguments), "done", None, 0.1, 100.0)
+
+    monkeypatch.setattr("doe.studies.comparison.call", call)
+
+
+def test_solvers_run_in_their_own_processes_and_failures_are_rows(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     comparison = Comparison([ARM], [4], ["exchange", "random"], [2], repeats=2, seconds=20.0)
     path = tmp_path / "rows.parquet"
     with RowTable.open(path) as table:
@@ -116,14 +130,15 @@ def test_solvers_run_in_their_own_processes_and_failures_are_rows(tmp_path: Path
     assert rows["status"].to_list() == ["done"] * 4
     assert rows["correct"].all()
     assert (rows["peak_memory_mb"] > 20.0).all()
-    again = compare(replace(comparison, solvers=["random"]))  # the same seeds: the same plans
-    assert again["value"].to_list() == rows.filter(solver="random")["value"].to_list()
     assert len(set(rows.filter(solver="random")["value"])) == 2
     with RowTable.open(path, resume=True) as table:
         assert compare(comparison, table).equals(rows)
     few = compare(Comparison([ARM], [2], ["random"], repeats=1))  # two runs cannot tell six parameters
     assert few["status"].to_list() == ["failed"]
     assert "InputError" in few["error"][0] or "JobError" in few["error"][0]
+    request.getfixturevalue("in_this_process")
+    again = compare(comparison)  # the same seeds: the same plans, wherever they are found
+    assert again["value"].to_list() == rows["value"].to_list()
 
 
 def test_bad_comparisons() -> None:
@@ -149,6 +164,7 @@ class Fourier:
         yield Offer(np.remainder(np.tile(turns[:, None], problem.joints) + np.pi, 2.0 * np.pi) - np.pi, 1)
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_criterion_and_own_solver_are_settings() -> None:
     free = Arm(ARM.lengths, sigma=0.1, name="free")
     rows = compare(Comparison([free], [5], [Fourier(), "random"], criteria=["A", "D"], repeats=1))
@@ -174,6 +190,7 @@ def test_criterion_and_own_solver_are_settings() -> None:
     assert len(comparison_tables(rows)) == 2
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_verb(tmp_path: Path) -> None:
     arm = tmp_path / "arm.toml"
     arm.write_text("links_mm = [260.0, 180.0]\n")
