@@ -253,6 +253,11 @@ class Arm(ByValue):
         return 2 if self.chain is None else 3
 
     @property
+    def joint_types(self) -> tuple[str, ...]:
+        """(n) `revolute` or `prismatic`."""
+        return (REVOLUTE,) * self.links if self.chain is None else self.chain.joint_types
+
+    @property
     def reach(self) -> float:
         """Length of the stretched nominal arm [mm]."""
         return float(np.sum(self.lengths)) if self.chain is None else self.chain.reach

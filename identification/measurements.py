@@ -163,8 +163,8 @@ class Measurements(ByValue):
 
     @property
     def given(self) -> frozenset[str]:
-        """Names of the optional columns the data has: those of order, sigma and so on, and session."""
-        return frozenset(name for name in (*_OPTIONAL, "session") if getattr(self, name) is not None)
+        """Names of the optional columns the data has: those of order, sigma and so on, session and marker."""
+        return frozenset(name for name in (*_OPTIONAL, "session", "marker") if getattr(self, name) is not None)
 
     @property
     def sessions(self) -> tuple[str, ...]:

@@ -44,6 +44,7 @@ LAYERS = {
     "identification.placed": 4,
     "identification.minimal": 4,
     "identification.estimation": 5,
+    "identification.data_checks": 5,
     "identification.compensate": 6,
     "identification.sessions": 5,
     "identification.validate": 6,

@@ -78,8 +78,10 @@ def read_measurements(path: Path, arm: Arm) -> Measurements:
     """The measurements of an arm; warns where the units look wrong."""
     from identification.files.measurement import load_measurements, unit_warnings
 
-    measurements = load_measurements(path, arm.links)
-    for sentence in unit_warnings(measurements, arm):
+    measurements, doubtful = load_measurements(path, arm), unit_warnings
+    if arm.chain is not None:
+        from identification.data_checks import data_warnings as doubtful
+    for sentence in doubtful(measurements, arm):
         warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
     return measurements
 

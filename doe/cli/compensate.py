@@ -28,7 +28,7 @@ def command(session: Session, calibrated: Path, targets: Path, output: Output) -
     arm = load_arm(calibrated)
     if arm.calibration is None and not any(effect.values for effect in arm.effects):
         raise InputError(f"{calibrated}: has no [calibration], allowed: an arm file written by `armcal identify --out`")
-    wanted = load_targets(targets, arm.links)
+    wanted = load_targets(targets, arm)
     found = compensate(arm, wanted.positions, wanted.postures)
-    written = output.write(commands_text(found.commands, found.targets, found.errors), "commands")
+    written = output.write(commands_text(found.commands, found.targets, found.errors, arm.joint_types), "commands")
     return Answer(found.to_json(), [*compensation_tables(found), *written])

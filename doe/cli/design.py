@@ -87,7 +87,7 @@ def command(
     extra += missing_lines(design) if not search.discriminating else []
     if search.order is not None:
         design = _ordered(design, search.order, session.seed, data, extra)
-    extra += output.write(plan_text(design.plan), "plan")
+    extra += output.write(plan_text(design.plan, loaded.joint_types), "plan")
     output.draw_plan(loaded, design.plan.postures)
     return Answer(design.to_json() | data, [*design_tables(design), *extra])
 

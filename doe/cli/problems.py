@@ -136,7 +136,9 @@ def _restrictions(arm: Arm, postures: PostureOptions) -> dict[str, Any]:
 
     options: dict[str, Any] = {}
     if postures.keep is not None:
-        options["kept"] = read_postures(read_table(postures.keep), arm.links)  # measurements, or a plan carried out
+        options["kept"] = read_postures(
+            read_table(postures.keep), arm.joint_types
+        )  # measurements, or a plan carried out
     if postures.candidates is not None:
         options["choices"] = allowed_postures(postures.candidates, arm)
     if postures.repeats or postures.minimum_distance_deg is not None:
@@ -150,7 +152,7 @@ def _criterion(wanted: CriterionOptions, problem: DesignProblem) -> Criterion:
     from doe.criteria import criterion
     from doe.plan.file import load_plan
 
-    poses = None if wanted.test_poses is None else load_plan(wanted.test_poses, problem.joints).postures
+    poses = None if wanted.test_poses is None else load_plan(wanted.test_poses, problem.model.joint_types).postures
     parameters = problem.model.parameters
     return criterion(
         wanted.name,
@@ -178,7 +180,7 @@ def allowed_postures(path: Path, arm: Arm) -> Any:
     from doe.problem.problem import DesignProblem
     from identification.model import Model
 
-    postures = load_plan(path, arm.links).postures
+    postures = load_plan(path, arm.joint_types).postures
     try:
         listed(DesignProblem.of(Model(arm)), postures)
     except InputError as error:

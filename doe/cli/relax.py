@@ -77,7 +77,7 @@ def command(
             compared = cross_check(problem, found, runs, seed=session.seed)
             data["cross_check"] = compared.rows()
             shown.append(cross_check_table(compared))
-    return Answer(data, [*shown, *output.write(plan_text(found.plan), "plan with weights")])
+    return Answer(data, [*shown, *output.write(plan_text(found.plan, loaded.joint_types), "plan with weights")])
 
 
 def check_runs(chosen: RelaxationOptions, criterion: CriterionOptions) -> None:
@@ -95,7 +95,7 @@ def candidates(problem: DesignProblem, chosen: RelaxationOptions) -> int | Array
     if problem.choices is not None:
         return problem.choices
     if chosen.candidates is not None:
-        return load_plan(chosen.candidates, problem.joints).postures
+        return load_plan(chosen.candidates, problem.model.joint_types).postures
     return chosen.grid or default_levels(len(problem.active_joints))
 
 

@@ -40,7 +40,7 @@ def command(
     from identification.model import Model
 
     loaded = load_arm(arm)
-    given = load_plan(plan, loaded.links)
+    given = load_plan(plan, loaded.joint_types)
     design = _scored(loaded, given, plan, criterion)
     preflight, tables = _preflight(loaded, given, plan, aliases, output.force)
     output.draw_plan(loaded, given.postures)

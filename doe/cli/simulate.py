@@ -38,7 +38,7 @@ def command(session: Session, arm: Path, plan: Path, truth: Path, out: Path, for
     loaded, true_arm = load_arm(arm), load_arm(truth)
     if true_arm.links != loaded.links:
         raise InputError(f"{truth}: {true_arm.links} links, allowed: {loaded.links} as in {arm}")
-    postures = load_plan(plan, loaded.links).postures
+    postures = load_plan(plan, loaded.joint_types).postures
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
     if sigma is None:
         raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")
@@ -49,7 +49,7 @@ def command(session: Session, arm: Path, plan: Path, truth: Path, out: Path, for
         data = simulate(true_arm, postures, np.random.default_rng(session.seed), sigma=sigma, **conditions)
     except InputError as error:
         raise InputError(f"{truth}: {error}") from None
-    write_whole(out, measurement_text(data), force=force)
+    write_whole(out, measurement_text(data, loaded.joint_types), force=force)
     summary = {"rows": len(data), "links": data.links, "sigma_mm": sigma, "out": out}
     return Answer(summary, [f"{len(data)} measurements, sigma {sigma:g} mm, written to {out}"])
 

@@ -10,6 +10,7 @@ from identification.errors import InputError
 from identification.files.csv import Table, read_table
 from identification.files.io import PathLike
 from identification.files.measurement import (
+    JointTypes,
     csv_text,
     joint_columns,
     posture_columns,
@@ -21,15 +22,17 @@ from identification.files.measurement import (
 SUM_TOLERANCE = 1e-6
 
 
-def load_plan(path: PathLike, links: int | None = None) -> Plan:
+def load_plan(path: PathLike, joints: JointTypes = None) -> Plan:
     """The plan of a CSV file `run,q1_deg,...,qn_deg[,weight]`, rows in the order of measurement.
+
+    joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
 
     Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
     once about columns that are not used.
     """
     table = read_table(path)
-    plan = Plan(read_postures(table, links), _weights(table))
-    warn_unknown(table, ["run", *joint_columns(table), "weight", *condition_columns(plan.links)])
+    plan = Plan(read_postures(table, joints), _weights(table))
+    warn_unknown(table, ["run", *joint_columns(table, joints), "weight", *condition_columns(plan.links)])
     return plan
 
 
@@ -43,9 +46,9 @@ def condition_columns(links: int) -> list[str]:
     return ["payload_kg", "temperature_C", *(f"direction{j}" for j in range(1, links + 1))]
 
 
-def plan_text(plan: Plan) -> str:
+def plan_text(plan: Plan, joint_types: JointTypes = None) -> str:
     """The text of a plan file; `load_plan` reads the same from it, to rounding (1e-14 rad)."""
-    columns = {"run": np.arange(1, len(plan) + 1), **posture_columns(plan.postures)}
+    columns = {"run": np.arange(1, len(plan) + 1), **posture_columns(plan.postures, joint_types)}
     if plan.weights is not None:
         columns["weight"] = plan.weights
     return csv_text(columns)

@@ -12,7 +12,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation.uncertainty import LEVEL
 from identification.information import RANK_TOLERANCE
-from identification.kinematics.parameters import LENGTH_ERROR
+from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, LENGTH_ERROR
 from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
@@ -99,7 +99,8 @@ def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
         return []
     row = int(np.argmax(outside.any(axis=1)))
     joint = int(np.argmax(outside[row]))
-    low, high, angle = (np.degrees(v[joint]) for v in (arm.lower, arm.upper, q[row]))
+    _, factor, unit = FILE_UNITS[JOINT_UNITS[arm.joint_types[joint]]]
+    low, high, place = (v[joint] * factor for v in (arm.lower, arm.upper, q[row]))
     count = int(outside.any(axis=1).sum())
-    first = f"row {row + 1}: joint {joint + 1} at {angle:.5g} deg, allowed {low:g} to {high:g}"
+    first = f"row {row + 1}: joint {joint + 1} at {place:.5g} {unit[1:]}, allowed {low:g} to {high:g}"
     return [f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}"]

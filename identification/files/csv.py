@@ -22,7 +22,8 @@ from identification.files.io import PathLike, decode, read_bytes
 FINITE = "a finite number"
 # columns that mean something by themselves: none of them is a misspelling of another
 KNOWN = re.compile(
-    r"q\d+_(deg|rad)|direction\d+|(x|y|sigma)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
+    r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
+    r"|marker|r[xyz]_deg|q[wxyz]|commanded\d+_(deg|mm)"
 )
 Test = Callable[[Array], NDArray[np.bool_]]
 

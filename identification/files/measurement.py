@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -15,47 +15,56 @@ from numpy.typing import NDArray
 from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array
 from identification.errors import InputError, nearest
-from identification.files.csv import Table, Test, read_table
+from identification.files.csv import KNOWN, Table, Test, read_table
 from identification.files.io import PathLike
+from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.measurements import Measurements
 
-_JOINT = re.compile(r"q([1-9]\d*)_(deg|rad)")
+_JOINT = re.compile(r"q([1-9]\d*)_(deg|rad|mm|m)")
+_UNITS = {REVOLUTE: ("deg", "rad"), PRISMATIC: ("mm", "m")}  # of a joint's column, the one to write first
+JointTypes = int | Sequence[str] | None  # of each joint; a number: so many that turn; None: as many as the table has
 _DIRECTION = re.compile(r"direction([1-9]\d*)")
 _OPTIONAL = ("order", "time_s", "temperature_C", "payload_kg", "posture", "session", "sigma_mm")
 _OF_PLANS = ("run",)  # a plan with the positions added is a measurement file
 _WHOLE = 2.0**53  # above it a float cannot count
 
 
-def load_measurements(path: PathLike, links: int | None = None) -> Measurements:
+def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measurements:
     """The measurements of a CSV file, of an arm with `links` links if given.
+
+    links : or the arm itself: a spatial one has positions of three coordinates, markers, and may have sliding joints
 
     Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
     once about columns that are not used.
     """
     table = read_table(path)
-    postures = read_postures(table, links)
+    types: JointTypes = links.joint_types if isinstance(links, Arm) else links
+    spatial = isinstance(links, Arm) and links.chain is not None
+    axes = "xyz" if spatial else "xy"
+    postures = read_postures(table, types)
     n = postures.shape[1]
     conditions: dict[str, Any] = dict(read_conditions(table, n))
     measurements = Measurements(
         postures=postures,
-        positions=np.column_stack([_millimetres(table, "x"), _millimetres(table, "y")]),
+        positions=np.column_stack([_millimetres(table, axis) for axis in axes]),
         order=_order(table),
         **conditions,
         sigma=_sigma(table),
         repeats=_repeats(table),
         session=table.texts("session") if "session" in table else None,
+        marker=table.texts("marker") if spatial and "marker" in table else None,
         provenance=MappingProxyType({"file": table.file_name, "sha256": table.sha256}),
     )
-    lengths = [f"{name}_{unit}" for name in ("x", "y", "sigma") for unit in ("mm", "m")]
-    known = [*joint_columns(table), *lengths, *_OPTIONAL, *_OF_PLANS, *(f"direction{j}" for j in range(1, n + 1))]
-    warn_unknown(table, known)
+    lengths = [f"{name}_{unit}" for name in (*axes, "sigma") for unit in ("mm", "m")]
+    optional = [*_OPTIONAL, *(["marker"] if spatial else []), *_OF_PLANS, *(f"direction{j}" for j in range(1, n + 1))]
+    warn_unknown(table, [*joint_columns(table, types), *lengths, *optional])
     return measurements
 
 
-def measurement_text(measurements: Measurements) -> str:
+def measurement_text(measurements: Measurements, joint_types: JointTypes = None) -> str:
     """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad)."""
-    columns = posture_columns(measurements.postures)
-    columns |= {"x_mm": measurements.positions[:, 0], "y_mm": measurements.positions[:, 1]}
+    columns = posture_columns(measurements.postures, joint_types)
+    columns |= {f"{axis}_mm": column for axis, column in zip("xyz", measurements.positions.T, strict=False)}
     if measurements.order is not None:
         whole = bool(np.all(measurements.order == np.round(measurements.order)))
         columns["order" if whole else "time_s"] = measurements.order
@@ -66,40 +75,56 @@ def measurement_text(measurements: Measurements) -> str:
         **{f"direction{j}": column for j, column in enumerate(directions, start=1)},
         "posture": measurements.repeats,
         "session": measurements.session,
+        "marker": measurements.marker,
         "sigma_mm": measurements.sigma,
     }
     return csv_text(columns | {name: values for name, values in optional.items() if values is not None})
 
 
 # -- columns shared with plans ----------------------------------------------------------------------------------------
-def joint_columns(table: Table) -> tuple[str, ...]:
-    """The columns of joint angles a table has, `q1_deg` or `q1_rad`, in the order of the joints."""
+def joint_columns(table: Table, types: JointTypes = None) -> tuple[str, ...]:
+    """The columns of joint positions a table has, `q1_deg` or `q1_rad`, in the order of the joints; of a prismatic
+    joint `q1_mm` or `q1_m`."""
     found = [match for column in table.columns if (match := _JOINT.fullmatch(column))]
-    return tuple(match.group() for match in sorted(found, key=lambda match: int(match.group(1))))
+    own = [match for match in found if match.group(2) in _units(types, int(match.group(1)))]
+    return tuple(match.group() for match in sorted(own, key=lambda match: int(match.group(1))))
 
 
-def read_postures(table: Table, links: int | None = None) -> Array:
-    """(m, n) joint angles [rad]; n is `links`, or what the table has. Raises `InputError` for anything else."""
-    columns = joint_columns(table)
+def _units(types: JointTypes, joint: int) -> tuple[str, str]:
+    """Units that the column of a joint, counted from 1, may have."""
+    several = types is not None and not isinstance(types, int) and joint <= len(types)
+    return _UNITS[types[joint - 1] if several else REVOLUTE]  # type: ignore[index]
+
+
+def read_postures(table: Table, types: JointTypes = None) -> Array:
+    """(m, n) joint positions [rad, mm]; n as `types` say, or what the table has. Raises `InputError` for anything
+    else."""
+    columns = joint_columns(table, types)
+    joints = [int(column[1:].partition("_")[0]) for column in columns]
+    n = max(joints, default=1) if types is None else types if isinstance(types, int) else len(types)
+    wanted = [f"q{j}_{_units(types, j)[0]}" for j in range(1, n + 1)]
     if not columns:
-        table.require(["q1_deg"])
-    joints = [int(column[1:-4]) for column in columns]
-    n = max(joints) if links is None else links
+        table.require(wanted[:1])
     for column, joint, following in zip(columns, joints, [*joints[1:], 0], strict=True):
         if joint == following:
-            raise InputError(f"{table.path}: found both q{joint}_deg and q{joint}_rad, allowed: one of them")
+            names = " and ".join(f"q{joint}_{unit}" for unit in _units(types, joint))
+            raise InputError(f"{table.path}: found both {names}, allowed: one of them")
         if joint > n:
             found = f"found column {column}, but the arm has {n} links"
-            raise InputError(f"{table.path}: {found}, allowed: q1_deg to q{n}_deg")
+            raise InputError(f"{table.path}: {found}, allowed: {wanted[0]} to {wanted[-1]}")
     if n > MAX_LINKS:
         raise InputError(f"{table.path}: found column {columns[-1]}, allowed: 1 to {MAX_LINKS} joints")
-    table.require(f"q{j}_deg" for j in range(1, n + 1) if j not in joints)
-    return np.column_stack([_radians(table, column) for column in columns])
+    table.require(wanted[j - 1] for j in range(1, n + 1) if j not in joints)
+    return np.column_stack([_joint_positions(table, column) for column in columns])
 
 
-def _radians(table: Table, column: str) -> Array:
-    """(m,) column `q1_rad`, or `q1_deg` converted."""
-    if column.endswith("_rad"):
+def _joint_positions(table: Table, column: str) -> Array:
+    """(m,) column `q1_rad` or `q1_mm`, or `q1_deg` or `q1_m` converted."""
+    unit = column.rpartition("_")[2]
+    if unit in _UNITS[PRISMATIC]:
+        factor = 1000.0 if unit == "m" else 1.0
+        return _up_to(table, column, "a finite length", LARGEST_LENGTH / factor) * factor
+    if unit == "rad":
         return _up_to(table, column, "a finite angle", np.radians(LARGEST_ANGLE))
     return np.radians(_up_to(table, column, "a finite angle", LARGEST_ANGLE))
 
@@ -109,10 +134,14 @@ def _up_to(table: Table, column: str, allowed: str, most: float) -> Array:
     return table.floats(column, f"{allowed}, up to {most:g}", lambda values: np.abs(values) <= most)
 
 
-def posture_columns(postures: Array) -> dict[str, NDArray[np.generic]]:
-    """Columns `q1_deg..qn_deg` of (m, n) joint angles [rad]."""
-    degrees = np.round(np.degrees(postures), 12)  # 30 rather than 29.999999999999996; 12 decimals are 2e-14 rad
-    return {f"q{j + 1}_deg": column + 0.0 for j, column in enumerate(degrees.T)}  # + 0: no -0
+def posture_columns(postures: Array, types: JointTypes = None) -> dict[str, NDArray[np.generic]]:
+    """Columns `q1_deg..qn_deg` of (m, n) joint positions [rad, mm]; `q1_mm` for a prismatic joint."""
+    found: dict[str, NDArray[np.generic]] = {}
+    for j, column in enumerate(postures.T, start=1):
+        unit = _units(types, j)[0]
+        # 30 rather than 29.999999999999996; 12 decimals are 2e-14 rad;  + 0: no -0
+        found[f"q{j}_{unit}"] = (np.round(np.degrees(column), 12) if unit == "deg" else column) + 0.0
+    return found
 
 
 def csv_text(columns: dict[str, NDArray[np.generic]]) -> str:
@@ -135,6 +164,7 @@ def warn_unknown(table: Table, known: Iterable[str]) -> None:
     for column in table.columns:
         if column not in known:
             hint = nearest(column, [k for k in known if k not in table] or known).partition(" allowed:")[0]
+            hint = "" if KNOWN.fullmatch(column) else hint
             unknown.append(f"{column!r} ({hint})" if hint.startswith("did you mean") else f"{column!r}")
     if unknown:
         columns = "column is" if len(unknown) == 1 else "columns are"

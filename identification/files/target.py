@@ -6,39 +6,52 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.csv import read_table
 from identification.files.io import PathLike
-from identification.files.measurement import csv_text, joint_columns, posture_columns, read_postures, warn_unknown
+from identification.files.measurement import (
+    JointTypes,
+    csv_text,
+    joint_columns,
+    posture_columns,
+    read_postures,
+    warn_unknown,
+)
 
 
 @dataclass(frozen=True)
 class Targets:
-    """What the tip is to reach: positions (k, 2) [mm], or the nominal tips of postures (k, n) [rad]; one is None."""
+    """What the tip is to reach: positions (k, d) [mm], or the nominal tips of postures (k, n) [rad]; one is None."""
 
     positions: Array | None
     postures: Array | None
 
 
-def load_targets(path: PathLike, links: int) -> Targets:
+def load_targets(path: PathLike, links: int | Arm) -> Targets:
     """The targets of a CSV file with `x_mm, y_mm`, or with `q1_deg..qn_deg` of nominal postures.
+
+    links : how many the planar arm has, or the arm; targets of a spatial one have `z_mm` too
 
     With both, positions are the targets and postures say which of the many solutions to stay near.
     Raises `InputError` with file, row and column.
     """
     table = read_table(path)
-    has_positions, joints = "x_mm" in table or "y_mm" in table, joint_columns(table)
+    types, dimension = (links.joint_types, links.dimension) if isinstance(links, Arm) else (links, 2)
+    columns = [f"{axis}_mm" for axis in "xyz"[:dimension]]
+    has_positions, joints = any(column in table for column in columns), joint_columns(table, types)
     if not has_positions and not joints:
-        raise InputError(
-            f"{path}: found columns {', '.join(table.columns)}, allowed: x_mm and y_mm, or q1_deg..q{links}_deg"
-        )
-    positions = np.column_stack([table.floats(name) for name in ("x_mm", "y_mm")]) if has_positions else None
-    postures = read_postures(table, links) if joints else None
-    warn_unknown(table, ["run", "x_mm", "y_mm", *joints])
+        count = types if isinstance(types, int) else len(types)
+        allowed = f"{', '.join(columns[:-1])} and {columns[-1]}, or q1_deg..q{count}_deg"
+        raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
+    positions = np.column_stack([table.floats(name) for name in columns]) if has_positions else None
+    postures = read_postures(table, types) if joints else None
+    warn_unknown(table, ["run", *columns, *joints])
     return Targets(positions, postures)
 
 
-def commands_text(commands: Array, targets: Array, errors: Array) -> str:
+def commands_text(commands: Array, targets: Array, errors: Array, joint_types: JointTypes = None) -> str:
     """CSV `q1_deg..qn_deg, x_mm, y_mm, error_mm`: joint commands, the targets, and what is left between [mm]."""
-    return csv_text({**posture_columns(commands), "x_mm": targets[:, 0], "y_mm": targets[:, 1], "error_mm": errors})
+    positions = {f"{axis}_mm": column for axis, column in zip("xyz", targets.T, strict=False)}
+    return csv_text({**posture_columns(commands, joint_types), **positions, "error_mm": errors})

@@ -1,0 +1,96 @@
+"""What a spatial arm's measurements say against their own columns: units, swapped markers, rows where a beam was lost.
+
+Base and measured points are found by the closed form, so that what is left of the nominal arm is its errors, some
+millimetres; another unit or another point is off by far more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.kinematics.parameters import REVOLUTE
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.placed import placed_model
+
+SMALL_ANGLE, NEAR = np.radians(7.0), 1.0 / 50.0  # [rad]; of the reach: numbers that may be of another unit
+CLEARLY = 3.0  # times better: another unit is suspected
+FAR = 10.0  # times the median distance: 15 standard deviations of normal errors in three coordinates
+ROUNDS = 5  # of finding rows that are far off, and placing the arm without them
+SHOWN = 5  # rows named in a sentence
+
+
+def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
+    """Sentences about units that the numbers contradict, swapped markers and rows far from all others."""
+    bare = replace(arm, effects=(), calibration=None)
+    if measurements.positions.size < 4 * len(Model(bare).parameters):
+        return []
+    said = _units(measurements, bare)
+    return said or list(_far_rows(measurements, bare))
+
+
+def _units(measurements: Measurements, arm: Arm) -> list[str]:
+    """Radians in `_deg` columns, metres in `_mm` columns, where that fits the arm clearly better."""
+    turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
+    center = measurements.positions.mean(axis=0)
+    small = bool(turning.any() and np.all(np.abs(measurements.postures[:, turning]) < SMALL_ANGLE))
+    near = bool(np.all(np.linalg.norm(measurements.positions - center, axis=1) < NEAR * arm.reach))
+    if not small and not near:
+        return []
+    readings = [(q, p) for q in (False, True)[: 1 + small] for p in (False, True)[: 1 + near]]
+    misfits = []
+    for radians, metres in readings:
+        postures = np.where(turning & radians, np.degrees(measurements.postures), measurements.postures)
+        read = replace(measurements, postures=postures, positions=measurements.positions * (1000.0 if metres else 1.0))
+        misfits.append(float(np.median(_distances(arm, read, np.ones(len(read), dtype=bool)))))
+    best = int(np.argmin(misfits))
+    if CLEARLY * misfits[best] >= misfits[0]:
+        return []
+    radians, metres = readings[best]
+    said = ["the joint angles look like radians: name the columns q1_rad.. instead of q1_deg.."] if radians else []
+    named = "name the columns x_m, y_m, z_m instead of x_mm, y_mm, z_mm"
+    return said + ([f"the positions look like metres: {named}"] if metres else [])
+
+
+def _far_rows(measurements: Measurements, arm: Arm) -> Iterator[str]:
+    """Rows that another marker explains, and rows that nothing does."""
+    kept = np.ones(len(measurements), dtype=bool)
+    for _ in range(ROUNDS):
+        distances = _distances(arm, measurements, kept)
+        before, kept = kept, distances <= FAR * np.median(distances)
+        if np.array_equal(before, kept):
+            break
+    far = ~kept
+    if not far.any() or 2 * far.sum() > len(far):
+        return
+    usual, swapped = float(np.median(distances[kept])), np.zeros(len(far), dtype=bool)
+    for name in measurements.marker_names:
+        markers = np.array(measurements.marker, dtype=np.str_)
+        markers[far] = name
+        other = replace(measurements, marker=markers)
+        swapped |= far & (_distances(arm, other, kept) <= FAR * usual)
+    told = f"others are {usual:.3g} mm from the nominal arm in the median"
+    if swapped.any():
+        yield f"markers look swapped in {_rows(swapped)}: the position is that of another marker; {told}"
+    if (lost := far & ~swapped).any():
+        worst = float(distances[lost].max())
+        yield f"a lost beam or another posture in {_rows(lost)}: up to {worst:.4g} mm off; {told}"
+
+
+def _rows(chosen: NDArray[np.bool_]) -> str:
+    numbers = (np.flatnonzero(chosen) + 1).tolist()
+    more = f" and {len(numbers) - SHOWN} more" if len(numbers) > SHOWN else ""
+    return f"row{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:SHOWN]))}{more}"
+
+
+def _distances(arm: Arm, measurements: Measurements, kept: NDArray[np.bool_]) -> Array:
+    """(m,) from the nominal arm [mm], base and measured points found from the rows kept."""
+    placed = placed_model(Model(arm), measurements.rows(kept))
+    computed = placed.position(measurements.postures, conditions=measurements.conditions)
+    return np.linalg.norm(measurements.positions - computed, axis=1)
