@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from doe.cli.common import Answer, Session, read_measurements, read_sessions, verb
-from doe.cli.options import FILE, FileOrShare, Output, output_options
+from doe.cli.options import FILE, FileOrShare, LibraryEffects, Output, output_options, prior_options
 from identification.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ HOLDOUT = FileOrShare(path_type=Path)
 @click.option("--draws", type=click.IntRange(min=399), default=999, show_default=True, help="Bootstrap draws.")
 @click.option("--report", type=FILE, metavar="FILE", help="Write an HTML page with pictures.")
 @click.option("--curves", type=FILE, metavar="FILE", help="Write the error curves of joints as a table (CSV).")
+@prior_options
 @output_options(out="Write the arm file extended by the named effect; --force also where it is not confirmed.")
 def command(
     session: Session,
@@ -44,6 +45,7 @@ def command(
     draws: int,
     report: Path | None,
     curves: Path | None,
+    prior: LibraryEffects,
     output: Output,
 ) -> Answer:
     """Find where model and measurements disagree, name the missing effect, and show the gap shrink.
@@ -58,7 +60,8 @@ def command(
     loaded = load_arm(arm)
     measurements, held_out = parts(data, holdout, loaded, session.seed)
     with session.progress("diagnose") as progress:
-        found = diagnose(loaded, measurements, held_out, session.seed, draws, progress)
+        more = (session.seed, draws, progress)
+        found = diagnose(loaded, measurements, held_out, *more, prior=prior.held, missing=prior.names)
     for sentence in found.warnings:
         warnings.warn(sentence, UserWarning, stacklevel=2)
     answer = Answer(found.to_json(), diagnosis_tables(found))
@@ -97,7 +100,7 @@ def write(found: Diagnosis, arm: Path, output: Output, report: Path | None, curv
     if output.out is not None and found.confirmed is False and not output.force:
         warnings.warn(f"{output.out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
     elif output.out is not None:
-        extended = with_effects(read_text(arm), (*found.arm.effects, *found.named.specs))
+        extended = with_effects(read_text(arm), found.extended_arm().effects)
         files[output.out] = with_calibration(extended, found.calibration)
     if curves is not None:
         files[curves] = curves_text(found.curves)

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from doe.cli.common import Answer, Session, read_measurements, verb
-from doe.cli.options import FILE, Output, output_options
+from doe.cli.options import FILE, LibraryEffects, Output, output_options, prior_options
 from identification.errors import InputError
 from identification.status import Status
 
 if TYPE_CHECKING:
-    from identification.arm import Arm
     from identification.estimation import Identification
-    from identification.measurements import Measurements
+    from identification.gap.library_prior import LibraryPrior
 
 
 @verb("armcal identify arm.toml data.csv --out calibrated.toml", "Estimate the arm's parameters from measurements.")
@@ -28,8 +27,7 @@ if TYPE_CHECKING:
     type=click.Choice(["given", "estimated"]),
     help="What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.",
 )
-@click.option("--prior", is_flag=True, help="Fit the library's effects too, each with a prior of its typical size.")
-@click.option("--missing", metavar="NAMES", help="Only these effects, for --prior: backlash,gear_ratio")
+@prior_options
 @output_options(out="Write a calibrated arm file (TOML).")
 def command(
     session: Session,
@@ -37,76 +35,63 @@ def command(
     data: Path,
     method: str | None,
     sigma: Literal["given", "estimated"] | None,
-    prior: bool,
-    missing: str | None,
+    prior: LibraryEffects,
     output: Output,
 ) -> Answer:
     """Estimate the arm's parameters from measurements, with 95 % intervals.
 
     Where a column session tells sessions apart, each gets a base of its own; the file has that of the first.
     """
-    from doe.report.identification_tables import identification_tables
-    from identification.estimation import estimate
+    from identification.estimation import estimate, estimate_with_prior
     from identification.files.arm import load_arm
-    from identification.files.arm_text import with_calibration, with_effects
-    from identification.files.io import read_text
+    from identification.gap.library_prior import given_by, library_prior
     from identification.model import Model
-    from identification.sessions import with_base, with_sessions, without_sessions
+    from identification.sessions import with_sessions
 
     loaded = load_arm(arm)
     measurements = read_measurements(data, loaded)
-    if prior:
-        if method not in (None, "gauss_newton"):
-            raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
-        return with_prior(arm, loaded, measurements, sigma, missing, output)
-    if missing is not None:
-        raise InputError("--missing: found without --prior, allowed: with --prior")
-    found = estimate(Model(with_sessions(loaded, measurements)), measurements, method=method, sigma=sigma)
+    wide = with_sessions(loaded, measurements)
+    if not prior.held:
+        found = estimate(Model(wide), measurements, method=method, sigma=sigma)
+        return answer(found, arm, output)
+    if method not in (None, "gauss_newton"):
+        raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
+    library = library_prior(wide, given_by(measurements), prior.names)
+    found = estimate_with_prior(library.model, measurements, library.prior, sigma=sigma)
+    return answer(found, arm, output, library)
+
+
+def answer(found: Identification, path: Path, output: Output, library: LibraryPrior | None = None) -> Answer:
+    """What is said of a fit, and the file with it where it is asked for and the fit is worth it."""
+    from doe.report.identification_tables import identification_tables
+
     for sentence in found.warnings:
         warnings.warn(sentence, UserWarning, stacklevel=2)
-    shown, failed = identification_tables(found), bool(found.not_identifiable)
-    if output.out is not None and (reason := no_file(found, output.force)) is not None:
-        shown.append(f"{output.out} was not written: {reason}")
-        failed = True
-    elif output.out is not None:
-        text = read_text(arm) if found.model.arm is loaded else with_effects(read_text(arm), with_base(loaded).effects)
-        shown += output.write(with_calibration(text, without_sessions(found.calibration())), "calibrated arm")
-    return Answer(found.to_json(), shown, exit_code=1 if failed else 0)
+    hidden, data = frozenset(library.prior.deviations if library else ()), found.to_json()
+    shown = identification_tables(found, hidden)
+    if library is not None:
+        data |= {"prior": library.to_json()}
+        data["parameters"] = [row for row in data["parameters"] if row["name"] not in hidden]
+        shown.append(library.sentence)
+    if output.out is None:
+        return Answer(data, shown, exit_code=1 if found.not_identifiable else 0)
+    if (reason := no_file(found, output.force)) is not None:
+        return Answer(data, [*shown, f"{output.out} was not written: {reason}"], exit_code=1)
+    return Answer(data, shown + output.write(arm_file(found, path, hidden), "calibrated arm"))
 
 
-def with_prior(
-    path: Path,
-    arm: Arm,
-    measurements: Measurements,
-    sigma: Literal["given", "estimated"] | None,
-    missing: str | None,
-    output: Output,
-) -> Answer:
-    """The fit with the library's effects; the parameters of the arm's own model are shown, all are written."""
-    from doe.report.identification_tables import identification_tables
-    from identification.estimation import estimate_with_prior
+def arm_file(found: Identification, path: Path, hidden: frozenset[str]) -> str:
+    """The text of the arm file with the calibration, and with the effects that the fit has beyond the file's.
+
+    hidden : parameters whose covariance is left out
+    """
     from identification.files.arm_text import with_calibration, with_effects
     from identification.files.io import read_text
-    from identification.gap.library_prior import given_by, library_prior
-    from identification.sessions import with_base, with_sessions, without_sessions
+    from identification.sessions import SESSIONS, without_sessions
 
-    names = None if missing is None else [word.strip() for word in missing.split(",")]
-    library = library_prior(with_sessions(arm, measurements), given_by(measurements), names)
-    found = estimate_with_prior(library.model, measurements, library.prior, sigma=sigma)
-    for sentence in found.warnings:
-        warnings.warn(sentence, UserWarning, stacklevel=2)
-    hidden = frozenset(library.prior.deviations)
-    data = found.to_json() | {"prior": library.to_json()}
-    data["parameters"] = [row for row in data["parameters"] if row["name"] not in hidden]
-    shown = [*identification_tables(found, hidden), library.sentence]
-    if output.out is not None and (reason := no_file(found, output.force)) is not None:
-        return Answer(data, [*shown, f"{output.out} was not written: {reason}"], exit_code=1)
-    if output.out is not None:
-        base = with_base(arm).effects if library.arm.effects[: len(arm.effects)] != arm.effects else arm.effects
-        text = with_effects(read_text(path), (*base, *library.added))
-        kept = without_sessions(found.calibration().about(set(found.names) - hidden))
-        shown += output.write(with_calibration(text, kept), "calibrated arm")
-    return Answer(data, shown, exit_code=1 if found.not_identifiable else 0)
+    effects = [spec for spec in found.model.arm.effects if spec.name != SESSIONS]
+    kept = found.calibration().about(set(found.names) - hidden)
+    return with_calibration(with_effects(read_text(path), effects), without_sessions(kept))
 
 
 def no_file(found: Identification, force: bool) -> str | None:

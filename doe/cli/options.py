@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from identification.errors import InputError
 from identification.files.io import write_whole
 
 if TYPE_CHECKING:
@@ -106,6 +107,34 @@ class Output:
         self.draw(figure)
 
 
+@dataclass(frozen=True)
+class LibraryEffects:
+    """Whether a fit has the library's effects in its model, each with a prior of its typical size, and which."""
+
+    prior: bool = False
+    missing: str | None = None
+
+    @property
+    def held(self) -> bool:
+        """As `prior`. Raises `InputError` for --missing alone."""
+        if self.missing is not None and not self.prior:
+            raise InputError("--missing: found without --prior, allowed: with --prior")
+        return self.prior
+
+    @property
+    def names(self) -> list[str] | None:
+        """Of the effects, None: all that arm and rows can show."""
+        return None if self.missing is None else [word.strip() for word in self.missing.split(",")]
+
+
+prior_options = grouped(
+    LibraryEffects,
+    "prior",
+    click.option(
+        "--prior", is_flag=True, help="Fit the library's effects too, each held by a prior of its typical size."
+    ),
+    click.option("--missing", metavar="NAMES", help="Only these effects, for --prior: backlash,gear_ratio"),
+)
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing file.")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -14,17 +13,16 @@ from identification.errors import InputError, JobError, nearest
 from identification.estimation.checks import Noise, check, weighting
 from identification.estimation.levenberg_marquardt import Solution
 from identification.estimation.methods import METHODS
-from identification.estimation.plausibility import doubts
+from identification.estimation.outcome import Spread, identification
 from identification.estimation.prior import Prior
 from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import FittedRows, uncertainty
 from identification.estimation.with_prior import estimate_with_prior
-from identification.information import RANK_TOLERANCE, Spectrum, identifiability_of, spectrum
+from identification.information import RANK_TOLERANCE, Spectrum, spectrum
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.placed import placed_model
-from identification.status import Status
 
 LARGEST_SHARE = 0.1  # a combination whose standard deviation exceeds this share of the arm's reach is not estimable
 
@@ -98,34 +96,12 @@ def _estimated(residuals: Array, rank: int) -> float | None:
 def _result(
     problem: Problem, data: Measurements, method: str, solution: Solution, decomposed: Spectrum, noise: Noise
 ) -> Identification:
-    model, parameters = problem.model, solution.parameters[0]
-    found = identifiability_of(decomposed, model.names, model.scales)
-    before, after = problem.residuals(problem.start)[0], problem.residuals(parameters)[0]
-    rows, known = fitted_rows(problem, data, parameters, decomposed), noise.sigma is not None
+    rows, known = fitted_rows(problem, data, solution.parameters[0], decomposed), noise.sigma is not None
     made = uncertainty(rows, decomposed, known=known, reliance=noise.reliance)
     scale = float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = scale if noise.sigma is None or scale is None else noise.sigma * scale
-    doubtful = doubts(model, parameters, found.identifiable, after, data)
-    status = Status.not_identifiable if found.combinations else solution.status[0]
-    return Identification(
-        model=model,
-        parameters=parameters,
-        covariance=made.covariance,
-        identifiable=found.identifiable,
-        not_identifiable=found.combinations,
-        sigma=noise.sigma if known else scatter,
-        sigma_known=known,
-        chi2=rows.squares if known else None,
-        dof=rows.freedom,
-        residuals_before=before,
-        residuals_after=after,
-        method=method,
-        status=Status.implausible if doubtful.implausible else status,
-        iterations=int(solution.iterations[0]),
-        provenance=MappingProxyType(data.origin),
-        uncertainty=made,
-        scatter=scatter,
-        doubts=doubtful.sentences,
+    return identification(
+        problem, data, method, solution, decomposed, noise, Spread(made, scatter, rows.squares, rows.freedom)
     )
 
 

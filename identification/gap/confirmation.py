@@ -167,13 +167,21 @@ class HeldOut(NamedTuple):
 
 
 def confirm(
-    rows: HeldOut, by_groups: Sequence[Groups], transfer: str, by: str = "holdout", level: float = LEVEL
+    rows: HeldOut,
+    by_groups: Sequence[Groups],
+    transfer: str,
+    by: str = "holdout",
+    level: float = LEVEL,
+    named: bool = True,
 ) -> Confirmation:
-    """Test whether the gap shrinks, and whether it exceeds the prediction, each at half this level to one side."""
+    """Test whether the gap shrinks, and whether it exceeds the prediction, each at half this level to one side.
+
+    named : False where nothing was named, so that nothing has to shrink
+    """
     m, variance = len(rows.after), rows.sigma**2
     gained = mean_of(rows.before - rows.after, by_groups, 4.0 * variance * float(np.mean(rows.moved)) / m)
     excess = mean_of(rows.after, by_groups, 2.0 * rows.dimension * variance**2 / m) - rows.predicted
-    named = bool(np.any(rows.moved > 0.0))
+    named = named and bool(np.any(rows.moved > 0.0))
     p_exceeds = excess.p_above()
     exceeds = p_exceeds <= level / 2.0
     return Confirmation(

@@ -80,10 +80,11 @@ def cross_validation(
     measurements: Measurements,
     kept: NDArray[np.bool_],
     generator: np.random.Generator,
+    anything: bool = True,
 ) -> tuple[Confirmation, ...]:
     """Whether the named model holds for other postures, and for another stretch of time of the same session.
 
-    base, named : fits to the rows that are kept
+    base, named : fits to the rows that are kept;  anything : False where nothing was named
     """
     by_groups = groups_of(measurements, kept)
     postures = np.unique(measurements.posture_numbers[kept], return_inverse=True)[1]
@@ -93,7 +94,7 @@ def cross_validation(
         "another stretch of time": by_groups[0],
     }
     return tuple(
-        confirm(_held_out(base, named, folds), by_groups, transfer, "cross-validation", LEVEL / QUESTIONS)
+        confirm(_held_out(base, named, folds), by_groups, transfer, "cross-validation", LEVEL / QUESTIONS, anything)
         for transfer, folds in parts.items()
     )
 

@@ -61,12 +61,12 @@ class CurveFit(Fit):
     def regression(self) -> tuple[Array, Array, Array]:
         """As of `Fit`, with the coefficients of the curves behind the parameters, and their prior."""
         parameters, rows, left = super().regression()
-        curves = self._curve_columns(self.rows.postures, self.rows.conditions)
+        curves = self.curve_columns(self.rows.postures, self.rows.conditions)
         precisions = self.variances**-0.5
         prior = np.asarray(block_diag(rows, np.diag(precisions)))
         return np.concatenate([parameters, curves], axis=2), prior, np.r_[left, -precisions * self.coefficients]
 
-    def _curve_columns(self, postures: Array, conditions: Conditions) -> Array:
+    def curve_columns(self, postures: Array, conditions: Conditions) -> Array:
         """(m, d, K) derivative of the positions by the coefficients."""
         levers = self.model.joint_levers(postures, self.values, conditions)
         columns = [levers[:, :, b.joint, None] * b.at(postures[:, b.joint])[:, None, :] for b in self.bases]
@@ -75,7 +75,7 @@ class CurveFit(Fit):
     def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
         """As of `Fit`, with the coefficients of the curves behind the parameters."""
         jacobian = self.model.jacobian(postures, self.values, conditions)
-        moved = self._curve_columns(postures, conditions) + jacobian @ self.response
+        moved = self.curve_columns(postures, conditions) + jacobian @ self.response
         covariance = block_diag(super().covariance(), self.sigma**2 * self.spread)
         return np.concatenate([jacobian, moved], axis=2), np.asarray(covariance)
 

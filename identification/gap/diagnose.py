@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -11,13 +12,14 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.estimation.estimate import check
-from identification.gap.candidates import candidate, candidate_list, trial_list
+from identification.gap.candidates import trial_list
 from identification.gap.certainty import fit_doubts
 from identification.gap.choice_validation import ChoiceValidation, disagreement, validate_choice
+from identification.gap.confirmation import HeldOut
 from identification.gap.cross_validation import cross_validation
-from identification.gap.curves import curve_candidate, find_curves
 from identification.gap.detectability import Detectability, assess, require_spare
-from identification.gap.fit import Fit, fit
+from identification.gap.explanation import Explanation, Fits, explanation, fits_of, with_prior
+from identification.gap.fit import Fit
 from identification.gap.holdout import (
     check_holdout,
     check_same_arm,
@@ -27,10 +29,11 @@ from identification.gap.holdout import (
     held_out_conditions,
 )
 from identification.gap.hypotheses import hypotheses
+from identification.gap.library_prior import given_by, library_prior
 from identification.gap.misfit import misfit
-from identification.gap.notes import alias_list, hidden_orders, notes, order_notes
+from identification.gap.notes import alias_list, hidden_orders, notes, order_notes, prior_note
 from identification.gap.order_range import order_ranges
-from identification.gap.probabilities import Probabilities, probabilities
+from identification.gap.probabilities import Probabilities
 from identification.gap.repeats import noise_floor, repeat_finding
 from identification.gap.replicate import replications
 from identification.gap.result import Candidate, Diagnosis, Residuals
@@ -56,6 +59,9 @@ def diagnose(
     seed: int = 0,
     draws: int = 999,
     progress: Progress = silent,
+    *,
+    prior: bool = False,
+    missing: Sequence[str] | None = None,
 ) -> Diagnosis:
     """Whether model and measurements disagree, which effect is missing, and whether adding it closes the gap.
 
@@ -64,15 +70,20 @@ def diagnose(
     holdout : measurements of the same arm that are used for nothing but the confirmation
     seed : of the bootstrap; the same seed gives the same diagnosis
     draws : bootstrap draws, at least 399
+    prior : once effects are named, fit the best set with the rest of the library beside it, each held by a prior of
+        its typical size;  missing : only these effects
 
     Raises `InputError` for data of another arm, effects without the data they need, fewer than 4 residual degrees of
-    freedom, one posture or one position only, a hold-out of another arm or one that shares rows with the data.
+    freedom, one posture or one position only, a hold-out of another arm or one that shares rows with the data, unknown
+    names in `missing`.
     """
     if draws < FEWEST_DRAWS:
         raise InputError(f"draws: {draws}, allowed: at least {FEWEST_DRAWS}, or no effect can pass the strictest test")
     check_input(arm, measurements, holdout)
     holdout = None if holdout is None else of_these_sessions(holdout, measurements)
     given, arm = arm, with_sessions(arm, measurements)
+    if prior:
+        library_prior(arm, given_by(measurements), missing)
     rows = Rows.of(measurements)
     library = hypotheses(arm, varying(measurements), rows)
     first = HypothesisSearch(library, rows).fit(())
@@ -83,7 +94,11 @@ def diagnose(
     progress(1, STEPS, "base model fitted")
     found = investigate_some(library, rows, draws, generator, lambda message: progress(2, STEPS, message))
     progress(6, STEPS, "assessing the plan, the sizes excluded, and the held-out data")
-    result = diagnosis_of(arm, measurements, holdout, found, draws, generator)
+    explained = explanation(found, measurements, draws, generator)
+    fits = fits_of(explained, measurements)
+    if prior:
+        explained, fits = with_prior(explained, fits, measurements, missing)
+    result = diagnosis_of(measurements, holdout, explained, fits, generator)
     progress(STEPS, STEPS, result.sentence)
     return result if arm is given else of_first_session(result, given)
 
@@ -116,67 +131,69 @@ def varying(measurements: Measurements) -> frozenset[str]:
 
 
 def diagnosis_of(
-    arm: Arm,
     measurements: Measurements,
     holdout: Measurements | None,
-    found: Findings,
-    draws: int,
+    explained: Explanation,
+    fits: Fits,
     generator: np.random.Generator,
 ) -> Diagnosis:
     """What was found, with its candidates, aliases, the gap before and after, and notes."""
-    chosen, kept = found.unknown.chosen, ~found.outlier
-    fitted = found.search.fit(chosen)
-    likely = probabilities(found)
-    candidates = candidate_list(found, draws, generator)
-    named = next((c for c in candidates if set(c.effects) == {h.label for h in chosen}), None)
-    named = named or candidate(found.search, chosen, 0.0, draws, generator)
-    if (smooth := find_curves(found, measurements)) is not None:
-        fitted, found, chosen = smooth.fit, replace(found, scatter=smooth.scatter), smooth.kept
-        named = curve_candidate(smooth)
-        # the curve of an unknown function is no name for it
-        known = named.keys if found.unknown.place is None else None
-        candidates, likely = (named,), likely.with_odds(known, smooth.gain / 2.0)
-    candidates = tuple(replace(c, probability=likely.of(c.keys)) for c in candidates)
-    curves = smooth.curves if smooth else ()
-    hidden = hidden_orders(found.search, {h.label: h for h in chosen})
-    detectable = assess_data(found, fitted.sigma)
-    base = fit(Model(arm), Rows.of(measurements).pick(kept))  # as `identify` fits it
-    of_used = base if found.sampled is None else fit(Model(arm), Rows.of(measurements).pick(found.used), base.by_name)
-    after = fitted if chosen or curves else of_used
+    found, after, kept = explained.found, fits.after, ~explained.found.outlier
+    arm, named, unknown = fits.base.model.arm, explained.named, explained.found.unknown
+    curves = explained.smooth.curves if explained.smooth else ()
+    hidden = hidden_orders(found.search, {h.label: h for h in explained.chosen})
+    detectable = assess_data(found, explained.fit.sigma)
     validated = None if curves else validate_choice(found, measurements, generator)
-    mismatch = smooth.excess if smooth else mismatch_of(found, likely, validated, measurements, holdout)
-    there = None if holdout is None else held_out(base, after, measurements, kept, holdout, mismatch)
-    residuals = show_residuals(arm, measurements, base, after)
+    there = held_out_rows(explained, fits, validated, measurements, holdout)
+    residuals = show_residuals(arm, measurements, fits.base, after)
     estimated = len(after.residual) - after.freedom  # parameters, less what a prior knows of them
     floor = noise_floor(residuals.after, measurements, kept, arm.sigma)
     gap = gap_of(residuals.before[kept], residuals.after[kept], there, floor)
     return Diagnosis(
         arm=arm,
-        verdict="named" if curves and found.unknown.place is None else verdict_of(found),
-        candidates=candidates,
-        named=replace(named, probability=likely.of(named.keys)),
-        aliases=(*hidden, *alias_list(detectable, candidates)),
-        where=found.unknown.place,
-        shape=next((c.shape for c in curves if found.unknown.place == f"joint:{c.joint}"), found.unknown.shape),
+        verdict="named" if curves and unknown.place is None else verdict_of(found),
+        candidates=explained.candidates,
+        named=named,
+        aliases=(*hidden, *alias_list(detectable, explained.candidates)),
+        where=unknown.place,
+        shape=next((c.shape for c in curves if unknown.place == f"joint:{c.joint}"), unknown.shape),
         scatter=(*found.scatter, *repeat_finding(residuals.after, estimated, measurements, kept)),
         outlier_rows=tuple(int(k) + 1 for k in np.flatnonzero(found.outlier)),
         gap=gap,
         trials=trial_list(found),
         detectability=detectable,
         residuals=residuals,
-        sigma=fitted.sigma,
-        rounds=rounds_of(found.search, (*found.selection.path, chosen)),
-        shapes=order_ranges(fitted, found.search.rows, named.effects),
-        probabilities=likely,
+        sigma=explained.fit.sigma,
+        rounds=rounds_of(found.search, (*found.selection.path, explained.chosen)),
+        shapes=order_ranges(explained.fit, found.search.rows, named.effects),
+        probabilities=explained.likely,
         choice=validated,
-        replication=replications(fitted, measurements, kept, named.effects),
+        replication=replications(explained.fit, measurements, kept, named.effects),
         misfit=misfit(residuals.after, estimated, measurements, arm.sigma, kept),
-        confirmation=None if holdout is None or there is None else confirmation_of(measurements, holdout, there),
-        cross_validation=cross_validation(of_used, after, measurements, found.used, generator),
+        confirmation=None
+        if holdout is None or there is None
+        else confirmation_of(measurements, holdout, there, bool(named.effects)),
+        cross_validation=cross_validation(fits.used, after, measurements, found.used, generator, bool(named.effects)),
         warnings=fit_doubts(arm, measurements, after, residuals.after[kept]),
         curves=curves,
-        notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap)),
+        notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap), *prior_note(explained.prior)),
+        prior=explained.prior,
     )
+
+
+def held_out_rows(
+    explained: Explanation,
+    fits: Fits,
+    validated: ChoiceValidation | None,
+    measurements: Measurements,
+    holdout: Measurements | None,
+) -> HeldOut | None:
+    """What the models leave in the hold-out, None without one."""
+    if holdout is None:
+        return None
+    smooth, found = explained.smooth, explained.found
+    mismatch = smooth.excess if smooth else mismatch_of(found, explained.likely, validated, measurements, holdout)
+    return held_out(fits.base, fits.after, measurements, ~found.outlier, holdout, mismatch)
 
 
 def mismatch_of(

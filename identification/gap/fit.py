@@ -21,9 +21,6 @@ from identification.measurements import Conditions, Measurements, rms_distance
 from identification.model import Model
 from identification.status import Status
 
-# reasons: identification/README.md, "Constants"
-NOISE_STEPS, NOISE_STEADY = 50, 1e-4
-
 
 @dataclass(frozen=True)
 class Fit:
@@ -124,34 +121,14 @@ def fit(
     start: Mapping[str, float] | None = None,
     ties: Sequence[Sequence[str]] = (),
     prior: Prior | None = None,
-    noise: float | None = None,
+    noise: float = 1.0,
 ) -> Fit:
     """Least squares within the parameters' bounds.
 
     start : parameter name -> value, zero where missing; None: see `estimation.methods.starts`
     ties : groups of parameters that are equal
-    prior : of the parameters;  noise : scale of the whitened residuals [mm] that it is weighed against; None: estimated
-        as sum of squares over degrees of freedom, the maximum of the marginal likelihood (MacKay 1992)
+    prior : of the parameters, weighed against noise of this scale of the whitened residuals [mm]
     """
-    if prior is None or noise is not None:
-        return _fitted(model, rows, start, ties, prior, noise or 1.0)
-    found = _fitted(model, rows, start, ties, prior, float(np.std(rows.positions)))
-    for _ in range(NOISE_STEPS):
-        before = found.sigma
-        found = _fitted(model, rows, found.by_name, ties, prior, before)
-        if abs(found.sigma - before) <= NOISE_STEADY * before:
-            break
-    return found
-
-
-def _fitted(
-    model: Model,
-    rows: Rows,
-    start: Mapping[str, float] | None,
-    ties: Sequence[Sequence[str]],
-    prior: Prior | None,
-    noise: float,
-) -> Fit:
     weights = np.ones(len(rows))
     plain = Problem(model, rows.postures, rows.conditions, rows.positions[None], weights, prior=prior, noise=noise)
 

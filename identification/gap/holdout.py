@@ -91,10 +91,10 @@ def gap_of(before: Array, after: Array, there: HeldOut | None, floor: NoiseFloor
     return Gap(*own, *(float(np.sqrt(square)) for square in squares))
 
 
-def confirmation_of(measurements: Measurements, holdout: Measurements, there: HeldOut) -> Confirmation:
-    """Whether the hold-out confirms the named model."""
+def confirmation_of(measurements: Measurements, holdout: Measurements, there: HeldOut, named: bool) -> Confirmation:
+    """Whether the hold-out confirms the named model;  named : False where nothing was named."""
     every = np.ones(len(holdout), dtype=bool)
-    return confirm(there, groups_of(holdout, every), transfer_of(measurements, holdout))
+    return confirm(there, groups_of(holdout, every), transfer_of(measurements, holdout), named=named)
 
 
 def held_out(

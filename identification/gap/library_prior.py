@@ -21,7 +21,8 @@ from identification.arm import Arm, EffectSpec
 from identification.effects import Effect, library
 from identification.errors import InputError, nearest
 from identification.estimation.prior import Prior
-from identification.gap.hypotheses import Hypothesis, hypotheses
+from identification.gap.curve_choice import is_function_of
+from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -31,13 +32,22 @@ class LibraryPrior:
     """An arm with the library's effects added to its own, and how large those may be.
 
     arm : the arm with all effects, those `added` last;  prior : of their parameters
-    left_out : effect -> why it is not among them
+    left_out : effect -> why it is not among them;  size : factor on the typical sizes
     """
 
     arm: Arm
     added: tuple[EffectSpec, ...]
     prior: Prior
     left_out: Mapping[str, str]
+    size: float = 1.0
+
+    def times(self, size: float) -> LibraryPrior:
+        """With all sizes times a factor; with none of the effects if it is zero."""
+        if size == 0.0:
+            own = self.arm.effects[: len(self.arm.effects) - len(self.added)]
+            return replace(self, arm=self.arm.with_effects(*own), added=(), prior=Prior({}), size=size)
+        scaled = {name: size * deviation for name, deviation in self.prior.deviations.items()}
+        return replace(self, prior=Prior(scaled), size=size)
 
     @property
     def model(self) -> Model:
@@ -53,12 +63,16 @@ class LibraryPrior:
     def sentence(self) -> str:
         """What is in the prior, in words."""
         kinds = dict.fromkeys(spec.name for spec in self.added)
-        return f"with a prior of typical sizes: {len(self.prior.deviations)} parameters of {', '.join(kinds)}"
+        if not kinds:
+            return "without the rest of the library: the data leave no room for it"
+        times = "" if self.size == 1.0 else f"{self.size:.2g} times "
+        return f"with a prior of {times}typical sizes: {len(self.prior.deviations)} parameters of {', '.join(kinds)}"
 
     def to_json(self) -> dict[str, Any]:
         """Key `prior` of `identify` (identification/files/README.md, "JSON keys")."""
         count = len(self.prior.deviations)
-        return {"parameters": count, "effects": self.effects, "left_out": dict(self.left_out)}
+        left_out = dict(self.left_out)
+        return {"parameters": count, "effects": self.effects, "left_out": left_out, "size": self.size}
 
 
 def library_prior(
@@ -66,27 +80,32 @@ def library_prior(
     given: frozenset[str] = frozenset(),
     names: Sequence[str] | None = None,
     most_settings: int | None = None,
+    *,
+    required: bool = True,
 ) -> LibraryPrior:
     """All effects of the library that the arm may have and that rows with the data `given` can show.
 
     given : of `time`, `directions`, `past`, `temperature`, what rows have;  names : of effects, None: all
     most_settings : of one effect at one joint; of more, as many are taken at even distances
-    Raises `InputError` for names that are not in the library, and where no effect is left.
+    required : raise `InputError` where no effect is left
+
+    Raises `InputError` for names that are not in the library.
     """
     for name in names or ():
         if name not in library():
             raise InputError(f"effects: unknown name {name!r}, {nearest(name, library())}")
     known = hypotheses(arm, given)
     left_out = {key: why for key, why in known.skipped.items() if names is None or key.partition(":")[0] in names}
+    curved = _curved(known)
     chosen: list[Hypothesis] = []
     for hypothesis in _once(known.members):
         if hypothesis.effect.prior < 1.0 if names is None else hypothesis.effect.name not in names:
             continue  # the rare ones only by name
-        if reason := _why_not(hypothesis.effect, given):
+        if reason := _why_not(hypothesis.effect, given) or curved.get(hypothesis.key):
             left_out[hypothesis.key] = reason
         else:
             chosen.append(hypothesis)
-    if not chosen:
+    if required and not chosen:
         raise InputError("effects: none of the library's is left for the prior, allowed: at least one")
     kept = _thinned(chosen, most_settings)
     wide = _extended(arm, kept)
@@ -113,6 +132,14 @@ def _why_not(effect: Effect, given: frozenset[str]) -> str | None:
     if missing:
         return f"needs {', '.join(missing)}"
     return "no typical size" if any(p.typical is None for p in effect.parameters) else None
+
+
+def _curved(known: HypothesisSet) -> dict[str, str]:
+    """Key -> reason, of effects that are functions of the angle of a joint that has an error curve."""
+    joints = {spec.joint for spec in known.arm.effects if spec.curve is not None}
+    there = {h.key: h.effect for h in known.members if h.effect.joint in joints}
+    functions = (key for key, e in there.items() if is_function_of(e, (e.joint or 0) - 1, known.base))
+    return dict.fromkeys(functions, "its joint has an error curve")
 
 
 def _thinned(members: Sequence[Hypothesis], most: int | None) -> list[Hypothesis]:

@@ -10,6 +10,7 @@ from identification.arm import Arm
 from identification.gap.detectability import EXACT, NEAR, Detectability, likenesses
 from identification.gap.holdout import Gap
 from identification.gap.hypotheses import Hypothesis
+from identification.gap.library_prior import LibraryPrior
 from identification.gap.result import Candidate
 from identification.gap.search import HypothesisSearch
 from identification.gap.workflow import Findings
@@ -54,6 +55,11 @@ def order_notes(hidden: tuple[tuple[str, str, float], ...]) -> list[str]:
         listed = ", ".join(other for other, _ in likes[:3])
         said.append(f"at these postures {key} {word} {listed}{more}; to decide, measure at other joint angles")
     return said
+
+
+def prior_note(prior: LibraryPrior | None) -> list[str]:
+    """What the fit has in its model beside what is named."""
+    return [] if prior is None else [f"after: fitted {prior.sentence}"]
 
 
 def inseparable(joint: int) -> str:

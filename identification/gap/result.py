@@ -16,6 +16,7 @@ from identification.gap.confirmation import Confirmation
 from identification.gap.curve import Curve
 from identification.gap.detectability import Detectability, Size
 from identification.gap.holdout import Gap
+from identification.gap.library_prior import LibraryPrior
 from identification.gap.misfit import Misfit
 from identification.gap.noise import Finding
 from identification.gap.order_range import OrderRange
@@ -55,6 +56,7 @@ class Candidate:
     probability : that these effects are missing and no others; None where it was not computed
     intervals, reliance : what the 95 % intervals rely on, as in `estimation.uncertainty`, and in words
     freedom : degrees of freedom of each variance in the calibration's covariance; empty: those of the residuals
+    held : effects that the calibration has beside them, each as far as its prior allows
     """
 
     effects: tuple[str, ...]
@@ -69,6 +71,7 @@ class Candidate:
     intervals: str = "scatter"
     reliance: str = "from the scatter of the residuals"
     freedom: tuple[float, ...] = ()
+    held: tuple[EffectSpec, ...] = ()
 
     @property
     def title(self) -> str:
@@ -143,6 +146,7 @@ class Diagnosis:
     replication : of several sessions, what each named effect is in each
     warnings : what is doubtful about the fit, to be read before the verdict is believed
     curves : error curves of joints that are part of the best set
+    prior : what is held by it beside the named effects, None without
     trials : every effect against the base model;  detectability : what the plan could show
     misfit : what is left against the sigma given, None without one;  confirmation : by held-out rows, None without
     choice : the effects chosen anew without a part of the rows; None where that was not tried
@@ -174,6 +178,7 @@ class Diagnosis:
     rounds: tuple[Round, ...] = ()
     replication: tuple[Replication, ...] = ()
     curves: tuple[Curve, ...] = ()
+    prior: LibraryPrior | None = None
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -244,7 +249,7 @@ class Diagnosis:
         values as its calibration."""
         chosen = candidate or self.named
         calibration = self.calibration if candidate is None else chosen.calibration
-        return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=calibration)
+        return replace(self.arm, effects=(*self.arm.effects, *chosen.specs, *chosen.held), calibration=calibration)
 
     @property
     def calibration(self) -> Calibration:
@@ -291,7 +296,7 @@ class Diagnosis:
             "trials": [vars(t) for t in self.trials],
             "rounds": [one.to_json() for one in self.rounds],
             "notes": list(self.notes),
-        }
+        } | ({} if self.prior is None else {"prior": self.prior.to_json()})
 
     def __str__(self) -> str:
         return summary.text(self)

@@ -1,0 +1,62 @@
+"""From a solution of a least-squares problem to an `Identification`: what is estimable, how sure, what is doubtful."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import NamedTuple
+
+from identification.estimation.checks import Noise
+from identification.estimation.levenberg_marquardt import Solution
+from identification.estimation.plausibility import doubts
+from identification.estimation.problem import Problem
+from identification.estimation.result import Identification
+from identification.estimation.uncertainty import Uncertainty
+from identification.information import Spectrum, identifiability_of
+from identification.measurements import Measurements
+from identification.status import Status
+
+
+class Spread(NamedTuple):
+    """How sure a fit is: its intervals, standard deviation of one coordinate [mm], weighted squares, what is left."""
+
+    uncertainty: Uncertainty
+    scatter: float | None
+    squares: float
+    freedom: int
+
+
+def identification(
+    problem: Problem,
+    data: Measurements,
+    method: str,
+    solution: Solution,
+    decomposed: Spectrum,
+    noise: Noise,
+    spread: Spread,
+) -> Identification:
+    """What a solution of the problem amounts to, with what is estimable and what is doubtful about it."""
+    model, parameters, known = problem.model, solution.parameters[0], noise.sigma is not None
+    found = identifiability_of(decomposed, model.names, model.scales)
+    before, after = problem.residuals(problem.start)[0], problem.residuals(parameters)[0]
+    doubtful = doubts(model, parameters, found.identifiable, after, data)
+    status = Status.not_identifiable if found.combinations else solution.status[0]
+    return Identification(
+        model=model,
+        parameters=parameters,
+        covariance=spread.uncertainty.covariance,
+        identifiable=found.identifiable,
+        not_identifiable=found.combinations,
+        sigma=noise.sigma if known else spread.scatter,
+        sigma_known=known,
+        chi2=spread.squares if known else None,
+        dof=spread.freedom,
+        residuals_before=before,
+        residuals_after=after,
+        method=method,
+        status=Status.implausible if doubtful.implausible else status,
+        iterations=int(solution.iterations[0]),
+        provenance=MappingProxyType(data.origin),
+        uncertainty=spread.uncertainty,
+        scatter=spread.scatter,
+        doubts=doubtful.sentences,
+    )

@@ -1,0 +1,99 @@
+"""What explains the data: candidates with probabilities, error curves, and the fits before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.gap.candidates import candidate, candidate_list
+from identification.gap.curves import Curves, curve_candidate, find_curves
+from identification.gap.fit import Fit, fit
+from identification.gap.library_prior import LibraryPrior
+from identification.gap.prior_fits import held, held_candidate
+from identification.gap.probabilities import Probabilities, probabilities
+from identification.gap.result import Candidate
+from identification.gap.search import Choice
+from identification.gap.whitening import Rows
+from identification.gap.workflow import Findings
+from identification.measurements import Measurements
+from identification.model import Model
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """found : with the noise that holds beside curves;  chosen : effects in the best set, beside curves
+    candidates, named : the ambiguity set, and the best set;  fit : of the best set alone;  smooth : the curves
+    prior : what is held beside them in `Fits`, None without
+    """
+
+    found: Findings
+    chosen: Choice
+    candidates: tuple[Candidate, ...]
+    named: Candidate
+    fit: Fit
+    likely: Probabilities
+    smooth: Curves | None
+    prior: LibraryPrior | None = None
+
+
+def explanation(found: Findings, measurements: Measurements, draws: int, generator: np.random.Generator) -> Explanation:
+    """The ambiguity set and the best set, in which error curves take the place of names that they explain better."""
+    chosen = found.unknown.chosen
+    likely = probabilities(found)
+    candidates = candidate_list(found, draws, generator)
+    named = next((c for c in candidates if set(c.effects) == {h.label for h in chosen}), None)
+    named = named or candidate(found.search, chosen, 0.0, draws, generator)
+    fitted, smooth = found.search.fit(chosen), find_curves(found, measurements)
+    if smooth is not None:
+        fitted, found, chosen = smooth.fit, replace(found, scatter=smooth.scatter), smooth.kept
+        named = curve_candidate(smooth)
+        # the curve of an unknown function is no name for it
+        known = named.keys if found.unknown.place is None else None
+        candidates, likely = (named,), likely.with_odds(known, smooth.gain / 2.0)
+    candidates = tuple(replace(c, probability=likely.of(c.keys)) for c in candidates)
+    named = replace(named, probability=likely.of(named.keys))
+    return Explanation(found, chosen, candidates, named, fitted, likely, smooth)
+
+
+@dataclass(frozen=True)
+class Fits:
+    """base : as `identify` fits it to all rows but outliers;  used : the same to the rows of the search
+    after : of the best set
+    """
+
+    base: Fit
+    used: Fit
+    after: Fit
+
+
+def fits_of(explained: Explanation, measurements: Measurements) -> Fits:
+    """The model before and after."""
+    found, rows = explained.found, Rows.of(measurements)
+    model = found.search.hypotheses.base
+    base = fit(model, rows.pick(~found.outlier))
+    used = base if found.sampled is None else fit(model, rows.pick(found.used), base.by_name)
+    return Fits(base, used, explained.fit if explained.chosen or explained.smooth else used)
+
+
+def with_prior(
+    explained: Explanation, fits: Fits, measurements: Measurements, names: Sequence[str] | None
+) -> tuple[Explanation, Fits]:
+    """The same with the rest of the library held by its prior in the fits of candidates and of the best set.
+
+    names : of effects, None: all
+    """
+    used = measurements.rows(explained.found.used)
+    after, library = held(fits.after, used, names)
+    named = held_candidate(explained.named, after, library)
+
+    def again(one: Candidate) -> Candidate:
+        if one.effects == named.effects:
+            return named
+        arm = fits.base.model.arm
+        own = fit(Model(arm.with_effects(*arm.effects, *one.specs)), explained.fit.rows, one.calibration.values)
+        return held_candidate(one, *held(own, used, names))
+
+    candidates = tuple(map(again, explained.candidates))
+    return replace(explained, candidates=candidates, named=named, prior=library), replace(fits, after=after)

@@ -1,0 +1,82 @@
+"""The fits of a diagnosis with the rest of the library held by its prior, so that they allow for what has no name yet.
+
+Names and tests do not change. Beside the named effects, which are free, stand all others with zero mean and their
+typical sizes times a common factor from 0 to 1, the likeliest one: where everything that is there has its name the
+factor is small, and where much is left that no name explains it is 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+
+from identification.arm import Calibration
+from identification.estimation.uncertainty import Uncertainty
+from identification.estimation.with_prior import Restricted
+from identification.gap.candidates import estimates
+from identification.gap.curves import CurveFit
+from identification.gap.fit import Fit, fit
+from identification.gap.library_prior import LibraryPrior, given_by, library_prior
+from identification.gap.result import Candidate
+from identification.measurements import Measurements
+
+
+def held(found: Fit, measurements: Measurements, names: Sequence[str] | None = None) -> tuple[Fit, LibraryPrior]:
+    """A fit repeated with the library's other effects in its model, and these with the size that was likeliest.
+
+    measurements : the rows of the fit;  names : of effects, None: all
+    """
+    arm = replace(found.model.arm, calibration=Calibration(found.by_name))
+    library = library_prior(arm, given_by(measurements), names, required=False)
+    size, noise = likeliest_size(found, library)
+    library = library.times(size)
+    if not library.added:
+        return found, library
+    start = library.model.parameters.mapping(library.model.values)
+    wide = fit(library.model, found.rows, start, prior=library.prior, noise=noise)
+    return (_beside_curves(wide, found) if isinstance(found, CurveFit) else wide), library
+
+
+def likeliest_size(found: Fit, library: LibraryPrior) -> tuple[float, float]:
+    """Factor from 0 to 1 on the typical sizes of effects that are missing in a fit, and the noise beside them [mm]."""
+    model, rows = library.model, found.rows
+    deviations = model.parameters.vector(library.prior.deviations)
+    jacobian = rows.whiten(model.jacobian(rows.postures, model.values, rows.conditions))
+    known = deviations > 0.0
+    free = found.basis
+    return Restricted.of(found.residual, free, jacobian[:, known] * deviations[known]).likeliest_size()
+
+
+def _beside_curves(wide: Fit, found: CurveFit) -> CurveFit:
+    """The fit with the curves of another one, which keep their values and uncertainty."""
+    own = {field.name: getattr(wide, field.name) for field in fields(Fit)}
+    curves = {field.name: getattr(found, field.name) for field in fields(CurveFit) if field.name not in own}
+    columns, rows = wide.jacobian, wide.prior_rows
+    penalized = columns if rows is None else np.concatenate([columns, rows])
+    moved = found.rows.whiten(found.curve_columns(found.rows.postures, found.rows.conditions))
+    padded = np.concatenate([moved, np.zeros((len(penalized) - len(columns), moved.shape[1]))])
+    scales = wide.model.scales
+    response = -np.linalg.lstsq(penalized / scales, padded, rcond=None)[0] / scales[:, None]
+    return CurveFit(**own, **(curves | {"response": response}))
+
+
+def held_candidate(named: Candidate, fitted: Fit, library: LibraryPrior) -> Candidate:
+    """A candidate with estimates and intervals of a fit with the library's other effects, and these effects' values."""
+    covariance = fitted.covariance(bounded=False)
+    freedom = float(max(fitted.freedom, 1))
+    sure = Uncertainty("scatter", covariance, np.full(len(covariance), freedom))
+    own = [name for name in fitted.model.names if name not in library.prior.deviations]
+    labels = set(named.effects)
+    shown = {p.name for effect in fitted.model.effects if effect.label in labels for p in effect.parameters}
+    every = Calibration(fitted.by_name, fitted.model.names, covariance, named.calibration.provenance)
+    return replace(
+        named,
+        parameters=estimates(fitted, sure, shown),
+        calibration=every.about(own),
+        intervals=sure.kind,
+        reliance=f"{sure.sentence}, with a prior of typical sizes",
+        freedom=(freedom,) * len(own),
+        held=library.added,
+    )
