@@ -50,7 +50,7 @@ class CurveFit(Fit):
     @property
     def effective(self) -> float:
         """Number of parameters and coefficients that the data determine."""
-        return self.rank + self.determined
+        return super().effective + self.determined
 
     def covariance(self, bounded: bool = True) -> Array:
         """(p, p) of the estimates; the curves' uncertainty is part of it."""

@@ -12,6 +12,7 @@ from scipy.optimize import minimize_scalar
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
+from identification.estimation.prior import effective_count
 from identification.gap.curve_fit import Basis
 from identification.gap.curves import CurveFit
 from identification.gap.diagnose import diagnose
@@ -156,7 +157,9 @@ def test_a_curve_keeps_its_values_and_moves_the_rest() -> None:
     own = {name: getattr(plain, name) for name in Fit.__dataclass_fields__}
     shape = {"bases": (basis,), "coefficients": coefficients, "variances": np.ones(basis.count)}
     response = np.zeros((len(plain.values), basis.count))
-    wide, library = held(CurveFit(**own, **shape, spread=1e-12 * np.eye(basis.count), response=response), DATA)
+    wide, library = held(
+        CurveFit(**own, **shape, spread=1e-12 * np.eye(basis.count), response=response, determined=1.5), DATA
+    )
     assert isinstance(wide, CurveFit)
     assert library.left_out["encoder_eccentricity:1"] == "its joint has an error curve"
     assert "encoder_eccentricity:2" in library.effects
@@ -167,3 +170,4 @@ def test_a_curve_keeps_its_values_and_moves_the_rest() -> None:
     moved = fit(larger, rows, wide.by_name, prior=library.prior, noise=noise).values - wide.values
     expected = wide.response @ (0.1 * coefficients)
     assert np.abs(moved - expected).max() <= 0.02 * np.abs(expected).max()
+    assert wide.effective == pytest.approx(effective_count(wide.triangle, wide.prior_rows) + 1.5)
