@@ -38,12 +38,10 @@ class Model:
 
     known : parameter name -> value [mm, rad] of parameters that are not estimated, besides those that the arm's own
         effects fix
-    held : the geometry of a spatial arm is held by the prior of its machining (see `prior`)
     """
 
     arm: Arm
     known: Mapping[str, float] | None = None
-    held: bool = True
 
     def __post_init__(self) -> None:
         for name in self.known or {}:
@@ -51,7 +49,7 @@ class Model:
 
     def __getstate__(self) -> dict[str, Any]:
         """What pickles: the CasADi functions do not, and are built anew where they are needed."""
-        return {"arm": self.arm, "known": self.known, "held": self.held}
+        return {"arm": self.arm, "known": self.known}
 
     # -- parameters ------------------------------------------------------------------------------------------------
     @cached_property
@@ -82,7 +80,8 @@ class Model:
     @cached_property
     def fixed(self) -> Mapping[str, float]:
         """Name -> value of the parameters that are known."""
-        values = dict(self.known or {})
+        fixed = () if self.arm.chain is None else self.arm.chain.fixed
+        values = {name: self._calibrated().get(name, 0.0) for name in fixed} | dict(self.known or {})
         for effect, spec in self._built:
             if not effect.scatter:
                 values |= {p.name: float(spec.values[p.short]) for p in effect.parameters if p.short in spec.values}
@@ -96,8 +95,8 @@ class Model:
     @property
     def prior(self) -> dict[str, float]:
         """Name -> standard deviation before the data [API unit] of what a spatial arm's geometry is off by; empty in
-        the plane, and where nothing holds it."""
-        if self.arm.chain is None or not self.held:
+        the plane, and for a minimal set, which needs none."""
+        if self.arm.chain is None or self.arm.chain.fixed:
             return {}
         sizes = {"mm": self.arm.machining.translation, "rad": self.arm.machining.rotation}
         kinds = (TRANSLATION_ERROR, ROTATION_ERROR, JOINT_OFFSET)

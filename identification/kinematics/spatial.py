@@ -82,6 +82,7 @@ class SpatialChain(ByValue):
     end : (4, 4) pose of the tip's frame in that of the last joint [mm];  base : (4, 4) pose of the base
     tools : name of each measured point -> (3,) its place in the tip's frame [mm]
     known : those of `base` and `tool` that are given, and not to be found from the measurements
+    fixed : names of further parameters that are not estimated (identification/minimal.py)
     """
 
     joints: tuple[Joint, ...]
@@ -89,6 +90,7 @@ class SpatialChain(ByValue):
     base: Array = field(default_factory=lambda: np.eye(4))
     tools: Mapping[str, Array] = field(default_factory=lambda: {"1": np.zeros(3)})
     known: frozenset[str] = frozenset()
+    fixed: frozenset[str] = frozenset()
     dimension = DIMENSION
 
     def __post_init__(self) -> None:

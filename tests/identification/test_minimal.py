@@ -44,9 +44,7 @@ def test_as_many_as_can_be_told_apart(chain: SpatialChain, count: int | None) ->
     generator = np.random.default_rng(5)
     postures = generator.uniform(model.arm.lower, model.arm.upper, (200, len(chain)))
     marker = Conditions(marker=np.arange(200.0) % len(chain.tools))
-    everything, kept = (
-        (m.jacobian(postures, None, marker) / m.scales).reshape(600, -1) for m in (replace(model, held=False), found)
-    )
+    everything, kept = ((m.jacobian(postures, None, marker) / m.scales).reshape(600, -1) for m in (model, found))
     every_value, kept_value = (np.linalg.svd(rows, compute_uv=False) for rows in (everything, kept))
     rank = int(np.sum(every_value > 1e-9 * every_value[0]))
     assert len(found.names) == rank == int(np.sum(kept_value > 1e-9 * kept_value[0]))
