@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.estimation.levenberg_marquardt import Index, LeastSquares
 from identification.estimation.prior import Prior
+from identification.estimation.triangle import compressed
 from identification.information import RANK_TOLERANCE
 from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.measurements import Conditions, Measurements
@@ -86,8 +87,12 @@ class Problem:
 
     @property
     def least_squares(self) -> LeastSquares:
-        """What the solver sees."""
-        return LeastSquares(self.linearize, *self.bounds, self.model.scales, self.rounding, self.tolerance)
+        """What the solver sees, of tall problems their triangle."""
+
+        def linearize(parameters: Array, index: Index) -> tuple[Array, Array]:
+            return compressed(*self.linearize(parameters, index))
+
+        return LeastSquares(linearize, *self.bounds, self.model.scales, self.rounding, self.tolerance)
 
     def residuals(self, parameters: Array) -> Array:
         """(K, m, d) measured less computed [mm], for parameters (p,) or (K, p)."""
