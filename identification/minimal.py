@@ -21,8 +21,10 @@ from identification.model import Model
 
 FIRST = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
 POSTURES = 100  # at random: three equations each for some forty parameters
-TOLD = 1e-6  # share of a column of unit length that those kept before do not explain; rounding is 1e-13 of it
-WELL_TOLD = 1e-3  # the same where little told is not wanted: noise is a share of a thousandth of what errors do
+TOLD = (
+    1e-6  # [mm] RMS of a coordinate that an error of machining size makes, beside those kept before; rounding is 1e-12
+)
+WELL_TOLD = 1e-2  # [mm] the same where what measurements hardly tell is not wanted: below what trackers resolve
 SEED = 0
 
 
@@ -30,30 +32,30 @@ def minimal(model: Model, told: float = TOLD) -> Model:
     """The model of a spatial arm with a minimal set of geometric parameters, free of any prior; the others are zero, or
     what a calibration says.
 
-    told : smallest share of a column that counts, see `TOLD`
+    told : [mm] what the smallest parameter that counts moves a coordinate by, see `TOLD`
     Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
     """
-    parameters = model.parameters
-    kinds = [kind for kind in FIRST if kind in parameters.kinds]
-    order = [k for kind in kinds for k in parameters.indices(kind)]
-    kept = set(independent(_jacobian(model)[:, order] / model.scales[order], told))
-    fixed = frozenset(parameters[k].name for place, k in enumerate(order) if place not in kept)
     chain = model.arm.chain
     if chain is None:
         raise InputError("minimal: a planar arm, allowed: a spatial one; the parameters of a planar arm are minimal")
+    parameters = model.parameters
+    order = [k for kind in FIRST for k in parameters.indices(kind)]
+    sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
+    kept = set(independent(_jacobian(model)[:, order] * sizes, told))
+    fixed = frozenset(parameters[k].name for place, k in enumerate(order) if place not in kept)
     return replace(model, arm=replace(model.arm, chain=replace(chain, fixed=chain.fixed | fixed)))
 
 
 def independent(columns: Array, told: float = TOLD) -> list[int]:
-    """Numbers of the columns (N, p) that those kept before them do not span (Gram and Schmidt, twice for rounding)."""
+    """Numbers of the columns (N, p) of which those kept before leave an RMS above `told` (Gram and Schmidt, twice for
+    rounding)."""
     basis = np.zeros((len(columns), 0))
     kept = []
-    lengths = np.linalg.norm(columns, axis=0)
-    for k in np.flatnonzero(lengths > told * lengths.max(initial=0.0)).tolist():
-        left = columns[:, k] / lengths[k]
+    for k, column in enumerate(columns.T):
+        left = column
         for _ in range(2):
             left = left - basis @ (basis.T @ left)
-        if (size := float(np.linalg.norm(left))) > told:
+        if (size := float(np.linalg.norm(left))) > told * np.sqrt(len(columns)):
             basis = np.column_stack([basis, left / size])
             kept.append(k)
     return kept
