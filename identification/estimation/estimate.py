@@ -48,7 +48,7 @@ def estimate(
         a row of weight 3 moves the estimates as three equal rows would; rows of weight 0 are left out
 
     Where a spatial arm stands and where its measured points are is found from nothing, unless the arm says so. Its
-    geometry is held by the prior of its machining (`Model.held`), as by `estimate_with_prior`.
+    geometry is held by the prior of its machining (`Model.prior`), as by `estimate_with_prior`.
 
     A plan that does not make everything estimable is no error: what is estimable is estimated, the rest is named in
     `not_identifiable`, and `status` says so. Raises `InputError` for data that do not fit the model, `JobError` if the
