@@ -46,9 +46,15 @@ def significant(values: Array, tolerance: float = RANK_TOLERANCE) -> NDArray[np.
 
 def column_space(jacobian: Array, scales: Array) -> Array:
     """(N, rank) orthonormal basis of the columns of a Jacobian (N, p) that may be whitened."""
+    return column_space_of(jacobian, scales)[0]
+
+
+def column_space_of(jacobian: Array, scales: Array) -> tuple[Array, Array]:
+    """`column_space`, and (p, rank) of what combinations of the columns it consists."""
     lengths, zero = column_lengths(np.linalg.norm(jacobian, axis=0), scales)
-    left, values, _ = np.linalg.svd(np.where(zero, 0.0, jacobian / lengths), full_matrices=False)
-    return np.asarray(left[:, significant(values)])
+    left, values, right = np.linalg.svd(np.where(zero, 0.0, jacobian / lengths), full_matrices=False)
+    seen = significant(values)
+    return left[:, seen], right[seen].T / values[seen] / lengths[:, None]
 
 
 @dataclass(frozen=True)

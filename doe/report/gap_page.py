@@ -9,7 +9,6 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from doe.report.gap_figures import against_figure, alias_figure, curves_figure, workspace_figure
 from doe.report.page import Section, Sheet, page
 from doe.report.terminal import number, table
 from identification.gap.result import Candidate, Diagnosis, Estimate
@@ -154,6 +153,8 @@ def curve_sections(diagnosis: Diagnosis) -> list[Section]:
     """The part about error curves of joints, where there are any."""
     if not diagnosis.curves:
         return []
+    from doe.report.gap_figures import curves_figure
+
     text = (
         "Real less commanded angle over the angles measured, with a 95 % band; zero outside. Dots: what groups of rows "
         "say, with everything else in the model."
@@ -163,6 +164,9 @@ def curve_sections(diagnosis: Diagnosis) -> list[Section]:
 
 def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
     """The parts of the page that show a diagnosis."""
+    # deferred: tables need no pictures, and matplotlib takes longer to load than a small diagnosis
+    from doe.report.gap_figures import against_figure, alias_figure, workspace_figure
+
     notes = ["Sizes of effects that would have been found, and effects that are hard to distinguish."]
     if diagnosis.outlier_rows:
         notes.append(f"Rows left out as outliers: {', '.join(map(str, diagnosis.outlier_rows))}.")

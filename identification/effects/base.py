@@ -9,6 +9,7 @@ return. A new effect is one class: see `register`.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from math import inf
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -84,7 +85,7 @@ class Effect:
         """Name in reports: `name` or `name:joint`, with the settings where another effect has the same."""
         return self.label if self.tagged else EffectSpec(self.name, self.joint).key
 
-    @property
+    @cached_property
     def label(self) -> str:
         """What makes two effects one and the same: name, joint and settings, `transmission_ripple:2[k=6]`."""
         settings = ";".join(f"{name}={value:g}" for name, value in self.chosen.items())

@@ -23,18 +23,27 @@ def candidate_list(found: Findings, draws: int, generator: np.random.Generator) 
     rivals = found.selection.rivals
     if found.unknown.place is not None:
         rivals = ((found.unknown.chosen, 0.0),) if found.unknown.chosen else ()
-    return tuple(candidate(found.search, chosen, delta, draws, generator) for chosen, delta in rivals)
+    searches = found.search, found.fits
+    return tuple(candidate(*searches, chosen, delta, draws, generator) for chosen, delta in rivals)
 
 
 def candidate(
-    search: HypothesisSearch, chosen: Choice, delta: float, draws: int, generator: np.random.Generator
+    search: HypothesisSearch,
+    fits: HypothesisSearch,
+    chosen: Choice,
+    delta: float,
+    draws: int,
+    generator: np.random.Generator,
 ) -> Candidate:
-    """A set of effects with its estimates;  delta : its BIC less the lowest."""
-    found = search.fit(chosen)
-    sure = certainty(search, found)
+    """A set of effects with its estimates.
+
+    search : the tests;  fits : the fits, perhaps to more rows;  delta : its BIC less the lowest
+    """
+    found = fits.fit(chosen)
+    sure = certainty(fits, found)
     added = len(found.model.effects) - len(chosen)  # the arm's own come first
     effects, specs = found.model.effects[added:], found.model.arm.effects[-len(chosen) :] if chosen else ()
-    origin = {"source": "armcal diagnose", "joint_range_deg": joint_range(search.rows.postures)}
+    origin = {"source": "armcal diagnose", "joint_range_deg": joint_range(fits.rows.postures)}
     return Candidate(
         tuple(effect.label for effect in effects),
         specs,

@@ -52,7 +52,7 @@ def validate_choice(
 ) -> ChoiceValidation | None:
     """None where nothing was chosen, or where rows are so many or so few that nothing can be learnt."""
     chosen = found.unknown.chosen
-    rows = Rows.of(measurements).pick(found.used)
+    rows = Rows.of(measurements).pick(~found.outlier)
     if not chosen or not 2 * FOLDS <= len(rows) <= MOST_ROWS:
         return None
     search = HypothesisSearch(found.search.hypotheses, rows)
@@ -112,7 +112,7 @@ def _predicted(model: Array, residual: Array, out: NDArray[np.bool_], d: int) ->
 def disagreement(found: Findings, likely: Probabilities, rows: Measurements, there: Conditions) -> float:
     """Mean square distance [mm^2] in other rows between the named model and the other explanations, each with its
     probability: the candidates and the base model."""
-    search, chosen = found.search, found.unknown.chosen
+    search, chosen = found.fits, found.unknown.chosen
     rivals = [((), likely.none), *((rival, likely.of(h.key for h in rival)) for rival, _ in found.selection.rivals)]
     named = search.fit(chosen).position_residuals(rows, there)
     moved = [(p, search.fit(rival).position_residuals(rows, there) - named) for rival, p in rivals]

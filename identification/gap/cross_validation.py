@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.gap.confirmation import LEVEL, Confirmation, Groups, HeldOut, Mean, confirm
+from identification.gap.curve_fit import inverse_if_clear
 from identification.gap.fit import Fit
 from identification.gap.holdout import groups_of
 from identification.measurements import Measurements
@@ -27,51 +28,91 @@ QUESTIONS = 2  # transfers that are tested, over which the level is divided
 
 
 class CrossValidated(NamedTuple):
-    """Residuals (m, d) [mm] of rows by fits to the other parts, and (m,) the mean square that these fits predict."""
+    """Residuals (m, d) [mm] of rows by fits to the other parts, and (m,) the mean square that these fits predict for
+    the rows of the same part."""
 
     residual: Array
     predicted: Array
 
 
-def cross_validate(found: Fit, folds: Groups) -> CrossValidated:
+class Linearized(NamedTuple):
+    """A fit as linear least squares: m rows with weights of their own, n free parameters, of which the data determine
+    `determined`.
+
+    left : (m, d) [mm];  columns : (m, d, n);  white_left, white : the same, whitened
+    normal, moment : (n, n) and (n,) of the prior
+    """
+
+    left: Array
+    columns: Array
+    white_left: Array
+    white: Array
+    normal: Array
+    moment: Array
+    determined: float
+
+    @classmethod
+    def of(cls, found: Fit) -> Linearized:
+        """About the fit's solution."""
+        rows, left = replace(found.rows, correlation=0.0), found.left
+        columns, prior, left_by_prior = found.regression()
+        even = rows.spread is None
+        white = columns if even else rows.whiten(columns).reshape(columns.shape)
+        white_left = left if even else rows.whiten(left).reshape(left.shape)
+        determined = columns.shape[2] if len(prior) == 0 else found.effective
+        return cls(left, columns, white_left, white, prior.T @ prior, prior.T @ left_by_prior, determined)
+
+
+def cross_validate(found: Fit | Linearized, folds: Groups) -> CrossValidated:
     """Predict each part of the rows of a fit from the others;  folds : (m,) number of each row's part."""
-    rows = replace(found.rows, correlation=0.0)  # each row has its own weight
-    m, d = rows.positions.shape
-    residual = rows.positions - found.model.position(rows.postures, found.values, rows.conditions)
-    jacobian, prior, left_by_prior = found.regression()
-    white, right = rows.whiten(jacobian).reshape(m, d, -1), rows.whiten(residual).reshape(m, d)
-    square, product = _normal(white, right)
-    square, product = square + prior.T @ prior, product + prior.T @ left_by_prior
-    determined = jacobian.shape[2] if len(prior) == 0 else found.effective
-    left, expected = np.empty((m, d)), np.empty(m)
-    for fold in np.unique(folds):
-        part, rest = folds == fold, folds != fold
-        own_square, own_product = _normal(white[part], right[part])
-        inverse = _inverse(square - own_square)
-        step = inverse @ (product - own_product)
-        left[part] = residual[part] - jacobian[part] @ step
-        remaining = right[rest] - white[rest] @ step
-        freedom = max(remaining.size - determined, 1.0)
-        noise = np.sum((residual[rest] - jacobian[rest] @ step) ** 2) * d / freedom
-        moved = jacobian[part] @ inverse
-        spread = np.sum(remaining**2) / freedom * np.einsum("mip,mip->m", moved, jacobian[part])
-        expected[part] = noise + spread
+    problem = found if isinstance(found, Linearized) else Linearized.of(found)
+    parts = [np.flatnonzero(folds == fold) for fold in np.unique(folds)]
+    own = [_normal(problem.white[part], problem.white_left[part]) for part in parts]
+    normal = problem.normal + sum(square for square, _ in own)
+    moment = problem.moment + sum(product for _, product in own)
+    left, expected = np.empty_like(problem.left), np.empty(len(problem.left))
+    for part, (square, product) in zip(parts, own, strict=True):
+        inverse = _inverse(normal - square)
+        step = inverse @ (moment - product)
+        moved = problem.left - problem.columns @ step
+        left[part], expected[part] = moved[part], _predicted(problem, part, moved, step, inverse)
     return CrossValidated(left, expected)
 
 
+def _predicted(problem: Linearized, part: NDArray[np.int64], moved: Array, step: Array, inverse: Array) -> float:
+    """Mean square of the rows of a part that the other rows predict: their noise, and errors of the parameters.
+
+    moved : (m, d) left of all rows after the step from all rows to the others;  inverse : of their normal matrix
+    """
+    others = np.ones(len(moved), dtype=bool)
+    others[part] = False
+    d = moved.shape[1]
+    freedom = max(int(others.sum()) * d - problem.determined, 1.0)
+    white = moved if problem.white is problem.columns else problem.white_left - problem.white @ step
+    spread = np.sum(inverse * _gram(problem.columns[part])) / len(part)
+    return float(np.sum(moved[others] ** 2) * d + np.sum(white[others] ** 2) * spread) / freedom
+
+
 def _normal(jacobian: Array, residual: Array) -> tuple[Array, Array]:
-    """J^T J (p, p) and J^T r (p,) of some rows (k, d, p) and (k, d)."""
+    """J^T J (n, n) and J^T r (n,) of some rows (k, d, n) and (k, d)."""
+    return _gram(jacobian), jacobian.reshape(-1, jacobian.shape[2]).T @ residual.reshape(-1)
+
+
+def _gram(jacobian: Array) -> Array:
     tall = jacobian.reshape(-1, jacobian.shape[2])
-    return tall.T @ tall, tall.T @ residual.reshape(-1)
+    return tall.T @ tall
 
 
 def _inverse(square: Array) -> Array:
     """Pseudo-inverse of a normal matrix: combinations that the rows do not determine stay as they are."""
     lengths = np.sqrt(np.maximum(np.diag(square), 1e-300))
-    values, vectors = np.linalg.eigh(square / np.outer(lengths, lengths))
-    known = values > CONDITION * values.max(initial=0.0)
-    turned = vectors[:, known] / lengths[:, None]
-    return np.asarray((turned / values[known]) @ turned.T)
+    unit = square / np.outer(lengths, lengths)
+    found = inverse_if_clear(unit, CONDITION)
+    if found is None:
+        values, vectors = np.linalg.eigh(unit)
+        known = values > CONDITION * values.max(initial=0.0)
+        found = (vectors[:, known] / values[known]) @ vectors[:, known].T
+    return np.asarray(found / np.outer(lengths, lengths))
 
 
 def cross_validation(
@@ -93,13 +134,14 @@ def cross_validation(
         "other postures": (generator.permutation(count) * min(FOLDS, count) // count)[postures],
         "another stretch of time": by_groups[0],
     }
+    fits = Linearized.of(base), Linearized.of(named)
     return tuple(
-        confirm(_held_out(base, named, folds), by_groups, transfer, "cross-validation", LEVEL / QUESTIONS, anything)
+        confirm(_held_out(*fits, folds), by_groups, transfer, "cross-validation", LEVEL / QUESTIONS, anything)
         for transfer, folds in parts.items()
     )
 
 
-def _held_out(base: Fit, named: Fit, folds: Groups) -> HeldOut:
+def _held_out(base: Linearized, named: Linearized, folds: Groups) -> HeldOut:
     before, after = cross_validate(base, folds), cross_validate(named, folds)
     return HeldOut(
         np.square(before.residual).sum(axis=1),

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.effects import Effect
 from identification.gap.curve_fit import Basis, Evidence, Penalized, bases_of
+from identification.gap.f_tests import CHUNK
 from identification.gap.fit import Fit
 from identification.gap.hypotheses import Hypothesis
+from identification.gap.lagged_products import LaggedProducts
 from identification.gap.whitening import Rows
 from identification.information import column_lengths
 from identification.model import Model
@@ -50,12 +52,14 @@ class System:
     """A fit in which everything named is free, linearized, with the columns of the curves of all joints.
 
     named : members of the fit;  base_rank : rank of the base model alone
+    known : products over stretches of time, where they are known from the same rows with another correlation
     """
 
     found: Fit
     rows: Rows
     named: Members
     base_rank: int
+    known: LaggedProducts | None = None
 
     @cached_property
     def bases(self) -> tuple[Basis, ...]:
@@ -69,21 +73,37 @@ class System:
         at = (rows.postures, self.found.values, rows.conditions)
         position, jacobian = self.found.model.linearize(*at)
         levers = self.found.model.joint_levers(*at)
-        parts = [rows.whiten(jacobian) / self.lengths]
+        parts = [jacobian / self.lengths]
         for basis in self.bases:
             functions = basis.at(rows.postures[:, basis.joint])
-            parts.append(rows.whiten(levers[:, :, basis.joint, None] * functions[:, None, :]))
-        return np.concatenate([*parts, rows.whiten(rows.positions - position)[:, None]], axis=1)
+            parts.append(levers[:, :, basis.joint, None] * functions[:, None, :])
+        return rows.whiten(np.concatenate([*parts, (rows.positions - position)[:, :, None]], axis=2))
 
-    def _products(self, rows: Rows, fold: NDArray[np.int64]) -> Array:
-        """(folds, n, n) products of the columns over the rows of each fold (m,)."""
-        columns, number = self._columns(rows), np.repeat(fold, rows.dimension)
-        return np.stack([(part := columns[number == k]).T @ part for k in range(int(fold.max()) + 1)])
+    def _products(self, fold: NDArray[np.int64]) -> LaggedProducts:
+        """Of the columns over the rows of each fold (m,), a few rows at a time."""
+        rows, d = replace(self.rows, correlation=0.0), self.rows.dimension
+        count, n = int(fold.max()) + 1, len(self.lengths) + sum(basis.count for basis in self.bases) + 1
+        found = LaggedProducts(*np.zeros((4 if self.rows.correlation else 2, count, n, n)))
+        sequence, step = self.rows.sequence, max(CHUNK // n // d, 1)
+        before = np.zeros((0, n))
+        for k in range(0, len(sequence), step):
+            part = sequence[k : k + step]
+            columns = np.concatenate([before, self._columns(rows.pick(part))])
+            found.add(columns, np.repeat(fold[part], d), d)
+            before = columns[-d:]
+        return found
 
     @cached_property
     def _grams(self) -> Array:
         """(FOLDS, n, n) products over the rows of each fold of postures."""
-        return self._products(self.rows, folds(self.rows.postures))
+        return self._products(folds(self.rows.postures)).at(self.rows.correlation)
+
+    @cached_property
+    def _in_time(self) -> LaggedProducts:
+        """Products over stretches of time."""
+        turn = np.empty(len(self.rows), dtype=np.int64)
+        turn[self.rows.sequence] = np.arange(len(self.rows))
+        return self._products(turn * STRETCHES // len(self.rows))
 
     @cached_property
     def lengths(self) -> Array:
@@ -96,7 +116,8 @@ class System:
         """(min(N, n), n) columns with the same products as all rows have."""
         if len(self.found.residual) <= len(self.lengths) + sum(basis.count for basis in self.bases):
             return self._columns(self.rows)
-        values, vectors = np.linalg.eigh(self._grams.sum(axis=0))
+        products = self._grams if self.known is None else self.known.at(self.rows.correlation)
+        values, vectors = np.linalg.eigh(products.sum(axis=0))
         return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
     def _own(self, members: Sequence[Hypothesis]) -> NDArray[np.bool_]:
@@ -160,12 +181,8 @@ class System:
 
     def left_in_time(self, chosen: Explanation) -> float:
         """Sum of squares on stretches of time left out, each predicted from the others; not decorrelated."""
-        turn = np.empty(len(self.rows), dtype=np.int64)
-        turn[self.rows.sequence] = np.arange(len(self.rows))
-        fold = turn * STRETCHES // len(self.rows)
-        white = self._products(self.rows, fold)
-        plain = self._products(replace(self.rows, correlation=0.0), fold) if self.rows.correlation else white
-        return self._left_out(chosen, white, plain)
+        products = self.known or self._in_time
+        return self._left_out(chosen, products.at(self.rows.correlation), products.at(0.0))
 
     def _left_out(self, chosen: Explanation, fitted: Array, tested: Array) -> float:
         """Sum of squares that products (folds, n, n) of one kind give, of what those of the other kind estimate."""
@@ -190,7 +207,9 @@ class System:
         rows = replace(self.rows, correlation=correlation)
         position = self.found.model.position(rows.postures, self.found.values, rows.conditions)
         residual = rows.whiten(rows.positions - position)
-        return replace(self, rows=rows, found=replace(self.found, rows=rows, residual=residual))
+        found = replace(self.found, rows=rows, residual=residual)
+        known = self.known or (self._in_time if self.rows.correlation else None)
+        return replace(self, rows=rows, found=found, known=known)
 
 
 def folds(postures: Array) -> NDArray[np.int64]:

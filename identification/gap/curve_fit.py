@@ -60,9 +60,9 @@ class Basis:
     def at(self, angles: Array) -> Array:
         """(m, K) functions at angles (m,)."""
         place, parts = local_splines(angles, self.start, self.stop, self.count)
-        padded = np.zeros((self.count + 6, self.count))
-        padded[3:-3] = self.cosines
-        return np.einsum("mi,mik->mk", parts, padded[place + 3])
+        splines = np.zeros((len(place), self.count + 6))
+        np.put_along_axis(splines, place + 3, parts, axis=1)
+        return np.asarray(splines[:, 3:-3] @ self.cosines)
 
     def variances(self, size: float, length: float) -> tuple[Array, Array]:
         """(K,) prior variances whose mean is size^2, and their derivatives with respect to log length."""
@@ -190,8 +190,27 @@ def _inverse(matrix: Array) -> tuple[Array, float]:
 
     triangle, _ = lapack.dpotrf(matrix, lower=1)
     inverse, _ = lapack.dpotri(triangle, lower=1)
-    lower = np.tril(inverse, -1)
-    return lower + lower.T + np.diag(np.diag(inverse)), float(2.0 * np.log(np.diag(triangle)).sum())
+    return _whole(inverse), float(2.0 * np.log(np.diag(triangle)).sum())
+
+
+def inverse_if_clear(matrix: Array, condition: float) -> Array | None:
+    """Inverse of a symmetric matrix that is positive definite and not near a singular one by far; else None.
+
+    condition : smallest eigenvalue, of the largest; estimated in the 1-norm, so that of n rows counts n times at most
+    """
+    from scipy.linalg import lapack
+
+    triangle, failed = lapack.dpotrf(matrix, lower=1)
+    size = float(np.abs(matrix).sum(axis=0).max(initial=0.0))
+    if failed or lapack.dpocon(triangle, size, uplo="L")[0] <= 10.0 * len(matrix) * condition:
+        return None
+    return _whole(lapack.dpotri(triangle, lower=1)[0])
+
+
+def _whole(lower: Array) -> Array:
+    """Symmetric, from its lower triangle."""
+    strict = np.tril(lower, -1)
+    return np.asarray(strict + strict.T + np.diag(np.diag(lower)))
 
 
 def bases_of(postures: Array, joints: Sequence[int]) -> tuple[Basis, ...]:

@@ -111,10 +111,10 @@ def find_curves(found: Findings, measurements: Measurements) -> Curves | None:
     chosen = found.unknown.chosen
     if not chosen and not (found.unknown.place or "").startswith("joint"):
         return None
-    named, base = found.search.fit(chosen), found.search.fit(())
-    systems = [(System(named, found.search.rows, chosen, base.rank), found.scatter)]
+    named, base = found.fits.fit(chosen), found.fits.fit(())
+    systems = [(System(named, found.fits.rows, chosen, base.rank), found.scatter)]
     if found.scatter:
-        plain = Rows.of(measurements).pick(found.used)
+        plain = Rows.of(measurements).pick(~found.outlier)
         again = fit(named.model, plain, named.by_name)
         systems.append((System(again, plain, chosen, base.rank), ()))
     before = systems[0][0].explain(chosen, ()).cost + _noise_cost(*systems[0])

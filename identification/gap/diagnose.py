@@ -41,7 +41,7 @@ from identification.gap.rounds import rounds_of
 from identification.gap.search import LEVEL_FACTOR, HypothesisSearch
 from identification.gap.selection import ALPHA_NEXT
 from identification.gap.whitening import Rows
-from identification.gap.workflow import Findings, investigate_some
+from identification.gap.workflow import Findings, Workflow
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.progress import Progress, silent
@@ -92,7 +92,7 @@ def diagnose(
         check_same_arm(first, measurements, holdout)
     generator = np.random.default_rng(seed)
     progress(1, STEPS, "base model fitted")
-    found = investigate_some(library, rows, draws, generator, lambda message: progress(2, STEPS, message))
+    found = Workflow(library, draws, generator, lambda message: progress(2, STEPS, message)).findings(rows)
     progress(6, STEPS, "assessing the plan, the sizes excluded, and the held-out data")
     explained = explanation(found, measurements, draws, generator)
     fits = fits_of(explained, measurements)
@@ -165,7 +165,7 @@ def diagnosis_of(
         residuals=residuals,
         sigma=explained.fit.sigma,
         rounds=rounds_of(found.search, (*found.selection.path, explained.chosen)),
-        shapes=order_ranges(explained.fit, found.search.rows, named.effects),
+        shapes=order_ranges(explained.fit, found.fits.rows, named.effects),
         probabilities=explained.likely,
         choice=validated,
         replication=replications(explained.fit, measurements, kept, named.effects),
@@ -173,7 +173,7 @@ def diagnosis_of(
         confirmation=None
         if holdout is None or there is None
         else confirmation_of(measurements, holdout, there, bool(named.effects)),
-        cross_validation=cross_validation(fits.used, after, measurements, found.used, generator, bool(named.effects)),
+        cross_validation=cross_validation(fits.base, after, measurements, kept, generator, bool(named.effects)),
         warnings=fit_doubts(arm, measurements, after, residuals.after[kept]),
         curves=curves,
         notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap), *prior_note(explained.prior)),

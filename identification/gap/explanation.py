@@ -42,11 +42,12 @@ def explanation(found: Findings, measurements: Measurements, draws: int, generat
     """The ambiguity set and the best set, in which error curves take the place of names that they explain better."""
     chosen = found.unknown.chosen
     likely = probabilities(found)
-    candidates = candidate_list(found, draws, generator)
-    named = next((c for c in candidates if set(c.effects) == {h.label for h in chosen}), None)
-    named = named or candidate(found.search, chosen, 0.0, draws, generator)
-    fitted, smooth = found.search.fit(chosen), find_curves(found, measurements)
-    if smooth is not None:
+    fitted, smooth = found.fits.fit(chosen), find_curves(found, measurements)
+    if smooth is None:
+        candidates = candidate_list(found, draws, generator)
+        same = (c for c in candidates if set(c.effects) == {h.label for h in chosen})
+        named = next(same, None) or candidate(found.search, found.fits, chosen, 0.0, draws, generator)
+    else:
         fitted, found, chosen = smooth.fit, replace(found, scatter=smooth.scatter), smooth.kept
         named = curve_candidate(smooth)
         # the curve of an unknown function is no name for it
@@ -59,22 +60,17 @@ def explanation(found: Findings, measurements: Measurements, draws: int, generat
 
 @dataclass(frozen=True)
 class Fits:
-    """base : as `identify` fits it to all rows but outliers;  used : the same to the rows of the search
-    after : of the best set
-    """
+    """base : as `identify` fits it;  after : of the best set; both to all rows but outliers"""
 
     base: Fit
-    used: Fit
     after: Fit
 
 
 def fits_of(explained: Explanation, measurements: Measurements) -> Fits:
     """The model before and after."""
-    found, rows = explained.found, Rows.of(measurements)
-    model = found.search.hypotheses.base
-    base = fit(model, rows.pick(~found.outlier))
-    used = base if found.sampled is None else fit(model, rows.pick(found.used), base.by_name)
-    return Fits(base, used, explained.fit if explained.chosen or explained.smooth else used)
+    found = explained.found
+    base = fit(found.search.hypotheses.base, Rows.of(measurements).pick(~found.outlier))
+    return Fits(base, explained.fit if explained.chosen or explained.smooth else base)
 
 
 def with_prior(
@@ -84,7 +80,7 @@ def with_prior(
 
     names : of effects, None: all
     """
-    used = measurements.rows(explained.found.used)
+    used = measurements.rows(~explained.found.outlier)
     after, library = held(fits.after, used, names)
     named = held_candidate(explained.named, after, library)
 

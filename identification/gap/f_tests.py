@@ -102,13 +102,14 @@ class Dictionary:
 
     def subset(self, keep: NDArray[np.int64]) -> Dictionary:
         """Only some of the hypotheses."""
-        chosen = np.concatenate([np.zeros(0, dtype=np.int64), *(self._vectors(k) for k in keep)])
         widths = self.sizes[keep]
+        starts = np.cumsum(widths) - widths
+        chosen = np.repeat(self.starts[keep] - starts, widths) + np.arange(int(widths.sum()))
         return replace(
             self,
             index=self.index[chosen],
             turn=self.turn[chosen],
-            starts=np.cumsum(widths) - widths,
+            starts=starts,
             sizes=widths,
             norm_fractions=self.norm_fractions[keep],
             one_sided=self.one_sided[keep],
@@ -193,15 +194,23 @@ class Dictionary:
         return reductions / sizes / variance
 
 
-def dictionary(model_basis: Array, columns: Columns, one_sided: NDArray[np.bool_], weights: Array) -> Dictionary:
+def dictionary(
+    model_basis: Array,
+    columns: Columns,
+    one_sided: NDArray[np.bool_],
+    weights: Array,
+    inside: Array | None = None,
+) -> Dictionary:
     """Project the columns of each hypothesis off a fitted model and orthonormalise them.
 
     model_basis : (N, r) orthonormal basis of the columns of the model's Jacobian, `information.column_space`
+    inside : (r, C) its products with the columns, where they are known
 
     Directions of which less than `VISIBLE` survives are dropped; a hypothesis that has none left gets size 0, and the
     caller must leave it out.
     """
-    inside, widest = model_basis.T @ columns.matrix, int(columns.sizes.max(initial=1))
+    inside = model_basis.T @ columns.matrix if inside is None else inside
+    widest = int(columns.sizes.max(initial=1))
     count = int(columns.sizes.sum())
     index, turn = np.zeros((count, widest), dtype=np.int64), np.zeros((count, widest))
     norm_fractions, widths = np.zeros(len(columns.sizes)), np.zeros(len(columns.sizes), dtype=np.int64)

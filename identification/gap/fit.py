@@ -48,6 +48,11 @@ class Fit:
         return float(self.residual @ self.residual)
 
     @property
+    def left(self) -> Array:
+        """(m, d) measured less computed positions [mm] of its rows, not whitened."""
+        return self.position_residuals(self.rows, self.rows.conditions)
+
+    @property
     def jacobian(self) -> Array:
         """(N, p) derivative of the whitened positions by the parameters."""
         return self.rows.whiten(self.model.jacobian(self.rows.postures, self.values, self.rows.conditions))
@@ -82,9 +87,10 @@ class Fit:
         """Parameter name -> value."""
         return self.model.parameters.mapping(self.values)
 
-    def position_residuals(self, measurements: Measurements, conditions: Conditions) -> Array:
+    def position_residuals(self, measurements: Measurements | Rows, conditions: Conditions) -> Array:
         """(m, d) measured less computed positions [mm], not whitened, of these rows or of others."""
-        return measurements.positions - self.model.position(measurements.postures, self.values, conditions)
+        position, _ = self.model.linearize(measurements.postures, self.values, conditions)
+        return measurements.positions - position
 
     def covariance(self, bounded: bool = True) -> Array:
         """(p, p) of the estimates, [unit of row x unit of column].
@@ -156,8 +162,12 @@ def fit(
 
 def _better_start(problem: Problem, values: Array) -> Array:
     """(p,) the start, or the closed form's where that is better by far: with a base offset it is in any frame."""
-    left = rms_distance(problem.residuals(values)[0])
-    if left <= FAR * problem.model.reach:
+
+    def left(there: Array) -> float:  # by the function that the fit needs anyway: to compile another one takes longer
+        position, _ = problem.model.linearize(problem.postures, there, problem.conditions)
+        return rms_distance(problem.positions[0] - position)
+
+    if left(values) <= FAR * problem.model.reach:
         return values
     closed = starts(problem)[0]
-    return closed if rms_distance(problem.residuals(closed)[0]) < left else values
+    return closed if left(closed) < left(values) else values

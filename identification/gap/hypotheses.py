@@ -51,12 +51,12 @@ class Hypothesis:
         """True if it has a setting."""
         return bool(self.effect.chosen)
 
-    @property
+    @cached_property
     def key(self) -> str:
         """`name` or `name:joint`: what and where, whatever is scanned."""
         return self.spec.key
 
-    @property
+    @cached_property
     def label(self) -> str:
         """The key with the scanned setting: `transmission_ripple:2[k=6]`."""
         return f"{self.key}[equal]" if self.tied else self.effect.label
@@ -66,21 +66,23 @@ class Hypothesis:
         """The class in which it is merged with those that look alike."""
         return self.effect.family or self.effect.name
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of parameters."""
         return 1 if self.tied else len(self.effect.parameters)
 
-    @property
+    @cached_property
     def one_sided(self) -> bool:
         """True for one parameter that physics keeps from being negative."""
         return self.size == 1 and self.effect.parameters[0].lower == 0.0
 
 
-def projected(model_basis: Array, members: Sequence[Hypothesis], columns: Columns) -> Dictionary:
+def projected(
+    model_basis: Array, members: Sequence[Hypothesis], columns: Columns, inside: Array | None = None
+) -> Dictionary:
     """Hypotheses with their whitened columns, projected off a fitted model: see `f_tests.dictionary`."""
     one_sided = np.array([h.one_sided for h in members], dtype=bool)
-    return dictionary(model_basis, columns, one_sided, np.array([h.weight for h in members]))
+    return dictionary(model_basis, columns, one_sided, np.array([h.weight for h in members]), inside)
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,11 @@ class HypothesisSet:
     def total_weight(self) -> float:
         """Sum of the prior weights of all effects."""
         return float(sum(h.weight for h in self.members if not h.tied))
+
+    @cached_property
+    def families(self) -> frozenset[str]:
+        """Keys of effects that have a parameter at every joint, alike in size."""
+        return frozenset(h.key for h in self.members if h.tied)
 
     @cached_property
     def base(self) -> Model:

@@ -122,8 +122,10 @@ def log_bayes_factor(found: Explained, left: Array, squares: float, freedom: int
     mean = kept * found.lengths[..., None, :]
     rest = np.maximum(left[..., None] + np.sum(np.square(found.lengths)[..., None, :] * (1.0 - kept), axis=-1), TINY)
     volume = np.sum(found.counts[..., None, :] * np.log1p(gain), axis=-1)
-    spread = np.einsum("mgg,...g->...m", found.forms, kept * found.counts[..., None, :])
-    moved = np.einsum("mgh,...g,...h->...m", found.forms, mean, mean) * (freedom / rest)[..., None]
+    spread = (kept * found.counts[..., None, :]) @ np.einsum("mgg->gm", found.forms)
+    moved = np.empty(spread.shape)
+    for k, form in enumerate(found.forms):
+        moved[..., k] = np.sum(mean @ form * mean, axis=-1) * (freedom / rest)
     moments = np.sum(np.log((spread + moved) / np.square(SIZES)[:, None]), axis=-1)
     factors = -0.5 * volume - 0.5 * freedom * np.log(rest / squares) + moments
     return np.asarray(logsumexp(factors, axis=-1) - np.log(len(SIZES)))

@@ -72,12 +72,10 @@ def inseparable(joint: int) -> str:
 def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measurements | None, gap: Gap) -> list[str]:
     """What a person should know before trusting the verdict."""
     said = [f"{key} was not tested: {why}" for key, why in found.search.hypotheses.skipped.items()]
-    if found.sampled is not None:
-        count, whole = int(found.sampled.sum()), len(measurements)
-        said.append(
-            f"effects and their parameters are from {count} of the {whole} rows, taken at random; the gap is of all"
-        )
-    fit = found.search.fit(found.unknown.chosen)
+    if found.whole is not None:
+        searched = f"{len(found.search.rows)} of the {len(measurements)} rows, taken at random"
+        said.append(f"effects were looked for in {searched}; what was found is fitted to all")
+    fit = found.fits.fit(found.unknown.chosen)
     if fit.status is not Status.converged:
         said.append(f"the fit of the named model did not converge: {fit.status.value}")
     if measurements.directions is None:

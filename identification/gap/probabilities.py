@@ -127,12 +127,11 @@ def _longer(search: HypothesisSearch, chosen: Choice) -> Iterator[_Option]:
     reductions = against.reductions(found.residual[:, None])[:, 0]
     groups = _explained(search, chosen).with_each(against.sizes, reductions)
     factors = log_bayes_factor(groups, found.squares - reductions, base.squares, base.freedom)
-    families = _families(search)
     for member, factor, reduction in zip(members, factors, reductions, strict=True):
         longer = (*chosen, member.free)
         if _labels(longer) in search.fits:
             yield _refitted(search, longer)
-        elif member.tied or member.key not in families:  # a family as one value, until it is fitted
+        elif member.tied or member.key not in search.hypotheses.families:  # a family as one value, until it is fitted
             opposite = np.log(2.0) if member.one_sided and reduction == 0.0 else 0.0
             names = tuple(sorted(h.key for h in longer))
             log_odds = float(factor) + _log_prior(search, (*chosen, member)) - opposite
@@ -159,15 +158,10 @@ def _labels(chosen: Choice) -> frozenset[str]:
 def _explained(search: HypothesisSearch, chosen: Choice) -> Explained:
     found = search.fit(chosen)
     added = len(found.model.effects) - len(chosen)  # the arm's own come first
-    families = {h.label for h in search.hypotheses.members if not h.tied and h.key in _families(search)}
     effects = found.model.effects[added:]
     names = [[p.name for p in effect.parameters] for effect in effects]
+    families = {h.effect.label for h in chosen if h.key in search.hypotheses.families}
     return explained(found, names, [effect.label in families for effect in effects])
-
-
-def _families(search: HypothesisSearch) -> set[str]:
-    """Keys of effects that have a parameter at every joint, alike in size."""
-    return {h.key for h in search.hypotheses.members if h.tied}
 
 
 def _log_prior(search: HypothesisSearch, chosen: Choice) -> float:

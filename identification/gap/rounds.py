@@ -27,14 +27,11 @@ class Round:
 
 def rounds_of(search: HypothesisSearch, path: tuple[Choice, ...]) -> tuple[Round, ...]:
     """From the sets of effects after each round, the first of them empty; rounds that changed nothing are left out."""
-    labels = [[h.label for h in chosen] for chosen in path]
-    rows, found = search.rows, []
+    labels, found = [[h.label for h in chosen] for chosen in path], []
     for k in range(1, len(path)):
         before, after = labels[k - 1], labels[k]
         added = tuple(label for label in after if label not in before)
         removed = tuple(label for label in before if label not in after)
         if added or removed:
-            fitted = search.fit(path[k])
-            computed = fitted.model.position(rows.postures, fitted.values, rows.conditions)
-            found.append(Round(added, removed, rms_distance(rows.positions - computed)))
+            found.append(Round(added, removed, rms_distance(search.fit(path[k]).left)))
     return tuple(found)

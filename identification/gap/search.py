@@ -17,7 +17,7 @@ from identification.gap.noise import homoscedastic
 from identification.gap.omnibus_test import OmnibusTest, Scatter, omnibus_test
 from identification.gap.order_range import order_of
 from identification.gap.whitening import Rows
-from identification.information import column_space
+from identification.information import column_space_of
 from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
@@ -38,11 +38,13 @@ class State:
     """A set of effects, and what could be added to it.
 
     residual : (N,) left beside the set;  members, against : the hypotheses that can be added, and their columns
+    products : (C,) of all columns with the residual, where they are known
     """
 
     residual: Array
     members: list[Hypothesis]
     against: Dictionary
+    products: Array | None = None
 
     @cached_property
     def squares(self) -> float:
@@ -52,7 +54,10 @@ class State:
     @cached_property
     def reductions(self) -> Array:
         """(H,) of the sum of squares by each hypothesis, from the linear fit."""
-        return self.against.reductions(self.residual[:, None])[:, 0]
+        if self.products is None:
+            return self.against.reductions(self.residual[:, None])[:, 0]
+        outside = np.zeros((self.against.model_basis.shape[1], 1))  # the residual has nothing of the model
+        return self.against.reductions_of(self.against.scores(self.products[:, None], outside))[:, 0]
 
     @cached_property
     def change(self) -> Array:
@@ -94,6 +99,8 @@ class HypothesisSearch:
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
     tests: dict[frozenset[str], HypothesisTest] = field(default_factory=dict)
     surveys: dict[frozenset[str], Any] = field(default_factory=dict)  # of `unmodelled_survey`, for whoever asks again
+    _crosses: dict[str, Array] = field(default_factory=dict)
+    _products: dict[frozenset[str], Array] = field(default_factory=dict)
 
     @cached_property
     def slopes(self) -> Slopes:
@@ -161,7 +168,7 @@ class HypothesisSearch:
         """
         found = self.fit(chosen)
         if len(self.rows) >= SAME_COLUMNS:
-            return self._linear_state(chosen, found.residual)
+            return self._linear_state(chosen, found.residual, self._moments(chosen))
         columns = self.hypotheses.matrix(self.rows, found.by_name, self.slopes, found.model)
         return self._state(chosen, found.residual, found.basis, columns)
 
@@ -173,7 +180,8 @@ class HypothesisSearch:
         found = self.fit(chosen)
         effect = next(e for e in found.model.effects if e.label == member.label)
         values = np.array([found.by_name[p.name] for p in effect.parameters])
-        return self._linear_state(rest, found.residual + self.base_columns.matrix[:, self._places(member)] @ values)
+        put_back = self.base_columns.matrix[:, self._places(member)] @ values
+        return self._linear_state(rest, found.residual + put_back, self._moments(chosen) + values @ self._cross(member))
 
     @cached_property
     def repeated(self) -> int:
@@ -207,19 +215,53 @@ class HypothesisSearch:
         k = self.hypotheses.place(member)
         return np.asarray(self.base_columns.starts[k] + np.arange(self.base_columns.sizes[k]))
 
-    def _linear_state(self, chosen: Choice, residual: Array) -> State:
-        """`state` with the columns at the base fit;  residual : (N,) of the set, before it is projected off them."""
-        places = np.concatenate([np.zeros(0, dtype=np.int64), *(self._places(h) for h in chosen)])
-        scales = [p.scale for h in chosen for p in h.effect.parameters]
-        base = self.fit(())
-        columns = np.hstack([base.jacobian, self.base_columns.matrix[:, places]])
-        basis = column_space(columns, np.concatenate([base.model.scales, scales]))
-        return self._state(chosen, residual - basis @ (basis.T @ residual), basis, self.base_columns)
+    @cached_property
+    def _base_cross(self) -> Array:
+        """(p, C) products of the base fit's Jacobian with all columns."""
+        return np.asarray(self.fit(()).jacobian.T @ self.base_columns.matrix)
 
-    def _state(self, chosen: Choice, residual: Array, basis: Array, columns: Columns) -> State:
+    def _cross(self, member: Hypothesis) -> Array:
+        """(size, C) products of a hypothesis's columns with all columns."""
+        label = member.effect.label
+        if label not in self._crosses:
+            matrix = self.base_columns.matrix
+            self._crosses[label] = matrix[:, self._places(member)].T @ matrix
+        return self._crosses[label]
+
+    def _moments(self, chosen: Choice) -> Array:
+        """(C,) products of all columns with the residual of a set's fit."""
+        key = frozenset(h.label for h in chosen)
+        if key not in self._products:
+            self._products[key] = self.base_columns.matrix.T @ self.fit(chosen).residual
+        return self._products[key]
+
+    def _linear_state(self, chosen: Choice, residual: Array, moments: Array) -> State:
+        """`state` with the columns at the base fit.
+
+        residual : (N,) of the set, before it is projected off them;  moments : (C,) products of all columns with it
+        """
+        places = np.concatenate([np.zeros(0, dtype=np.int64), *(self._places(h) for h in chosen)])
+        base = self.fit(())
+        scales = np.concatenate([base.model.scales, [p.scale for h in chosen for p in h.effect.parameters]])
+        columns = np.hstack([base.jacobian, self.base_columns.matrix[:, places]])
+        basis, turn = column_space_of(columns, scales)
+        inside = turn.T @ np.concatenate([self._base_cross, *(self._cross(h) for h in chosen)])
+        explained = basis.T @ residual
+        left = residual - basis @ explained
+        return self._state(chosen, left, basis, self.base_columns, inside, moments - explained @ inside)
+
+    def _state(
+        self,
+        chosen: Choice,
+        residual: Array,
+        basis: Array,
+        columns: Columns,
+        inside: Array | None = None,
+        moments: Array | None = None,
+    ) -> State:
         used, freedom = {h.effect.label for h in chosen}, len(residual) - basis.shape[1]
         members = self.hypotheses.members
-        full = projected(basis, members, columns)
+        full = projected(basis, members, columns, inside)
         full_up = series_joints(chosen)
         usable = [
             h.effect.label not in used
@@ -228,4 +270,4 @@ class HypothesisSearch:
             for h in members
         ]
         keep = np.flatnonzero((full.sizes > 0) & np.array(usable, dtype=bool))  # of the others nothing can be told
-        return State(residual, [members[k] for k in keep], full.subset(keep))
+        return State(residual, [members[k] for k in keep], full.subset(keep), moments)

@@ -16,6 +16,7 @@ from identification.gap.fit import Fit
 from identification.gap.omnibus_test import Draws, leverage_corrected, white_draws, wild_draws
 from identification.gap.search import SAME_COLUMNS, Choice, HypothesisSearch, bic_change
 from identification.gap.unmodelled_shapes import PlaceShapes, general_shapes
+from identification.information import column_space
 
 # reasons: identification/README.md, "Constants"
 LEVEL = 0.001  # tuned: `unknown` takes names back
@@ -41,15 +42,20 @@ class Survey:
     p: list[float] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
 
-    def add(self, place: PlaceShapes, columns: Columns, basis: Array) -> None:
-        """Try the shapes of a place;  basis : (N, r) orthonormal, of the fit's Jacobian"""
-        against, kept = visible(basis, columns)
-        residual = self.fit.residual - basis @ (basis.T @ self.fit.residual)
-        reductions = against.reductions(residual[:, None])
+    def add(self, place: PlaceShapes, columns: Columns, basis: Array, inside: Array, raw: Array) -> None:
+        """Try the shapes of a place.
+
+        basis : (N, r) orthonormal, of the fit's Jacobian;  inside : (r, C) its products with the columns
+        raw : (C,) products of the columns with the fit's residual
+        """
+        against, kept = visible(basis, columns, inside=inside)
+        explained = basis.T @ self.fit.residual
+        reductions = against.reductions_of(against.scores(raw[:, None], explained[:, None]))
+        squares = self.fit.squares - float(explained @ explained)
         self.sizes += against.sizes.tolist()
         self.reductions += reductions[:, 0].tolist()
-        self.changes += bic_change(reductions[:, 0], against, len(residual), self.fit.squares).tolist()
-        self.p += against.p_values(reductions, np.array([residual @ residual]))[:, 0].tolist()
+        self.changes += bic_change(reductions[:, 0], against, len(basis), self.fit.squares).tolist()
+        self.p += against.p_values(reductions, np.array([squares]))[:, 0].tolist()
         self.listed += [(place.place, place.shapes[k]) for k in kept]
         self.counts[place.place] = len(columns.sizes)
 
@@ -94,10 +100,12 @@ class Sample:
         return visible(basis, together, np.concatenate(weights))[0]
 
 
-def visible(basis: Array, columns: Columns, weights: Array | None = None) -> tuple[Dictionary, NDArray[np.int64]]:
+def visible(
+    basis: Array, columns: Columns, weights: Array | None = None, inside: Array | None = None
+) -> tuple[Dictionary, NDArray[np.int64]]:
     """Shapes projected off a model of which enough is left, and (S,) which ones they are."""
-    count = len(columns.sizes)
-    full = dictionary(basis, columns, np.zeros(count, dtype=bool), np.ones(count) if weights is None else weights)
+    weights = np.ones(len(columns.sizes)) if weights is None else weights
+    full = dictionary(basis, columns, np.zeros(len(weights), dtype=bool), weights, inside)
     kept = np.flatnonzero((full.sizes > 0) & (full.norm_fractions > FRACTION))
     return full.subset(kept), kept
 
@@ -119,14 +127,27 @@ def shapes_beside(search: HypothesisSearch, chosen: Choice) -> Survey:
 
 
 def surveyed(search: HypothesisSearch, sets: list[Choice], sample: Sample | None) -> list[Survey]:
-    """The shapes beside each of some sets, with the columns at the fit of the first."""
-    found = [(Survey(search.fit(chosen)), search.fit(chosen).basis) for chosen in sets]
-    for place, columns in shape_columns(search.fit(sets[0])):
+    """The shapes beside each of some sets, which the first contains, with the columns and the Jacobian at its fit."""
+    first, found = search.fit(sets[0]), [Survey(search.fit(chosen)) for chosen in sets]
+    bases = [_basis(first, sets[0], chosen) for chosen in sets]
+    turns = [bases[0].T @ basis for basis in bases]
+    stacked = np.column_stack([bases[0], *(one.fit.residual for one in found)])
+    for place, columns in shape_columns(first):
         if sample is not None:
             sample.add(columns)
-        for one, basis in found:
-            one.add(place, columns, basis)
-    return [one for one, _ in found]
+        products = stacked.T @ columns.matrix
+        inside, raw = products[: -len(found)], products[-len(found) :]
+        for one, basis, turn, own in zip(found, bases, turns, raw, strict=True):
+            one.add(place, columns, basis, turn.T @ inside, own)
+    return found
+
+
+def _basis(first: Fit, members: Choice, chosen: Choice) -> Array:
+    """(N, r) orthonormal basis of the first fit's Jacobian without the columns of those members that are not chosen."""
+    left_out = {h.effect.label for h in members} - {h.effect.label for h in chosen}
+    own = {p.name for e in first.model.effects if e.label in left_out for p in e.parameters}
+    kept = [name not in own for name in first.model.names]
+    return column_space(first.jacobian[:, kept], first.model.scales[kept])
 
 
 def shape_columns(at: Fit) -> Iterator[tuple[PlaceShapes, Columns]]:
@@ -134,7 +155,8 @@ def shape_columns(at: Fit) -> Iterator[tuple[PlaceShapes, Columns]]:
     for place in general_shapes(at, at.rows):
         few = place.sizes < at.freedom - 1
         if few.any():
-            columns = at.rows.whiten(place.columns[:, :, np.repeat(few, place.sizes)])
+            shown = place.columns if few.all() else place.columns[:, :, np.repeat(few, place.sizes)]
+            columns = at.rows.whiten(shown)
             shapes = tuple(compress(place.shapes, few))
             yield replace(place, shapes=shapes, sizes=place.sizes[few]), Columns(columns, place.sizes[few])
 

@@ -18,7 +18,7 @@ from identification.gap.unmodelled import Unknown
 from identification.gap.whitening import Rows
 
 # reasons: identification/README.md, "Constants"
-MOST_ROWS = 2000  # effort: of more, effects are looked for in so many
+MOST_ROWS = 1250  # what is just worth a round is then found in 99 of 100 cases
 PASSES = 4  # effort: rounds of naming and screening
 CREDIT = 6.0  # odds of 20 to 1 for another explanation of the scatter
 
@@ -27,8 +27,8 @@ CREDIT = 6.0  # odds of 20 to 1 for another explanation of the scatter
 class Findings:
     """What the data say.
 
-    search : the fits, to the rows that were used, with their noise model;  outlier : (m,) rows left out
-    sampled : (m,) rows that effects were looked for in; None: in all
+    search : the tests, with their noise model;  scatter : findings about the noise;  outlier : (m,) rows left out
+    whole : fits to all rows with their noise model, where effects were looked for in some of them; None: `search`
     """
 
     search: HypothesisSearch
@@ -36,94 +36,110 @@ class Findings:
     unknown: Unknown
     scatter: tuple[Finding, ...]
     outlier: NDArray[np.bool_]
-    sampled: NDArray[np.bool_] | None = None
+    whole: HypothesisSearch | None = None
 
     @property
-    def used(self) -> NDArray[np.bool_]:
-        """(m,) rows that the search was made with."""
-        return ~self.outlier if self.sampled is None else ~self.outlier & self.sampled
+    def fits(self) -> HypothesisSearch:
+        """Fits to all rows but the outliers."""
+        return self.whole or self.search
 
 
-def investigate_some(
-    hypotheses: HypothesisSet,
-    rows: Rows,
-    draws: int,
-    generator: np.random.Generator,
-    tell: Callable[[str], None] = lambda message: None,
-) -> Findings:
-    """`investigate`, of very many rows with `MOST_ROWS` of them, taken at random since every fourth of a grid may be
-    the same angle; outliers are then looked for among all."""
-    if len(rows) <= MOST_ROWS:
-        return investigate(hypotheses, rows, draws, generator, tell)
-    some = np.sort(generator.permutation(len(rows))[:MOST_ROWS])
-    found = investigate(hypotheses, rows.pick(some), draws, generator, tell)
-    outlier = outliers(found.search.fit(found.unknown.chosen), rows)
-    outlier[some] = found.outlier
-    sampled = np.zeros(len(rows), dtype=bool)
-    sampled[some] = True
-    return replace(found, outlier=outlier, sampled=sampled)
+@dataclass(frozen=True)
+class Workflow:
+    """How the effects of a library are looked for.
 
-
-def investigate(
-    hypotheses: HypothesisSet,
-    rows: Rows,
-    draws: int,
-    generator: np.random.Generator,
-    tell: Callable[[str], None] = lambda message: None,
-) -> Findings:
-    """Name effects, then look at the scatter under the named model; if that changes what is white, name again.
-
-    The scatter is judged after naming because a missing effect looks like scatter (a drift like serial correlation),
-    and before the final naming because scatter looks like an effect.
+    draws : of each bootstrap, from the generator;  tell : says what is done
     """
-    tell("fitting the base model")
-    noisy = rows
-    scatter: tuple[Finding, ...] = ()
-    outlier = outliers(HypothesisSearch(hypotheses, rows).fit(()), rows)
-    seen: list[tuple[object, ...]] = []
-    known: tuple[Choice, ...] = ((),)
-    for number in range(PASSES):
-        tell(f"testing the effects, pass {number + 1}")
-        used = scatter, outlier
-        search = HypothesisSearch(hypotheses, noisy.pick(~outlier), noise_estimated=bool(scatter))
-        selection = select(search, draws, generator, known)
-        known = selection.path
-        again = outliers(search.fit(selection.chosen), noisy)
-        plain = rows.pick(~again)
-        named = HypothesisSearch(hypotheses, plain).fit(selection.chosen)
-        new = screen(named, plain, generator)
-        state = (*(f.name for f in new), *np.flatnonzero(again))
-        if state == (*(f.name for f in scatter), *np.flatnonzero(outlier)) or state in seen:
-            break
-        seen.append(state)
-        outlier, scatter, noisy = again, new, whitened(rows, named, new)
-    tell("looking for what the library does not explain")
-    last = explained(search, selection, draws, generator)
-    found = Findings(last.search, last.selection, last.unknown, *used)
-    others = [_explained(found, *other, draws, generator) for other in _other_noise(found, rows, noisy, named)]
-    best = min(others, key=lambda f: cost(f, len(rows)), default=found)
-    found = best if cost(best, len(rows)) < cost(found, len(rows)) - CREDIT else found
-    return min((found, *_with_memory(found, rows, draws, generator)), key=lambda f: cost(f, len(rows)))
 
+    hypotheses: HypothesisSet
+    draws: int
+    generator: np.random.Generator
+    tell: Callable[[str], None] = lambda message: None
 
-def _with_memory(found: Findings, rows: Rows, draws: int, generator: np.random.Generator) -> list[Findings]:
-    """The same data with serially correlated noise, where the base model's residuals hint at it.
+    def findings(self, rows: Rows) -> Findings:
+        """What these rows say; of very many, `MOST_ROWS` are searched, taken at random since every fourth of a grid may
+        be the same angle. Outliers and scatter are then judged among all rows, and what was named is fitted to all."""
+        if len(rows) <= MOST_ROWS:
+            return self._investigated(rows)
+        some = np.sort(self.generator.permutation(len(rows))[:MOST_ROWS])
+        found = self._investigated(rows.pick(some))
+        self.tell("fitting what was found to all rows")
+        chosen = found.unknown.chosen
+        outlier = outliers(found.search.fit(chosen), rows)
+        outlier[some] = found.outlier
+        plain = rows.pick(~outlier)
+        named = HypothesisSearch(found.search.hypotheses, plain).fit(chosen)
+        scatter = screen(named, plain, self.generator)
+        whole = HypothesisSearch(found.search.hypotheses, whitened(plain, named, scatter), bool(scatter))
+        return replace(found, outlier=outlier, scatter=scatter, whole=whole)
 
-    An effect that was named takes the correlation out of the residuals that were screened: a drift, a step or an offset
-    can be the slow part of such noise, and of few rows it often is. The lower BIC is right, without a credit: it is 5
-    to 24 lower where the noise is correlated and 2 to 29 higher where there is a drift or a step (simulated, 30 and 50
-    rows).
-    """
-    known = any(finding.name == "serial_correlation" for finding in found.scatter)
-    if known or (not found.unknown.chosen and found.unknown.place is None):
-        return []
-    plain = rows.pick(~found.outlier)
-    base = HypothesisSearch(found.search.hypotheses, plain).fit(())
-    hint = memory(base, plain, generator)
-    if not hint:
-        return []
-    scatter = (*found.scatter, *hint)
-    return [_explained(found, whitened(rows, base, scatter), scatter, found.outlier, draws, generator)]
+    def _investigated(self, rows: Rows) -> Findings:
+        """Name effects, then look at the scatter under the named model; if that changes what is white, name again.
+
+        The scatter is judged after naming because a missing effect looks like scatter (a drift like serial
+        correlation), and before the final naming because scatter looks like an effect.
+        """
+        self.tell("fitting the base model")
+        noisy = rows
+        scatter: tuple[Finding, ...] = ()
+        outlier = outliers(HypothesisSearch(self.hypotheses, rows).fit(()), rows)
+        seen: list[tuple[object, ...]] = []
+        known: tuple[Choice, ...] = ((),)
+        for number in range(PASSES):
+            self.tell(f"testing the effects, pass {number + 1}")
+            used = scatter, outlier
+            search = HypothesisSearch(self.hypotheses, noisy.pick(~outlier), noise_estimated=bool(scatter))
+            selection = select(search, self.draws, self.generator, known)
+            known = selection.path
+            again = outliers(search.fit(selection.chosen), noisy)
+            plain = rows.pick(~again)
+            named = HypothesisSearch(self.hypotheses, plain).fit(selection.chosen)
+            new = screen(named, plain, self.generator)
+            state = (*(f.name for f in new), *np.flatnonzero(again))
+            if state == (*(f.name for f in scatter), *np.flatnonzero(outlier)) or state in seen:
+                break
+            seen.append(state)
+            outlier, scatter, noisy = again, new, whitened(rows, named, new)
+        self.tell("looking for what the library does not explain")
+        found = self._explained(search, selection, *used)
+        others = [self._with_noise(found, *other) for other in _other_noise(found, rows, noisy, named)]
+        best = min(others, key=lambda f: cost(f, len(rows)), default=found)
+        found = best if cost(best, len(rows)) < cost(found, len(rows)) - CREDIT else found
+        return min((found, *self._with_memory(found, rows)), key=lambda f: cost(f, len(rows)))
+
+    def _explained(
+        self, search: HypothesisSearch, selection: Selection, scatter: tuple[Finding, ...], outlier: NDArray[np.bool_]
+    ) -> Findings:
+        """The findings of a search, with what is left beside it."""
+        last = explained(search, selection, self.draws, self.generator)
+        return Findings(last.search, last.selection, last.unknown, scatter, outlier)
+
+    def _with_noise(
+        self, before: Findings, rows: Rows, scatter: tuple[Finding, ...], outlier: NDArray[np.bool_]
+    ) -> Findings:
+        """The findings with another explanation of the scatter than before."""
+        search = HypothesisSearch(before.search.hypotheses, rows.pick(~outlier), noise_estimated=bool(scatter))
+        selection = select(search, self.draws, self.generator, before.selection.path)
+        return self._explained(search, selection, scatter, outlier)
+
+    def _with_memory(self, found: Findings, rows: Rows) -> list[Findings]:
+        """The same data with serially correlated noise, where the base model's residuals hint at it.
+
+        An effect that was named takes the correlation out of the residuals that were screened: a drift, a step or an
+        offset can be the slow part of such noise, and of few rows it often is. The lower BIC is right, without a
+        credit: it is 5 to 24 lower where the noise is correlated and 2 to 29 higher where there is a drift or a step
+        (simulated, 30 and 50 rows).
+        """
+        known = any(finding.name == "serial_correlation" for finding in found.scatter)
+        if known or (not found.unknown.chosen and found.unknown.place is None):
+            return []
+        plain = rows.pick(~found.outlier)
+        base = HypothesisSearch(found.search.hypotheses, plain).fit(())
+        hint = memory(base, plain, self.generator)
+        if not hint:
+            return []
+        scatter = (*found.scatter, *hint)
+        return [self._with_noise(found, whitened(rows, base, scatter), scatter, found.outlier)]
 
 
 def _other_noise(
@@ -140,22 +156,6 @@ def _other_noise(
     memoryless = tuple(f for f in found.scatter if f.name != "serial_correlation")
     fewer = dict.fromkeys((memoryless, ()))  # not a set: its order would change from run to run
     return others + [(whitened(rows, named, f), f, found.outlier) for f in fewer if f != found.scatter]
-
-
-def _explained(
-    before: Findings,
-    rows: Rows,
-    scatter: tuple[Finding, ...],
-    outlier: NDArray[np.bool_],
-    draws: int,
-    generator: np.random.Generator,
-) -> Findings:
-    """The findings with another explanation of the scatter than before."""
-    hypotheses = before.search.hypotheses
-    search = HypothesisSearch(hypotheses, rows.pick(~outlier), noise_estimated=bool(scatter))
-    selection = select(search, draws, generator, before.selection.path)
-    found = explained(search, selection, draws, generator)
-    return Findings(found.search, found.selection, found.unknown, scatter, outlier)
 
 
 def cost(found: Findings, m: int) -> float:

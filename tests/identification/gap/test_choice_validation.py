@@ -13,7 +13,7 @@ from identification.gap.diagnose import varying
 from identification.gap.hypotheses import hypotheses
 from identification.gap.probabilities import probabilities
 from identification.gap.whitening import Rows
-from identification.gap.workflow import Findings, investigate
+from identification.gap.workflow import Findings, Workflow
 from identification.measurements import Measurements
 
 
@@ -21,7 +21,7 @@ def found_in(cell: str, number: int) -> tuple[Findings, Measurements, Measuremen
     data = cells.data_set(cell, number)
     rows = Rows.of(data.measurements)
     library = hypotheses(data.arm, varying(data.measurements), rows)
-    return investigate(library, rows, 399, np.random.default_rng(0)), data.measurements, data.holdout
+    return Workflow(library, 399, np.random.default_rng(0)).findings(rows), data.measurements, data.holdout
 
 
 def test_rows_left_out_are_predicted_by_the_others() -> None:

@@ -325,7 +325,7 @@ def test_an_estimate_at_its_bound_has_an_interval() -> None:
     p = 300.0 * np.exp(1j * (q[:, 0] - 2e-5 * tau)) + 0.02 * rng.normal(size=(60, 2)) @ [1, 1j]
     search = HypothesisSearch(hypotheses(arm, frozenset()), Rows.of(Measurements(q, np.column_stack([p.real, p.imag]))))
     chosen = tuple(h for h in search.hypotheses.members if h.key == "joint_compliance:1")
-    (estimate,) = candidate(search, chosen, 0.0, 99, rng).parameters
+    (estimate,) = candidate(search, search, chosen, 0.0, 99, rng).parameters
     std = search.fit(chosen).sigma / (300.0 * np.sqrt(np.sum((tau - tau.mean()) ** 2)))
     assert estimate.value == estimate.low_95 == 0.0
     assert estimate.std == pytest.approx(std, rel=1e-3)  # the link is 300 mm to 1e-4

@@ -11,7 +11,7 @@ from identification.gap.hypotheses import hypotheses
 from identification.gap.probabilities import CREDIBLE, FIRST, LISTED, NEXT, Probabilities, probabilities
 from identification.gap.result import Diagnosis
 from identification.gap.whitening import Rows
-from identification.gap.workflow import investigate
+from identification.gap.workflow import Workflow
 
 CELLS = ("none m=20", "one, lambda 8, m=20", "two, lambda 8", "outside, lambda 7")
 
@@ -40,7 +40,7 @@ def test_odds_of_one_effect_by_hand() -> None:
     """Ripples have 62 orders; the prior weight of each is that of the joint's effect divided by them."""
     data = cells.data_set("none m=20", 3_000_001)
     library = hypotheses(data.arm, varying(data.measurements))
-    found = investigate(library, Rows.of(data.measurements), 399, np.random.default_rng(0))
+    found = Workflow(library, 399, np.random.default_rng(0)).findings(Rows.of(data.measurements))
     posterior, search = probabilities(found), found.search
     assert not found.selection.chosen
     member = next(h for h in library.members if h.key == "gear_ratio:1")

@@ -4,15 +4,37 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import f as fdist
+from scipy.stats import ncf
 
-from identification.gap.workflow import investigate_some
+from identification.gap.search import LEVEL_FACTOR
+from identification.gap.selection import ALPHA_NEXT, WORTH
+from identification.gap.workflow import MOST_ROWS, Workflow
 from tests.identification.gap.test_search import LIBRARY, NAMES, searched
 
 
-def test_of_very_many_rows_some_are_searched_and_all_are_screened(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_very_many_rows_some_are_searched_and_all_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the estimates the sum of squares of all rows has no gradient."""
     rows = searched()[0].rows
     monkeypatch.setattr("identification.gap.workflow.MOST_ROWS", 80)
-    found = investigate_some(LIBRARY, rows, 399, np.random.default_rng(1))
+    found = Workflow(LIBRARY, 399, np.random.default_rng(1)).findings(rows)
     assert {h.label for h in found.unknown.chosen} == set(NAMES)
-    assert len(found.search.rows) == found.used.sum() == 80 - found.outlier[found.sampled].sum()
     assert len(found.outlier) == len(rows) == 120
+    assert len(found.search.rows) <= 80
+    fitted = found.fits.fit(found.unknown.chosen)
+    assert len(fitted.rows) == np.sum(~found.outlier)
+    kept = rows.pick(~found.outlier)
+    left = (kept.positions - fitted.model.position(kept.postures, fitted.values, kept.conditions)).ravel()
+    jacobian = fitted.model.jacobian(kept.postures, fitted.values, kept.conditions).reshape(left.size, -1)
+    assert found.scatter == ()
+    assert np.all(np.abs(left @ jacobian) < 1e-6 * np.linalg.norm(left) * np.linalg.norm(jacobian, axis=0))
+
+
+def test_the_rows_searched_show_what_is_worth_a_round() -> None:
+    """In 99 of 100 cases at the strictest level, by the noncentral F distribution."""
+    n = 2 * MOST_ROWS
+    weight = min(h.weight for h in LIBRARY.members if h.size == 2)
+    limit = float(fdist.isf(ALPHA_NEXT * LEVEL_FACTOR * weight, 2, n - 10))
+    power = [float(ncf.sf(limit, 2, rows - 10, rows * WORTH / (1.0 - WORTH))) for rows in (n, n - 100)]
+    assert power[0] == pytest.approx(0.99, abs=0.001)
+    assert power[1] < power[0]
