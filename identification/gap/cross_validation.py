@@ -72,7 +72,7 @@ def cross_validate(found: Fit | Linearized, folds: Groups) -> CrossValidated:
     moment = problem.moment + sum(product for _, product in own)
     left, expected = np.empty_like(problem.left), np.empty(len(problem.left))
     for part, (square, product) in zip(parts, own, strict=True):
-        inverse = _inverse(normal - square)
+        inverse = _inverse(normal - square, np.diag(normal))
         step = inverse @ (moment - product)
         moved = problem.left - problem.columns @ step
         left[part], expected[part] = moved[part], _predicted(problem, part, moved, step, inverse)
@@ -103,9 +103,13 @@ def _gram(jacobian: Array) -> Array:
     return tall.T @ tall
 
 
-def _inverse(square: Array) -> Array:
-    """Pseudo-inverse of a normal matrix: combinations that the rows do not determine stay as they are."""
-    lengths = np.sqrt(np.maximum(np.diag(square), 1e-300))
+def _inverse(square: Array, whole: Array) -> Array:
+    """Pseudo-inverse of a normal matrix: combinations that the rows do not determine stay as they are.
+
+    whole : (n,) its diagonal for all rows; of a column that is in the part left out alone, subtraction leaves rounding
+    """
+    own = np.diag(square)
+    lengths = np.sqrt(np.where(own > CONDITION * whole, own, np.inf))
     unit = square / np.outer(lengths, lengths)
     found = inverse_if_clear(unit, CONDITION)
     if found is None:

@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec
 from identification.estimation.prior import Prior
-from identification.gap.cross_validation import cross_validate, cross_validation
+from identification.gap.cross_validation import _inverse, cross_validate, cross_validation
 from identification.gap.fit import Fit, fit
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
@@ -88,3 +88,17 @@ def test_what_is_there_for_a_while_does_not_hold() -> None:
     """The ripple is there in the first eighth of the rows only, four times as large."""
     late = [refuted(measured(160, seed, 4.0 * (np.arange(160) < 20)))[1] for seed in range(10)]
     assert sum(late) >= 8
+
+
+def test_a_column_that_is_in_one_part_alone_does_nothing_to_the_others() -> None:
+    """Its products less those of that part are rounding, of either sign."""
+    columns = np.random.default_rng(6).normal(size=(40, 3))
+    columns[10:, 2] = 0.0
+    square = columns[10:].T @ columns[10:]
+    whole = np.diag(columns.T @ columns)
+    expected = np.zeros((3, 3))
+    expected[:2, :2] = np.linalg.inv(square[:2, :2])
+    for rounding in (-3e-16, 0.0, 2e-16):
+        square[2, 2], square[:2, 2] = rounding * whole[2], 1e-16
+        square[2] = square[:, 2]
+        np.testing.assert_allclose(_inverse(square, whole), expected, atol=1e-12)
