@@ -2,15 +2,17 @@
 
 The bars are the targets of the study, where a Bayes classifier (tests/benchmarks/test_blind_ceiling.py) misses them its
 figures less 0.03: a share p of the sets or more is right. Of n sets a rule as good as its bar has a binomial number
-right; fewer than the limits below happen once in 50 (alert: a warning) and once in 10,000 cases (fail). By default ten
-sets of three cells, a hundred of every cell by `pytest -m slow tests/doe/studies/blind`; the full study is
-`armcal study blind`.
+right; fewer than the limits below happen once in 50 (alert: a warning) and once in 10,000 cases (fail). By default four
+sets of each of three cells, judged together; a hundred of every cell by `pytest -m slow tests/doe/studies/blind`; the
+full study is `armcal study blind`.
 """
 
 from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Sequence
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -45,61 +47,90 @@ BARS = {
 }
 CELLS = list(dict.fromkeys(cell for cell, _ in BARS if cell != blind.AMBIGUOUS))
 IN_EVERY_RUN = ("none m=50", "one, lambda 8, m=50", "outside, lambda 7")
+SETS = 4  # of each of them
 
 
-def fewest(count: int, bar: float, chance: float) -> int:
-    """The smallest number right that a rule with `bar` right falls short of with at most this chance."""
-    return int(binom.ppf(chance, count, bar))
+def fewest(counts: Sequence[int], bars: Sequence[float], chance: float) -> int:
+    """The smallest number right that a rule with a share `bars` of each `counts` right misses with at most this chance.
+
+    The number right is a sum of independent binomial numbers: its distribution is the convolution of theirs.
+    """
+    parts = [binom.pmf(np.arange(count + 1), count, bar) for count, bar in zip(counts, bars, strict=True)]
+    return int(np.searchsorted(np.cumsum(reduce(np.convolve, parts)), chance))
 
 
-def check(found: BlindStudy, cell: str, measure: str) -> None:
-    """Fails or warns where fewer sets are right than a rule as good as the bar would get (alarms: wrong)."""
-    (row,) = found.cells.filter(cell=cell, measure=measure).iter_rows(named=True)
-    share, bar = row["value"], BARS[cell, measure]
-    if measure == "alarm":
-        share, bar = 1.0 - share, 1.0 - bar
-    right = round(share * row["count"])
-    said = f"{cell}, {measure}: {right} of {row['count']} right, bar {bar:g}"
-    assert right >= fewest(row["count"], bar, FAIL), said
-    if right < fewest(row["count"], bar, ALERT):
+def check(found: BlindStudy, *places: tuple[str, str]) -> None:
+    """Fails or warns where fewer sets are right than a rule as good as the bars would get (alarms: wrong)."""
+    rights, counts, bars = [], [], []
+    for cell, measure in places:
+        (row,) = found.cells.filter(cell=cell, measure=measure).iter_rows(named=True)
+        share, bar = row["value"], BARS[cell, measure]
+        share, bar = (1.0 - share, 1.0 - bar) if measure == "alarm" else (share, bar)
+        rights.append(round(share * row["count"]))
+        counts.append(row["count"])
+        bars.append(bar)
+    said = f"{places}: {rights} of {counts} right, bars {bars}"
+    assert sum(rights) >= fewest(counts, bars, FAIL), said
+    if sum(rights) < fewest(counts, bars, ALERT):
         with warnings.catch_warnings():
             warnings.simplefilter("always")  # not an error here: it is for people
             warnings.warn(said, stacklevel=2)
 
 
-def run(cell: str, count: int) -> BlindStudy:
-    return blind_study([cell], count, draws=399)
+def check_rivals(found: BlindStudy, cell: str) -> None:
+    """The gap left is as good as that of the true model, and at most that of the whole library or a process."""
+    rivals = {"gap / true": 1.05, "gap / library": 1.0} | ({"gap / process": 1.0} if has_processes() else {})
+    for measure, most in rivals.items():
+        (row,) = found.cells.filter(cell=cell, measure=measure).iter_rows(named=True)
+        assert row["value"] <= most + 4.0 * row["standard_error"], measure
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[BlindStudy, Path]:
+    """A study of few sets, and its folder."""
+    folder = tmp_path_factory.mktemp("blind") / "study"
+    return blind_study(IN_EVERY_RUN, SETS, folder, draws=399), folder
 
 
 def test_limits_are_those_of_the_binomial_distribution() -> None:
     """Of 10 sets with bar 0.95: P(5 or fewer) = 6.4e-5 fails, P(6) = 1e-3 does not; P(7 or fewer) = 0.0115 warns."""
-    assert (fewest(10, 0.95, FAIL), fewest(10, 0.95, ALERT)) == (6, 8)
-    assert fewest(10, 1.0, FAIL) == 10
+    assert (fewest([10], [0.95], FAIL), fewest([10], [0.95], ALERT)) == (6, 8)
+    assert fewest([4, 6], [0.95, 0.95], FAIL) == 6
+    assert fewest([10], [1.0], FAIL) == 10
+    uniform = np.random.default_rng(0).uniform(size=(100_000, 10)) < [0.95] * 4 + [0.928] * 4 + [0.5] * 2
+    least = fewest([4, 4, 2], [0.95, 0.928, 0.5], ALERT)
+    # shares of 100,000 draws: 0.02 to within 4 * sqrt(0.02 * 0.98 / 100,000) = 0.0018
+    assert np.mean(uniform.sum(axis=1) < least) < 0.0218
+    assert np.mean(uniform.sum(axis=1) <= least) > 0.0182
 
 
 # -- the study in reduced form -----------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("cell", "count"),
-    [(cell, 10) for cell in IN_EVERY_RUN] + [pytest.param(cell, 100, marks=pytest.mark.slow) for cell in CELLS],
-)
-def test_the_bars_of_a_cell(cell: str, count: int) -> None:
-    found = run(cell, count)
+def test_the_bars_of_few_sets(small: tuple[BlindStudy, Path]) -> None:
+    found, _ = small
+    none, one, outside = IN_EVERY_RUN
+    check(found, (none, "alarm"), (one, "exact"), (outside, "located"))
+    check(found, (one, "class"))
+    check(found, (one, "in the set"))
+    check_rivals(found, one)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cell", CELLS)
+def test_the_bars_of_a_cell(cell: str) -> None:
+    found = blind_study([cell], 100, draws=399)
     for place, measure in BARS:
         if place == cell:
-            check(found, cell, measure)
+            check(found, (place, measure))
     if cell in blind.COMPARED:
-        rivals = {"gap / true": 1.05, "gap / library": 1.0} | ({"gap / process": 1.0} if has_processes() else {})
-        for measure, most in rivals.items():
-            (row,) = found.cells.filter(cell=cell, measure=measure).iter_rows(named=True)
-            assert row["value"] <= most + 4.0 * row["standard_error"], measure
+        check_rivals(found, cell)
 
 
 @pytest.mark.slow
 def test_further_postures_settle_ambiguous_sets() -> None:
     """About a third of the sets are ambiguous: of a hundred, some thirty are measured further."""
-    found = run(blind.AMBIGUOUS, 100)
-    check(found, blind.AMBIGUOUS, "next_2 right")
-    check(found, blind.AMBIGUOUS, "next_8 right")
+    found = blind_study([blind.AMBIGUOUS], 100, draws=399)
+    check(found, (blind.AMBIGUOUS, "next_2 right"))
+    check(found, (blind.AMBIGUOUS, "next_8 right"))
     assert found.value(blind.AMBIGUOUS, "next_8 predicted") > found.value(blind.AMBIGUOUS, "next_2 predicted")
 
 
@@ -203,11 +234,11 @@ def test_the_confusion_matrix_counts_every_set_once() -> None:
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------
-def test_the_diagnoses_table_knows_nothing_of_the_truth(tmp_path: Path) -> None:
-    blind_study(["outside, lambda 7"], 2, tmp_path / "study", draws=399)
-    said = polars.read_parquet(tmp_path / "study" / blind.DIAGNOSES)
+def test_the_diagnoses_table_knows_nothing_of_the_truth(small: tuple[BlindStudy, Path]) -> None:
+    _, folder = small
+    said = polars.read_parquet(folder / blind.DIAGNOSES)
     assert {"hidden", "place", "wrong_rows", "gap_true_mm"}.isdisjoint(said.columns)
-    truth = polars.read_parquet(tmp_path / "study" / blind.TRUTH)
+    truth = polars.read_parquet(folder / blind.TRUTH).filter(cell="outside, lambda 7")
     for row in truth.iter_rows(named=True):  # some of these shapes have become effects of the library
         assert (row["place"] is None) == bool(row["hidden"])
 
@@ -245,10 +276,10 @@ def test_an_unknown_cell_is_named() -> None:
         blind_study(["none m=5"], 1)
 
 
-def test_tables_and_picture_can_be_made(tmp_path: Path) -> None:
+def test_tables_and_picture_can_be_made(small: tuple[BlindStudy, Path], tmp_path: Path) -> None:
     from doe.report.blind import write_pictures
 
-    found = run("one, lambda 8, m=20", 4)
+    found, _ = small
     assert len(blind_tables(found)) >= 3
     write_pictures(tmp_path, found)
     assert (tmp_path / "confusion.png").stat().st_size > 1000
