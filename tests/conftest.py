@@ -28,9 +28,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
+FIRST = ("notebooks", "test_house.py", "blind", "test_diagnose.py")  # folders and files of the longest tests
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Notebooks first: the longest tests must not be the last that one core works on while the others wait."""
-    items.sort(key=lambda item: "notebooks" not in item.path.parts)
+    """The longest first: none must be the last that one core works on while the others wait."""
+    items.sort(key=lambda item: min(FIRST.index(part) if part in FIRST else len(FIRST) for part in item.path.parts))
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -199,8 +199,8 @@ class ContinuousSet:
 
 def distinct(postures: Array, tolerance: float = SAME) -> Array:
     """Indices of postures of which no earlier one is within `tolerance` [rad] in every joint."""
-    kept: list[int] = []
+    first = np.ones(len(postures), dtype=bool)
     for k, posture in enumerate(postures):
-        if not kept or np.abs(postures[kept] - posture).max(axis=1).min() > tolerance:
-            kept.append(k)
-    return np.array(kept, dtype=int)
+        if first[k]:
+            first[k + 1 :] &= np.abs(postures[k + 1 :] - posture).max(axis=1) > tolerance
+    return np.flatnonzero(first)

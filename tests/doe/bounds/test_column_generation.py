@@ -35,7 +35,7 @@ def closed_form(lower: Array, upper: Array, offset: bool = False) -> float:
 @pytest.mark.parametrize("links", range(1, 9))
 def test_continuous_box_equals_the_closed_form(links: int) -> None:
     generator = np.random.default_rng(links)
-    for _ in range(3):
+    for _ in range(2):
         arm = random_box(generator, links)
         design = continuous_design(problem(arm))
         expected = closed_form(arm.lower, arm.upper)
@@ -214,7 +214,7 @@ def test_other_criteria_have_no_better_neighbor(name: str) -> None:
 
 
 def test_identical_seeds_identical_plans() -> None:
-    case = problem(FOUR, ECCENTRICITY)
+    case = problem(Arm(FOUR.lengths[:3], FOUR.lower[:3], FOUR.upper[:3]), ECCENTRICITY)
     first, second = (continuous_design(case, tolerance=1e-7, proof=0.0) for _ in range(2))
     assert np.array_equal(first.plan.postures, second.plan.postures)
     assert np.array_equal(first.plan.shares, second.plan.shares)
