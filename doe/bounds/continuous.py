@@ -14,6 +14,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from doe.problem.derivatives import Derivatives, constraint_derivatives, constraint_values, jacobian_derivatives
 from doe.problem.feasible import random_postures
@@ -197,7 +198,7 @@ class ContinuousSet:
         return np.einsum("mij,mj->mi", vectors, along) * free
 
 
-def distinct(postures: Array, tolerance: float = SAME) -> Array:
+def distinct(postures: Array, tolerance: float = SAME) -> NDArray[np.intp]:
     """Indices of postures of which no earlier one is within `tolerance` [rad] in every joint."""
     first = np.ones(len(postures), dtype=bool)
     for k, posture in enumerate(postures):
