@@ -80,6 +80,8 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
     count = len(measurements.session_names)
     if count < 2:
         return arm
+    if arm.chain is not None:
+        raise InputError(f"session: found {count} sessions, allowed of a spatial arm: one; split the file by session")
     wide = with_base(arm)
     spec = EffectSpec(SESSIONS, values={"sessions": float(count)})
     bases = base_of_each_session(standing(arm), measurements)

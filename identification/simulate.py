@@ -25,7 +25,7 @@ def simulate(
     temperature: Array | None = None,
     directions: Array | None = None,
 ) -> Measurements:
-    """Measure `truth` once at each posture, in the given order.
+    """Measure `truth` once at each posture, in the given order; of several measured points every one.
 
     truth : arm whose calibration and effect values are the true ones; what has no value is zero, but an effect on the
         scatter needs all of its values
@@ -44,11 +44,20 @@ def simulate(
         raise InputError("temperature_C: an effect of the truth needs a temperature per row, none is given")
     approach = directions_from_order(q) if directions is None else directions
     session = Measurements(q, np.zeros((len(q), model.dimension)), order, payload, temperature, approach)
+    if truth.chain is not None and len(truth.chain.tools) > 1:
+        session = _of_each_point(session, tuple(truth.chain.tools))
+        q = session.postures
     exact = model.position(q, conditions=session.conditions)
     errors = noise * generator.standard_normal(exact.shape)
     session = replace(session, positions=exact)
     errors = disturbed(errors, truth, session, session.conditions, noise, generator)
     return replace(session, positions=exact + errors)
+
+
+def _of_each_point(session: Measurements, names: tuple[str, ...]) -> Measurements:
+    """Every row once for each measured point."""
+    every = session.rows(np.repeat(np.arange(len(session)), len(names)))
+    return replace(every, marker=np.tile(names, len(session)), marker_names=names)
 
 
 def _check_scatter(truth: Arm) -> None:

@@ -28,6 +28,12 @@ if TYPE_CHECKING:
     help="What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.",
 )
 @prior_options
+@click.option(
+    "--parameters",
+    type=click.Choice(["minimal", "all"]),
+    help="Of a spatial arm: all errors of its geometry, held by [machining] (left out: this), or as many as are free.",
+)
+@click.option("--urdf", type=FILE, metavar="FILE", help="Write the corrected URDF file of a spatial arm.")
 @output_options(out="Write a calibrated arm file (TOML).")
 def command(
     session: Session,
@@ -36,6 +42,8 @@ def command(
     method: str | None,
     sigma: Literal["given", "estimated"] | None,
     prior: LibraryEffects,
+    parameters: str | None,
+    urdf: Path | None,
     output: Output,
 ) -> Answer:
     """Estimate the arm's parameters from measurements, with 95 % intervals.
@@ -45,24 +53,36 @@ def command(
     from identification.estimation import estimate, estimate_with_prior
     from identification.files.arm import load_arm
     from identification.gap.library_prior import given_by, library_prior
+    from identification.minimal import minimal
     from identification.model import Model
+    from identification.placed import placed_model
     from identification.sessions import with_sessions
 
     loaded = load_arm(arm)
+    for option, value in (("--parameters", parameters), ("--urdf", urdf)):
+        if value is not None and loaded.chain is None:
+            raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
     measurements = read_measurements(data, loaded)
     wide = with_sessions(loaded, measurements)
     if not prior.held:
-        found = estimate(Model(wide), measurements, method=method, sigma=sigma)
-        return answer(found, arm, output)
+        model = Model(wide)
+        if parameters == "minimal":
+            model = minimal(placed_model(model, measurements))
+        found = estimate(model, measurements, method=method, sigma=sigma)
+        return answer(found, arm, output, urdf)
+    if parameters == "minimal":
+        raise InputError("--parameters: minimal with --prior, allowed: all")
     if method not in (None, "gauss_newton"):
         raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
     library = library_prior(wide, given_by(measurements), prior.names)
     found = estimate_with_prior(library.model, measurements, library.prior, sigma=sigma)
-    return answer(found, arm, output, library)
+    return answer(found, arm, output, urdf, library)
 
 
-def answer(found: Identification, path: Path, output: Output, library: LibraryPrior | None = None) -> Answer:
-    """What is said of a fit, and the file with it where it is asked for and the fit is worth it."""
+def answer(
+    found: Identification, path: Path, output: Output, urdf: Path | None, library: LibraryPrior | None = None
+) -> Answer:
+    """What is said of a fit, and the files with it where they are asked for and the fit is worth it."""
     from doe.report.identification_tables import identification_tables
 
     for sentence in found.warnings:
@@ -73,11 +93,29 @@ def answer(found: Identification, path: Path, output: Output, library: LibraryPr
         data |= {"prior": library.to_json()}
         data["parameters"] = [row for row in data["parameters"] if row["name"] not in hidden]
         shown.append(library.sentence)
-    if output.out is None:
+    wanted = [name for name in (output.out, urdf) if name is not None]
+    if not wanted:
         return Answer(data, shown, exit_code=1 if found.not_identifiable else 0)
     if (reason := no_file(found, output.force)) is not None:
-        return Answer(data, [*shown, f"{output.out} was not written: {reason}"], exit_code=1)
-    return Answer(data, shown + output.write(arm_file(found, path, hidden), "calibrated arm"))
+        return Answer(data, [*shown, *(f"{name} was not written: {reason}" for name in wanted)], exit_code=1)
+    return Answer(data, shown + write(found, path, output, urdf, hidden))
+
+
+def write(found: Identification, path: Path, output: Output, urdf: Path | None, hidden: frozenset[str]) -> list[str]:
+    """Writes the calibrated arm and the corrected URDF file, all or none; the lines that say so."""
+    from identification.files.io import PathLike, write_together
+
+    files: dict[PathLike, str | bytes] = {}
+    if output.out is not None:
+        files[output.out] = arm_file(found, path, hidden)
+    if found.geometry is not None:
+        from identification.files.arm_spatial import beside, corrected_urdf
+
+        files |= beside(path, output.out)
+        files |= {} if urdf is None else {urdf: corrected_urdf(path, found.geometry.real)}
+    write_together(files, force=output.force)
+    what = {output.out: "calibrated arm", urdf: "corrected URDF file"}
+    return [f"{what.get(Path(name), 'nominal URDF file')} written to {name}" for name in files]
 
 
 def arm_file(found: Identification, path: Path, hidden: frozenset[str]) -> str:
@@ -91,7 +129,8 @@ def arm_file(found: Identification, path: Path, hidden: frozenset[str]) -> str:
 
     effects = [spec for spec in found.model.arm.effects if spec.name != SESSIONS]
     kept = found.calibration().about(set(found.names) - hidden)
-    return with_calibration(with_effects(read_text(path), effects), without_sessions(kept))
+    text = with_effects(read_text(path), effects, path.parent)
+    return with_calibration(text, without_sessions(kept), path.parent)
 
 
 def no_file(found: Identification, force: bool) -> str | None:
@@ -100,7 +139,7 @@ def no_file(found: Identification, force: bool) -> str | None:
         return "not every parameter is estimable from the data"
     if found.status is not Status.implausible:
         return None
-    lengths = (found.model.arm.lengths + found.length_errors).tolist()
-    if min(lengths) <= 0.0:
+    lengths = [] if found.geometry else (found.model.arm.lengths + found.length_errors).tolist()
+    if lengths and min(lengths) <= 0.0:
         return f"link {lengths.index(min(lengths)) + 1} would have no positive length"
     return None if force else "the fit is implausible; --force writes it all the same"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 FILE, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path)  # `check_outputs` looks at files only
 # options that write a file; every other one is read
-OUTPUTS = frozenset({"out", "picture", "aliases", "report", "curves"})
+OUTPUTS = frozenset({"out", "picture", "aliases", "report", "curves", "urdf"})
 
 
 class Seconds(click.FloatRange):

@@ -12,6 +12,7 @@ from doe.report.terminal import facts, number, significant, table
 from identification.compensate import Compensation
 from identification.estimation import Identification
 from identification.estimation.result import in_words
+from identification.kinematics.corrected_geometry import CorrectedGeometry
 
 
 def identification_tables(found: Identification, hidden: frozenset[str] = frozenset()) -> list[Any]:
@@ -30,6 +31,8 @@ def identification_tables(found: Identification, hidden: frozenset[str] = frozen
     summary.append(("95 % intervals", found.uncertainty.sentence))
     warned = [Text(warning, style="bold") for warning in found.warnings]
     shown: list[Any] = [*warned, facts(summary), parameter_table(found, hidden)]
+    if found.geometry is not None:
+        shown += geometry_tables(found.geometry)
     if data["not_identifiable"]:
         shown.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         shown.extend(Text(f"  {combination}") for combination in data["not_identifiable"])
@@ -43,6 +46,26 @@ def parameter_table(found: Identification, hidden: frozenset[str] = frozenset())
     seen = ((name, p) for name, p in named if p["name"] not in hidden)
     rows = ([name, *(significant(p[key], p["std"]) for key in keys), p["unit"]] for name, p in seen)
     return table(("name", "value", "std", "low 95 %", "high 95 %", "unit"), rows, "Parameters", left=("name", "unit"))
+
+
+def geometry_tables(found: CorrectedGeometry) -> list[Any]:
+    """Where base, measured points and joints of a spatial arm are, and what a controller needs."""
+    data = found.to_json()
+    poses = [("base", data["base"])] if data["base"] else []
+    poses += [(f"tool {name}", place) for name, place in data["tools"].items()]
+    keys, angles = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"), ("roll_deg", "pitch_deg", "yaw_deg")
+    placed = [[name, *(f"{place[key]:.4f}" if key in place else "" for key in keys)] for name, place in poses]
+    rows = [
+        [row["name"], *(f"{row[key]:.4f}" for key in (*keys[:3], *angles)), f"{offset['value']:.5f} {offset['unit']}"]
+        for row, offset in zip(data["geometry"], data["joint_offsets"], strict=True)
+    ]
+    headings = [[f"{key.replace('_', ' [')}]" for key in some] for some in (keys, (*keys[:3], *angles))]
+    return [
+        *([table(("", *headings[0]), placed, "Identified poses")] if placed else []),
+        table(("joint", *headings[1], "offset"), rows, "Frame of each joint in that of the joint before"),
+        "A controller that takes offsets adds minus the offset to each command; the corrected URDF has them in it.",
+        *(Text(sentence) for sentence in data["strict_table"]),
+    ]
 
 
 def residual_text(error: float, reached: bool = True) -> str:

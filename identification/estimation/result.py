@@ -16,10 +16,9 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.estimation.intervals import limits_95
 from identification.estimation.uncertainty import LEVEL, Uncertainty
-from identification.kinematics.corrected import composed_base, composed_tools
+from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint
 from identification.kinematics.planar import orientation_transform
-from identification.kinematics.spatial import BASE, TOOL
 from identification.measurements import rms_distance
 from identification.model import Model
 from identification.status import Status
@@ -177,19 +176,16 @@ class Identification:
         cov = self.covariance if np.all(np.isfinite(self.covariance)) else None
         figures = {k: v for k, v in self.to_json().items() if v is not None and k not in _NOT_KEPT}
         provenance = MappingProxyType({**self.provenance, **figures})
-        return Calibration(self._everything, self.names, cov, provenance, self.base, self.tools)
+        calibration = Calibration(self._everything, self.names, cov, provenance)
+        if (geometry := self.geometry) is None:
+            return calibration
+        return replace(calibration, base=geometry.base, tools=geometry.tools)
 
-    @property
-    def base(self) -> Array | None:
-        """(4, 4) pose of a spatial arm's base in the frame of the instrument [mm], None: known, or a planar arm."""
-        chain = self.model.arm.chain
-        return None if chain is None or BASE in chain.known else composed_base(chain, self._everything)
-
-    @property
-    def tools(self) -> dict[str, Array]:
-        """Name -> (3,) place [mm] of a spatial arm's measured points in the frame of its tip, as far as estimated."""
-        chain = self.model.arm.chain
-        return {} if chain is None or TOOL in chain.known else composed_tools(chain, self._everything)
+    @cached_property
+    def geometry(self) -> CorrectedGeometry | None:
+        """A spatial arm's geometry as identified: base, measured points, joints; None in the plane."""
+        chain = getattr(self.model, "arm", None) and self.model.arm.chain
+        return None if chain is None else CorrectedGeometry(chain, self._everything)
 
     def calibrated_arm(self) -> Arm:
         """The arm with this calibration in it."""
@@ -215,6 +211,7 @@ class Identification:
             "intervals": self.uncertainty.kind,
             "clusters": self.uncertainty.clusters
             and {"kind": self.uncertainty.clusters, "count": self.uncertainty.count},
+            **({} if self.geometry is None else self.geometry.to_json()),
         }
 
     def _rows(self) -> list[dict[str, Any]]:
@@ -259,7 +256,8 @@ class Identification:
         return f"<pre>{html.escape(str(self))}</pre>"
 
 
-_NOT_KEPT = ("parameters", "p_value", "status", "warnings", "clusters")  # by a calibration
+_OF_GEOMETRY = ("base", "tools", "geometry", "joint_offsets", "strict_table")
+_NOT_KEPT = ("parameters", "p_value", "status", "warnings", "clusters", *_OF_GEOMETRY)  # by a calibration
 _COLUMNS = ("value", "std", "low_95", "high_95")
 
 

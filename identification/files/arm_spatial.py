@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -45,12 +46,12 @@ from identification.files.arm_schema_spatial import (
     SphereTable,
     TravelsTable,
 )
-from identification.files.io import PathLike
+from identification.files.io import PathLike, read_toml
 from identification.files.schema import require_count
-from identification.files.urdf import Urdf, read_urdf
+from identification.files.urdf import Urdf, read_urdf, urdf_text, with_origins
 from identification.kinematics.corrected import before_errors
 from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, chain_of
-from identification.kinematics.frames import from_own_axes, own_axes_angles, pose
+from identification.kinematics.frames import from_own_axes, pose
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE
 from identification.kinematics.spatial import BASE, TOOL, Joint, SpatialChain
 
@@ -94,6 +95,23 @@ def urdf_of(tables: Mapping[str, Any], folder: PathLike) -> tuple[Urdf, str, str
     if not path.resolve().is_relative_to(Path(folder).resolve()):
         raise InputError(f"urdf: {name!r} is outside the folder of the arm file, allowed: a file beside it or below")
     return read_urdf(path), str(tables["base_link"]), str(tables["tip_link"])
+
+
+def corrected_urdf(path: PathLike, chain: SpatialChain) -> str:
+    """The URDF file that an arm file names, with the origins of a corrected chain; a bare one where it names none."""
+    tables = read_toml(path)
+    if (named := urdf_of(tables, Path(path).parent)) is None:
+        return urdf_text(chain, escape(str(tables.get("name", "arm")), {'"': "&quot;"}))
+    return with_origins(*named, [joint.origin for joint in chain.joints])
+
+
+def beside(path: PathLike, out: PathLike | None) -> dict[PathLike, bytes]:
+    """The URDF file that has to be written for a copy at `out` of the arm file at `path`: none if it is there."""
+    name = read_toml(path).get("urdf")
+    if out is None or name is None:
+        return {}
+    here, there = Path(path).parent / name, Path(out).parent / name
+    return {} if there.exists() and there.read_bytes() == here.read_bytes() else {there: here.read_bytes()}
 
 
 def _chain(file: SpatialArmFile, folder: PathLike) -> SpatialChain:
@@ -160,19 +178,6 @@ def _tools(table: Mapping[str, Any], place: str = "tool") -> dict[str, Array]:
     )
     read = {name: POINTS.validated(value, where) for name, (where, value) in points.items()}
     return {name: readonly((point.x_mm, point.y_mm, point.z_mm)) for name, point in read.items()}
-
-
-def pose_table(matrix: Array) -> dict[str, float]:
-    """(4, 4) as `[base]` has it."""
-    angles = np.degrees(own_axes_angles(matrix[:3, :3]))
-    return point_table(matrix[:3, 3]) | {
-        f"r{axis}_deg": float(f"{a:.15g}") for axis, a in zip("xyz", angles, strict=True)
-    }
-
-
-def point_table(place: Array) -> dict[str, float]:
-    """(3,) as `[tool]` has it."""
-    return {f"{axis}_mm": float(x) for axis, x in zip("xyz", place, strict=True)}
 
 
 # -- what else the file says -------------------------------------------------------------------------------------------

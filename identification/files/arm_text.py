@@ -177,7 +177,7 @@ def _planar_errors(calibration: Calibration) -> Plain:
 
 
 def _spatial_errors(calibration: Calibration, by_api: Mapping[str, FileName]) -> Plain:
-    from identification.files.arm_spatial import point_table, pose_table
+    from identification.kinematics.frames import point_table, pose_table
 
     geometry = {name: value for name, value in calibration.values.items() if GEOMETRY.fullmatch(name)}
     _require_known(geometry, by_api)

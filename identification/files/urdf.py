@@ -174,6 +174,28 @@ def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> s
     return text.decode()
 
 
+def urdf_text(chain: SpatialChain, name: str) -> str:
+    """A URDF file of bare links and joints for a chain that comes from no such file; links `base_link`, `link_1`, ..,
+    `tip`."""
+    lines = ['<?xml version="1.0"?>', f'<robot name="{name}">', '  <link name="base_link"/>']
+    before, n = "base_link", len(chain)
+    for j, joint in enumerate(chain.joints, start=1):
+        unit = METER if joint.type == PRISMATIC else 1.0
+        axis = " ".join(f"{float(x):.17g}" for x in joint.axis)
+        limits = f'lower="{joint.lower / unit:.17g}" upper="{joint.upper / unit:.17g}" effort="0" velocity="0"'
+        inner = f'{_origin_element(joint.origin, True)}<axis xyz="{axis}"/><limit {limits}/>'
+        lines += _link(f"link_{j}", joint.name, joint.type, before, inner)
+        before = f"link_{j}"
+    lines += _link("tip", f"joint_{n + 1}_fixed", FIXED, before, _origin_element(chain.end, True))
+    return "\n".join([*lines, "</robot>\n"])
+
+
+def _link(name: str, joint: str, kind: str, parent: str, inner: str) -> list[str]:
+    """A link and the joint that carries it."""
+    ends = f'<parent link="{parent}"/><child link="{name}"/>'
+    return [f'  <link name="{name}"/>', f'  <joint name="{joint}" type="{kind}">{ends}{inner}</joint>']
+
+
 def _origin_element(matrix: Array, closed: bool) -> str:
     place = " ".join(f"{float(x):.17g}" for x in matrix[:3, 3] / METER)
     turn = " ".join(f"{float(x):.17g}" for x in roll_pitch_yaw(matrix[:3, :3]))

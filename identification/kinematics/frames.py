@@ -59,6 +59,17 @@ def own_axes_angles(rotation: Array) -> Array:
     return -roll_pitch_yaw(rotation.T)
 
 
+def point_table(place: Array) -> dict[str, float]:
+    """(3,) [mm] as files and JSON have it."""
+    return {f"{axis}_mm": float(x) for axis, x in zip(AXES, place, strict=True)}
+
+
+def pose_table(matrix: Array) -> dict[str, float]:
+    """(4, 4) [mm] as files and JSON have it."""
+    angles = zip(AXES, np.degrees(own_axes_angles(matrix[:3, :3])), strict=True)
+    return point_table(matrix[:3, 3]) | {f"r{axis}_deg": float(f"{angle:.15g}") for axis, angle in angles}
+
+
 @dataclass(frozen=True)
 class Frame:
     """A frame in CasADi symbols:  origin : (3,) SX;  axes : (3, 3) SX, the columns its x, y and z axes."""

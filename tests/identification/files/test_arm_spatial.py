@@ -236,23 +236,26 @@ def test_calibration_comes_back_to_rounding(tmp_path: Path, markers: tuple[str, 
     assert written.covariance is not None
     np.testing.assert_allclose(read.covariance, written.covariance, rtol=1e-12, atol=1e-20)
     assert read.base is not None
-    np.testing.assert_allclose(read.base, found.base, atol=1e-11)
-    for name, place in found.tools.items():
+    assert found.geometry is not None
+    np.testing.assert_allclose(read.base, found.geometry.base, atol=1e-11)
+    for name, place in found.geometry.tools.items():
         np.testing.assert_allclose(read.tools[name], place, atol=1e-11)
 
 
 def test_base_and_tools_are_where_they_were(tmp_path: Path) -> None:
     """Composed poses: the start and its corrections, of which neither says much alone."""
     found = identified(load_arm(saved(tmp_path, FOUR_AXES)))
-    assert found.base is not None
+    assert found.geometry is not None
+    base, tools = found.geometry.base, found.geometry.tools
+    assert base is not None
     values, chain = found.model.parameters.mapping(found.parameters), found.model.arm.chain
     assert chain is not None
     turn = Rotation.from_euler("XYZ", [values[f"base.r{axis}"] for axis in "xyz"]).as_matrix()
-    np.testing.assert_allclose(found.base[:3, :3], chain.base[:3, :3] @ turn, atol=1e-12)
+    np.testing.assert_allclose(base[:3, :3], chain.base[:3, :3] @ turn, atol=1e-12)
     shift = np.array([values[f"base.{axis}"] for axis in "xyz"])
-    np.testing.assert_allclose(found.base[:3, 3], chain.base[:3, 3] + shift, atol=1e-12)
+    np.testing.assert_allclose(base[:3, 3], chain.base[:3, 3] + shift, atol=1e-12)
     error = np.array([values[f"tool[1].{axis}"] for axis in "xyz"])
-    np.testing.assert_allclose(found.tools["1"], chain.tools["1"] + error, atol=1e-12)
+    np.testing.assert_allclose(tools["1"], chain.tools["1"] + error, atol=1e-12)
 
 
 # -- bad input ---------------------------------------------------------------------------------------------------------

@@ -1,0 +1,114 @@
+"""An identified spatial arm for people and controllers: base, tools, a table of the joints, their offsets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from identification.arrays import Array
+from identification.kinematics.corrected import composed_base, composed_tools, corrected
+from identification.kinematics.frames import point_table, pose_table, roll_pitch_yaw, rotation_about
+from identification.kinematics.parameters import JOINT_OFFSET, REVOLUTE
+from identification.kinematics.spatial import BASE, TOOL, SpatialChain
+
+PARALLEL = 1e-12  # sine of an angle between axes that are parallel but for rounding
+
+
+class CommonNormal(NamedTuple):
+    """Of the axes of a joint, counted from 1, and the next: the angle between them [rad], and how far from the two
+    joints' frames it stands along their axes [mm]."""
+
+    joint: int
+    angle: float
+    distance: float
+
+
+@dataclass(frozen=True)
+class CorrectedGeometry:
+    """A chain with the errors that were found.
+
+    chain : as nominal;  values : parameter name -> value [mm, rad]
+    """
+
+    chain: SpatialChain
+    values: Mapping[str, float]
+
+    @cached_property
+    def real(self) -> SpatialChain:
+        """The chain whose nominal geometry is the corrected one."""
+        return corrected(self.chain, self.values)
+
+    @property
+    def base(self) -> Array | None:
+        """(4, 4) pose of the base for the instrument [mm], None where it is known."""
+        return None if BASE in self.chain.known else composed_base(self.chain, self.values)
+
+    @property
+    def tools(self) -> dict[str, Array]:
+        """Name -> (3,) place of each measured point in the frame of the tip [mm], empty where they are known."""
+        return {} if TOOL in self.chain.known else composed_tools(self.chain, self.values)
+
+    @property
+    def common_normals(self) -> list[CommonNormal]:
+        """Of successive axes of revolute joints that are not exactly parallel, in the corrected geometry."""
+        found, frame = [], np.eye(4)
+        axes: list[tuple[Array, Array] | None] = []
+        for joint in self.real.joints:
+            frame = frame @ joint.origin
+            axes.append((frame[:3, 3], frame[:3, :3] @ joint.axis) if joint.type == REVOLUTE else None)
+        for j, (one, other) in enumerate(pairwise(axes), start=1):
+            if one is None or other is None:
+                continue
+            cross, between = np.cross(one[1], other[1]), other[0] - one[0]
+            if (sine := float(np.linalg.norm(cross))) > PARALLEL:
+                feet = [float(np.cross(between, axis) @ cross) / sine**2 for axis in (other[1], one[1])]
+                angle = float(np.arctan2(sine, abs(one[1] @ other[1])))
+                found.append(CommonNormal(j, angle, max(map(abs, feet))))
+        return found
+
+    @property
+    def strict_table(self) -> list[str]:
+        """Why a Denavit-Hartenberg table of the corrected geometry is of no use, in sentences; empty: it is."""
+        return [
+            f"the axes of joints {j} and {j + 1} are {np.degrees(angle):.2g} deg from parallel and their common normal "
+            f"{distance / 1000.0:.3g} m away: a strict Denavit-Hartenberg table would have it as d; "
+            "use this table of six numbers, or the URDF"
+            for j, angle, distance in self.common_normals
+            if distance > self.chain.reach
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of `identify` for spatial arms (identification/files/README.md, "JSON keys")."""
+        return {
+            "base": None if self.base is None else pose_table(self.base),
+            "tools": {name: point_table(place) for name, place in self.tools.items()},
+            "geometry": [self._row(j) for j in range(1, len(self.chain) + 1)],
+            "joint_offsets": [self._offset(j) for j in range(1, len(self.chain) + 1)],
+            "strict_table": self.strict_table,
+        }
+
+    def _row(self, j: int) -> dict[str, Any]:
+        """Where the frame of a joint is in that of the joint before, its offset apart."""
+        joint = self.chain.joints[j - 1]
+        origin, offset = self.real.joints[j - 1].origin, self._offset_of(j)
+        place, turn = origin[:3, 3], origin[:3, :3]
+        if joint.type == REVOLUTE:
+            turn = turn @ rotation_about(joint.axis, -offset)
+        else:
+            place = place - turn @ joint.axis * offset
+        angles = zip(("roll", "pitch", "yaw"), np.degrees(roll_pitch_yaw(turn)), strict=True)
+        return {"joint": j, "name": joint.name, **point_table(place), **{f"{k}_deg": float(v) for k, v in angles}}
+
+    def _offset(self, j: int) -> dict[str, Any]:
+        """What the joint adds to a command, and what a controller has to add to its own."""
+        turning = self.chain.joints[j - 1].type == REVOLUTE
+        value = float(np.degrees(self._offset_of(j))) if turning else self._offset_of(j)
+        return {"joint": j, "unit": "deg" if turning else "mm", "value": value, "command": 0.0 - value}
+
+    def _offset_of(self, j: int) -> float:
+        return self.values.get(f"{JOINT_OFFSET}:{j}", 0.0)

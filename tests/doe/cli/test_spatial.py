@@ -1,0 +1,214 @@
+"""Spatial arms from the command line: a UR10 as it was measured, and an arm of a URDF file whose truth is known."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.estimation import estimate
+from identification.files.arm import load_arm
+from identification.files.measurement import load_measurements
+from identification.files.urdf import read_urdf
+from identification.kinematics.corrected import corrected
+from identification.kinematics.frames import from_roll_pitch_yaw, pose, rotation_about
+from identification.kinematics.parameters import PRISMATIC
+from identification.kinematics.spatial import SpatialChain
+from identification.measurements import rms_distance
+from identification.model import Model
+from tests.doe.cli.conftest import Folder
+
+DATA = Path(__file__).parents[2] / "data"
+ARM = """\
+name = "six"
+kind = "spatial"
+urdf = "six_axis.urdf"
+base_link = "world"
+tip_link = "tool0"
+
+[measurement]
+sigma_mm = 0.02
+"""
+PLACED = """
+[base]
+x_mm = 2000.0
+y_mm = 500.0
+z_mm = -100.0
+rx_deg = 10.0
+rz_deg = 70.0
+
+[tool.top]
+x_mm = 60.0
+z_mm = 80.0
+
+[tool.side]
+y_mm = -90.0
+z_mm = 40.0
+
+[calibration.values]
+"translation_x:3" = 0.8
+"translation_z:2" = -0.5
+"rotation_z:4" = 0.05
+"rotation_x:2" = -0.1
+"joint_offset:3" = 0.2
+"joint_offset:1" = 0.3
+"""
+
+
+@pytest.fixture
+def spatial(folder: Folder) -> Folder:
+    """The arm, its truth, a plan of 40 postures and measurements of both reflectors."""
+    shutil.copy(DATA / "spatial/six_axis.urdf", folder.path)
+    folder.write("arm.toml", ARM)
+    folder.write("truth.toml", ARM + PLACED)
+    arm = load_arm(folder.path / "arm.toml")
+    postures = np.random.default_rng(1).uniform(arm.lower, arm.upper, (40, 6))
+    postures[:, 1:] = np.degrees(postures[:, 1:])
+    rows = [",".join(f"{x:.6f}" for x in row) for row in postures]
+    folder.write("plan.csv", "\n".join(["q1_mm,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg", *rows]) + "\n")
+    folder.simulated()
+    return folder
+
+
+def tip(chain: SpatialChain, q: np.ndarray) -> np.ndarray:
+    """(4, 4) pose of the tip in the base, by plain products."""
+    found = np.eye(4)
+    for joint, x in zip(chain.joints, q, strict=True):
+        turned = pose(joint.axis * x) if joint.type == PRISMATIC else pose(rotation=rotation_about(joint.axis, x))
+        found = found @ joint.origin @ turned
+    return found @ chain.end
+
+
+def test_from_urdf_and_tracker_to_a_corrected_urdf(spatial: Folder) -> None:
+    words = ["identify", "arm.toml", "data.csv", "--out", "calibrated.toml", "--urdf", "corrected.urdf", "--json"]
+    done = spatial.armcal(*words)
+    assert done.code == 0, done.err
+    assert set(done.data) >= {"base", "tools", "geometry", "joint_offsets", "strict_table"}
+    assert done.data["rms_after_mm"] < 0.04
+    assert set(done.data["tools"]) == {"top", "side"}
+    truth = load_arm(spatial.path / "truth.toml")
+    arm = load_arm(spatial.path / "calibrated.toml")
+    assert arm.chain is not None
+    assert truth.chain is not None
+    assert arm.calibration is not None
+    # the measured points of the calibrated arm, at postures of its own, are those of the true one
+    postures = np.random.default_rng(9).uniform(arm.lower, arm.upper, (50, 6))
+    left = Model(arm).position(postures) - Model(replace(truth, chain=truth.chain)).position(postures)
+    assert rms_distance(left) < 0.05
+    # the URDF file is the calibrated chain, to 1e-9 mm, and nothing else of it has changed
+    real = corrected(arm.chain, arm.calibration.values)
+    written = read_urdf(spatial.path / "corrected.urdf").chain("world", "tool0")
+    for q in postures[:10]:
+        np.testing.assert_allclose(tip(written, q), tip(real, q), atol=1e-9)
+    before, after = (spatial.read(name) for name in ("six_axis.urdf", "corrected.urdf"))
+    assert before != after
+    assert [line for line in before.splitlines() if "origin" not in line and "axis" not in line] == [
+        line for line in after.splitlines() if "origin" not in line and "axis" not in line
+    ]
+    # geometry and offsets are the corrected chain
+    for row, offset, joint in zip(done.data["geometry"], done.data["joint_offsets"], real.joints, strict=True):
+        place = [row[f"{axis}_mm"] for axis in "xyz"]
+        turn = from_roll_pitch_yaw(*np.radians([row[f"{name}_deg"] for name in ("roll", "pitch", "yaw")]))
+        value = offset["value"]
+        moved = (
+            pose(joint.axis * value)
+            if offset["unit"] == "mm"
+            else pose(rotation=rotation_about(joint.axis, np.radians(value)))
+        )
+        np.testing.assert_allclose(pose(place, turn) @ moved, joint.origin, atol=1e-9)
+
+
+def test_pinocchio_reads_the_corrected_file(spatial: Folder) -> None:
+    pinocchio = pytest.importorskip("pinocchio", reason="pinocchio is not installed: pip install 'armcal[oracle]'")
+    spatial.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml", "--urdf", "corrected.urdf")
+    arm = load_arm(spatial.path / "calibrated.toml")
+    assert arm.chain is not None
+    assert arm.calibration is not None
+    real = corrected(arm.chain, arm.calibration.values)
+    model = pinocchio.buildModelFromUrdf(str(spatial.path / "corrected.urdf"))
+    data, frame = model.createData(), model.getFrameId("tool0")
+    for q in np.random.default_rng(2).uniform(arm.lower, arm.upper, (10, 6)):
+        placed = [q[0] / 1000.0, np.cos(q[1]), np.sin(q[1]), *q[2:]]  # metres; a continuous joint is a unit circle
+        pinocchio.framesForwardKinematics(model, data, np.array(placed))
+        np.testing.assert_allclose(tip(real, q)[:3, 3], 1000.0 * data.oMf[frame].translation, atol=1e-9)
+
+
+def test_minimal_parameters(spatial: Folder) -> None:
+    """Without a prior, and of the same quality; the file keeps what is known."""
+    done = spatial.armcal(
+        "identify", "arm.toml", "data.csv", "--parameters", "minimal", "--out", "least.toml", "--json"
+    )
+    assert done.code == 0, done.err
+    # 4 R + 2 P + 3 for each point (Everett, Driels and Mooring 1987), the base among them
+    assert len(done.data["parameters"]) == 4 * 5 + 2 * 1 + 3 * 2
+    assert done.data["rms_after_mm"] < 0.04
+    assert load_arm(spatial.path / "least.toml").calibration is not None
+
+
+def test_another_folder_gets_the_urdf_file_too(spatial: Folder) -> None:
+    (spatial.path / "out").mkdir()
+    done = spatial.armcal("identify", "arm.toml", "data.csv", "--out", "out/calibrated.toml")
+    assert done.code == 0, done.err
+    assert "nominal URDF file written to out/six_axis.urdf" in done.out
+    assert load_arm(spatial.path / "out/calibrated.toml").calibration is not None
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("identify", "planar.toml", "data.csv", "--urdf", "x.urdf"), "--urdf: found for a planar arm"),
+        (("identify", "planar.toml", "data.csv", "--parameters", "all"), "--parameters: found for a planar arm"),
+        (("identify", "arm.toml", "few.csv"), "fewer equations than unknowns"),
+        (("identify", "arm.toml", "sessions.csv"), "session: found 2 sessions, allowed of a spatial arm: one"),
+        (("identify", "arm.toml", "data.csv", "--method", "linear"), "method: linear for a spatial arm"),
+        (("identify", "arm.toml", "plan.csv"), "column 'x_mm' is missing"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " ".join(value[:3]),
+)
+def test_bad_input_is_one_line(spatial: Folder, words: tuple[str, ...], sentence: str) -> None:
+    rows = spatial.read("data.csv").splitlines()
+    spatial.write("planar.toml", "links_mm = [300.0, 200.0]")
+    spatial.write("few.csv", "\n".join(rows[:4]) + "\n")
+    named = [f"{row},{name}" for row, name in zip(rows, ["session", *"ab" * 40], strict=True)]
+    spatial.write("sessions.csv", "\n".join(named) + "\n")
+    done = spatial.armcal(*words)
+    assert done.code == 2
+    assert sentence in done.err
+    assert done.err.count("\n") == 1 + done.err.count("warning")
+
+
+# -- a real robot ------------------------------------------------------------------------------------------------------
+FULL = {"A": (0.445, 11_911), "C": (0.495, 2_773)}  # bar of the held-out RMS [mm] with all rows
+
+
+@pytest.mark.parametrize("series", ["A", "C"])
+def test_held_out_halves_of_the_ur10(series: str) -> None:
+    """The bar of all rows, times sqrt(1 + p / N) for the N equations of half the sample (a linear fit's prediction
+    error) against that of half of all rows, and the standard error of an RMS over the sample's rows."""
+    arm = load_arm(DATA / "ur10/ur10.toml")
+    with pytest.warns(UserWarning, match="columns are not used: 'rx_deg', 'ry_deg', 'rz_deg'"):
+        data = load_measurements(DATA / f"ur10/series_{series}.csv", arm)
+    left = []
+    for seed in range(3):
+        order = np.random.default_rng(seed).permutation(len(data))
+        half, other = (data.rows(np.sort(part)) for part in np.array_split(order, 2))
+        found = estimate(Model(arm), half)
+        left.append(rms_distance(other.positions - Model(found.calibrated_arm()).position(other.postures)))
+    bar, rows = FULL[series]
+    p, spread = len(found.parameters), 1.0 / np.sqrt(2.0 * 3.0 * len(data))
+    assert np.mean(left) < bar * np.sqrt((1.0 + 2.0 * p / 3.0 / len(data)) / (1.0 + 2.0 * p / 3.0 / rows)) * (
+        1 + spread
+    )
+
+
+def test_identify_of_the_ur10(folder: Folder) -> None:
+    shutil.copy(DATA / "ur10/ur10.toml", folder.path)
+    shutil.copy(DATA / "ur10/series_C.csv", folder.path)
+    done = folder.armcal("identify", "ur10.toml", "series_C.csv", "--urdf", "ur10.urdf", "--json")
+    assert done.code == 0, done.err
+    assert done.data["rms_after_mm"] < 0.5 < 0.9 < done.data["rms_before_mm"]
+    assert any("joints 3 and 4 are" in sentence for sentence in done.data["strict_table"])
+    assert len(read_urdf(folder.path / "ur10.urdf").chain("base_link", "tip").joints) == 6
