@@ -8,7 +8,7 @@ likelihood, H. D. Patterson, R. Thompson 1971), and no less than a sigma that is
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +16,8 @@ from scipy.optimize import minimize_scalar
 
 from identification.arrays import Array
 from identification.estimation.checks import Noise, check, weighting
-from identification.estimation.levenberg_marquardt import Solution
-from identification.estimation.methods import gauss_newton
+from identification.estimation.levenberg_marquardt import Solution, levenberg_marquardt
+from identification.estimation.methods import starts
 from identification.estimation.outcome import Spread, identification
 from identification.estimation.prior import Prior, effective_count
 from identification.estimation.problem import Problem
@@ -28,7 +28,8 @@ from identification.measurements import Measurements
 from identification.model import Model
 from identification.placed import placed_model
 
-ROUNDS = 3  # of fit and noise: the model is nearly linear, so that the second changes little
+ROUNDS = 10  # of fit and noise: the model is nearly linear, so that the second changes little
+STEADY = 1e-4  # relative change of the noise, far below its own uncertainty
 SIZES = (0.0, *(2.0 ** (-k / 2.0) for k in range(16, -1, -1)))  # of all effects; the likelihood is flat over a step
 LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
 
@@ -54,9 +55,9 @@ def estimate_with_prior(
     noise = weighting(model, measurements, sigma, weights)
     problem, solution = _solved(replace(Problem.of(model, measurements, noise.weights), prior=prior), noise)
     parameters = solution.parameters[0]
-    jacobian = problem.linearize_at(parameters)[1]
-    decomposed = spectrum(jacobian, model.scales, problem.tolerance)
-    effective = effective_count(jacobian[: len(jacobian) - len(problem.prior_rows)], problem.prior_rows)
+    jacobian = Linearized.at(problem, parameters).jacobian
+    decomposed = spectrum(np.concatenate([jacobian, problem.prior_rows]), model.scales, problem.tolerance)
+    effective = effective_count(jacobian, problem.prior_rows)
     dof = round(model.dimension * np.count_nonzero(problem.weights) - effective)
     made = _uncertainty(problem, decomposed.covariance, float(dof), noise)
     spread = Spread(made, problem.noise * (noise.sigma or 1.0), float(problem.squares(parameters)[0]), dof)
@@ -64,13 +65,20 @@ def estimate_with_prior(
 
 
 def _solved(problem: Problem, noise: Noise) -> tuple[Problem, Solution]:
-    """The problem with the noise that was found, and its solution."""
-    problem = replace(problem, noise=1.0 if noise.sigma is not None else _scatter(problem))
-    solution = gauss_newton(problem)
-    for _ in range(ROUNDS if noise.reliance != "given" else 0):
-        problem = replace(problem, noise=_likeliest(problem, solution.parameters[0], noise))
-        solution = gauss_newton(problem)
-    return problem, solution
+    """The problem with the noise that was found, and its solution; in turns until the noise stays."""
+    given = noise.reliance == "given"
+
+    def solved(at: Array) -> tuple[Problem, Solution]:
+        found = replace(problem, noise=1.0 if given else _likeliest(Linearized.at(problem, at), noise))
+        return found, levenberg_marquardt(found.least_squares, at[None])
+
+    found, solution = solved(starts(problem)[0])
+    for _ in range(0 if given else ROUNDS):
+        before = found.noise
+        found, solution = solved(solution.parameters[0])
+        if abs(found.noise - before) <= STEADY * before:
+            break
+    return found, solution
 
 
 def _uncertainty(problem: Problem, covariance: Array, dof: float, noise: Noise) -> Uncertainty:
@@ -80,34 +88,53 @@ def _uncertainty(problem: Problem, covariance: Array, dof: float, noise: Noise) 
     return Uncertainty("given" if given else "scatter", problem.noise**2 * covariance, freedom)
 
 
-def _split(problem: Problem, parameters: Array) -> tuple[Array, Array, Array]:
-    """Weighted residuals (N,) if all with a prior were zero, (N, f) columns without a prior, (N, e) with one times its
-    deviation."""
-    residual, jacobian = replace(problem, prior=None).linearize_at(parameters)
-    deviations = problem.model.parameters.vector(problem.prior.deviations if problem.prior else {})
-    known = deviations > 0.0
-    return (
-        residual + jacobian[:, known] @ parameters[known],
-        jacobian[:, ~known],
-        jacobian[:, known] * deviations[known],
-    )
+class Linearized(NamedTuple):
+    """A problem without its prior, linear about values x of its parameters, in as few rows as say the same.
+
+    target : (N,) weighted residuals if all parameters with a prior were zero;  jacobian : (N, p)
+    equations : of the data;  deviations : (p,) of the prior, 0: none
+    """
+
+    target: Array
+    jacobian: Array
+    equations: int
+    deviations: Array
+
+    @classmethod
+    def at(cls, problem: Problem, x: Array) -> Linearized:
+        """About x (p,)."""
+        plain = replace(problem, prior=None)
+        residuals, jacobians = plain.least_squares.linearize(x[None], np.arange(1))
+        deviations = problem.model.parameters.vector(problem.prior.deviations if problem.prior else {}, 0.0)
+        target = residuals[0] + jacobians[0] @ np.where(deviations > 0.0, x, 0.0)
+        equations = problem.model.dimension * int(np.count_nonzero(problem.weights))
+        return cls(target, jacobians[0], equations, deviations)
+
+    @property
+    def spare(self) -> int:
+        """Equations that are left over by the parameters without a prior."""
+        return self.equations - int(np.sum(self.deviations == 0.0))
+
+    @property
+    def free(self) -> Array:
+        """(N, f) columns without a prior."""
+        return self.jacobian[:, self.deviations == 0.0]
+
+    @property
+    def scatter(self) -> float:
+        """Of a fit of the parameters without a prior alone."""
+        left = self.target - self.free @ np.linalg.lstsq(self.free, self.target, rcond=None)[0]
+        return max(float(np.linalg.norm(left)) / np.sqrt(max(self.spare, 1)), 1e-12)
 
 
-def _scatter(problem: Problem) -> float:
-    """Scatter of a linear fit of the parameters without a prior alone, at the start."""
-    target, free, _ = _split(problem, problem.start)
-    left = target - free @ np.linalg.lstsq(free, target, rcond=None)[0]
-    return max(float(np.linalg.norm(left)) / np.sqrt(max(len(left) - free.shape[1], 1)), 1e-12)
-
-
-def _likeliest(problem: Problem, parameters: Array, noise: Noise) -> float:
-    """The noise of the largest marginal likelihood, linearised at the parameters, no less than a given one."""
-    target, free, effects = _split(problem, parameters)
-    if len(target) == free.shape[1]:
-        return problem.noise
-    found, unit = Restricted.of(target, free, effects), 1.0 if noise.sigma is not None else _scatter(problem)
-    least = unit if noise.sigma is not None else unit / LARGEST
-    return found.likeliest_noise(least, LARGEST * unit)
+def _likeliest(problem: Linearized, noise: Noise) -> float:
+    """The noise of the largest marginal likelihood, no less than a given one."""
+    unit = 1.0 if noise.sigma is not None else problem.scatter
+    if problem.spare == 0:
+        return unit
+    effects = (problem.jacobian * problem.deviations)[:, problem.deviations > 0.0]
+    found = Restricted.of(problem.target, problem.free, effects, problem.spare)
+    return found.likeliest_noise(unit if noise.sigma is not None else unit / LARGEST, LARGEST * unit)
 
 
 @dataclass(frozen=True)
@@ -124,9 +151,12 @@ class Restricted:
     count: int
 
     @classmethod
-    def of(cls, target: Array, free: Array, effects: Array) -> Restricted:
-        """Of (N,) residuals, (N, f) columns without a prior and (N, e) columns times the deviation of their prior."""
-        spare = len(target) - free.shape[1]
+    def of(cls, target: Array, free: Array, effects: Array, spare: int | None = None) -> Restricted:
+        """Of (N,) residuals, (N, f) columns without a prior and (N, e) columns times the deviation of their prior.
+
+        spare : equations less f, where the rows stand for more than they are
+        """
+        spare = len(target) - free.shape[1] if spare is None else spare
         basis = np.linalg.qr(free)[0]
         target, effects = target - basis @ (basis.T @ target), effects - basis @ (basis.T @ effects)
         values, vectors = np.linalg.eigh(effects.T @ effects)
