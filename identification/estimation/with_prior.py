@@ -7,7 +7,7 @@ likelihood, H. D. Patterson, R. Thompson 1971), and no less than a sigma that is
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from identification.arrays import Array
 from identification.estimation.checks import Noise, check, weighting
-from identification.estimation.levenberg_marquardt import Solution, levenberg_marquardt
+from identification.estimation.levenberg_marquardt import Index, LeastSquares, Solution, levenberg_marquardt
 from identification.estimation.methods import starts
 from identification.estimation.outcome import Spread, identification
 from identification.estimation.prior import Prior, effective_count
@@ -55,7 +55,7 @@ def estimate_with_prior(
     noise = weighting(model, measurements, sigma, weights)
     problem, solution = _solved(replace(Problem.of(model, measurements, noise.weights), prior=prior), noise)
     parameters = solution.parameters[0]
-    jacobian = Linearized.at(problem, parameters).jacobian
+    jacobian = replace(problem, prior=None).least_squares.linearize(parameters[None], np.arange(1))[1][0]
     decomposed = spectrum(np.concatenate([jacobian, problem.prior_rows]), model.scales, problem.tolerance)
     effective = effective_count(jacobian, problem.prior_rows)
     dof = round(model.dimension * np.count_nonzero(problem.weights) - effective)
@@ -66,19 +66,46 @@ def estimate_with_prior(
 
 def _solved(problem: Problem, noise: Noise) -> tuple[Problem, Solution]:
     """The problem with the noise that was found, and its solution; in turns until the noise stays."""
-    given = noise.reliance == "given"
+    given, linearized = noise.reliance == "given", _Linearizations(replace(problem, prior=None))
 
     def solved(at: Array) -> tuple[Problem, Solution]:
-        found = replace(problem, noise=1.0 if given else _likeliest(Linearized.at(problem, at), noise))
-        return found, levenberg_marquardt(found.least_squares, at[None])
+        scale = 1.0 if given else _likeliest(Linearized.of(problem, at, *linearized.at(at)), noise)
+        found = replace(problem, noise=scale)
+        return found, levenberg_marquardt(linearized.with_prior(found), at[None])
 
     found, solution = solved(starts(problem)[0])
     for _ in range(0 if given else ROUNDS):
-        before = found.noise
+        before, steps = found.noise, solution.iterations
         found, solution = solved(solution.parameters[0])
+        solution = replace(solution, iterations=solution.iterations + steps)
         if abs(found.noise - before) <= STEADY * before:
             break
     return found, solution
+
+
+@dataclass
+class _Linearizations:
+    """Triangles of a problem without its prior, each made once: fits of other noise pass through the same points."""
+
+    problem: Problem
+    known: dict[bytes, tuple[Array, Array]] = field(default_factory=dict)
+
+    def at(self, x: Array) -> tuple[Array, Array]:
+        """(N,) residuals and (N, p) Jacobian at x (p,)."""
+        if (key := x.tobytes()) not in self.known:
+            residuals, jacobians = self.problem.least_squares.linearize(x[None], np.arange(1))
+            self.known[key] = residuals[0], jacobians[0]
+        return self.known[key]
+
+    def with_prior(self, problem: Problem) -> LeastSquares:
+        """The same problem with the prior."""
+        rows = problem.prior_rows
+
+        def linearize(x: Array, _: Index) -> tuple[Array, Array]:
+            residual, jacobian = self.at(x[0])
+            return np.concatenate([residual, -rows @ x[0]])[None], np.concatenate([jacobian, rows])[None]
+
+        return replace(problem.least_squares, linearize=linearize)
 
 
 def _uncertainty(problem: Problem, covariance: Array, dof: float, noise: Noise) -> Uncertainty:
@@ -101,14 +128,12 @@ class Linearized(NamedTuple):
     deviations: Array
 
     @classmethod
-    def at(cls, problem: Problem, x: Array) -> Linearized:
-        """About x (p,)."""
-        plain = replace(problem, prior=None)
-        residuals, jacobians = plain.least_squares.linearize(x[None], np.arange(1))
+    def of(cls, problem: Problem, x: Array, residual: Array, jacobian: Array) -> Linearized:
+        """About x (p,), where the problem without its prior has these residuals (N,) and this Jacobian (N, p)."""
         deviations = problem.model.parameters.vector(problem.prior.deviations if problem.prior else {}, 0.0)
-        target = residuals[0] + jacobians[0] @ np.where(deviations > 0.0, x, 0.0)
+        target = residual + jacobian @ np.where(deviations > 0.0, x, 0.0)
         equations = problem.model.dimension * int(np.count_nonzero(problem.weights))
-        return cls(target, jacobians[0], equations, deviations)
+        return cls(target, jacobian, equations, deviations)
 
     @property
     def spare(self) -> int:
