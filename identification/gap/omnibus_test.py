@@ -8,13 +8,14 @@ for leverage first (HC2: MacKinnon & White 1985; wild bootstrap: Wu 1986, Davids
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from identification.arrays import Array
-from identification.gap.f_tests import Dictionary
+from identification.gap.f_tests import CHUNK, Dictionary
 
 # reasons: identification/README.md, "Constants"
 MANY = 1000  # postures from which sums over them count as normally distributed
@@ -58,32 +59,51 @@ class Draws(NamedTuple):
     squares: Array
 
 
-def wild_draws(corrected: Array, hypotheses: Dictionary, draws: int, generator: np.random.Generator) -> Draws:
-    """Draws of the wild bootstrap: corrected residuals (m, d) with one random sign per posture, off the model.
+def wild_draws(corrected: Array, hypotheses: Dictionary, draws: int, generator: np.random.Generator) -> Iterator[Draws]:
+    """Draws of the wild bootstrap, a part at a time: corrected residuals (m, d) with one random sign per posture, off
+    the model.
 
     A score is a sum over postures of signs times what each posture contributes. Of `MANY` postures or more it is
     drawn from the normal distribution with the covariance of those sums, which is known exactly.
     """
     parts, inside = contributions(corrected, hypotheses)
+    total, rank = np.sum(corrected**2), inside.shape[1]
     if len(corrected) < MANY or len(hypotheses.index) > draws:  # normal draws take the root of a larger matrix
-        signs = generator.integers(0, 2, (len(corrected), draws)) * 2.0 - 1.0
-        model_scores = inside.T @ signs
-        scores = hypotheses.scores(parts.T @ signs, model_scores)
-    else:
-        together = np.concatenate([hypotheses.scores(parts.T, inside.T), inside.T])
-        normal = generator.standard_normal((len(together), draws))
-        drawn = square_root(together @ together.T) @ normal
-        scores, model_scores = drawn[: -inside.shape[1]], drawn[-inside.shape[1] :]
-    return Draws(scores, np.sum(corrected**2) - np.square(model_scores).sum(axis=0))
+        signs = generator.integers(0, 2, (len(corrected), draws))
+        for part in _parts(hypotheses, draws):
+            drawn = signs[:, part] * 2.0 - 1.0
+            model_scores = inside.T @ drawn
+            scores = hypotheses.scores(parts.T @ drawn, model_scores)
+            yield Draws(scores, total - np.square(model_scores).sum(axis=0))
+        return
+    together = np.concatenate([hypotheses.scores(parts.T, inside.T), inside.T])
+    normal, root = generator.standard_normal((len(together), draws)), square_root(together @ together.T)
+    for part in _parts(hypotheses, draws):
+        drawn = root @ normal[:, part]
+        yield Draws(drawn[:-rank], total - np.square(drawn[-rank:]).sum(axis=0))
 
 
-def white_draws(hypotheses: Dictionary, draws: int, generator: np.random.Generator) -> Draws:
-    """Draws of white Gaussian noise, off the model."""
+def white_draws(hypotheses: Dictionary, draws: int, generator: np.random.Generator) -> Iterator[Draws]:
+    """Draws of white Gaussian noise, off the model, a part at a time."""
     basis, matrix = hypotheses.model_basis, hypotheses.columns.matrix
-    drawn = generator.standard_normal((len(basis), draws))
-    model_scores = basis.T @ drawn
-    scores = hypotheses.scores(matrix.T @ drawn, model_scores)
-    return Draws(scores, np.square(drawn).sum(axis=0) - np.square(model_scores).sum(axis=0))
+    normal = generator.standard_normal((len(basis), draws))
+    for part in _parts(hypotheses, draws):
+        drawn = normal[:, part]
+        model_scores = basis.T @ drawn
+        scores = hypotheses.scores(matrix.T @ drawn, model_scores)
+        yield Draws(scores, np.square(drawn).sum(axis=0) - np.square(model_scores).sum(axis=0))
+
+
+def _parts(hypotheses: Dictionary, draws: int) -> Iterator[slice]:
+    """Of the draws, so many at a time that their scores are `CHUNK` numbers."""
+    step = max(CHUNK // max(len(hypotheses.index), 1), 1)
+    return (slice(k, k + step) for k in range(0, draws, step))
+
+
+def smallest_drawn(hypotheses: Dictionary, drawn: Iterable[Draws]) -> Array:
+    """(B,) smallest weighted p-value in each draw."""
+    found = [hypotheses.smallest_weighted(hypotheses.reductions_of(one.scores), one.squares) for one in drawn]
+    return np.concatenate(found)
 
 
 def contributions(corrected: Array, hypotheses: Dictionary) -> tuple[Array, Array]:
@@ -123,7 +143,7 @@ def omnibus_test(
     p = hypotheses.p_values(reductions, squares)[:, 0]
     corrected = leverage_corrected(*(scatter or (observed[:, 0], hypotheses.model_basis)), dimension)
     drawn = wild_draws(corrected, hypotheses, draws, generator)
-    smallest = np.sort(hypotheses.smallest_weighted(hypotheses.reductions_of(drawn.scores), drawn.squares))
+    smallest = np.sort(smallest_drawn(hypotheses, drawn))
     ranks = np.searchsorted(smallest, p / hypotheses.weights, side="right")
     f = hypotheses.f_values(reductions, squares)[:, 0]
     adjusted = np.asarray((1.0 + ranks) / (draws + 1.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import compress
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.gap.f_tests import Columns, Dictionary, dictionary
 from identification.gap.fit import Fit
-from identification.gap.omnibus_test import Draws, leverage_corrected, white_draws, wild_draws
+from identification.gap.omnibus_test import Draws, leverage_corrected, smallest_drawn, white_draws, wild_draws
 from identification.gap.search import SAME_COLUMNS, Choice, HypothesisSearch, bic_change
 from identification.gap.unmodelled_shapes import PlaceShapes, general_shapes
 from identification.information import column_space
@@ -184,7 +184,7 @@ def adjusted(search: HypothesisSearch, shapes: Survey, sample: Sample, generator
     return max(white, scatter)
 
 
-def tail(against: Dictionary, smallest: float, drawn: Draws) -> float:
+def tail(against: Dictionary, smallest: float, drawn: Iterable[Draws]) -> float:
     """Share of the draws whose smallest weighted p-value is as small."""
-    found = against.smallest_weighted(against.reductions_of(drawn.scores), drawn.squares)
-    return float((1.0 + np.sum(found <= smallest)) / (1.0 + len(drawn.squares)))
+    found = smallest_drawn(against, drawn)
+    return float((1.0 + np.sum(found <= smallest)) / (1.0 + len(found)))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 from scipy.linalg import sqrtm
 
 from identification.gap.f_tests import Columns, Dictionary, dictionary
-from identification.gap.omnibus_test import leverage_corrected, omnibus_test, white_draws, wild_draws
+from identification.gap.omnibus_test import Draws, leverage_corrected, omnibus_test, white_draws, wild_draws
 from identification.information import column_space
 
 
@@ -32,6 +34,12 @@ def beside(jacobian: np.ndarray, columns: list[np.ndarray]) -> Dictionary:
     return dictionary(basis(jacobian), Columns.of(columns, len(jacobian)), np.zeros(count, dtype=bool), np.ones(count))
 
 
+def joined(parts: Iterable[Draws]) -> Draws:
+    """All draws, of more than one part."""
+    listed = list(parts)
+    return Draws(*(np.concatenate(arrays, axis=-1) for arrays in zip(*listed, strict=True)))
+
+
 def _scores(tested: Dictionary, drawn: np.ndarray) -> np.ndarray:
     """Of vectors (N, B), from the bases themselves."""
     return np.vstack([tested.block(k).T @ drawn for k in range(len(tested))])
@@ -43,7 +51,7 @@ def test_wild_draws_are_projected_residuals_with_one_sign_per_posture() -> None:
     tested = beside(jacobian, [rng.normal(size=(12, d)) for d in (1, 2)])
     q = basis(jacobian)
     corrected = leverage_corrected(residual, q, 2)
-    drawn = wild_draws(corrected, tested, 50, rng)
+    drawn = joined(wild_draws(corrected, tested, 50, rng))
     every = np.array([1.0 - 2.0 * np.array(list(f"{k:06b}"), dtype=float) for k in range(64)])  # (64, postures)
     flipped = corrected.ravel()[:, None] * np.repeat(every, 2, axis=1).T
     flipped -= q @ (q.T @ flipped)
@@ -55,7 +63,7 @@ def test_wild_draws_are_projected_residuals_with_one_sign_per_posture() -> None:
 def test_white_draws_have_the_moments_of_white_noise() -> None:
     """Scores are standard normal, squares chi-square with 34 degrees of freedom: 4000 draws, 5 standard errors."""
     rng = np.random.default_rng(5)
-    drawn = white_draws(beside(rng.normal(size=(40, 6)), [rng.normal(size=(40, 2))]), 4000, rng)
+    drawn = joined(white_draws(beside(rng.normal(size=(40, 6)), [rng.normal(size=(40, 2))]), 4000, rng))
     np.testing.assert_allclose(drawn.scores @ drawn.scores.T / 4000, np.eye(2), atol=5.0 * np.sqrt(2.0 / 4000))
     assert np.mean(drawn.squares) == pytest.approx(34.0, abs=5.0 * np.sqrt(68.0 / 4000))
 
@@ -71,9 +79,9 @@ def test_of_many_postures_the_scores_are_normal_with_the_covariance_of_the_sign_
     scale = np.repeat(np.linspace(0.5, 2.0, 1000), 2)[:, None]
     tested = beside(rng.normal(size=(2000, 6)), [scale * rng.normal(size=(2000, 1 + k % 2)) for k in range(20)])
     corrected = (scale[:, 0] * rng.normal(size=2000)).reshape(1000, 2)
-    normal = wild_draws(corrected, tested, 4000, rng)
+    normal = joined(wild_draws(corrected, tested, 4000, rng))
     monkeypatch.setattr("identification.gap.omnibus_test.MANY", 1001)
-    flips = wild_draws(corrected, tested, 4000, rng)
+    flips = joined(wild_draws(corrected, tested, 4000, rng))
     smallest = [tested.smallest_weighted(tested.reductions_of(d.scores), d.squares) for d in (normal, flips)]
     for p in (0.01, 0.05, 0.2, 0.5):
         limit = np.quantile(smallest[1], p)
