@@ -19,10 +19,9 @@ from identification.errors import InputError, nearest
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.information import spectrum
-from identification.kinematics.parameters import JOINT_OFFSET
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
-from identification.sessions import BASE, moved, standing
+from identification.refit import placed_values, refit_model, refit_parameters
 
 REFITS = ("base", "offsets", "none")
 QUARTERS = 4  # blocks of time; the quadrants of the workspace are as many
@@ -123,7 +122,7 @@ class Validation:
 
     def _refitted_parameters(self) -> list[dict[str, Any]]:
         """One entry for each session and parameter, in file units."""
-        parameters = {p.name: p for p in Model(standing(self.arm)).all_parameters}
+        parameters = {p.name: p for p in refit_parameters(self.arm, self.measurements)}
         sessions = self.measurements.sessions or (None,)
         return [
             {
@@ -154,8 +153,9 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     """Compares a calibrated arm with measurements that were not used to identify it.
 
     arm : with a calibration, or with known effect values; all of it stays as it is but for
-    refit : `base`, position and rotation of the base (three numbers, the arm may not have had a base offset before);
-        `offsets`, every joint offset and the position of the base; `none`, nothing. In each session anew
+    refit : `base`, position and rotation of the base (three numbers, the arm may not have had a base offset before; of
+        a spatial arm six, and the measured points); `offsets`, that and every joint offset; `none`, nothing. In each
+        session anew
 
     Raises `InputError` for an arm without calibration, another `refit`, data of another arm, too few rows.
     """
@@ -191,31 +191,24 @@ def check(model: Model, measurements: Measurements) -> None:
 
 
 # -- refitting where the arm stands ------------------------------------------------------------------------------------
-def refitted_names(arm: Arm, refit: str) -> tuple[str, ...]:
-    """Names of the parameters that a refit estimates."""
-    offsets = tuple(f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + 1)) if refit == "offsets" else ()
-    return () if refit == "none" else (*BASE, *offsets)
-
-
 def _refitted(
     arm: Arm, measurements: Measurements, conditions: Conditions, refit: str
 ) -> tuple[dict[str, float], Array, int]:
     """Values of the refitted parameters, (m, d) residuals, and how many combinations the data determine."""
+    model, start = refit_model(arm, measurements, conditions, refit)
     if refit == "none":
-        model = Model(arm)
         return {}, measurements.positions - model.position(measurements.postures, None, conditions), 0
-    known, names = Model(arm).best_known, refitted_names(arm, refit)
+    names = model.names
     if (equations := measurements.positions.size) < len(names):
         allowed = f"allowed: at least {-(-len(names) // measurements.dimension)} rows in each session"
         raise InputError(f"measurements: {equations} equations for {len(names)} refitted parameters, {allowed}")
-    model = Model(standing(arm), {name: value for name, value in known.items() if name not in names})
     weights = np.ones(len(measurements)) if measurements.sigma is None else measurements.sigma**-2.0
     problem = Problem(model, measurements.postures, conditions, measurements.positions[None], weights)
-    start = model.parameters.vector(known)
-    start = moved(start, model, model.position(measurements.postures, start, conditions), measurements.positions)
     values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]
     residuals, jacobian = problem.residuals(values)[0], problem.jacobian(values)
-    return model.parameters.mapping(values), residuals, spectrum(jacobian, model.scales).rank
+    found = model.parameters.mapping(values)
+    found = found if model.arm.chain is None else placed_values(model.arm.chain, found)
+    return found, residuals, spectrum(jacobian, model.scales).rank
 
 
 def conditions_of(arm: Arm, measurements: Measurements) -> Conditions:

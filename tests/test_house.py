@@ -45,6 +45,7 @@ LAYERS = {
     "identification.minimal": 4,
     "identification.estimation": 5,
     "identification.data_checks": 5,
+    "identification.refit": 6,
     "identification.compensate": 6,
     "identification.sessions": 5,
     "identification.validate": 6,

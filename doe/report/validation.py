@@ -22,7 +22,8 @@ REFITTED = {
 def validation_tables(found: Validation) -> list[Any]:
     """Drawing and model over all rows, then block by block."""
     sessions = f" in each of {len(found.refitted)} sessions" if len(found.refitted) > 1 else ""
-    summary = f"{len(found.residuals)} rows, {REFITTED[found.refit]}{sessions}; everything else as in the file"
+    points = " and the measured points" if found.arm.chain is not None and found.refit != "none" else ""
+    summary = f"{len(found.residuals)} rows, {REFITTED[found.refit]}{points}{sessions}; everything else as in the file"
     figures_of = ("RMS", "mean", "95 % below", "largest")
     rows = ((name, *_cells(figures)) for name, figures in (("drawing", found.nominal), ("model", found.model)))
     shown: list[Any] = [summary, table(("", *figures_of), rows, "Distances in mm", left=("",))]
@@ -57,5 +58,5 @@ def validation_figure(found: Validation) -> Figure:
     largest = max(float(np.linalg.norm(residuals, axis=1).max()) for residuals, _, _ in pairs) or 1.0
     scale = 0.12 * float(found.arm.lengths.sum()) / largest
     for axis, (residuals, color, name) in zip(bottom.subplots(1, 2, sharex=True, sharey=True), pairs, strict=True):
-        draw_residual_arrows(axis, found.measurements.positions, residuals, color, name, scale)
+        draw_residual_arrows(axis, found.measurements.positions[:, :2], residuals[:, :2], color, name, scale)
     return figure

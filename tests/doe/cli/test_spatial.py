@@ -180,6 +180,31 @@ def test_bad_input_is_one_line(spatial: Folder, words: tuple[str, ...], sentence
     assert done.err.count("\n") == 1 + done.err.count("warning")
 
 
+def test_validate_where_the_arm_stands_elsewhere(spatial: Folder) -> None:
+    """The same arm with its tracker moved and other reflectors: only base and points are found anew."""
+    spatial.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
+    moved = (ARM + PLACED).replace("x_mm = 2000.0", "x_mm = -700.0").replace("rz_deg = 70.0", "rz_deg = -40.0")
+    moved = moved.replace("z_mm = 80.0", "z_mm = 120.0").replace("[tool.side]", "[tool.front]")
+    spatial.write("moved.toml", moved)
+    spatial.armcal("simulate", "arm.toml", "plan.csv", "--truth", "moved.toml", "--out", "other.csv", "--seed", "3")
+    found = {
+        refit: spatial.armcal("validate", "calibrated.toml", "other.csv", "--refit", refit, "--json").data
+        for refit in ("base", "offsets")
+    }
+    assert found["base"]["rms_mm"] < 0.06 < 0.5 < found["base"]["rms_nominal_mm"]
+    assert found["offsets"]["rms_mm"] < 0.06
+    refitted = {row["name"]: row["value"] for row in found["base"]["refitted"]}
+    # up to what the calibration leaves of joint 1 and of the last one, whose errors base and points take up
+    assert refitted["base.x"] == pytest.approx(-700.0, abs=3.0)
+    assert refitted["tool[front].y"] == pytest.approx(-90.0, abs=3.0)
+    assert len(refitted) == 6 + 2 * 3
+    assert len(found["offsets"]["refitted"]) == 6 + 2 * 3 + 4
+    same = spatial.armcal("validate", "calibrated.toml", "data.csv", "--refit", "none", "--json", "--picture", "x.png")
+    assert same.code == 0, same.err
+    assert same.data["rms_mm"] < 0.05
+    assert spatial.armcal("validate", "calibrated.toml", "data.csv").out.startswith("80 rows, position and rotation")
+
+
 # -- a real robot ------------------------------------------------------------------------------------------------------
 FULL = {"A": (0.445, 11_911), "C": (0.495, 2_773)}  # bar of the held-out RMS [mm] with all rows
 

@@ -1,0 +1,88 @@
+"""A calibrated arm where it stands for other measurements: the base anew, the rest as it is.
+
+The calibrated geometry of a spatial arm is composed into its chain, so that base and measured points are found by the
+closed form on it and then, with the effects of the arm, by least squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.kinematics.corrected import composed_base, composed_tools, corrected
+from identification.kinematics.frames import own_axes_angles
+from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet, of_effects
+from identification.kinematics.spatial import BASE, TOOL, SpatialChain
+from identification.measurements import Conditions, Measurements
+from identification.model import Model
+from identification.placed import placed_model, with_markers
+from identification.sessions import BASE as PLANAR_BASE
+from identification.sessions import moved, standing
+
+
+def as_calibrated(arm: Arm) -> Arm:
+    """The arm with its calibrated geometry as the nominal one; values of effects stay."""
+    assert arm.chain is not None
+    values = {} if arm.calibration is None else arm.calibration.values
+    kept = None if arm.calibration is None else replace(arm.calibration, values=of_effects(values), base=None, tools={})
+    return replace(arm, chain=corrected(arm.chain, values), calibration=kept)
+
+
+def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
+    """Those that a refit may estimate, among others."""
+    if arm.chain is None:
+        return Model(standing(arm)).all_parameters
+    return with_markers(arm.chain, measurements).every_parameter
+
+
+def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
+    """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts."""
+    if arm.chain is not None:
+        model = _spatial(arm, measurements, refit)
+        return model, model.values
+    if refit == "none":
+        return Model(arm), np.zeros(0)
+    offsets = [f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + 1)] if refit == "offsets" else []
+    known = Model(arm).best_known
+    model = Model(standing(arm), {k: value for k, value in known.items() if k not in (*PLANAR_BASE, *offsets)})
+    start = model.parameters.vector(known)
+    computed = model.position(measurements.postures, start, conditions)
+    return model, moved(start, model, computed, measurements.positions)
+
+
+def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
+    """Starts at the closed form.
+
+    refit : `base`: base and measured points; `offsets`: those and the offsets of the joints between the first and the
+        last, which base and points stand for; `none`: nothing
+    """
+    arm = as_calibrated(arm)
+    assert arm.chain is not None
+    if refit == "none":
+        model = Model(replace(arm, chain=with_markers(arm.chain, measurements)))
+        free: set[str] = set()
+    else:
+        chain = replace(arm.chain, known=frozenset())
+        model = placed_model(Model(replace(arm, chain=chain)), measurements)
+        free = {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)}
+    if refit == "offsets":
+        free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links)}
+    best = model.best_known
+    return replace(model, known={name: value for name, value in best.items() if name not in free})
+
+
+def placed_values(chain: SpatialChain, values: Mapping[str, float]) -> dict[str, float]:
+    """Where base and measured points are, by the names of their parameters [mm, rad]; other values as they are.
+
+    values : corrections of base and points
+    """
+    base: Array = composed_base(chain, values)
+    found = dict(zip([f"base.{axis}" for axis in "xyz"], base[:3, 3].tolist(), strict=True))
+    found |= dict(zip([f"base.r{axis}" for axis in "xyz"], own_axes_angles(base[:3, :3]).tolist(), strict=True))
+    for name, place in composed_tools(chain, values).items():
+        found |= {f"{TOOL}[{name}].{axis}": float(x) for axis, x in zip("xyz", np.asarray(place), strict=True)}
+    return {name: found.get(name, value) for name, value in values.items()}
