@@ -12,12 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.parameters import JOINT_OFFSET
 from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
-from identification.measurements import Conditions
+from identification.measurements import Conditions, Measurements
 from identification.model import Model
+from identification.placed import placed_model
 
 FIRST = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
 POSTURES = 100  # at random: three equations each for some forty parameters
@@ -44,6 +46,14 @@ def minimal(model: Model, told: float = TOLD) -> Model:
     kept = set(independent(_jacobian(model)[:, order] * sizes, told))
     fixed = frozenset(parameters[k].name for place, k in enumerate(order) if place not in kept)
     return replace(model, arm=replace(model.arm, chain=replace(chain, fixed=chain.fixed | fixed)))
+
+
+def practical(arm: Arm, measurements: Measurements) -> Arm:
+    """A spatial arm for fits without a prior: base and measured points where the closed form finds them, and what
+    measurements hardly tell as drawn. A planar arm, and a spatial one whose set was chosen, stays as it is."""
+    if arm.chain is None or arm.chain.fixed:
+        return arm
+    return minimal(placed_model(Model(arm), measurements), WELL_TOLD).arm
 
 
 def independent(columns: Array, told: float = TOLD) -> list[int]:

@@ -42,7 +42,7 @@ LAYERS = {
     "identification.information": 4,
     "identification.simulate": 4,
     "identification.placed": 4,
-    "identification.minimal": 4,
+    "identification.minimal": 5,
     "identification.estimation": 5,
     "identification.data_checks": 5,
     "identification.refit": 6,

@@ -43,6 +43,7 @@ from identification.gap.selection import ALPHA_NEXT
 from identification.gap.whitening import Rows
 from identification.gap.workflow import Findings, Workflow
 from identification.measurements import Measurements
+from identification.minimal import practical
 from identification.model import Model
 from identification.progress import Progress, silent
 from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
@@ -66,6 +67,8 @@ def diagnose(
     """Whether model and measurements disagree, which effect is missing, and whether adding it closes the gap.
 
     arm : effects in it are part of the base model, everything they do not fix is estimated again
+        A spatial arm has the smallest set of geometric parameters that measurements tell, without a prior, and stands
+        where the closed form puts it (`practical`).
     measurements : of one session, or of several that their column `session` names, each with a base of its own
     holdout : measurements of the same arm that are used for nothing but the confirmation
     seed : of the bootstrap; the same seed gives the same diagnosis
@@ -81,7 +84,8 @@ def diagnose(
         raise InputError(f"draws: {draws}, allowed: at least {FEWEST_DRAWS}, or no effect can pass the strictest test")
     check_input(arm, measurements, holdout)
     holdout = None if holdout is None else of_these_sessions(holdout, measurements)
-    given, arm = arm, with_sessions(arm, measurements)
+    given = practical(arm, measurements)
+    arm = with_sessions(given, measurements)
     if prior:
         library_prior(arm, given_by(measurements), missing)
     rows = Rows.of(measurements)

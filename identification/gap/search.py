@@ -102,6 +102,12 @@ class HypothesisSearch:
     _crosses: dict[str, Array] = field(default_factory=dict)
     _products: dict[frozenset[str], Array] = field(default_factory=dict)
 
+    @property
+    def linear(self) -> bool:
+        """True where all columns are taken at the base fit: of many rows, and in space, where a model takes longer to
+        set up than its fit takes."""
+        return len(self.rows) >= SAME_COLUMNS or self.rows.dimension == 3
+
     @cached_property
     def slopes(self) -> Slopes:
         """The part of all columns that needs no fit, see `HypothesisSet.slopes`."""
@@ -163,11 +169,11 @@ class HypothesisSearch:
     def state(self, chosen: Choice) -> State:
         """What is left beside a set of effects, and what can be added to it.
 
-        Of `SAME_COLUMNS` rows or more, all columns are those at the base fit, computed once for all sets; of fewer,
+        Where the search is `linear`, all columns are those at the base fit, computed once for all sets; else
         they are those at the fit of the set.
         """
         found = self.fit(chosen)
-        if len(self.rows) >= SAME_COLUMNS:
+        if self.linear:
             return self._linear_state(chosen, found.residual, self._moments(chosen))
         columns = self.hypotheses.matrix(self.rows, found.by_name, self.slopes, found.model)
         return self._state(chosen, found.residual, found.basis, columns)
@@ -175,7 +181,7 @@ class HypothesisSearch:
     def state_without(self, chosen: Choice, member: Hypothesis) -> State:
         """`state` of a set less one member; of many rows from the linear model, without a fit of its own."""
         rest = tuple(h for h in chosen if h is not member)
-        if len(self.rows) < SAME_COLUMNS or frozenset(h.label for h in rest) in self.fits:
+        if not self.linear or frozenset(h.label for h in rest) in self.fits:
             return self.state(rest)
         found = self.fit(chosen)
         effect = next(e for e in found.model.effects if e.label == member.label)

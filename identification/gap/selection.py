@@ -12,7 +12,7 @@ from identification.gap.f_tests import TINY
 from identification.gap.fit import Fit
 from identification.gap.hypotheses import Hypothesis
 from identification.gap.noise import homoscedastic
-from identification.gap.search import SAME_COLUMNS, Choice, HypothesisSearch, HypothesisTest
+from identification.gap.search import Choice, HypothesisSearch, HypothesisTest
 
 # reasons: identification/README.md, "Constants"
 MOST, SWAPS = 40, 8  # effort: effects at once, exchanges in one round
@@ -73,7 +73,7 @@ def select(
 
     known : rounds with another noise model, which many rows go on from
     """
-    many = len(search.rows) >= SAME_COLUMNS
+    many = search.linear
     first = search.tested((), draws, generator)
     path: list[Choice] = list(known) if many else [()]
     chosen = path[-1]
@@ -164,7 +164,7 @@ def exchanges(search: HypothesisSearch, chosen: Choice, window: float = WINDOW) 
     window : of many rows, how much worse than the member itself by the linear BIC; the linear figures are good enough
     """
     found = []
-    many = len(search.rows) >= SAME_COLUMNS
+    many = search.linear
     for k, member in enumerate(chosen):
         rest = chosen[:k] + chosen[k + 1 :]
         state = search.state_without(chosen, member)
@@ -193,7 +193,7 @@ def backward(search: HypothesisSearch, chosen: Choice) -> Choice:
     """Drop members as long as BIC falls; of many rows only the one that the linear model can best do without."""
     while len(chosen) > 1:
         options = chosen
-        if len(search.rows) >= SAME_COLUMNS:
+        if search.linear:
             options = (min(chosen, key=lambda member: search.linear_bic_without(chosen, member)),)
         best = min((tuple(h for h in chosen if h is not member) for member in options), key=search.bic)
         if search.bic(best) >= search.bic(chosen):

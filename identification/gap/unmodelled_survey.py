@@ -14,7 +14,7 @@ from identification.arrays import Array
 from identification.gap.f_tests import Columns, Dictionary, dictionary
 from identification.gap.fit import Fit
 from identification.gap.omnibus_test import Draws, leverage_corrected, smallest_drawn, white_draws, wild_draws
-from identification.gap.search import SAME_COLUMNS, Choice, HypothesisSearch, bic_change
+from identification.gap.search import Choice, HypothesisSearch, bic_change
 from identification.gap.unmodelled_shapes import PlaceShapes, general_shapes
 from identification.information import column_space
 
@@ -112,7 +112,7 @@ def visible(
 
 def survey_all(search: HypothesisSearch, sets: list[Choice], sample: Sample) -> list[Survey]:
     """The shapes beside each of some sets, the largest first; of many rows with its columns for all of them."""
-    if len(search.rows) >= SAME_COLUMNS:
+    if search.linear:
         found = surveyed(search, sets, sample)
     else:
         found = surveyed(search, sets[:1], sample) + [surveyed(search, [chosen], None)[0] for chosen in sets[1:]]
