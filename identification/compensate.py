@@ -18,6 +18,8 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, Linearize, levenberg_marquardt
+from identification.kinematics.corrected import composed_base, composed_tools
+from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Conditions, directions_from_order, past_from_order
 from identification.model import Model
 from identification.vectorize import vectorize
@@ -37,12 +39,14 @@ class Compensation:
     nominal : (k, n) postures [rad] that would reach them on the nominal arm
     commands : (k, n) postures [rad] for the real arm, within the joint limits; the nearest found where unreachable
     errors : (k,) distance of the real arm's tip from the target [mm], by the calibrated model
+    joint_types : (n) of the arm, empty: all revolute
     """
 
     targets: Array
     nominal: Array
     commands: Array
     errors: Array
+    joint_types: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("targets", "nominal", "commands", "errors"):
@@ -61,11 +65,20 @@ class Compensation:
             "reached": int(np.count_nonzero(reached)),
             "max_error_mm": float(np.max(self.errors[reached])) if reached.any() else None,
             "unreachable": [int(row) + 1 for row in np.flatnonzero(~reached)],
+            "commands_deg": [
+                row if near else None
+                for row, near in zip(self.commands_in_file_units.tolist(), reached.tolist(), strict=True)
+            ],
         }
 
+    @property
+    def commands_in_file_units(self) -> Array:
+        """(k, n) [deg], of prismatic joints [mm]."""
+        turning = np.array(self.joint_types or (REVOLUTE,) * self.commands.shape[1]) == REVOLUTE
+        return np.where(turning, np.degrees(self.commands), self.commands)
+
     def __repr__(self) -> str:
-        figures = self.to_json()
-        return f"Compensation({figures['reached']} of {figures['targets']} targets reached)"
+        return f"Compensation({int(np.count_nonzero(self.reached))} of {len(self.targets)} targets reached)"
 
 
 def compensate(
@@ -85,7 +98,7 @@ def compensate(
     """
     if arm.calibration is None and not any(spec.values for spec in arm.effects):
         raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
-    nominal_arm = Model(replace(arm, effects=(), calibration=None))
+    nominal_arm = Model(as_drawn(arm))
     given = None if postures is None else _checked("postures", postures, arm.links)
     goals = _goals(nominal_arm, targets, given)
     nominal = given if given is not None else _nominal_postures(nominal_arm, goals)
@@ -93,14 +106,23 @@ def compensate(
     if where.directions is None and len(nominal):
         where = replace(where, directions=directions_from_order(nominal), past=past_from_order(nominal))
     commands, errors = _solve(Model(arm), goals, nominal, where)
-    return Compensation(goals, nominal, commands, errors)
+    return Compensation(goals, nominal, commands, errors, arm.joint_types)
+
+
+def as_drawn(arm: Arm) -> Arm:
+    """The nominal arm, without effects; a spatial one stands where the calibration found it, and with its points."""
+    chain = arm.chain
+    if chain is not None and arm.calibration is not None:
+        values = arm.calibration.values
+        chain = replace(chain, base=composed_base(chain, values), tools=composed_tools(chain, values))
+    return replace(arm, effects=(), calibration=None, chain=chain)
 
 
 def _goals(nominal: Model, targets: ArrayLike | None, postures: Array | None) -> Array:
     """(k, d) targets [mm], or where the nominal arm has its tip at the postures."""
     if targets is None:
         if postures is None:
-            raise InputError("targets: none given, allowed: positions (k, 2) or postures (k, n)")
+            raise InputError(f"targets: none given, allowed: positions (k, {nominal.dimension}) or postures (k, n)")
         return nominal.position(postures)
     goals = _checked("targets", targets, nominal.dimension)
     if postures is not None and len(postures) != len(goals):
@@ -148,7 +170,7 @@ def _best_of_seeds(model: Model, goals: Array, near: Array, conditions: Conditio
         every = np.repeat(rows, len(seeds))
         found, left = inverse_kinematics(model, goals[every], tried.reshape(-1, arm.links), conditions.rows(every))
         found, left = found.reshape(tried.shape), left.reshape(len(rows), -1)
-        distance = np.linalg.norm(found - near[rows, None], axis=2)
+        distance = np.linalg.norm((found - near[rows, None]) * _metric(model) / model.reach, axis=2)
         # a reached goal is ranked by distance, any other behind it by its error
         rank = np.where(left <= TOLERANCE, distance, 1e6 + left)
         best = np.argmin(rank, axis=1)
@@ -190,12 +212,17 @@ def inverse_kinematics(model: Model, goals: Array, starts: Array, conditions: Co
         position, jacobian = linearize(postures, rows)
         return goals[rows] - position, jacobian
 
-    reach = np.full(model.joints, np.sum(model.arm.lengths))
+    reach = _metric(model)
     negligible = np.full(len(goals), 1e-5 * TOLERANCE)
     limits = model.arm.lower, model.arm.upper
     problem = LeastSquares(distances, *limits, reach, negligible, metric=reach, iterations=MAX_ITERATIONS)
     found = levenberg_marquardt(problem, starts)
     return found.parameters, np.sqrt(found.squares)
+
+
+def _metric(model: Model) -> Array:
+    """(n,) length [mm] that stands for a unit of each joint: the reach for an angle."""
+    return np.where(np.array(model.joint_types) == REVOLUTE, model.reach, 1.0)
 
 
 def _linearization(model: Model, conditions: Conditions) -> Linearize:

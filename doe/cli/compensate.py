@@ -19,7 +19,7 @@ from identification.errors import InputError
 @click.argument("targets", type=FILE)
 @output_options(out="Write the joint commands (CSV).")
 def command(session: Session, calibrated: Path, targets: Path, output: Output) -> Answer:
-    """Joint commands that reach TARGETS (x_mm,y_mm or nominal q1_deg..) on the CALIBRATED arm."""
+    """Joint commands that reach TARGETS (x_mm,y_mm or nominal q1_deg..) on the CALIBRATED arm; in space z_mm, too."""
     from doe.report.identification_tables import compensation_tables
     from identification.compensate import compensate
     from identification.files.arm import load_arm

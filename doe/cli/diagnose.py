@@ -100,7 +100,7 @@ def write(found: Diagnosis, arm: Path, output: Output, report: Path | None, curv
     if output.out is not None and found.confirmed is False and not output.force:
         warnings.warn(f"{output.out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
     elif output.out is not None:
-        extended = with_effects(read_text(arm), found.extended_arm().effects)
+        extended = with_effects(read_text(arm), found.extended_arm().effects, arm.parent)
         files[output.out] = with_calibration(extended, found.calibration, arm.parent)
     if curves is not None:
         files[curves] = curves_text(found.curves)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from rich.table import Table
 from rich.text import Text
 
@@ -76,14 +75,16 @@ def residual_text(error: float, reached: bool = True) -> str:
 
 def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     """Joint commands for the first targets, and how many are reached."""
-    joints = (f"q{j + 1} [deg]" for j in range(found.commands.shape[1]))
-    found_rows = zip(found.targets, np.degrees(found.commands), found.errors, strict=True)
+    types = found.joint_types or ("revolute",) * found.commands.shape[1]
+    joints = (f"q{j} [{'deg' if kind == 'revolute' else 'mm'}]" for j, kind in enumerate(types, start=1))
+    found_rows = zip(found.targets, found.commands_in_file_units, found.errors, strict=True)
     rows = (
         [str(row), *(f"{v:.3f}" for v in target), *(f"{v:.5f}" for v in command), residual_text(error, reached)]
         for row, ((target, command, error), reached) in enumerate(zip(found_rows, found.reached, strict=True), start=1)
     )
     caption = f"first {most} of {len(found.targets)} targets; --out writes all"
-    headings = ("target", "x [mm]", "y [mm]", *joints, "residual [mm]")
+    axes = (f"{axis} [mm]" for axis in "xyz"[: found.targets.shape[1]])
+    headings = ("target", *axes, *joints, "residual [mm]")
     data = found.to_json()
     unreachable = f"; rows out of reach: {', '.join(map(str, data['unreachable'][:20]))}" if data["unreachable"] else ""
     reached = f"{data['reached']} of {data['targets']} targets reached by the calibrated model{unreachable}"

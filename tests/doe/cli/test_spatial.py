@@ -205,6 +205,23 @@ def test_validate_where_the_arm_stands_elsewhere(spatial: Folder) -> None:
     assert spatial.armcal("validate", "calibrated.toml", "data.csv").out.startswith("80 rows, position and rotation")
 
 
+def test_commands_for_the_real_arm(spatial: Folder) -> None:
+    """Commands for the calibrated arm bring the true one where the drawing would be, as far as noise lets it."""
+    spatial.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
+    done = spatial.armcal("compensate", "calibrated.toml", "plan.csv", "--out", "commands.csv", "--json")
+    assert done.code == 0, done.err
+    assert done.data["reached"] >= 38  # at the limits of the joints some are out of reach
+    assert spatial.read("commands.csv").startswith("q1_mm,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,x_mm,y_mm,z_mm,error_mm\n")
+    rows = np.loadtxt(spatial.path / "commands.csv", delimiter=",", skiprows=1)
+    commands = np.c_[rows[:, :1], np.radians(rows[:, 1:6])]
+    reached = rows[:, 9] < 1e-6
+    real = Model(load_arm(spatial.path / "truth.toml")).position(commands)
+    assert rms_distance((real - rows[:, 6:9])[reached]) < 0.06
+    shown = spatial.armcal("compensate", "calibrated.toml", "plan.csv").out
+    assert "q1 [mm]" in shown
+    assert "z [mm]" in shown
+
+
 # -- a real robot ------------------------------------------------------------------------------------------------------
 FULL = {"A": (0.445, 11_911), "C": (0.495, 2_773)}  # bar of the held-out RMS [mm] with all rows
 
