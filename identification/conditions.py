@@ -53,10 +53,9 @@ class Conditions(ByValue):
         table[..., 3] = 0.0 if self.session is None else self.session
         table[..., 4 : 4 + n] = 1.0 if self.directions is None else self.directions
         if postures is not None:
-            past = np.broadcast_to(
-                postures[..., None] if self.past is None else self.past, (*postures.shape, REMEMBERED)
-            )
-            table[..., 4 + n :] = past.reshape(*postures.shape[:-1], n * REMEMBERED)
+            past = postures[..., None] if self.past is None else self.past
+            whole = np.broadcast_to(past, (*postures.shape, REMEMBERED))
+            table[..., 4 + n :] = whole.reshape(*postures.shape[:-1], n * REMEMBERED)
         return table
 
     def rows(self, index: Any) -> Conditions:

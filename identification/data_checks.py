@@ -44,11 +44,7 @@ def _units(measurements: Measurements, arm: Arm) -> list[str]:
     if not small and not near:
         return []
     readings = [(q, p) for q in (False, True)[: 1 + small] for p in (False, True)[: 1 + near]]
-    misfits = []
-    for radians, metres in readings:
-        postures = np.where(turning & radians, np.degrees(measurements.postures), measurements.postures)
-        read = replace(measurements, postures=postures, positions=measurements.positions * (1000.0 if metres else 1.0))
-        misfits.append(float(np.median(_distances(arm, read, np.ones(len(read), dtype=bool)))))
+    misfits = [_misfit(measurements, arm, turning & radians, 1000.0 if metres else 1.0) for radians, metres in readings]
     best = int(np.argmin(misfits))
     if CLEARLY * misfits[best] >= misfits[0]:
         return []
@@ -56,6 +52,13 @@ def _units(measurements: Measurements, arm: Arm) -> list[str]:
     said = ["the joint angles look like radians: name the columns q1_rad.. instead of q1_deg.."] if radians else []
     named = "name the columns x_m, y_m, z_m instead of x_mm, y_mm, z_mm"
     return said + ([f"the positions look like metres: {named}"] if metres else [])
+
+
+def _misfit(measurements: Measurements, arm: Arm, radians: NDArray[np.bool_], unit: float) -> float:
+    """Median distance [mm] from the nominal arm, with angles of joints (n,) read as `radians`, positions as `unit`."""
+    postures = np.where(radians, np.degrees(measurements.postures), measurements.postures)
+    read = replace(measurements, postures=postures, positions=measurements.positions * unit)
+    return float(np.median(_distances(arm, read, np.ones(len(read), dtype=bool))))
 
 
 def _far_rows(measurements: Measurements, arm: Arm) -> Iterator[str]:

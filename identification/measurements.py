@@ -211,13 +211,11 @@ class Measurements(ByValue):
             return np.unique(self.repeats, return_inverse=True)[1]
         from scipy.spatial import KDTree
 
-        near = KDTree(self.postures).query_ball_point(self.postures, SAME_POSTURE, p=np.inf)
-        numbers, count = np.full(len(self), -1), 0
-        for row, others in enumerate(near):
+        numbers = np.full(len(self), -1)
+        for row, others in enumerate(KDTree(self.postures).query_ball_point(self.postures, SAME_POSTURE, p=np.inf)):
             if numbers[row] < 0:
                 alike = np.array(others)
-                numbers[alike[numbers[alike] < 0]] = count
-                count += 1
+                numbers[alike[numbers[alike] < 0]] = numbers.max() + 1
         return numbers
 
     @property

@@ -31,9 +31,7 @@ def best_known_bound(problem: DesignProblem, runs: int) -> Bound | None:
         found = continuous_bound(problem, runs=runs) if problem.choices is None else list_bound(problem, runs)
     except JobError:
         return closed
-    if closed is None or found is None:
-        return found or closed
-    return min(closed, found, key=lambda bound: bound.value)
+    return min((bound for bound in (closed, found) if bound is not None), key=lambda bound: bound.value, default=None)
 
 
 def list_bound(problem: DesignProblem, runs: int) -> Bound | None:

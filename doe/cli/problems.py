@@ -136,15 +136,13 @@ def _restrictions(arm: Arm, postures: PostureOptions) -> dict[str, Any]:
 
     options: dict[str, Any] = {}
     if postures.keep is not None:
-        options["kept"] = read_postures(
-            read_table(postures.keep), arm.joint_types
-        )  # measurements, or a plan carried out
+        kept = read_table(postures.keep)  # measurements, or a plan carried out
+        options["kept"] = read_postures(kept, arm.joint_types)
     if postures.candidates is not None:
         options["choices"] = allowed_postures(postures.candidates, arm)
     if postures.repeats or postures.minimum_distance_deg is not None:
-        options["minimum_distance"] = (
-            0.0 if postures.repeats else float(np.radians(postures.minimum_distance_deg or 0.0))
-        )
+        degrees = 0.0 if postures.repeats else postures.minimum_distance_deg or 0.0
+        options["minimum_distance"] = float(np.radians(degrees))
     return options
 
 

@@ -99,12 +99,9 @@ class MisidentificationBound:
         whole = np.diag(self.reference)[self.own :]
         rows, owners, probabilities = [], [], []
         for number, basis in enumerate(self.bases):
-            found = []
-            for mix in mixes(basis.shape[1]):
-                v = basis @ mix
-                length = float(v @ schur @ v)
-                if length > UNSEEN * float(v**2 @ whole):
-                    found.append(v * (LAMBDA / np.sqrt(length)))
+            mixed = (basis @ mix for mix in mixes(basis.shape[1]))
+            lengths = ((v, float(v @ schur @ v)) for v in mixed)
+            found = [v * (LAMBDA / np.sqrt(length)) for v, length in lengths if length > UNSEEN * float(v**2 @ whole)]
             rows += found
             owners += [number] * len(found)
             probabilities += [float(self.weights[number]) / len(found) for _ in found]

@@ -176,22 +176,21 @@ def _root(candidate: Candidate, model: Model) -> Array:
 
 def _noncentrality(rivals: Rivals, chosen: list[int]) -> tuple[Array, Array]:
     """(K, K) lambda^2 of the chosen postures, and (K, K, N) what each posture of the pool would add to it."""
-    count = len(rivals.weights)
-    _, pool, d = rivals.positions.shape
-    noncentrality, gain = np.zeros((count, count)), np.zeros((count, count, pool))
-    for j, jacobian in enumerate(rivals.jacobians):
-        given = jacobian[chosen].reshape(-1, jacobian.shape[2])  # (d k, p), prior covariance of the parameters is I
-        inner = np.linalg.inv(np.eye(len(given)) + given @ given.T)
-        posterior = np.eye(jacobian.shape[2]) - given.T @ inner @ given
-        spread = np.eye(d) + np.einsum("nap,pq,nbq->nab", jacobian, posterior, jacobian, optimize=True)
-        precision = np.linalg.inv(spread)
-        for i in range(count):
-            delta = rivals.positions[i] - rivals.positions[j]
-            known = delta[chosen].ravel()
-            noncentrality[i, j] = known @ inner @ known
-            left = delta - np.einsum("nap,p->na", jacobian, given.T @ (inner @ known))
-            gain[i, j] = np.einsum("na,nab,nb->n", left, precision, left)
-    return noncentrality, gain
+    each = [_beside(rivals.positions, j, jacobian, chosen) for j, jacobian in enumerate(rivals.jacobians)]
+    return np.stack([known for known, _ in each], axis=1), np.stack([gain for _, gain in each], axis=1)
+
+
+def _beside(positions: Array, j: int, jacobian: Array, chosen: list[int]) -> tuple[Array, Array]:
+    """(K,) lambda^2 of every rival beside rival j, whose Jacobian is (N, d, p), and (K, N) what a posture would add."""
+    given = jacobian[chosen].reshape(-1, jacobian.shape[2])  # (d k, p), prior covariance of the parameters is I
+    inner = np.linalg.inv(np.eye(len(given)) + given @ given.T)
+    posterior = np.eye(jacobian.shape[2]) - given.T @ inner @ given
+    spread = np.eye(jacobian.shape[1]) + np.einsum("nap,pq,nbq->nab", jacobian, posterior, jacobian, optimize=True)
+    delta = positions - positions[j]
+    known = delta[:, chosen].reshape(len(delta), -1)
+    left = delta - np.einsum("nap,kp->kna", jacobian, known @ inner @ given)
+    gain = np.einsum("kna,nab,knb->kn", left, np.linalg.inv(spread), left, optimize=True)
+    return np.einsum("ka,ab,kb->k", known, inner, known), gain
 
 
 def _best(rivals: Rivals, chosen: list[int]) -> int:

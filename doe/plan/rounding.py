@@ -25,12 +25,10 @@ def apportion(weights: Array, runs: int) -> NDArray[np.int64]:
     shares = np.asarray(weights, dtype=float)
     if not np.all(shares > 0.0) or abs(shares.sum() - 1.0) > SUM:
         raise InputError(f"weights: sum {shares.sum():g}, smallest {shares.min():g}, allowed: positive, sum one")
-    k = len(shares)
-    if runs <= k:
-        numbers = np.zeros(k, dtype=np.int64)
-        numbers[np.argsort(-shares, kind="stable")[:runs]] = 1
-        return numbers
-    numbers = np.ceil((runs - k / 2.0) * shares).astype(np.int64)
+    if runs <= len(shares):
+        heaviest = np.argsort(-shares, kind="stable")[:runs]
+        return np.isin(np.arange(len(shares)), heaviest).astype(np.int64)
+    numbers = np.ceil((runs - len(shares) / 2.0) * shares).astype(np.int64)
     while numbers.sum() < runs:
         numbers[np.argmin(numbers / shares)] += 1
     while numbers.sum() > runs:

@@ -125,19 +125,21 @@ def grid(problem: DesignProblem, levels: int) -> Grid:
     """
     if levels < 2:
         raise InputError(f"grid: {levels} levels per joint, allowed: at least 2 (the joint limits)")
-    gridded = set(problem.searched_joints)
-    middle = 0.5 * (problem.lower + problem.upper)
-    axes = tuple(
+    everything = Grid(_axes(problem, levels))
+    if not problem.constraints:
+        return everything
+    allowed = np.concatenate([index[problem.feasible(postures)] for index, postures in chunks(everything)])
+    _require_some(len(allowed), len(everything))
+    return Grid(everything.axes, allowed, len(everything) - len(allowed))
+
+
+def _axes(problem: DesignProblem, levels: int) -> tuple[Array, ...]:
+    """The values of each joint: `levels` of one that is searched, the middle of any other."""
+    gridded, middle = set(problem.searched_joints), 0.5 * (problem.lower + problem.upper)
+    return tuple(
         np.linspace(problem.lower[j], problem.upper[j], levels) if j in gridded else middle[j : j + 1]
         for j in range(problem.joints)
     )
-    everything = Grid(axes)
-    if not problem.constraints:
-        return everything
-    kept = [index[problem.feasible(postures)] for index, postures in chunks(everything)]
-    allowed = np.concatenate(kept)
-    _require_some(len(allowed), len(everything))
-    return Grid(axes, allowed, len(everything) - len(allowed))
 
 
 def listed(problem: DesignProblem, postures: ArrayLike) -> PostureList:

@@ -65,12 +65,16 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
         return problem
     generator = np.random.default_rng(0)
     anywhere = random_postures(problem, CHOICES // 2, generator)
-    at_limits = random_postures(problem, CHOICES // 2, generator)
-    middle = 0.5 * (problem.lower + problem.upper)
-    moved = generator.random(at_limits.shape) < 0.5
-    at_limits = np.where(moved, np.where(at_limits < middle, problem.lower, problem.upper), at_limits)
     more = [] if also is None else [also]
-    return replace(problem, choices=np.concatenate([anywhere, at_limits[problem.feasible(at_limits)], *more]))
+    return replace(problem, choices=np.concatenate([anywhere, _at_limits(problem, generator), *more]))
+
+
+def _at_limits(problem: DesignProblem, generator: np.random.Generator) -> Array:
+    """(k, n) random allowed postures of which each joint is at its nearer limit with probability one half."""
+    postures = random_postures(problem, CHOICES // 2, generator)
+    nearer = np.where(postures < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
+    postures = np.where(generator.random(postures.shape) < 0.5, nearer, postures)
+    return postures[problem.feasible(postures)]
 
 
 def average_error(problem: DesignProblem, poses: ArrayLike | None = None) -> I:

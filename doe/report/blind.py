@@ -151,16 +151,11 @@ def reliability_figure(rows: pl.DataFrame) -> Figure:
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
     axes.plot([0.0, 1.0], [0.0, 1.0], color="gray", linewidth=1.0, label="as often as said")
     axes.errorbar(said, right, error, fmt="o", markersize=5, capsize=3, label="data sets, +- 2 standard errors")
-    axes.set_ylabel("share that was right")
-    axes.set_ylim(0.0, 1.02)
+    axes.set(ylabel="share that was right", ylim=(0.0, 1.02), title="Said with probability p: right in p?")
     axes.legend(loc="lower right", frameon=False)
-    axes.set_title("Said with probability p: right in p?")
     low, high = rows["from"].to_numpy(), rows["to"].to_numpy()
     below.bar(low, count, high - low, align="edge", edgecolor="white")
-    below.set_yscale("log")
-    below.set_ylabel("data sets")
-    below.set_xlabel("probability that was said")
-    below.set_xlim(0.0, 1.02)
+    below.set(yscale="log", ylabel="data sets", xlabel="probability that was said", xlim=(0.0, 1.02))
     return figure
 
 

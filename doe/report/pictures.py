@@ -78,13 +78,18 @@ def draw_constraints(axes: Axes, arm: Arm) -> None:
                 Circle((constraint.center[0], constraint.center[1]), constraint.radius, fc=BEFORE, alpha=0.25)
             )
         elif isinstance(constraint, LineOfSight):
-            tracker, toward = np.array(constraint.tracker), np.array(constraint.toward)
-            axis = np.arctan2(*(toward - tracker)[::-1])
-            length = float(np.hypot(*(toward - tracker))) * 1.3
-            for angle in (axis - constraint.half_angle, axis + constraint.half_angle):
-                end = tracker + length * np.array([np.cos(angle), np.sin(angle)])
-                axes.plot(*np.stack([tracker, end], axis=1), color=LIMIT, ls=":")
-            axes.plot(*tracker, "k^", ms=7)
+            _draw_cone(axes, constraint)
+
+
+def _draw_cone(axes: Axes, sight: LineOfSight) -> None:
+    """The tracker, and the sides of what it sees."""
+    tracker, toward = np.array(sight.tracker), np.array(sight.toward)
+    axis = np.arctan2(*(toward - tracker)[::-1])
+    length = float(np.hypot(*(toward - tracker))) * 1.3
+    for angle in (axis - sight.half_angle, axis + sight.half_angle):
+        end = tracker + length * np.array([np.cos(angle), np.sin(angle)])
+        axes.plot(*np.stack([tracker, end], axis=1), color=LIMIT, ls=":")
+    axes.plot(*tracker, "k^", ms=7)
 
 
 def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4096) -> Figure:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from doe.report.gap_figures import MANY, binned_rms
 from doe.report.pictures import AFTER, BEFORE, draw_residual_arrows
 from doe.report.terminal import number, table
+from identification.arrays import Array
 from identification.validate import Figures, Validation
 
 REFITTED = {
@@ -41,18 +43,23 @@ def _cells(figures: Figures) -> list[str]:
     return [number(value) for value in vars(figures).values()]
 
 
+def _draw_distances(axis: Axes, distances: Array, color: str, name: str) -> None:
+    row = np.arange(1.0, len(distances) + 1.0)
+    style: dict[str, Any] = (
+        {"ms": 3, "alpha": 0.5} if len(distances) <= MANY else {"ms": 1, "alpha": 0.2, "rasterized": True}
+    )
+    axis.plot(row, distances, ".", color=color, **style)
+    axis.plot(*binned_rms(row, distances), color=color, lw=1.8, label=name)
+
+
 def validation_figure(found: Validation) -> Figure:
     """Distances of drawing and model in the order of measurement, and their residuals over the workspace."""
     figure = Figure(figsize=(10.0, 7.4), layout="constrained")
     top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.0, 1.7]))
     pairs = ((found.nominal_residuals, BEFORE, "drawing"), (found.residuals, AFTER, "model"))
-    axis, row = top.subplots(), np.arange(1.0, len(found.residuals) + 1.0)
-    sequence = found.measurements.sequence
+    axis = top.subplots()
     for residuals, color, name in pairs:
-        distance = np.linalg.norm(residuals[sequence], axis=1)
-        style = {"ms": 3, "alpha": 0.5} if len(distance) <= MANY else {"ms": 1, "alpha": 0.2, "rasterized": True}
-        axis.plot(row, distance, ".", color=color, **style)
-        axis.plot(*binned_rms(row, distance), color=color, lw=1.8, label=name)
+        _draw_distances(axis, np.linalg.norm(residuals[found.measurements.sequence], axis=1), color, name)
     axis.set(xlabel="measurement, in order", ylabel="distance [mm]", ylim=(0, None))
     axis.legend(frameon=False, fontsize=8)
     largest = max(float(np.linalg.norm(residuals, axis=1).max()) for residuals, _, _ in pairs) or 1.0

@@ -132,7 +132,6 @@ class GridBatch(Batch):
 
     def exchange(self, run: int) -> None:
         """Puts one run of every running start at the best posture in reach."""
-        starts = np.arange(len(self.running))
         old = self.jacobians[self.running, run]
         without = self.information[self.running] - information_of_each(old) / self.total
         postures = self.neighbors(self.plans[self.running, run])
@@ -140,10 +139,8 @@ class GridBatch(Batch):
         offered = np.concatenate([old[:, None], jacobians], axis=1) / np.sqrt(self.total)
         values = values_after_adding(self.criterion, without, offered)
         values[:, 1:][~self._allowed(postures, run)] = -np.inf
-        best = np.argmax(values[:, 1:], axis=1)
-        better = values[starts, best + 1] > values[:, 0] + IMPROVEMENT
-        starts, best = starts[better], best[better]
-        at = self.running[starts]
+        starts = np.flatnonzero(values[:, 1:].max(axis=1) > values[:, 0] + IMPROVEMENT)
+        best, at = np.argmax(values[starts, 1:], axis=1), self.running[starts]
         self.plans[at, run] = postures[starts, best]
         self.jacobians[at, run] = jacobians[starts, best]
         self.information[at] = without[starts] + information_of_each(self.jacobians[at, run]) / self.total

@@ -64,14 +64,19 @@ def _check_kind(name: str, value: object, needed: str, allowed: str) -> None:
         raise InputError(f"{name}: found {type(value).__name__}, allowed: {allowed}")
 
 
+def _relative_weights(weights: ArrayLike | None, m: int) -> Array:
+    """(m,), one each if there are none. Raises `InputError`."""
+    relative = np.ones(m) if weights is None else np.asarray(weights, dtype=float)
+    if relative.shape != (m,) or not np.all(np.isfinite(relative) & (relative >= 0.0)) or not np.any(relative):
+        raise InputError(f"weights: shape {relative.shape}, allowed: ({m},) finite numbers >= 0, not all zero")
+    return relative
+
+
 def weighting(
     model: Model, measurements: Measurements, sigma: ArrayLike | str | None, weights: ArrayLike | None
 ) -> Noise:
     """Which sigma holds (argument, then rows, then arm), and the weights that follow. Raises `InputError`."""
-    m = len(measurements)
-    relative = np.ones(m) if weights is None else np.asarray(weights, dtype=float)
-    if relative.shape != (m,) or not np.all(np.isfinite(relative) & (relative >= 0.0)) or not np.any(relative):
-        raise InputError(f"weights: shape {relative.shape}, allowed: ({m},) finite numbers >= 0, not all zero")
+    relative = _relative_weights(weights, len(measurements))
     if isinstance(sigma, str) and sigma not in RELIANCE:
         raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}")
     reliance = sigma if isinstance(sigma, str) else None if sigma is None else "given"

@@ -62,14 +62,18 @@ def estimate(
     model = placed_model(model, measurements)
     noise = weighting(model, measurements, sigma, weights)
     problem = Problem.of(model, measurements, noise.weights)
-    chosen = method or ("linear" if problem.exact_form else "gauss_newton")
-    if chosen not in METHODS:
-        raise InputError(f"method: unknown name {chosen!r}, {nearest(chosen, METHODS)}")
+    chosen = _known_method(method or ("linear" if problem.exact_form else "gauss_newton"))
     solution, decomposed, problem = _solve(problem, chosen, noise)
     status = solution.status[0]
     if not status.succeeded:
         raise JobError(f"{chosen}: {status.value} Nothing damps this method; gauss_newton may do better.")
     return _result(problem, measurements, chosen, solution, decomposed, noise)
+
+
+def _known_method(name: str) -> str:
+    if name not in METHODS:
+        raise InputError(f"method: unknown name {name!r}, {nearest(name, METHODS)}")
+    return name
 
 
 def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spectrum, Problem]:

@@ -119,8 +119,7 @@ def read_table(path: PathLike) -> Table:
     frame = _frame(path, content, header)
     lines = pl.arange(2, frame.height + 2, eager=True, dtype=pl.Int64)
     filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
-    if not filled.all():
-        frame, lines = frame.filter(filled), lines.filter(filled)
+    frame, lines = frame.filter(filled), lines.filter(filled)
     if frame.height == 0:
         raise InputError(f"{path}: there are no rows below the header, allowed: at least 1 row")
     frame = _without_unnamed(path, frame)

@@ -192,13 +192,8 @@ def data_set(cell: str, seed: int, planned: np.ndarray | None = None) -> DataSet
     """
     spec = CELLS[cell]
     rng = np.random.default_rng([20261121, list(CELLS).index(cell), seed])
-    if spec.designed:
-        assert planned is not None
-        truth, postures = shared_truth(cell, seed), planned
-    else:
-        truth = truth_of(spec, rng)
-        count = int(rng.choice(MANY_ROWS)) if spec.many else max(spec.m, truth.n + 4)
-        postures = rng.uniform(truth.lower, truth.upper, (count, truth.n))
+    truth, postures = (shared_truth(cell, seed), planned) if spec.designed else _undesigned(spec, rng)
+    assert postures is not None
     run = session(truth, postures, rng)
     if spec.rare in LOADS:  # they only show through compliance that the arm's model has
         truth = replace(truth, known=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
@@ -227,6 +222,13 @@ def data_set(cell: str, seed: int, planned: np.ndarray | None = None) -> DataSet
         more,
         exact(truth, fresh) if spec.many else None,
     )
+
+
+def _undesigned(spec: CellSpec, rng: np.random.Generator) -> tuple[Truth, np.ndarray]:
+    """An arm, and random postures (m, n) of it."""
+    truth = truth_of(spec, rng)
+    count = int(rng.choice(MANY_ROWS)) if spec.many else max(spec.m, truth.n + 4)
+    return truth, rng.uniform(truth.lower, truth.upper, (count, truth.n))
 
 
 def exact(truth: Truth, run: Session) -> Array:

@@ -154,10 +154,9 @@ def many_effects(
     kind : `robot`: compliance of all joints, an offset of the base, every encoder eccentric, backlash in one joint and
         a ripple in one; `harmonics`: first and second harmonic of every encoder
     """
-    joints = range(1, truth.n + 1)
-    listed: list[tuple[str, int | None]] = [("encoder_eccentricity", j) for j in joints]
+    listed: list[tuple[str, int | None]] = [("encoder_eccentricity", j + 1) for j in range(truth.n)]
     if kind == "harmonics":
-        listed += [("encoder_second_harmonic", j) for j in joints]
+        listed += [("encoder_second_harmonic", j + 1) for j in range(truth.n)]
     else:
         listed += [("joint_compliance*", None), ("base_offset", None)]
         listed += [(name, int(rng.integers(1, truth.n + 1))) for name in ("backlash", "transmission_ripple")]

@@ -113,8 +113,7 @@ def bending(truth: Truth, run: Session) -> tuple[np.ndarray, np.ndarray]:
         weight = truth.masses[j + 1 :].sum() + run.payload
         F = -G * weight * np.cos(theta[:, j])
         M = -G * run.payload * (points[:, n] - points[:, j + 1]).real
-        for k in range(j + 1, n):
-            M = M - G * truth.masses[k] * (centers[:, k] - points[:, j + 1]).real
+        M = M - G * (centers[:, j + 1 :] - points[:, j + 1, None]).real @ truth.masses[j + 1 :]
         deflection[:, j] = 1000.0 * (F * L**3 / 3 + M * L**2 / 2)
         slope[:, j] = F * L**2 / 2 + M * L
     return deflection, slope

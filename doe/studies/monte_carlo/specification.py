@@ -82,12 +82,7 @@ class Study:
     solver_seconds: float = 60.0
 
     def __post_init__(self) -> None:
-        allowed = {*SOLVERS, DFT, RANDOM}
-        for plan in self.plans:
-            if isinstance(plan, str) and plan not in allowed:
-                raise InputError(f"plans: unknown {plan!r}, {nearest(plan, allowed)}, or NAME.csv")
-            if isinstance(plan, str) and not self.runs:
-                raise InputError(f"runs: is missing, allowed: whole numbers >= 1, as plan {plan!r} needs them")
+        self._check_plans()
         for what, entries in self._named:
             names = [entry.name for entry in entries]
             if len(set(names)) < len(names):
@@ -99,6 +94,14 @@ class Study:
         for arm in self.arms:
             self._check(arm)
         self._check_runs()
+
+    def _check_plans(self) -> None:
+        allowed = {*SOLVERS, DFT, RANDOM}
+        for plan in self.plans:
+            if isinstance(plan, str) and plan not in allowed:
+                raise InputError(f"plans: unknown {plan!r}, {nearest(plan, allowed)}, or NAME.csv")
+            if isinstance(plan, str) and not self.runs:
+                raise InputError(f"runs: is missing, allowed: whole numbers >= 1, as plan {plan!r} needs them")
 
     def _check_numbers(self) -> None:
         """The same limits as in a file, for those who write Python."""

@@ -87,16 +87,14 @@ def table_1(runs: int = 20) -> pl.DataFrame:
         sums = table_1_sums(dft_postures(links, runs))
         for j, k in combinations(range(links), 2):
             name = " + ".join(f"q{i + 1}" for i in range(j + 1, k + 1))
-            rows.append(
-                {
-                    "place": "Table I",
-                    "links": links,
-                    "item": f"sum of exp(i ({name})) = 0",
-                    "printed": name in printed,
-                    "residual": abs(sums[j + 1, k + 1]),
-                    "verdict": "agrees" if name in printed else "erratum",
-                }
-            )
+            row = {
+                "place": "Table I",
+                "links": links,
+                "item": f"sum of exp(i ({name})) = 0",
+                "printed": name in printed,
+            }
+            row["residual"] = abs(sums[j + 1, k + 1])
+            rows.append(row | {"verdict": "agrees" if name in printed else "erratum"})
     return frame_of(rows)
 
 
