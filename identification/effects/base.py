@@ -171,6 +171,28 @@ class Effect:
         return 0.0
 
 
+class JointAngle(Effect):
+    """One number times a `shape`, added to the angle of one joint.
+
+    number : its short name, unit and `typical` size;  lower : its least value
+    """
+
+    per_joint = "required"
+    number: ClassVar[tuple[str, str, float]]
+    lower: ClassVar[float] = -inf
+
+    def shape(self, chain: Chain) -> ca.SX:
+        """What the number is multiplied by."""
+        raise NotImplementedError
+
+    def define(self) -> tuple[Parameter, ...]:
+        short, unit, typical = self.number
+        return (self.parameter(short, unit, scale=self.link_length, lower=self.lower, typical=typical),)
+
+    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return self.at_joint(values[0] * self.shape(chain), chain)
+
+
 _LIBRARY: dict[str, type[Effect]] = {}
 OWN = "identification.effects"
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from identification.effects.base import Effect, register
+from identification.effects.base import Effect, JointAngle, register
 from identification.effects.chain import Chain
 from identification.effects.settings import Scope, Setting
 from identification.kinematics.parameters import Parameter
@@ -111,67 +111,56 @@ class TransmissionRipple(_Harmonic):
 
 
 @register
-class GearRatio(Effect):
+class GearRatio(JointAngle):
     """The gear ratio in the controller is wrong: e q_j."""
 
     name = "gear_ratio"
     summary = "gear ratio in the controller is wrong"
-    per_joint = "required"
     family = "gear_ratio"
+    number = ("e", "1", 1e-4)
 
-    def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("e", "1", scale=self.link_length, typical=1e-4),)
-
-    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return self.at_joint(values[0] * chain.q[self.joint_index], chain)
+    def shape(self, chain: Chain) -> ca.SX:
+        return chain.q[self.joint_index]
 
 
 @register
-class JointCoupling(Effect):
+class JointCoupling(JointAngle):
     """Moving joint j-1 turns joint j a little (belt or wrist coupling): c q_(j-1)."""
 
     name = "joint_coupling"
     summary = "the joint before turns this one a little"
-    per_joint = "required"
     first_joint = 2
     family = "joint_coupling"
+    number = ("c", "1", 1e-4)
 
-    def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("c", "1", scale=self.link_length, typical=1e-4),)
-
-    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return self.at_joint(values[0] * chain.q[self.joint_index - 1], chain)
+    def shape(self, chain: Chain) -> ca.SX:
+        return chain.q[self.joint_index - 1]
 
 
 @register
-class Backlash(Effect):
+class Backlash(JointAngle):
     """Play in the gear, resolved by the direction of approach s_j = +1/-1: b s_j."""
 
     name = "backlash"
     summary = "gear play, by direction of approach"
-    per_joint = "required"
     needs = frozenset({"directions"})
     family = "backlash"
+    number = ("b", "rad", 1.5e-4)
 
-    def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("b", "rad", scale=self.link_length, typical=1.5e-4),)
-
-    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return self.at_joint(values[0] * chain.directions[self.joint_index], chain)
+    def shape(self, chain: Chain) -> ca.SX:
+        return chain.directions[self.joint_index]
 
 
 @register
-class GravityBacklash(Effect):
+class GravityBacklash(JointAngle):
     """Play in the gear, pushed to one side by gravity: b sign(tau_j), b >= 0."""
 
     name = "gravity_backlash"
     summary = "gear play, pushed to one side by gravity"
-    per_joint = "required"
     needs = frozenset({"gravity"})
     family = "gravity"
+    number = ("b", "rad", 1.5e-4)
+    lower = 0.0
 
-    def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("b", "rad", scale=self.link_length, lower=0.0, typical=1.5e-4),)
-
-    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return self.at_joint(values[0] * ca.sign(chain.torques[self.joint_index]), chain)
+    def shape(self, chain: Chain) -> ca.SX:
+        return ca.sign(chain.torques[self.joint_index])

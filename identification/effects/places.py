@@ -17,7 +17,6 @@ from identification.effects.base import Effect
 from identification.effects.chain import Chain
 
 OF_JOINT = ("joint_angles", "extensions", "deflections", "slopes")  # one number for each joint
-OF_TIP = ("tool", "base_translation", "instrument")  # one number for each coordinate
 ROTATIONS = {2: 1, 3: 3}  # numbers of a rotation, by the coordinates of a point
 Parts = list[tuple[Effect, ca.SX]]  # effects with the values of their own parameters
 

@@ -11,7 +11,7 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
-from identification.effects.base import Effect, register
+from identification.effects.base import Effect, JointAngle, register
 from identification.effects.chain import Chain
 from identification.effects.settings import Scope, Setting, clock, step_times
 from identification.kinematics.parameters import Parameter
@@ -60,19 +60,16 @@ class _Step(_Rare):
 
 
 @register
-class JointStep(_Step):
+class JointStep(_Step, JointAngle):
     """The zero of a joint jumps at a time of the session, as after a collision or a lost count: b for t > at."""
 
     name = "joint_step"
     summary = "zero of a joint jumps during the session"
-    per_joint = "required"
     family = "joint_step"
+    number = ("b", "rad", 2e-4)
 
-    def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("b", "rad", scale=self.link_length, typical=2e-4),)
-
-    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
-        return self.at_joint(values[0] * self.after(chain), chain)
+    def shape(self, chain: Chain) -> ca.SX:
+        return self.after(chain)
 
 
 @register
@@ -196,7 +193,7 @@ def hysteresis_widths(scope: Scope) -> list[float]:
 
 
 @register
-class JointHysteresis(_Rare):
+class JointHysteresis(_Rare, JointAngle):
     """Friction winds the gear up until it slips: b times the wind-up, which follows the joint's motion within -1..1.
 
     The wind-up grows by the motion divided by the width and stays within -1..1 (Prandtl's element); at the start of the
@@ -206,19 +203,16 @@ class JointHysteresis(_Rare):
 
     name = "joint_hysteresis"
     summary = "friction winds the gear up, with a memory of earlier motions"
-    per_joint = "required"
     needs = frozenset({"past"})
     family = "joint_hysteresis"
+    number = ("b", "rad", 1.5e-4)
     settings = MappingProxyType({"width_deg": Setting(0.01, 1000.0, hysteresis_widths)})
 
-    def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("b", "rad", scale=self.link_length, typical=1.5e-4),)
-
-    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+    def shape(self, chain: Chain) -> ca.SX:
         joint = self.joint_index
         angles = [] if chain.past is None else [chain.past[joint, k] for k in range(chain.past.shape[1])]
         angles.append(chain.q[joint])
         wind_up, width = ca.SX(0), np.pi / 180.0 * self.chosen["width_deg"]
         for before, after in pairwise(angles):
             wind_up = ca.fmax(-1.0, ca.fmin(1.0, wind_up + (after - before) / width))
-        return self.at_joint(values[0] * wind_up, chain)
+        return wind_up
