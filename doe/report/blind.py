@@ -37,6 +37,7 @@ def blind_tables(found: BlindStudy) -> list[Any]:
     return [
         str(found),
         cell_table(found.cells),
+        *many_tables(found.cells),
         *further_tables(found.cells),
         *reliability_tables(found),
         bar_table(found.bars),
@@ -66,6 +67,21 @@ def with_error(row: dict[str, Any]) -> str:
     value = f"{row['value']:.3f}".removeprefix("0" if row["value"] < 1.0 else "")
     error = 1000.0 * row["standard_error"]
     return f"{value}({error:.0f})" if np.isfinite(error) else value
+
+
+def many_tables(cells: pl.DataFrame) -> list[Table]:
+    """Robots with many effects at once: means over their data sets, with standard errors."""
+    shown = []
+    for part in cells.partition_by("cell", maintain_order=True):
+        rows = {row["measure"]: row for row in part.iter_rows(named=True)}
+        if MANY[0] in rows:
+            figures = (with_error(rows[name]) if name in rows else "" for name in MANY)
+            shown.append([part["cell"][0], str(rows[MANY[0]]["count"]), *figures])
+    headings = ("hidden", "sets", *MANY)
+    return [table(headings, shown, "Many effects at once", left=("hidden",))] if shown else []
+
+
+MANY = ("error / true", "effects named", "false names", "intervals, all", "false unknown")
 
 
 def further_tables(cells: pl.DataFrame) -> list[Table]:

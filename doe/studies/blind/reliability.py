@@ -35,13 +35,24 @@ def probability_judged(row: Mapping[str, Any]) -> dict[str, Any]:
 
 def intervals_judged(row: Mapping[str, Any], exact: bool) -> dict[str, float]:
     """Shares of the true values inside their 95 % intervals: base parameters, and those of effects rightly named."""
-    truth = dict(zip(row.get("parameters") or (), row.get("values") or (), strict=True))
-    limits = zip(row.get("interval_of") or (), row.get("low_95") or (), row.get("high_95") or (), strict=True)
-    inside = {name: low <= truth[name] <= high for name, low, high in limits if name in truth}
+    inside = _inside(row)
     base = [held for name, held in inside.items() if name.startswith(BASE)]
     own = [held for name, held in inside.items() if not name.startswith(BASE)]
     shares = {"intervals, base": base} | ({"intervals, effects": own} if exact else {})
     return {name: float(np.mean(held)) for name, held in shares.items() if held}
+
+
+def share_inside(row: Mapping[str, Any]) -> float | None:
+    """Share of all true values that have a 95 % interval inside it; None where none is known."""
+    inside = _inside(row)
+    return float(np.mean(list(inside.values()))) if inside else None
+
+
+def _inside(row: Mapping[str, Any]) -> dict[str, bool]:
+    """Parameter -> whether its 95 % interval holds the true value, for those that have both."""
+    truth = dict(zip(row.get("parameters") or (), row.get("values") or (), strict=True))
+    limits = zip(row.get("interval_of") or (), row.get("low_95") or (), row.get("high_95") or (), strict=True)
+    return {name: low <= truth[name] <= high for name, low, high in limits if name in truth}
 
 
 def reliability(sets: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

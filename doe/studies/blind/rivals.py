@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
 
 from doe.studies.blind.cells import DataSet
+from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.gap.fit import fit
 from identification.gap.hypotheses import hypotheses
@@ -19,15 +21,31 @@ LENGTHS = (0.5, 8.0)  # of the process's kernel; two postures are at most 2 sqrt
 RATIOS = (1e-6, 1e6)  # of the kernel's parts to the mean square residual
 
 
-def true_gap(data: DataSet) -> float:
-    """Held-out gap [mm] of the true model, fitted to the rows that are not outliers."""
-    assert data.holdout is not None
+def true_arm(data: DataSet) -> Arm:
+    """The arm with the true model, fitted to the rows that are not outliers."""
     model = Model(data.arm.with_effects(*data.arm.effects, *data.specs))
     kept = np.ones(len(data.measurements), dtype=bool)
     kept[[row - 1 for row in data.wrong_rows]] = False
-    rows, fresh = Rows.of(data.measurements).pick(kept), Rows.of(data.holdout)
-    values = fit(model, rows).values
-    return rms_distance(fresh.positions - model.position(fresh.postures, values, fresh.conditions))
+    found = fit(model, Rows.of(data.measurements).pick(kept))
+    return replace(model.arm, calibration=Calibration(found.by_name))
+
+
+def true_gap(data: DataSet) -> float:
+    """Held-out gap [mm] of the true model."""
+    assert data.holdout is not None
+    return rms_distance(data.holdout.positions - _computed(true_arm(data), data))
+
+
+def error(arm: Arm, data: DataSet) -> float | None:
+    """RMS distance [mm] of a calibrated arm from the hold-out without its noise; None where that is not known."""
+    return None if data.exact is None else rms_distance(data.exact - _computed(arm, data))
+
+
+def _computed(arm: Arm, data: DataSet) -> Array:
+    """(200, 2) positions at the postures of the hold-out."""
+    assert data.holdout is not None
+    model = Model(arm)
+    return np.asarray(model.position(data.holdout.postures, model.values, data.holdout.conditions))
 
 
 def library_gap(data: DataSet) -> float:

@@ -12,7 +12,14 @@ import numpy as np
 import polars as pl
 
 from doe.jobs.row_table import frame_of
-from doe.studies.blind.reliability import ALL, calibration, intervals_judged, probability_judged, reliability
+from doe.studies.blind.reliability import (
+    ALL,
+    calibration,
+    intervals_judged,
+    probability_judged,
+    reliability,
+    share_inside,
+)
 from identification.effects import library
 
 NOTHING = "nothing"
@@ -106,6 +113,10 @@ def _bars() -> Iterator[Bar]:
     yield Bar("three outliers, lambda 8", "exact", 0.92)
     yield Bar("three outliers, lambda 8", "outliers listed", 1.0)
     yield from (Bar("one, lambda 8, m=20", "next_2 right", 0.75), Bar("one, lambda 8, m=20", "next_8 right", 0.86))
+    for cell in ("many effects", "many effects, harmonics"):
+        for measure, value in (("error / true", 1.5), ("false names", 0.8), ("false unknown", 0.1)):
+            yield Bar(cell, measure, value, at_most=True)
+        yield from (Bar(cell, "effects named", 0.8), Bar(cell, "intervals, all", 0.92))
     for measure in ("calibration error", "said less right, 0.7 to 0.95"):
         yield Bar(ALL, measure, 0.03, at_most=True)
     for measure in ("intervals, base", "intervals, effects"):
@@ -144,10 +155,8 @@ def score(truth: pl.DataFrame, found: pl.DataFrame) -> BlindStudy:
 
 def scored_set(row: Mapping[str, Any], families: Mapping[str, str]) -> dict[str, Any]:
     """One data set: what was hidden, what was named, and in which respects that is right (None: not asked)."""
+    known, outside = row["verdict"] != "unknown", row["place"] is not None
     hidden, named = sorted(row["hidden"] or ()), sorted(row["named"] or ())
-    options = row["candidates"] or []
-    known = row["verdict"] != "unknown"
-    outside = row["place"] is not None
     judgement = {
         "cell": row["cell"],
         "set": row["set"],
@@ -158,31 +167,64 @@ def scored_set(row: Mapping[str, Any], families: Mapping[str, str]) -> dict[str,
         "alarm": row["verdict"] != "none",
     }
     if hidden:
-        judgement["exact"] = known and named == hidden
-        judgement["class"] = judgement["hidden_class"] == judgement["named_class"]
-        judgement["in the set"] = known and " + ".join(hidden) in options
-        judgement["size of the set"] = len(options) or None
+        judgement |= _names_judged(row, judgement)
     if outside:
         judgement["located"] = not known and row["where"] == row["place"]
     if row["wrong_rows"]:
         judgement["outliers listed"] = set(row["wrong_rows"]) <= set(row["outlier_rows"] or ())
-    judgement |= probability_judged(row) | intervals_judged(row, judgement.get("exact", False))
-    for rival, column in RIVALS.items():
-        if row.get(column) and row["gap_named_mm"]:
-            judgement[f"gap / {rival}"] = row["gap_named_mm"] / row[column]
+    judgement |= probability_judged(row) | intervals_judged(row, judgement.get("exact", False)) | _many_judged(row)
+    return judgement | _gaps_judged(row) | _further_judged(row, judgement, families)
+
+
+def _names_judged(row: Mapping[str, Any], judgement: Mapping[str, Any]) -> dict[str, Any]:
+    """Names, classes and the ambiguity set, where the library has everything that was hidden."""
+    known, options = row["verdict"] != "unknown", row["candidates"] or []
+    hidden, named = sorted(row["hidden"]), sorted(row["named"] or ())
+    return {
+        "exact": known and named == hidden,
+        "class": judgement["hidden_class"] == judgement["named_class"],
+        "in the set": known and " + ".join(hidden) in options,
+        "size of the set": len(options) or None,
+    }
+
+
+def _many_judged(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Where many effects were hidden: each of them, what else was named, all intervals, and errors without noise."""
+    if row.get("error_true_mm") is None:
+        return {}
+    hidden, named = set(row["hidden"]), set(row["named"] or ())
+    return {
+        "error / true": row["error_named_mm"] / row["error_true_mm"],
+        "effects named": len(hidden & named) / len(hidden),
+        "false names": float(len(named - hidden)),
+        "false unknown": row["verdict"] == "unknown",
+        "intervals, all": share_inside(row),
+    }
+
+
+def _gaps_judged(row: Mapping[str, Any]) -> dict[str, Any]:
+    """The held-out gap relative to those of the models it is compared with."""
+    gap = row["gap_named_mm"]
+    return {f"gap / {rival}": gap / row[column] for rival, column in RIVALS.items() if gap and row.get(column)}
+
+
+def _further_judged(
+    row: Mapping[str, Any], judgement: Mapping[str, Any], families: Mapping[str, str]
+) -> dict[str, Any]:
+    """The same set with further postures, where it was ambiguous."""
+    found: dict[str, Any] = {}
     if row.get("next_2_verdict") is not None:
-        judgement["next_0 right"] = judgement["exact"]
+        found["next_0 right"] = judgement["exact"]
     for way in FURTHER:
         if (verdict := row.get(f"{way}_verdict")) is not None:
             again = sorted(row[f"{way}_named"] or ())
-            right = verdict in ("named", "ambiguous") and again == hidden
-            judgement[f"{way} right"] = right
+            right = verdict in ("named", "ambiguous") and again == sorted(row["hidden"])
             kind = "gravity" if judgement["hidden_class"] == "gravity" else "others"
-            judgement[f"{way} right, {kind}"] = right
-            judgement[f"{way} right, alone"] = right and verdict == "named"
-            judgement[f"{way} class"] = _classes(again, families, None) == judgement["hidden_class"]
-            judgement[f"{way} predicted"] = row.get(f"{way}_chance")
-    return judgement
+            found |= {f"{way} right": right, f"{way} right, {kind}": right}
+            found[f"{way} right, alone"] = right and verdict == "named"
+            found[f"{way} class"] = _classes(again, families, None) == judgement["hidden_class"]
+            found[f"{way} predicted"] = row.get(f"{way}_chance")
+    return found
 
 
 def _classes(keys: Sequence[str], families: Mapping[str, str], more: str | None) -> str:

@@ -24,7 +24,7 @@ from doe.jobs.workers import Workers
 from doe.problem.problem import DesignProblem
 from doe.studies.blind import cells as simulated
 from doe.studies.blind.cells import DataSet
-from doe.studies.blind.rivals import has_processes, library_gap, process_gap, true_gap
+from doe.studies.blind.rivals import error, has_processes, library_gap, process_gap, true_arm, true_gap
 from doe.studies.blind.score import BARS, BlindStudy, score
 from identification.errors import InputError, nearest
 from identification.estimation.intervals import quantile_95
@@ -119,6 +119,7 @@ def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[floa
         wrong = list(data.wrong_rows)
         gap = None if data.holdout is None or data.place is not None else true_gap(data)
         hidden = {"hidden": sorted(data.effects), "place": data.place, "wrong_rows": wrong, "gap_true_mm": gap}
+        hidden["error_true_mm"] = None if data.exact is None else error(true_arm(data), data)
         values = {"parameters": list(data.values), "values": list(data.values.values())}
         rows.append({"set": number, "links": data.arm.links, **hidden, **values})
     return rows
@@ -130,7 +131,7 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[f
     for number, data in _data_sets(key, planned):
         found = diagnose(data.arm, data.measurements, data.holdout, seed=number, draws=key["draws"])
         row = {"set": number, **_said(found), **_intervals(found), "gap_before_mm": found.gap.held_out_before}
-        row["gap_named_mm"] = found.gap.held_out_after
+        row |= {"gap_named_mm": found.gap.held_out_after, "error_named_mm": error(found.extended_arm(), data)}
         if key["cell"] in COMPARED:
             row |= {"gap_library_mm": library_gap(data), "gap_process_mm": process_gap(data)}
         if key["cell"] == AMBIGUOUS and found.verdict == "ambiguous":

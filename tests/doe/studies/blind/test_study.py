@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import reduce
 from pathlib import Path
 
@@ -24,9 +25,11 @@ from doe.jobs.row_table import frame_of
 from doe.report.blind import blind_tables, matrix
 from doe.studies.blind import cells
 from doe.studies.blind import study as blind
-from doe.studies.blind.rivals import gaussian_process, has_processes
+from doe.studies.blind.rivals import error, gaussian_process, has_processes, true_arm
+from doe.studies.blind.score import BARS as BARS_OF_STUDY
 from doe.studies.blind.score import FURTHER, Bar, BlindStudy, score
 from doe.studies.blind.study import blind_study
+from identification.arm import Calibration
 from identification.errors import InputError
 
 ALERT, FAIL = 0.02, 1e-4
@@ -187,6 +190,37 @@ def test_a_name_beside_an_unknown_is_wrong() -> None:
     found = tables({"hidden": ["backlash:1"]}, said)
     assert figures(found)["exact"] == figures(found)["class"] == 0.0
     assert found.confusion.row(0) == ("backlash", "backlash + unknown", 1)
+
+
+def test_many_effects_are_counted_one_by_one() -> None:
+    """Two of three named, one more that is not there; two of four intervals hold; twice the true model's error."""
+    hidden = {"hidden": ["backlash:2", "base_offset", "gear_ratio:1"], "error_true_mm": 0.02, "gap_true_mm": 0.1}
+    hidden |= {"parameters": ["length_error:1", "joint_offset:1", "backlash:2.b", "base_offset.x0", "gear_ratio:1.e"]}
+    hidden |= {"values": [1.0, 0.1, 3e-4, 2.0, 1e-4]}
+    said = {"verdict": "unknown", "named": ["backlash:2", "base_offset", "backlash:1"], "where": "time"}
+    said |= {"error_named_mm": 0.04, "gap_named_mm": 0.12}
+    said |= {"interval_of": ["length_error:1", "joint_offset:1", "backlash:2.b", "base_offset.x0", "backlash:1.b"]}
+    said |= {"low_95": [0.9, 0.2, 2e-4, 2.1, 0.0], "high_95": [1.1, 0.3, 4e-4, 2.2, 1.0]}
+    found = tables(hidden, said)
+    expected = {"error / true": 2.0, "effects named": 2 / 3, "false names": 1.0, "intervals, all": 0.5}
+    assert {name: figures(found)[name] for name in expected} == pytest.approx(expected)
+    assert figures(found)["false unknown"] == 1.0
+    bars = {bar.measure: (bar.value, bar.at_most) for bar in BARS_OF_STUDY if bar.cell == "many effects"}
+    wanted = {"error / true": 1.5, "effects named": 0.8, "false names": 0.8, "intervals, all": 0.92}
+    assert bars == {name: (value, name in ("error / true", "false names")) for name, value in wanted.items()} | {
+        "false unknown": (0.1, True)
+    }
+
+
+def test_an_arm_with_the_true_values_has_no_error() -> None:
+    """What the simulator hides, put into the model: positions agree without noise; the fitted true model is near."""
+    data = cells.data_set("many effects", 3)
+    arm = data.arm.with_effects(*data.arm.effects, *data.specs)
+    assert error(replace(arm, calibration=Calibration(data.values)), data) == pytest.approx(0.0, abs=1e-9)
+    fitted = error(true_arm(data), data)
+    assert fitted is not None
+    assert 0.0 < fitted < data.arm.sigma
+    assert error(data.arm, cells.data_set("two, lambda 8", 3)) is None
 
 
 @pytest.mark.parametrize(("where", "right"), [("joint:2", 1.0), ("joint:1", 0.0)])
