@@ -12,6 +12,7 @@ from doe.report.gap_page import as_table, candidate_sheet, gap_sections
 from doe.report.page import Section, Sheet, page
 from doe.report.pictures import certificate_figure, plan_figure, residual_figure
 from doe.report.terminal import number, significant
+from identification.gap.summary import findings, headline
 
 
 def gap_sheet(demo: Demo) -> Sheet:
@@ -19,7 +20,7 @@ def gap_sheet(demo: Demo) -> Sheet:
     start = demo.base.rms_before
     drawing = demo.drawing_gap
     return Sheet(
-        ["model", "RMS on the data [mm]", "RMS on 200 fresh postures [mm]"],
+        ["RMS error [mm]", "on the data", "on 200 fresh postures"],
         [
             ["nominal (from the drawing)", number(start), number(drawing)],
             ["lengths and offsets identified", number(demo.base.rms_after), number(demo.gap(demo.base))],
@@ -40,7 +41,7 @@ def parameter_sheet(demo: Demo) -> Sheet:
         std = row["std"]
         figures = [significant(row[key], std) for key in ("value", "low_95", "high_95")]
         rows.append([row["name"], *figures, number(demo.truth[row["name"]]), row["unit"]])
-    return Sheet(["parameter", "value", "low 95 %", "high 95 %", "hidden truth", "unit"], rows)
+    return Sheet(["parameter", "value", "low 95 %", "high 95 %", "truth", "unit"], rows)
 
 
 def demo_summary(demo: Demo) -> str:
@@ -74,7 +75,7 @@ def demo_tables(demo: Demo, directory: Path) -> list[Any]:
     return [
         Text(demo_summary(demo), style="bold"),
         as_table(gap_sheet(demo)),
-        Text(demo.diagnosis.sentence),
+        *map(Text, (headline(demo.diagnosis), *findings(demo.diagnosis))),
         as_table(candidate_sheet(demo.diagnosis)),
         as_table(parameter_sheet(demo), "Refitted with the named effect (sigma from the arm file)"),
         Text(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from doe.report.pictures import AFTER, BEFORE, LIMIT, draw_residual_arrows
 from identification.arrays import Array
+from identification.estimation.intervals import quantile_95
 from identification.gap.detectability import Detectability
 from identification.gap.result import Diagnosis
 from identification.model import Model
@@ -88,9 +89,9 @@ def curves_figure(diagnosis: Diagnosis) -> Figure:
     """Error curves with 95 % bands, and residuals that the curve explains, as angles: their mean in groups of rows."""
     figure = Figure(figsize=(10.0, 2.6 * len(diagnosis.curves)), layout="constrained")
     axes = np.atleast_1d(figure.subplots(len(diagnosis.curves), 1))
-    seen = curve_residuals(diagnosis)
+    seen, half = curve_residuals(diagnosis), quantile_95(min(diagnosis.named.freedom, default=np.inf))
     for axis, curve in zip(axes, diagnosis.curves, strict=True):
-        angles, error, band = np.degrees([curve.angles, curve.error, 1.96 * curve.std])
+        angles, error, band = np.degrees([curve.angles, curve.error, half * curve.std])
         axis.plot(*seen[curve.key], ".", color=LIMIT, ms=3, label="rows, in groups")
         axis.fill_between(angles, error - band, error + band, color=AFTER, alpha=0.25, lw=0, label="95 %")
         axis.plot(angles, error, color=AFTER, lw=1.4, label="curve")

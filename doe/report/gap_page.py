@@ -10,60 +10,78 @@ from rich.table import Table
 from rich.text import Text
 
 from doe.report.page import Section, Sheet, page
-from doe.report.terminal import number, table
+from doe.report.terminal import number, significant, table
 from identification.gap.result import Candidate, Diagnosis, Estimate
+from identification.gap.summary import findings, headline
 
 MOST_TRIALS = 12
-ESTIMATES = "estimates [95 %]"
+LEFT = ("unit", "change")  # columns of words
+ANSWERS = {True: "yes", False: "no", None: "too few rows"}
 
 
 def candidate_sheet(diagnosis: Diagnosis) -> Sheet:
-    """The ambiguity set, or what is named beside an unknown effect: how likely, the tests, 95 % intervals."""
+    """The ambiguity set, or what is named beside an unknown effect: how likely, and the tests."""
     rows = [
         [
-            c.title,
-            number(c.probability, 2),
-            f"{c.f:.1f}",
-            f"{c.p_adjusted:.2g}",
+            c.title.replace(" + ", " +\n"),
+            share(c.probability),
             f"{c.delta_bic:.1f}",
-            estimates_text(c),
+            f"{c.f:.1f}",
+            p_value(c.p_adjusted),
         ]
         for c in diagnosis.candidates or (diagnosis.named,)
     ]
-    headings = ["effects", "probability", "F", "adjusted p", "Delta BIC", ESTIMATES]
-    return Sheet(headings, rows)
+    return Sheet(["effects", "probability", "Delta BIC", "F", "adjusted p"], rows)
+
+
+def estimate_sheet(candidate: Candidate) -> Sheet:
+    """The parameters of its effects with 95 % intervals, named with their settings."""
+    rows = [
+        [f"{label}.{p.short}", *(significant(figure, p.std) for figure in (p.value, p.low_95, p.high_95)), _unit(p)]
+        for label, found in candidate.estimates.items()
+        for p in found
+    ]
+    return Sheet(["parameter", "value", "low 95 %", "high 95 %", "unit"], rows)
+
+
+def _unit(estimate: Estimate) -> str:
+    return "" if estimate.unit == "1" else estimate.unit
+
+
+def estimate_sheets(diagnosis: Diagnosis) -> list[tuple[str, Sheet]]:
+    """Title and table of estimates of each candidate."""
+    several = len(diagnosis.candidates) > 1
+    found = [(c, estimate_sheet(c)) for c in diagnosis.candidates or (diagnosis.named,)]
+    return [(f"Estimates: {c.title}" if several else "Estimates", sheet) for c, sheet in found if sheet.rows]
+
+
+def share(p: float | None) -> str:
+    """`0.93`; a probability that is not zero is shown as none."""
+    return "< 0.01" if p is not None and 0.0 < p < 0.005 else number(p, 2)
+
+
+def p_value(p: float) -> str:
+    """`0.012`; a probability below all numbers is no zero."""
+    return f"{p:.2g}" if p > 0.0 else "< 1e-300"
 
 
 def probability_sheet(diagnosis: Diagnosis) -> Sheet:
     """Every explanation that is not unlikely, with those that are no candidates."""
     explanations = diagnosis.probability | {f"unknown: {n}": p for n, p in diagnosis.other_sets.items()}
     credible = set(diagnosis.credible_set)
-    rows = [
-        [n, number(p, 2), "yes" if n.removeprefix("unknown: ") in credible else ""] for n, p in explanations.items()
-    ]
+    rows = [[n, share(p), "yes" if n.removeprefix("unknown: ") in credible else ""] for n, p in explanations.items()]
     return Sheet(["explanation", "probability", "in the 90 % set"], rows)
 
 
-def estimates_text(candidate: Candidate) -> str:
-    """`a = 0.061 [0.052, 0.071] deg, ...`; of several effects a line for each, with its label."""
-    several = len(candidate.effects) > 1
-    rows = ((label, ", ".join(map(estimate_text, found))) for label, found in candidate.estimates.items() if found)
-    return "\n".join(f"{label}: {text}" if several else text for label, text in rows)
-
-
-def estimate_text(estimate: Estimate) -> str:
-    """`a = 0.061 [0.052, 0.071] deg`."""
-    unit = "" if estimate.unit == "1" else f" {estimate.unit}"
-    return f"{estimate.short} = {estimate.value:.4g} [{estimate.low_95:.4g}, {estimate.high_95:.4g}]{unit}"
-
-
 def gap_sheet(diagnosis: Diagnosis) -> Sheet:
-    """RMS distances before and after, on the data and on data no fit has seen."""
-    gap = diagnosis.gap
-    rows = [["the data", number(gap.rms_before), number(gap.rms_after), number(gap.noise_floor)]]
-    if gap.held_out_after is not None:
-        rows.append(["held out", number(gap.held_out_before), number(gap.held_out_after), number(gap.predicted)])
-    return Sheet(["RMS distance [mm]", "before", "after", "expected"], rows)
+    """RMS distances before and after, on the data and on rows that no fit has seen, and whether it holds there."""
+    gap, rows = diagnosis.gap, len(diagnosis.residuals.before)
+    shown = [["the data", str(rows), number(gap.rms_before), number(gap.rms_after), number(gap.noise_floor), ""]]
+    for test in diagnosis.tests:
+        kind = "held out" if test.by == "holdout" else "cross-validated"
+        figures = (number(figure) for figure in (test.before, test.after, test.predicted))
+        shown.append([f"{kind}: {test.transfer}", str(test.rows), *figures, ANSWERS[test.confirmed]])
+    return Sheet(["RMS distance [mm]", "rows", "before", "after", "expected", "holds"], shown)
 
 
 def gap_text(diagnosis: Diagnosis) -> str:
@@ -80,7 +98,7 @@ def gap_text(diagnosis: Diagnosis) -> str:
 def trial_sheet(diagnosis: Diagnosis) -> Sheet:
     """The strongest effects, one at a time against the base model."""
     rows = [
-        [t.effect, f"{t.f:.1f}", f"{t.p_adjusted:.2g}", f"{t.delta_bic:.1f}"] for t in diagnosis.trials[:MOST_TRIALS]
+        [t.effect, f"{t.f:.1f}", p_value(t.p_adjusted), f"{t.delta_bic:.1f}"] for t in diagnosis.trials[:MOST_TRIALS]
     ]
     return Sheet(["effect alone", "F", "adjusted p", "change of BIC"], rows)
 
@@ -98,39 +116,54 @@ def alias_sheet(diagnosis: Diagnosis) -> Sheet:
 
 
 def curve_sheet(diagnosis: Diagnosis) -> Sheet:
-    """The error curves: over which angles, how large, how sure, and what they look like."""
+    """The error curves: over which angles, how large, and how sure."""
     rows = [
         [
             curve.key,
             f"{np.degrees(curve.angles[0]):.0f} to {np.degrees(curve.angles[-1]):.0f}",
             f"{np.degrees(np.sqrt(np.mean(curve.error**2))):.2g}",
             f"{np.degrees(np.sqrt(np.mean(curve.std**2))):.2g}",
-            curve.shape,
         ]
         for curve in diagnosis.curves
     ]
-    return Sheet(["curve", "angles [deg]", "RMS [deg]", "standard deviation [deg]", "shape"], rows)
+    return Sheet(["curve", "angles [deg]", "RMS [deg]", "std [deg]"], rows)
+
+
+def round_sheet(diagnosis: Diagnosis) -> Sheet:
+    """What each round of naming added (+) and took back (-), and the gap that it left."""
+    changes = ([*(f"+ {n}" for n in one.added), *(f"- {n}" for n in one.removed)] for one in diagnosis.rounds)
+    rows = zip(changes, diagnosis.rounds, strict=True)
+    shown = [[str(k), "\n".join(change), number(one.rms)] for k, (change, one) in enumerate(rows, start=1)]
+    return Sheet(["round", "change", "left [mm]"], shown)
 
 
 def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
-    """Verdict first, then candidates, gap, and what else a person should know."""
-    effects = candidate_sheet(diagnosis) if diagnosis.effects else excluded_sheet(diagnosis)
-    shown: list[Any] = [Text(diagnosis.sentence, style="bold"), *map(Text, diagnosis.warnings)]
-    shown += [as_table(gap_sheet(diagnosis)), as_table(effects)]
+    """Verdict first, then the gap, candidates, and what else a person should know."""
+    lines = [*findings(diagnosis), *diagnosis.warnings]
+    shown: list[Any] = [Text(headline(diagnosis), style="bold"), *map(Text, lines), as_table(gap_sheet(diagnosis))]
+    shown.append(Text(f"expected: on the data the {diagnosis.gap.floor}; elsewhere what the model predicts"))
+    shown += [Text(str(test)) for test in diagnosis.tests if test.confirmed is False]
+    shown += effect_tables(diagnosis) if diagnosis.effects else [as_table(excluded_sheet(diagnosis))]
     shown.append(Text(diagnosis.likely))
     if len(diagnosis.rounds) > 1:
-        shown.append(Text("Named in rounds, with the gap each left: " + "; ".join(map(str, diagnosis.rounds)) + "."))
-    if diagnosis.effects:
-        shown.append(Text(f"95 % intervals: {diagnosis.named.reliance}"))
-    if diagnosis.curves:
-        shown.append(as_table(curve_sheet(diagnosis)))
+        shown.append(as_table(round_sheet(diagnosis), "Named in rounds"))
     shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
     if diagnosis.outlier_rows:
         shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
-    shown += [Text(str(test)) for test in diagnosis.tests]
     if diagnosis.replication:
         shown.append(as_table(replication_sheet(diagnosis), "Sessions"))
     return [*shown, *(Text(f"note: {note}") for note in diagnosis.notes)]
+
+
+def effect_tables(diagnosis: Diagnosis) -> list[Any]:
+    """What is named: the tests, the estimates, the curves."""
+    shown: list[Any] = [as_table(candidate_sheet(diagnosis))]
+    shown += [as_table(sheet, title) for title, sheet in estimate_sheets(diagnosis)]
+    shown.append(Text(f"95 % intervals: {diagnosis.named.reliance}"))
+    if diagnosis.curves:
+        shown.append(as_table(curve_sheet(diagnosis), "Error curves"))
+        shown += [Text(f"joint {curve.joint}: {curve.shape}") for curve in diagnosis.curves]
+    return shown
 
 
 def replication_sheet(diagnosis: Diagnosis) -> Sheet:
@@ -146,7 +179,7 @@ def replication_sheet(diagnosis: Diagnosis) -> Sheet:
 
 def as_table(sheet: Sheet, title: str | None = None) -> Table:
     """The same sheet for a terminal."""
-    return table(sheet.headings, sheet.rows, title, left=[sheet.headings[0], ESTIMATES])
+    return table(sheet.headings, sheet.rows, title, left=[sheet.headings[0], *LEFT])
 
 
 def curve_sections(diagnosis: Diagnosis) -> list[Section]:
@@ -155,9 +188,10 @@ def curve_sections(diagnosis: Diagnosis) -> list[Section]:
         return []
     from doe.report.gap_figures import curves_figure
 
+    shapes = (f"Joint {curve.joint}: {curve.shape}." for curve in diagnosis.curves)
     text = (
         "Real less commanded angle over the angles measured, with a 95 % band; zero outside. Dots: what groups of rows "
-        "say, with everything else in the model."
+        f"say, with everything else in the model. {' '.join(shapes)}"
     )
     return [Section("Error curves of joints", text, [curve_sheet(diagnosis)], [curves_figure(diagnosis)])]
 
@@ -172,7 +206,8 @@ def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
         notes.append(f"Rows left out as outliers: {', '.join(map(str, diagnosis.outlier_rows))}.")
     notes += [f"{w}." for w in diagnosis.warnings]
     notes += [*(f"Scatter: {finding}." for finding in diagnosis.scatter), *(f"{n}." for n in diagnosis.notes)]
-    candidates = [candidate_sheet(diagnosis)] if diagnosis.effects else []
+    estimates = [sheet for _, sheet in estimate_sheets(diagnosis)]
+    candidates = [candidate_sheet(diagnosis), *estimates] if diagnosis.effects else []
     return [
         Section(
             "What is missing",

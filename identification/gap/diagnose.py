@@ -168,7 +168,7 @@ def diagnosis_of(
         detectability=detectable,
         residuals=residuals,
         sigma=explained.fit.sigma,
-        rounds=rounds_of(found.search, (*found.selection.path, explained.chosen)),
+        rounds=rounds_of(found.search, found.selection.path, explained.fit, named.effects),
         shapes=order_ranges(explained.fit, found.fits.rows, named.effects),
         probabilities=explained.likely,
         choice=validated,

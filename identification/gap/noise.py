@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
 from identification.arrays import Array
+from identification.estimation.result import in_words
 from identification.gap.fit import Fit
 from identification.gap.omnibus_test import MANY
 from identification.gap.posture_neighbors import lag_of
@@ -47,7 +48,7 @@ class Finding:
             "serial_correlation": "lag-1 correlation",
             "repeats": "misfit larger than what repeats scatter, by the variance ratio",
         }.get(self.name, "relative variance")
-        return f"{self.name} ({what} {self.size:.2g}, p = {self.p:.2g})"
+        return f"{self.name} ({what} {self.size:.2g}, {in_words(self.p)})"
 
 
 def outliers(found: Fit, everything: Rows) -> NDArray[np.bool_]:

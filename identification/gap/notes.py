@@ -71,7 +71,11 @@ def inseparable(joint: int) -> str:
 
 def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measurements | None, gap: Gap) -> list[str]:
     """What a person should know before trusting the verdict."""
-    said = [f"{key} was not tested: {why}" for key, why in found.search.hypotheses.skipped.items()]
+    skipped = found.search.hypotheses.skipped
+    said = [
+        f"not tested, {why}: {', '.join(key for key, reason in skipped.items() if reason == why)}"
+        for why in dict.fromkeys(skipped.values())
+    ]
     if found.whole is not None:
         searched = f"{len(found.search.rows)} of the {len(measurements)} rows, taken at random"
         said.append(f"effects were looked for in {searched}; what was found is fitted to all")
@@ -86,8 +90,8 @@ def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measur
         if np.ptp(measurements.postures[:, j]) == 0.0
     ]
     if arm.sigma is not None:
-        left = fit.position_residuals(measurements, measurements.conditions)[~found.outlier]
-        ratio = float(np.sqrt(np.sum(left**2) / max(fit.freedom, 1))) / arm.sigma
+        share = len(fit.residual) / max(fit.freedom, 1)
+        ratio = gap.rms_after * float(np.sqrt(share / measurements.dimension)) / arm.sigma
         if measurements.sigma is None and not 0.67 < ratio < 1.5:
             of_file = f"{ratio:.2f} times the sigma_mm of the arm file"
             said.append(f"the residual scatter is {of_file}; the tests use the scatter, not sigma_mm")

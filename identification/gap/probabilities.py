@@ -8,7 +8,7 @@ their fit, the others with the linear one.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from math import lgamma
 from typing import NamedTuple
 
@@ -36,11 +36,17 @@ class Probabilities:
 
     none : nothing is missing that could be detected;  sets : of effects, by their sorted keys
     outside : something that the library does not have
+    titles : of sets, with their likeliest settings: `base_offset + transmission_ripple:2[k=17]`
     """
 
     none: float
     sets: Mapping[Names, float]
     outside: float
+    titles: Mapping[Names, str] = field(default_factory=dict)
+
+    def title(self, names: Names) -> str:
+        """What a set of effects (sorted keys) is called."""
+        return self.titles.get(names, " + ".join(names))
 
     def of(self, keys: Iterable[str]) -> float:
         """Probability that these effects are missing and no others."""
@@ -50,10 +56,12 @@ class Probabilities:
     def with_odds(self, keys: Iterable[str] | None, log_odds: float) -> Probabilities:
         """One explanation more, with its log odds to all others together; None: it is outside the library."""
         rest = float(1.0 / (1.0 + np.exp(min(log_odds, 700.0))))
-        sets = {names: rest * p for names, p in self.sets.items()}
+        sets, outside = {names: rest * p for names, p in self.sets.items()}, rest * self.outside
         if keys is None:
-            return Probabilities(rest * self.none, sets, rest * self.outside + 1.0 - rest)
-        return Probabilities(rest * self.none, sets | {tuple(sorted(keys)): 1.0 - rest}, rest * self.outside)
+            outside += 1.0 - rest
+        else:
+            sets[tuple(sorted(keys))] = 1.0 - rest
+        return replace(self, none=rest * self.none, sets=sets, outside=outside)
 
     def beside(self, candidates: Iterable[Names]) -> dict[Names, float]:
         """Sets of effects that are no candidates but not unlikely, likeliest first."""
@@ -78,9 +86,10 @@ class Probabilities:
 
 
 class _Option(NamedTuple):
-    """labels tell sets apart, names are how they are called; log_odds to the base model."""
+    """labels tell sets apart, names are how they are called, title with settings; log_odds to the base model."""
 
     labels: frozenset[str]
+    title: str
     names: Names
     log_odds: float
     refitted: bool
@@ -104,20 +113,22 @@ def probabilities(found: Findings) -> Probabilities:
 def _normalized(options: list[_Option], outside: float) -> Probabilities:
     total = logsumexp([outside, *(option.log_odds for option in options)])
     sets: dict[Names, float] = {}
+    titles = {option.names: option.title for option in sorted(options, key=lambda option: option.log_odds)}
     for option in options:
         sets[option.names] = sets.get(option.names, 0.0) + float(np.exp(option.log_odds - total))
     none = sets.pop(())
-    return Probabilities(none, sets, float(np.exp(outside - total)))
+    return Probabilities(none, sets, float(np.exp(outside - total)), titles)
 
 
 def _refitted(search: HypothesisSearch, chosen: Choice) -> _Option:
     """A set with its own fit."""
     found, base = search.fit(chosen), search.fit(())
     labels, names = _labels(chosen), tuple(sorted(h.key for h in chosen))
+    title = _title(search, chosen)
     if not chosen:
-        return _Option(labels, names, 0.0, refitted=True)
+        return _Option(labels, title, names, 0.0, refitted=True)
     factor = log_bayes_factor(_explained(search, chosen), np.array(found.squares), base.squares, base.freedom)
-    return _Option(labels, names, float(factor) + _log_prior(search, chosen), refitted=True)
+    return _Option(labels, title, names, float(factor) + _log_prior(search, chosen), refitted=True)
 
 
 def _longer(search: HypothesisSearch, chosen: Choice) -> Iterator[_Option]:
@@ -135,7 +146,7 @@ def _longer(search: HypothesisSearch, chosen: Choice) -> Iterator[_Option]:
             opposite = np.log(2.0) if member.one_sided and reduction == 0.0 else 0.0
             names = tuple(sorted(h.key for h in longer))
             log_odds = float(factor) + _log_prior(search, (*chosen, member)) - opposite
-            yield _Option(_labels(longer), names, log_odds, refitted=False)
+            yield _Option(_labels(longer), _title(search, longer), names, log_odds, refitted=False)
 
 
 def _outside(search: HypothesisSearch, chosen: Choice) -> float:
@@ -153,6 +164,11 @@ def _outside(search: HypothesisSearch, chosen: Choice) -> float:
 
 def _labels(chosen: Choice) -> frozenset[str]:
     return frozenset(h.label for h in chosen)
+
+
+def _title(search: HypothesisSearch, chosen: Choice) -> str:
+    """As that of a candidate: labels in the order of results and files."""
+    return " + ".join(h.free.label for h in sorted(chosen, key=search.hypotheses.place))
 
 
 def _explained(search: HypothesisSearch, chosen: Choice) -> Explained:

@@ -211,15 +211,15 @@ class Diagnosis:
         """The probabilities in one line, with the sets of effects that are no candidates but not unlikely."""
         other = ", ".join(f"{name} {p:.2f}" for name, p in self.other_sets.items())
         text = ", ".join(f"{name} {p:.2f}" for name, p in self.probability.items() if p >= 0.005)
-        again = (
-            f"; chosen again in {self.choice.again:.0%} of the tries without a fifth of the rows" if self.choice else ""
-        )
+        tries = "the tries without a fifth of the rows"
+        again = f"; chosen again in {100.0 * self.choice.again:.0f} % of {tries}" if self.choice else ""
         return f"probability: {text}" + (f" (of that {other})" if other else "") + again
 
     @property
     def other_sets(self) -> dict[str, float]:
         """Sets of effects that are no candidates but not unlikely: parts of the probability of `unknown`."""
-        return {" + ".join(names): p for names, p in self.probabilities.beside(c.keys for c in self.candidates).items()}
+        beside = self.probabilities.beside(c.keys for c in self.candidates)
+        return {self.probabilities.title(names): p for names, p in beside.items()}
 
     @property
     def credible_set(self) -> dict[str, float]:
@@ -227,7 +227,7 @@ class Diagnosis:
         titles = {tuple(sorted(c.keys)): c.title for c in self.candidates}
         titles |= {(): "none"}
         found = self.probabilities.credible.items()
-        return {"unknown" if n is None else titles.get(n, " + ".join(n)): p for n, p in found}
+        return {"unknown" if n is None else titles.get(n) or self.probabilities.title(n): p for n, p in found}
 
     @property
     def tests(self) -> tuple[Confirmation, ...]:

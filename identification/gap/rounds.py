@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
+from identification.gap.fit import Fit
 from identification.gap.search import Choice, HypothesisSearch
 from identification.measurements import rms_distance
 
@@ -25,13 +27,18 @@ class Round:
         return {"added": list(self.added), "removed": list(self.removed), "rms_mm": self.rms}
 
 
-def rounds_of(search: HypothesisSearch, path: tuple[Choice, ...]) -> tuple[Round, ...]:
-    """From the sets of effects after each round, the first of them empty; rounds that changed nothing are left out."""
-    labels, found = [[h.label for h in chosen] for chosen in path], []
-    for k in range(1, len(path)):
-        before, after = labels[k - 1], labels[k]
+def rounds_of(
+    search: HypothesisSearch, path: tuple[Choice, ...], last: Fit, named: tuple[str, ...]
+) -> tuple[Round, ...]:
+    """From the sets of effects after each round, the first of them empty; rounds that changed nothing are left out.
+
+    last, named : the fit of the best set and its effects, where error curves may stand for some of the names
+    """
+    steps = [(tuple(h.label for h in chosen), search.fit(chosen)) for chosen in path]
+    found = []
+    for (before, _), (after, fitted) in pairwise([*steps, (named, last)]):
         added = tuple(label for label in after if label not in before)
         removed = tuple(label for label in before if label not in after)
         if added or removed:
-            found.append(Round(added, removed, rms_distance(search.fit(path[k]).left)))
+            found.append(Round(added, removed, rms_distance(fitted.left)))
     return tuple(found)

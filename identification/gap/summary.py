@@ -4,32 +4,50 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from identification.estimation.result import in_words as p_in_words
 from identification.gap.order_range import in_words
 from identification.gap.replication import said
 
 if TYPE_CHECKING:
     from identification.gap.result import Candidate, Diagnosis
 
+SHORT = 60  # characters of names that a verdict spells out; the tables have all of them
 VERDICTS = {
-    "none": "none: no missing effect is detectable in these data; effects larger than the sizes listed are excluded",
-    "named": "named: {effects} is missing from the model",
-    "ambiguous": "ambiguous: {count} explanations fit about equally well ({options}); measure more postures",
+    "none": "none: no missing effect is detectable; effects larger than the sizes listed are excluded",
+    "named": "named: {effects} missing from the model",
+    "ambiguous": "ambiguous: {count} explanations fit about equally well{options}; measure more postures",
     "unknown": "unknown: something outside the library at {where}{beside}",
 }
 
 
-def sentence(found: Diagnosis) -> str:
-    """The verdict in one line, what speaks against it first."""
-    shape = f" (shape: {found.shape})" if found.shape else ""
+def headline(found: Diagnosis) -> str:
+    """The verdict alone, what speaks against it first."""
+    options = " | ".join(c.title for c in found.candidates)
     verdict = VERDICTS[found.verdict].format(
-        effects=found.named.title,
+        effects=f"{named(found)} {'is' if len(found.effects) == 1 else 'are'}",
         count=len(found.candidates),
-        options=" | ".join(c.title for c in found.candidates),
-        where=f"{found.where}{shape}",
-        beside=f", beside {found.named.title}" if found.effects else "",
+        options=f" ({options})" if len(options) <= SHORT else "",
+        where=found.where,
+        beside=f", beside {named(found)}" if found.effects else "",
     )
-    first = "not confirmed: " if found.confirmed is False else ""
-    return "; ".join([first + verdict, *unexplained(found), *said(found.replication), *in_words(found.shapes)])
+    return f"not confirmed: {verdict}" if found.confirmed is False else verdict
+
+
+def named(found: Diagnosis) -> str:
+    """The effects of the best set, or how many they are."""
+    title = found.named.title
+    return title if len(title) <= SHORT or len(found.effects) == 1 else f"{len(found.effects)} effects"
+
+
+def findings(found: Diagnosis) -> list[str]:
+    """What else must be read with the verdict, a clause for each."""
+    shape = [f"its shape: {found.shape}"] if found.shape and not found.curves else []
+    return [*shape, *unexplained(found), *said(found.replication), *in_words(found.shapes)]
+
+
+def sentence(found: Diagnosis) -> str:
+    """The verdict with its findings in one line."""
+    return "; ".join([headline(found), *findings(found)])
 
 
 def unexplained(found: Diagnosis) -> list[str]:
@@ -50,7 +68,7 @@ def rests_on(found: Diagnosis) -> list[str]:
 
 def candidate_lines(candidate: Candidate) -> list[str]:
     """How well a set of effects explains the data, and its estimates."""
-    figures = f"F = {candidate.f:.1f}, p = {candidate.p_adjusted:.2g}, Delta BIC = {candidate.delta_bic:.1f}"
+    figures = f"F = {candidate.f:.1f}, {p_in_words(candidate.p_adjusted)}, Delta BIC = {candidate.delta_bic:.1f}"
     stated = {label: found for label, found in candidate.estimates.items() if found}  # a curve has no parameters
     estimates = [f"  {label}: {', '.join(map(str, found))}" for label, found in stated.items()]
     return [f"{candidate.title}: {figures}", *estimates, f"  95 % intervals: {candidate.reliance}"]
@@ -58,7 +76,7 @@ def candidate_lines(candidate: Candidate) -> list[str]:
 
 def text(found: Diagnosis) -> str:
     """All of it, for a terminal."""
-    lines = [f"warning: {w}" for w in found.warnings] + rests_on(found)
+    lines = [f"warning: {w}" for w in found.warnings] + findings(found) + rests_on(found)
     for candidate in found.candidates or (found.named,):
         lines += candidate_lines(candidate) if candidate.effects else []
     lines += [f"round {k}: {one}" for k, one in enumerate(found.rounds, start=1) if len(found.rounds) > 1]
@@ -66,4 +84,4 @@ def text(found: Diagnosis) -> str:
     if not found.effects:
         lines += [f"excluded: {name} > {size}" for name, size in found.excluded.items()]
     lines += [f"note: {note}" for note in found.notes]
-    return "\n".join([found.sentence, *(f"  {line}" for line in lines)])
+    return "\n".join([headline(found), *(f"  {line}" for line in lines)])

@@ -6,7 +6,7 @@ from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 
-from doe.report.gap_page import estimate_text, estimates_text
+from doe.report.gap_page import estimate_sheet, p_value
 from doe.report.next_postures import missing_payload
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.gap.result import Candidate, Estimate
@@ -25,28 +25,26 @@ def candidate(named: dict[str, EffectSpec], *parameters: str) -> Candidate:
 
 def test_the_number_of_periods_is_part_of_the_name_of_the_effect() -> None:
     six, seven = (EffectSpec("transmission_ripple", 2, MappingProxyType({"k": k})) for k in (6.0, 7.0))
-    play, figures = {"backlash:1": EffectSpec("backlash", 1)}, "0.03 [0.01, 0.05] deg"
+    play, figures = {"backlash:1": EffectSpec("backlash", 1)}, ["0.0300", "0.0100", "0.0500", "deg"]
 
     one = candidate({f"{RIPPLE}[k=6]": six}, f"{RIPPLE}.a")
     assert (one.title, one.keys) == (f"{RIPPLE}[k=6]", (RIPPLE,))
     assert one.to_json()["settings"] == {f"{RIPPLE}.k": 6.0}
-    assert estimates_text(one) == f"a = {figures}"
+    assert estimate_sheet(one).rows == [[f"{RIPPLE}[k=6].a", *figures]]
 
     beside = candidate(play | {f"{RIPPLE}[k=6]": six}, "backlash:1.b", f"{RIPPLE}.a")
     assert beside.title == f"backlash:1 + {RIPPLE}[k=6]"
-    assert estimates_text(beside) == f"backlash:1: b = {figures}\n{RIPPLE}[k=6]: a = {figures}"
+    assert estimate_sheet(beside).rows == [["backlash:1.b", *figures], [f"{RIPPLE}[k=6].a", *figures]]
 
     # two at one joint: parameters and settings carry the label, too
     two = candidate({f"{RIPPLE}[k=6]": six, f"{RIPPLE}[k=7]": seven}, f"{RIPPLE}[k=6].a", f"{RIPPLE}[k=7].a")
     assert two.to_json()["settings"] == {f"{RIPPLE}[k=6].k": 6.0, f"{RIPPLE}[k=7].k": 7.0}
-    assert estimates_text(two) == f"{RIPPLE}[k=6]: a = {figures}\n{RIPPLE}[k=7]: a = {figures}"
+    assert estimate_sheet(two).rows == [[f"{RIPPLE}[k=6].a", *figures], [f"{RIPPLE}[k=7].a", *figures]]
 
 
-def test_estimates_say_their_unit_unless_it_is_one() -> None:
-    angle = Estimate("backlash:3.b", "deg", 0.03, 0.01, 0.01, 0.05)
-    assert estimate_text(angle) == "b = 0.03 [0.01, 0.05] deg"
-    assert str(angle) == "b = 0.03 +- 0.02 deg"
-    assert estimate_text(Estimate("gear_ratio:1.e", "1", 0.5, 0.1, 0.3, 0.7)) == "e = 0.5 [0.3, 0.7]"
+def test_estimates_say_their_unit_and_small_probabilities_are_no_zero() -> None:
+    assert str(Estimate("backlash:3.b", "deg", 0.03, 0.01, 0.01, 0.05)) == "b = 0.03 +- 0.02 deg"
+    assert [p_value(p) for p in (0.0, 1e-9, 0.0123)] == ["< 1e-300", "1e-09", "0.012"]
 
 
 def test_rows_without_payload_are_completed_before_others_are_appended() -> None:
