@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from doe.report.pictures import AFTER, BEFORE, LIMIT, draw_residual_arrows
+from doe.report.pictures import AFTER, BEFORE, LIMIT, draw_residual_arrows, projections, workspace_axes
 from identification.arrays import Array
 from identification.estimation.intervals import quantile_95
 from identification.gap.detectability import Detectability
@@ -63,12 +63,13 @@ def binned_rms(x: Array, distance: Array) -> tuple[Array, Array]:
 def workspace_figure(diagnosis: Diagnosis) -> Figure:
     """Residual arrows over the workspace, before and after, on one scale; without outlier rows."""
     shown, kept = diagnosis.residuals, rows_kept(diagnosis)
-    figure = Figure(figsize=(10.0, 4.8), layout="constrained")
-    axes = figure.subplots(1, 2, sharex=True, sharey=True)
+    dimension = diagnosis.arm.dimension
+    figure = Figure(figsize=(10.0, 4.8 * len(projections(dimension))), layout="constrained")
+    axes = workspace_axes(figure, dimension)
     pairs = ((shown.before, BEFORE, "before"), (shown.after, AFTER, "after"))
-    for axis, (residuals, color, name) in zip(axes, pairs, strict=True):
-        scale = 0.12 * diagnosis.arm.lengths.sum() / (float(np.linalg.norm(shown.before[kept], axis=1).max()) or 1.0)
-        draw_residual_arrows(axis, shown.positions[kept], residuals[kept], color, name, float(scale))
+    for column, (residuals, color, name) in zip(axes, pairs, strict=True):
+        scale = 0.12 * diagnosis.arm.reach / (float(np.linalg.norm(shown.before[kept], axis=1).max()) or 1.0)
+        draw_residual_arrows(column, shown.positions[kept], residuals[kept], color, name, float(scale))
     return figure
 
 

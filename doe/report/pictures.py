@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Circle, Rectangle
 
 from doe.bounds.equivalence import sensitivity
@@ -131,14 +132,15 @@ def _largest(problem: DesignProblem, information: Array, others: Array, joint: i
 
 
 def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, after: Array) -> Figure:
-    """Residuals (m, 2) of a planar arm before and after, over the plane (arrows, enlarged) and against each joint."""
-    figure = Figure(figsize=(10.0, 6.2), layout="constrained")
-    top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.3, 1.0]))
+    """Residuals (m, d) before and after, over the workspace (arrows, enlarged) and against each joint."""
+    views = len(projections(arm.dimension))
+    figure = Figure(figsize=(10.0, 2.6 + 3.6 * views), layout="constrained")
+    top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.3 * views, 1.0]))
     pairs = ((before, BEFORE, "before"), (after, AFTER, "after"))
-    for axis, (residuals, color, name) in zip(top.subplots(1, 2, sharex=True, sharey=True), pairs, strict=True):
+    for column, (residuals, color, name) in zip(workspace_axes(top, arm.dimension), pairs, strict=True):
         size = float(np.linalg.norm(residuals, axis=1).max()) or 1.0
-        scale = 0.12 * float(arm.lengths.sum()) / size  # the largest arrow is an eighth of the reach
-        draw_residual_arrows(axis, positions, residuals, color, name, scale)
+        scale = 0.12 * arm.reach / size  # the largest arrow is an eighth of the reach
+        draw_residual_arrows(column, positions, residuals, color, name, scale)
     strips = np.atleast_1d(bottom.subplots(1, arm.links, sharey=True))
     for j, axis in enumerate(strips):
         for residuals, color in ((before, BEFORE), (after, AFTER)):
@@ -148,10 +150,27 @@ def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, 
     return figure
 
 
-def draw_residual_arrows(axis: Axes, positions: Array, residuals: Array, color: str, name: str, scale: float) -> None:
-    """Residuals (m, 2) as arrows at the measured positions, enlarged by `scale`."""
+def projections(dimension: int) -> list[tuple[int, int]]:
+    """Pairs of coordinates that a workspace is seen in: from above, in space from the side too."""
+    return [(0, 1)] if dimension == 2 else [(0, 1), (0, 2)]
+
+
+def workspace_axes(figure: Figure | SubFigure, dimension: int) -> list[list[Axes]]:
+    """Two columns of axes, before and after, with one for each projection."""
+    views = len(projections(dimension))
+    return [list(column) for column in figure.subplots(views, 2, sharex=True, sharey="row", squeeze=False).T]
+
+
+def draw_residual_arrows(
+    axes: Sequence[Axes], positions: Array, residuals: Array, color: str, name: str, scale: float
+) -> None:
+    """Residuals (m, d) as arrows at the measured positions, enlarged by `scale`, in each projection."""
     style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004, "color": color}
-    axis.quiver(*positions.T, *(residuals * scale).T, **style)
-    axis.plot(0, 0, "ks", ms=5)
-    axis.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
-    axis.set_title(f"{name}: RMS {rms_distance(residuals):.4g} mm, arrows x {scale:.0f}", fontsize=9)
+    planar = residuals.shape[1] == 2
+    for axis, (across, up) in zip(axes, projections(residuals.shape[1]), strict=True):
+        seen = [values[:, place] for values in (positions, residuals * scale) for place in (across, up)]
+        axis.quiver(*seen, **style)
+        axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]")
+        if planar:
+            axis.plot(0, 0, "ks", ms=5)
+    axes[0].set_title(f"{name}: RMS {rms_distance(residuals):.4g} mm, arrows x {scale:.0f}", fontsize=9)

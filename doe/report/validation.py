@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from doe.report.gap_figures import MANY, binned_rms
-from doe.report.pictures import AFTER, BEFORE, draw_residual_arrows
+from doe.report.pictures import AFTER, BEFORE, draw_residual_arrows, projections, workspace_axes
 from doe.report.terminal import number, table
 from identification.arrays import Array
 from identification.validate import Figures, Validation
@@ -54,8 +54,9 @@ def _draw_distances(axis: Axes, distances: Array, color: str, name: str) -> None
 
 def validation_figure(found: Validation) -> Figure:
     """Distances of drawing and model in the order of measurement, and their residuals over the workspace."""
-    figure = Figure(figsize=(10.0, 7.4), layout="constrained")
-    top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.0, 1.7]))
+    views = len(projections(found.arm.dimension))
+    figure = Figure(figsize=(10.0, 2.8 + 4.6 * views), layout="constrained")
+    top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.0, 1.7 * views]))
     pairs = ((found.nominal_residuals, BEFORE, "drawing"), (found.residuals, AFTER, "model"))
     axis = top.subplots()
     for residuals, color, name in pairs:
@@ -63,7 +64,7 @@ def validation_figure(found: Validation) -> Figure:
     axis.set(xlabel="measurement, in order", ylabel="distance [mm]", ylim=(0, None))
     axis.legend(frameon=False, fontsize=8)
     largest = max(float(np.linalg.norm(residuals, axis=1).max()) for residuals, _, _ in pairs) or 1.0
-    scale = 0.12 * float(found.arm.lengths.sum()) / largest
-    for axis, (residuals, color, name) in zip(bottom.subplots(1, 2, sharex=True, sharey=True), pairs, strict=True):
-        draw_residual_arrows(axis, found.measurements.positions[:, :2], residuals[:, :2], color, name, scale)
+    scale = 0.12 * found.arm.reach / largest
+    for column, (residuals, color, name) in zip(workspace_axes(bottom, found.arm.dimension), pairs, strict=True):
+        draw_residual_arrows(column, found.measurements.positions, residuals, color, name, scale)
     return figure
