@@ -120,7 +120,8 @@ def _chain(file: SpatialArmFile, folder: PathLike) -> SpatialChain:
         found = urdf_of(file.model_dump(include={"urdf", "base_link", "tip_link"}), folder)
         assert found is not None
         urdf, base, tip = found
-        chain = urdf.chain(base, tip)
+        tables = {REVOLUTE: file.joint_limits_deg, PRISMATIC: file.joint_limits_mm}
+        chain = urdf.chain(base, tip, [kind for kind, table in tables.items() if table is not None])
     else:
         given = dict.fromkeys(row.convention for row in file.dh if row.convention)
         if len(given) > 1:

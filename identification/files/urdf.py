@@ -8,7 +8,7 @@ radians (http://wiki.ros.org/urdf/XML/joint).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
 from xml.parsers import expat
@@ -50,21 +50,24 @@ class Urdf:
             link = self._attribute(found[-1], "parent", "link")
         return found[::-1]
 
-    def chain(self, base: str, tip: str) -> SpatialChain:
-        """The chain of moving joints; fixed joints between them belong to the next one's origin."""
+    def chain(self, base: str, tip: str, limited: Collection[str] = ()) -> SpatialChain:
+        """The chain of moving joints; fixed joints between them belong to the next one's origin.
+
+        limited : types of joints whose limits are given elsewhere, and may be missing here
+        """
         joints: list[Joint] = []
         before = np.eye(4)
         for element in self.elements(base, tip):
             before = before @ self._origin(element)
             if element.get("type") == FIXED:
                 continue
-            joints.append(self._joint(element, before))
+            joints.append(self._joint(element, before, limited))
             before = np.eye(4)
         if not joints:
             raise InputError(f"{self.path}: no joint moves between {base!r} and {tip!r}, allowed: at least one")
         return SpatialChain(tuple(joints), before)
 
-    def _joint(self, element: ElementTree.Element, origin: Array) -> Joint:
+    def _joint(self, element: ElementTree.Element, origin: Array, limited: Collection[str]) -> Joint:
         name, kind = str(element.get("name")), str(element.get("type"))
         if kind not in MOVING:
             allowed = f"allowed: {', '.join(MOVING)} and {FIXED}"
@@ -74,10 +77,10 @@ class Urdf:
         axis = self._numbers(element, "axis", "xyz", (1.0, 0.0, 0.0))
         if not np.any(axis):
             raise InputError(f"{self.path}: joint {name!r}: axis 0 0 0, allowed: a direction")
-        return Joint(name, origin, axis, MOVING[kind], *self._limits(element, kind))
+        return Joint(name, origin, axis, MOVING[kind], *self._limits(element, kind, MOVING[kind] in limited))
 
-    def _limits(self, element: ElementTree.Element, kind: str) -> tuple[float, float]:
-        if kind == "continuous":
+    def _limits(self, element: ElementTree.Element, kind: str, elsewhere: bool) -> tuple[float, float]:
+        if kind == "continuous" or elsewhere:
             return -np.pi, np.pi
         name, limit = element.get("name"), element.find("limit")
         if limit is None or limit.get("lower") is None or limit.get("upper") is None:

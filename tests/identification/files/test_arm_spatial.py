@@ -178,6 +178,15 @@ def test_arm_of_a_urdf_file(tmp_path: Path) -> None:
     )
 
 
+def test_limits_of_the_arm_file_stand_in_for_those_of_the_urdf(tmp_path: Path) -> None:
+    path = saved(tmp_path, BY_URDF)
+    (tmp_path / "six_axis.urdf").write_text(re.sub(r'lower="-0.4" upper="0.6"', "", URDF.read_text()))
+    assert load_arm(path).upper[0] == 500.0
+    path.write_text(re.sub(r"\[joint_limits_mm\]\nlower.*\nupper.*\n", "", BY_URDF))
+    with pytest.raises(InputError, match=r"joint 'slide': limit, lower or upper is missing, allowed: both"):
+        load_arm(path)
+
+
 @pytest.mark.parametrize("convention", ["standard", "modified"])
 def test_arm_of_a_table(tmp_path: Path, convention: str) -> None:
     """The tip is the product of the matrices as the convention prints them."""
