@@ -16,6 +16,8 @@ from identification.status import Status
 if TYPE_CHECKING:
     from identification.estimation import Identification
     from identification.gap.library_prior import LibraryPrior
+    from identification.measurements import Measurements
+    from identification.model import Model
 
 
 @verb("armcal identify arm.toml data.csv --out calibrated.toml", "Estimate the arm's parameters from measurements.")
@@ -53,9 +55,7 @@ def command(
     from identification.estimation import estimate, estimate_with_prior
     from identification.files.arm import load_arm
     from identification.gap.library_prior import given_by, library_prior
-    from identification.minimal import minimal
     from identification.model import Model
-    from identification.placed import placed_model
     from identification.sessions import with_sessions
 
     loaded = load_arm(arm)
@@ -67,7 +67,7 @@ def command(
     if not prior.held:
         model = Model(wide)
         if parameters == "minimal":
-            model = minimal(placed_model(model, measurements))
+            model = minimal_model(model, measurements)
         found = estimate(model, measurements, method=method, sigma=sigma)
         return answer(found, arm, output, urdf)
     if parameters == "minimal":
@@ -77,6 +77,19 @@ def command(
     library = library_prior(wide, given_by(measurements), prior.names)
     found = estimate_with_prior(library.model, measurements, library.prior, sigma=sigma)
     return answer(found, arm, output, urdf, library)
+
+
+def minimal_model(model: Model, measurements: Measurements) -> Model:
+    """The model with as many parameters as measurements tell apart; warns of those that they hardly do."""
+    from identification.minimal import WELL_TOLD, minimal
+    from identification.placed import placed_model
+
+    placed = placed_model(model, measurements)
+    found = minimal(placed, WELL_TOLD)
+    if hardly := [name for name in minimal(placed).names if name not in found.names]:
+        left = f"{', '.join(hardly)} would move no coordinate by {WELL_TOLD:g} mm RMS"
+        warnings.warn(f"left as drawn, {len(found.names)} parameters stay: {left}", UserWarning, stacklevel=2)
+    return found
 
 
 def answer(

@@ -254,3 +254,16 @@ def test_identify_of_the_ur10(folder: Folder) -> None:
     assert done.data["rms_after_mm"] < 0.5 < 0.9 < done.data["rms_before_mm"]
     assert any("joints 3 and 4 are" in sentence for sentence in done.data["strict_table"])
     assert len(read_urdf(folder.path / "ur10.urdf").chain("base_link", "tip").joints) == 6
+
+
+def test_what_the_ur10_hardly_tells_stays_as_drawn(folder: Folder) -> None:
+    """Its target is 0.2 mm off the last axis: without a prior two of 27 parameters would run to centimetres."""
+    shutil.copy(DATA / "ur10/ur10.toml", folder.path)
+    shutil.copy(DATA / "ur10/series_C.csv", folder.path)
+    done = folder.armcal("identify", "ur10.toml", "series_C.csv", "--parameters", "minimal", "--json")
+    assert done.code == 0, done.err
+    assert "left as drawn, 25 parameters stay: " in done.err
+    assert (len(done.data["parameters"]), done.data["status"]) == (25, "converged")
+    errors = [row for row in done.data["parameters"] if row["name"].startswith(("translation", "rotation", "joint"))]
+    assert max(abs(row["value"]) for row in errors) < 2.0
+    assert done.data["rms_after_mm"] < 0.5
