@@ -9,12 +9,14 @@ is kept is a choice: those that an engineer looks for first.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
-from identification.arm import Arm
+from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.errors import InputError
+from identification.kinematics.corrected import composed_base, composed_tools
 from identification.kinematics.parameters import JOINT_OFFSET
 from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.measurements import Conditions, Measurements
@@ -54,6 +56,17 @@ def practical(arm: Arm, measurements: Measurements) -> Arm:
     if arm.chain is None or arm.chain.fixed:
         return arm
     return minimal(placed_model(Model(arm), measurements), WELL_TOLD).arm
+
+
+def placed_calibration(arm: Arm, found: Calibration) -> Calibration:
+    """What a fit of a `practical` spatial arm found, with the values that it took as they were, and where base and
+    measured points are; of a planar arm as it is."""
+    if (chain := arm.chain) is None:
+        return found
+    kept = {} if arm.calibration is None else arm.calibration.values
+    values = {name: kept.get(name, 0.0) for name in chain.fixed} | dict(found.values)
+    tools = MappingProxyType(composed_tools(chain, values))
+    return replace(found, values=values, base=composed_base(chain, values), tools=tools)
 
 
 def independent(columns: Array, told: float = TOLD) -> list[int]:

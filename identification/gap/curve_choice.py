@@ -19,7 +19,7 @@ from identification.effects import Effect
 from identification.gap.curve_fit import Basis, Evidence, Penalized, bases_of
 from identification.gap.f_tests import CHUNK
 from identification.gap.fit import Fit
-from identification.gap.hypotheses import Hypothesis
+from identification.gap.hypotheses import Hypothesis, unseen_joints
 from identification.gap.lagged_products import LaggedProducts
 from identification.gap.whitening import Rows
 from identification.information import column_lengths
@@ -63,10 +63,11 @@ class System:
 
     @cached_property
     def bases(self) -> tuple[Basis, ...]:
-        """Of the joints that move and have no curve in the arm's file yet."""
+        """Of the joints that move, move the measured point, and have no curve in the arm's file yet."""
         arm = self.found.model.arm
         taken = {spec.joint for spec in arm.effects if spec.curve is not None}
-        return bases_of(self.rows.postures, [j for j in range(arm.links) if j + 1 not in taken])
+        unseen = unseen_joints(self.found.model, self.rows)
+        return bases_of(self.rows.postures, [j for j in range(arm.links) if j + 1 not in {*taken, *unseen}])
 
     def _columns(self, rows: Rows) -> Array:
         """(N, n) model, curves and residual, whitened as these rows are."""

@@ -22,6 +22,8 @@ from identification.gap.f_tests import CHUNK, Columns, Dictionary, dictionary
 from identification.gap.whitening import Rows
 from identification.model import Model
 
+# reasons: identification/README.md, "Constants"
+UNSEEN = 1e-3  # share of the reach
 Slopes = list[Array | None]  # per bundle (m, K, Z), None where they depend on the fitted model
 
 
@@ -184,6 +186,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
     shown = {name: cls for name, cls in known.items() if not (cls.alias or cls.scatter or cls.nuisance)}
     shown = {name: cls for name, cls in shown.items() if not cls.tabulated}
     own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths, arm.dimension)}
+    unseen = frozenset[int]() if rows is None else unseen_joints(Model(arm), rows)
     members: list[Hypothesis] = []
     skipped: dict[str, str] = {}
     for name, cls in shown.items():
@@ -192,12 +195,27 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
             continue
         for joint in _joints(cls, arm.links):
             spec = EffectSpec(name, joint)
+            if joint in unseen:
+                skipped[spec.key] = "the joint hardly moves the measured point"
+                continue
             found = [h for h in _with_settings(cls, spec, _scope(arm, joint, rows)) if h.effect.label not in own]
             members += found
             if not found:
                 skipped[spec.key] = "already in the arm's model"
     aliases = {name: cls.alias for name, cls in known.items() if cls.alias is not None}
     return HypothesisSet(arm, tuple(members), skipped, aliases)
+
+
+def unseen_joints(model: Model, rows: Rows) -> frozenset[int]:
+    """Joints, from 1, of a spatial arm whose lever, as RMS over the rows, is nothing beside the reach.
+
+    A reflector on the last axis does not see that joint, and a share of a micrometre would make its errors degrees.
+    """
+    if rows.dimension == 2:
+        return frozenset()
+    levers = model.joint_levers(rows.postures, None, rows.conditions)
+    sizes = np.sqrt(np.mean(np.sum(levers**2, axis=1), axis=0))
+    return frozenset((np.flatnonzero(sizes < UNSEEN * model.reach) + 1).tolist())
 
 
 def _joints(cls: type[Effect], links: int) -> list[int | None]:

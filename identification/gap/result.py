@@ -23,6 +23,7 @@ from identification.gap.order_range import OrderRange
 from identification.gap.probabilities import Probabilities
 from identification.gap.replication import Replication
 from identification.gap.rounds import Round
+from identification.minimal import placed_calibration
 
 
 @dataclass(frozen=True)
@@ -261,7 +262,8 @@ class Diagnosis:
         said["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
         said["probability"] = self.probability
         named = self.named.calibration
-        return replace(named, provenance=MappingProxyType({**named.provenance, **said}))
+        named = replace(named, provenance=MappingProxyType({**named.provenance, **said}))
+        return placed_calibration(self.arm, named)
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `diagnose` (identification/files/README.md, "JSON keys")."""

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 from identification.arm import Arm
 from identification.gap.diagnose import diagnose
+from identification.gap.hypotheses import hypotheses, unseen_joints
+from identification.gap.whitening import Rows
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
-from identification.measurements import Measurements
+from identification.measurements import Measurements, rms_distance
+from identification.model import Model
 
 HALF = np.pi / 2.0
 TABLE = [(0.0, HALF, 300.0), (-420.0, 0.0, 0.0), (-390.0, 0.0, 0.0), (0.0, HALF, 130.0), (0.0, -HALF, 100.0)]
@@ -85,3 +90,27 @@ def test_found_again(effect: str, names: tuple[str, ...]) -> None:
     assert found.gap.held_out_after is not None
     # of three coordinates, with as much again for some 26 parameters from 180 equations
     assert found.gap.held_out_after < 0.05 * np.sqrt(3.0) * np.sqrt(1.0 + 28.0 / 180.0) * 1.15
+
+
+def test_a_joint_that_moves_nothing_is_not_looked_at() -> None:
+    """A reflector 0.1 mm off the last axis: its lever is a tenth of a millimetre, those of the others are long."""
+    chain = replace(ARM.chain, tools={"1": np.array([0.1, 0.0, 60.0])}, known=frozenset({"base", "tool"}))  # type: ignore[type-var]
+    arm, generator = Arm.of_chain(chain), np.random.default_rng(3)
+    postures = generator.uniform(-2.0, 2.0, (20, 6))
+    rows = Rows.of(Measurements(postures, Model(arm).position(postures)))
+    assert unseen_joints(Model(arm), rows) == {6}
+    found = hypotheses(arm, frozenset(), rows)
+    assert {h.spec.joint for h in found.members} == {None, 1, 2, 3, 4, 5}
+    assert found.skipped["backlash:6"] == "the joint hardly moves the measured point"
+
+
+@pytest.mark.slow
+def test_the_extended_arm_stands_where_it_was_measured() -> None:
+    """The file that a diagnosis writes predicts, with nothing refitted, as the diagnosis does."""
+    data, holdout = simulated("ripple", 2)
+    found = diagnose(ARM, data, holdout, draws=399)
+    arm = found.extended_arm()
+    left = holdout.positions - Model(arm).position(holdout.postures, conditions=holdout.conditions)
+    assert rms_distance(left) == pytest.approx(found.gap.held_out_after or 0.0, rel=0.02)
+    assert found.calibration.base is not None
+    np.testing.assert_allclose(found.calibration.tools["1"], [45.0, -70.0, 60.0], atol=5.0)  # in the tip's frame
