@@ -8,12 +8,17 @@ from doe.bounds.bound import Bound
 from doe.bounds.column_generation import column_generation, continuous_bound
 from doe.bounds.multiplicative import POWERS, multiplicative
 from doe.bounds.planar_theorem import closed_form_bound
+from doe.plan.ascent import WIDE
 from doe.problem.candidates import listed
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import JobError
+from identification.threads import single_thread
 
 BEATEN = 1e-8  # relative excess over a bound that is not rounding
+EXACT = 1e-8  # relative gap of a bound over all postures
+ROUGH = 1e-3  # the same for models of many parameters: some seconds instead of half a minute
+MANY = 60  # parameters beyond which optimal weights on a list are computed to a percent only
 
 
 def best_known_bound(problem: DesignProblem, runs: int) -> Bound | None:
@@ -28,16 +33,22 @@ def best_known_bound(problem: DesignProblem, runs: int) -> Bound | None:
     if not problem.searched_joints:
         return Bound(problem.objective(np.tile(problem.lower, (runs, 1))), "continuous", rigorous=True)
     try:
-        found = continuous_bound(problem, runs=runs) if problem.choices is None else list_bound(problem, runs)
+        with single_thread():
+            found = everywhere(problem, runs) if problem.choices is None else list_bound(problem, runs)
     except JobError:
         return closed
     return min((bound for bound in (closed, found) if bound is not None), key=lambda bound: bound.value, default=None)
 
 
+def everywhere(problem: DesignProblem, runs: int) -> Bound:
+    """Over all postures within limits and constraints. Raises `JobError` where the optimum was not reached."""
+    return continuous_bound(problem, runs=runs, tolerance=ROUGH if problem.parameters > WIDE else EXACT)
+
+
 def list_bound(problem: DesignProblem, runs: int) -> Bound | None:
-    """Over the choices: exact where parameters are few, within a percent with a prior over many effects."""
+    """Over the choices: exact, of very many parameters within a percent."""
     candidates = listed(problem, () if problem.choices is None else problem.choices)
-    if problem.deviations and problem.criterion.name in POWERS:
+    if problem.parameters > MANY and problem.criterion.name in POWERS:
         return multiplicative(problem, candidates, runs=runs).bound
     return column_generation(problem, candidates, runs=runs).bound
 

@@ -20,7 +20,9 @@ from doe.bounds.equivalence import largest_sensitivity
 from doe.bounds.pricing import candidate_price, continuous_price
 from doe.bounds.restricted_master import Stage, generate_columns
 from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobian
+from doe.plan.ascent import PlanAscent, climbs
 from doe.problem.candidates import Candidates, PostureList, spread
+from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import JobError
@@ -30,6 +32,7 @@ SAMPLE = 20_000  # of very many candidates, which are priced first
 COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
 FINE = 1e-6  # the same, before the first thorough search
 SEMIDEFINITE = 1e-6  # relative gap that a semidefinite program reaches reliably
+LONG = 3  # postures per parameter of that plan
 PROOFS = 20  # attempts, each with a posture more that was missed
 MOST_BOXES = 8_000  # of branch and bound; about a second
 
@@ -75,16 +78,28 @@ def continuous_design(
     prior = problem.prior.per_new_run(runs)
     tolerance = _attainable(problem, tolerance)
     everything = ContinuousSet(problem, prior, also)
-    starts = PostureList(everything.starts)
-    stages = [Stage(candidate_price(problem, starts, prior), COARSE), *ascents(everything, tolerance)]
-    ended, gap = generate_columns(problem, prior, spread(starts, 6 * problem.parameters), stages)
+    if climbs(problem):
+        stages = [Stage(continuous_price(everything, np.random.default_rng(0)), tolerance)]
+        start = climbed(problem, runs)
+    else:
+        stages = ascents(everything, tolerance)
+        starts = PostureList(everything.starts)
+        stages.insert(0, Stage(candidate_price(problem, starts, prior), COARSE))
+        start = spread(starts, 6 * problem.parameters)
+    ended, gap = generate_columns(problem, prior, start, stages)
     largest = max(ended.level + gap, float(everything.best(ended.gradient, ended.plan.postures)[1][0]))
     jacobians = trigonometric_jacobian(problem) if proof > 0.0 and not problem.constraints else None
     rigorous = False
     if jacobians is not None:
         proof = max(tolerance, proof)
-        ended, largest, rigorous = prove(everything, jacobians, ended, largest, stages[1:], proof)
+        ended, largest, rigorous = prove(everything, jacobians, ended, largest, ascents(everything, tolerance), proof)
     return certified(ended, largest, None, max(tolerance, proof), began, rigorous=rigorous)
+
+
+def climbed(problem: DesignProblem, runs: int | None) -> Array:
+    """(k, n) postures of a long plan that was climbed on gradients: nearly the support of the best weights."""
+    postures = random_postures(problem, LONG * problem.parameters, np.random.default_rng(0))
+    return PlanAscent(problem, runs or len(postures))(postures[None])[0]
 
 
 def ascents(everything: ContinuousSet, tolerance: float) -> list[Stage]:

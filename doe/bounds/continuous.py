@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.problem.derivatives import Derivatives, constraint_derivatives, constraint_values, jacobian_derivatives
+from doe.problem.derivatives import Derivatives, JacobianDerivatives, constraint_derivatives, constraint_values
 from doe.problem.feasible import random_postures
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
@@ -47,8 +47,8 @@ class ContinuousSet:
     also: Array | None = None
 
     @cached_property
-    def _derivatives(self) -> Derivatives:
-        return jacobian_derivatives(self.problem, range(self.problem.joints))
+    def _derivatives(self) -> JacobianDerivatives:
+        return JacobianDerivatives(self.problem, range(self.problem.joints))
 
     @cached_property
     def _walls(self) -> Derivatives:
@@ -64,16 +64,11 @@ class ContinuousSet:
 
     def slopes(self, postures: Array, gradient: Array) -> tuple[Array, Array]:
         """(m, n) gradient and (m, n, n) Hessian of tr(G F(q)) with respect to the joint angles."""
-        m, n = postures.shape
-        d, p = self.problem.model.dimension, self.problem.parameters
-        flat, first, second = self._derivatives(postures)
-        jacobians = flat.reshape(m, d, p)
-        first = first.reshape(m, d, p, n)
-        weighted = jacobians @ gradient
-        slope = 2.0 * np.einsum("mda,mdai->mi", weighted, first, optimize=True)
-        turned = np.einsum("ab,mdbi->mdai", gradient, first, optimize=True).reshape(m, d * p, n)
-        hessian = np.swapaxes(first.reshape(m, d * p, n), 1, 2) @ turned
-        hessian += np.einsum("ma,maij->mij", weighted.reshape(m, -1), second, optimize=True)
+        jacobians, first = self._derivatives.first(postures)
+        weighted, flat = jacobians @ gradient, first.reshape(*first.shape[:2], -1)
+        slope = 2.0 * np.einsum("mx,max->ma", weighted.reshape(len(first), -1), flat)
+        hessian = (first @ gradient).reshape(flat.shape) @ np.swapaxes(flat, 1, 2)
+        hessian += self._derivatives.bend(postures, weighted)
         return self.prior.new_fraction * slope, 2.0 * self.prior.new_fraction * hessian
 
     # -- where to start ----------------------------------------------------------------------------------------------

@@ -31,6 +31,7 @@ ROUNDS = 200
 CROWD = 30  # postures per parameter
 ROUGH = 1e-4  # gap of the weights relative to that of the postures, until the end
 EXACT = 1e-14  # the same at the end: rounding
+FINE = 1e-6  # gap of the postures from which the end is exact
 NEGLIGIBLE = 1e-10  # weight below which a posture is dropped
 RANK = 1e-13  # reciprocal condition number of a matrix that is one rank short
 
@@ -111,6 +112,7 @@ def generate_columns(
 ) -> tuple[SparseDesign, float]:
     """Optimal weights, and the gap (absolute) that the last pricing of the last stage found."""
     accuracy = EXACT  # of the weights; later, far from the end, exact ones would be wasted
+    finest = EXACT if stages[-1].goal <= FINE else ROUGH * stages[-1].goal
     working = WorkingSet.solved(problem, prior, start, problem.scaled_jacobians(start), accuracy)
     current, gap, smallest = 0, np.inf, np.inf
     for _ in range(ROUNDS):
@@ -118,14 +120,14 @@ def generate_columns(
         offers, largest = stage.price(working.solution.gradient, reached, working.postures)
         gap = largest - reached
         if len(offers) and gap > stage.goal * abs(reached):
-            accuracy = max(ROUGH * gap / abs(reached), EXACT)
+            accuracy = max(ROUGH * gap / abs(reached), finest)
             # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
             crowded = len(working.postures) > CROWD * problem.parameters
             working = working.extended(offers, accuracy, purge=crowded or gap < 0.9 * smallest)
             smallest = min(smallest, gap)
             current -= stage.back
-        elif accuracy > EXACT:
-            accuracy = EXACT
+        elif accuracy > finest:
+            accuracy = finest
             working = working.refined(accuracy)
         elif current == len(stages) - 1:
             break

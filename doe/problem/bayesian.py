@@ -138,4 +138,6 @@ def ensemble_problem(problem: DesignProblem, draws: Array, kind: str = "average"
         raise InputError("uncertain: the model is one of several arms already, allowed: the model of one arm")
     model = EnsembleModel(problem.model, draws)
     criterion: Criterion = (Average if kind == "average" else Worst)(len(model.draws))
-    return replace(problem, model=model, criterion=criterion)
+    numbers = range(1, len(model.draws) + 1)
+    known = {f"{name} [draw {k}]": deviation for k in numbers for name, deviation in problem.deviations.items()}
+    return replace(problem, model=model, criterion=criterion, deviations=known)

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from doe.criteria import Criterion, D
 from doe.problem.constraints import Constraint, constraints_of
 from doe.problem.prior import PriorInformation, precisions
+from doe.problem.spatial import designed
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.information import information_matrix
@@ -114,10 +115,13 @@ class DesignProblem:
 
     @classmethod
     def of(cls, model: Model, **changes: Any) -> DesignProblem:
-        """The problem of an arm's model within the arm's own joint limits and constraints."""
+        """The problem of an arm's model within the arm's own joint limits and constraints; of a spatial arm with the
+        prior of its machining, see `doe.problem.spatial`."""
         if not hasattr(model, "arm"):
             raise InputError(f"model: {type(model).__name__}, allowed: a Model, such as Model(arm)")
-        return cls(model, model.arm.lower, model.arm.upper, **{"constraints": constraints_of(model)} | changes)
+        placed, whole, known = designed(model)
+        own = {"constraints": constraints_of(placed), "deviations": known}
+        return cls(whole, model.arm.lower, model.arm.upper, **own | changes)
 
     @property
     def joints(self) -> int:

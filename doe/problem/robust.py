@@ -49,7 +49,7 @@ def robust_problem(
     criterion : None: I, the mean squared error of the tip over `workspace`, with the estimated effects in the model
     """
     added = missing_effects(problem) if missing is None else missing
-    wide = replace(problem, model=added.model, deviations=added.prior.deviations)
+    wide = replace(problem, model=added.model, deviations={**problem.deviations, **added.prior.deviations})
     return replace(wide, criterion=average_error(wide) if criterion is None else criterion)
 
 

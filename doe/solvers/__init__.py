@@ -5,6 +5,7 @@ from __future__ import annotations
 from doe.solvers.exchange import Exchange
 from doe.solvers.exchange_ipopt import ExchangeIpopt
 from doe.solvers.fedorov import Fedorov
+from doe.solvers.gradient import Gradient
 from doe.solvers.ipopt import Ipopt
 from doe.solvers.planar_theory import Analytic
 from doe.solvers.random import Random
@@ -19,6 +20,7 @@ __all__ = [
     "Exchange",
     "ExchangeIpopt",
     "Fedorov",
+    "Gradient",
     "Ipopt",
     "Offer",
     "Random",

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from doe.criteria.criterion import Criterion, smooth
-from doe.problem.derivatives import Derivatives, constraint_derivatives, jacobian_derivatives
+from doe.problem.derivatives import Derivatives, JacobianDerivatives, constraint_derivatives
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.information import information_matrix
@@ -56,35 +56,33 @@ class PlanFunction:
 
         Raises numpy's `LinAlgError` where the information matrix is singular.
         """
-        m, a = len(postures), len(self.joints)
-        jacobian, first, second = self._derivatives(postures)
-        jacobian = jacobian.reshape(m, -1, self.problem.parameters)
-        first = np.moveaxis(first.reshape(*jacobian.shape, a), 3, 1)
+        jacobian, first = self._derivatives.first(postures)
         total = self.runs + self.problem.prior.runs
         information = self.problem.prior.information(information_matrix(jacobian), self.runs)
         gradient = self.criterion.gradient(information)
         slope = (2.0 / total) * np.einsum("mdp,madp->ma", jacobian @ gradient, first)
         value = float(self.criterion.value(information))
-        return value, slope.ravel(), self._hessian(jacobian, first, second, information, gradient, total)
+        bend = self._derivatives.bend(postures, jacobian @ gradient)
+        return value, slope.ravel(), self._hessian(jacobian, first, bend, information, gradient, total)
 
     def _hessian(
-        self, jacobian: Array, first: Array, second: Array, information: Array, gradient: Array, total: float
+        self, jacobian: Array, first: Array, bend: Array, information: Array, gradient: Array, total: float
     ) -> Array:
-        """(m a, m a) of B (m, d, p), dB (m, a, d, p) and d2B (m, d p, a, a)."""
+        """(m a, m a) of B (m, d, p), dB (m, a, d, p) and the Hessians (m, a, a) of <B G, B>."""
         m, a, d, p = first.shape
         half = np.swapaxes(jacobian, -1, -2)[:, None] @ first  # B^T dB_a, (m, a, p, p)
         directions = (half + np.swapaxes(half, -1, -2)).reshape(m * a, p, p) / total
         hessian = self.criterion.curvature(information, directions).reshape(m, a, m, a)
         flat = first.reshape(m, a, d * p)
         own = flat @ np.swapaxes((first @ gradient).reshape(m, a, d * p), -1, -2)
-        own += np.einsum("mx,mxab->mab", (jacobian @ gradient).reshape(m, d * p), second)
+        own += bend
         runs = np.arange(m)
         hessian[runs, :, runs, :] += (2.0 / total) * own
         return hessian.reshape(m * a, m * a)
 
     @cached_property
-    def _derivatives(self) -> Derivatives:
-        return jacobian_derivatives(self.problem, self.joints)
+    def _derivatives(self) -> JacobianDerivatives:
+        return JacobianDerivatives(self.problem, self.joints)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.criteria.criterion import surrogate, values_after_adding
+from doe.plan.ascent import WIDE
 from doe.plan.replicate_spacing import distance_to_keep
 from doe.problem.feasible import random_grid
 from doe.problem.problem import DesignProblem, information_of_each
@@ -26,7 +27,6 @@ from identification.information import information_matrix
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
 SWEEPS = 60
 TOGETHER = 20_000  # runs of all starts of a batch, at most: keeps memory and time of a batch small
-WIDE = 16  # parameters from which starts are saved
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from doe.solvers.exchange import Exchange
 from doe.solvers.exchange_ipopt import ExchangeIpopt
 from doe.solvers.fedorov import Fedorov
+from doe.solvers.gradient import Gradient
 from doe.solvers.ipopt import Ipopt
 from doe.solvers.planar_theory import Analytic
 from doe.solvers.random import Random
@@ -21,6 +22,7 @@ SOLVERS: dict[str, Solver] = {
     "exchange": Exchange(),
     "exchange_ipopt": ExchangeIpopt(),
     "fedorov": Fedorov(),
+    "gradient": Gradient(),
     "ipopt": Ipopt(),
     "random": Random(),
     "relaxation_rounding": RelaxRound(),

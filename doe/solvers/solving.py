@@ -12,6 +12,7 @@ import numpy as np
 from doe.bounds.best_known import best_known_bound, bound_that_holds
 from doe.bounds.bound import Bound
 from doe.design import Design
+from doe.plan.ascent import climbs
 from doe.problem.problem import DesignProblem
 from doe.solvers.driver import SearchResult, design_of, run_search
 from doe.solvers.fedorov import Fedorov
@@ -72,7 +73,9 @@ def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver
     if isinstance(solver, str):
         solver = solver_named(solver)
     if solver is None:
-        return SOLVERS["exchange_ipopt" if problem.choices is None else "fedorov"]
+        return SOLVERS[
+            "fedorov" if problem.choices is not None else "gradient" if climbs(problem) else "exchange_ipopt"
+        ]
     if problem.choices is not None and not isinstance(solver, Fedorov):
         raise InputError(f"solver: {solver.name} cannot choose from a list of postures, allowed: fedorov")
     return solver

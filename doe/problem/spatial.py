@@ -1,0 +1,128 @@
+"""What a design of a spatial arm takes for granted: which parameters it is for, and where the measured points are.
+
+More errors are possible in a chain than measurements tell apart. With a sigma each is held by the prior of its
+machining, as `identify` holds it, and the criterion is that of the posterior; without one the design is for a minimal
+set. A measured point that the arm does not know is assumed beside the last axis, since on it the last joint shows
+nothing. The base stays where the arm has it, at the origin where it is not known: no criterion that a change of frame
+does not matter to depends on it.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identification.arrays import Array
+from identification.conditions import Conditions
+from identification.kinematics.parameters import ParameterSet
+from identification.kinematics.spatial import TOOL, SpatialChain
+from identification.minimal import minimal
+from identification.model import Model
+from identification.vectorize import vectorize
+
+if TYPE_CHECKING:
+    from doe.problem.problem import InformationModel
+
+OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flange of most arms
+
+
+@dataclass(frozen=True)
+class EveryPoint:
+    """All measured points of a spatial arm at every posture: d is three times their number."""
+
+    model: Model
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """As of the model."""
+        return self.model.parameters
+
+    @property
+    def values(self) -> Array:
+        """As of the model."""
+        return self.model.values
+
+    @property
+    def points(self) -> int:
+        """How many."""
+        chain = self.model.arm.chain
+        return 1 if chain is None else len(chain.tools)
+
+    @property
+    def dimension(self) -> int:
+        """d, three for each point."""
+        return self.model.dimension * self.points
+
+    @property
+    def joint_types(self) -> tuple[str, ...]:
+        """As of the model."""
+        return self.model.joint_types
+
+    @property
+    def sigma(self) -> float | None:
+        """As of the model."""
+        return self.model.sigma
+
+    @property
+    def neutral_conditions(self) -> Array:
+        """As of the model; the number of the point in it is not used."""
+        return self.model.neutral_conditions
+
+    @cached_property
+    def jacobian_function(self) -> ca.Function:
+        """CasADi (q, c, p) -> positions (d) and Jacobian (d, p), point by point."""
+        inner = self.model.jacobian_function
+        q, c, p = (ca.SX.sym(name, inner.size1_in(k)) for k, name in enumerate("qcp"))
+        place, each = Conditions.columns(self.model.joints, self.model.remembers), []
+        for point in range(self.points):
+            conditions = ca.SX(c)
+            conditions[place] = point
+            each.append(inner(q, conditions, p))
+        outputs = [ca.vertcat(*parts) for parts in zip(*each, strict=True)]
+        return ca.Function("every_point", [q, c, p], ca.cse(outputs))
+
+    @cached_property
+    def _jacobian(self) -> Callable[..., tuple[np.ndarray, ...]]:
+        return vectorize(self.jacobian_function)
+
+    def jacobian(self, postures: ArrayLike, parameters: Any = None, conditions: Any = None) -> Array:
+        """(m, d, p) of postures (m, n)."""
+        values = self.values if parameters is None else np.asarray(parameters, dtype=float)
+        table = self.neutral_conditions if conditions is None else conditions
+        return np.asarray(self._jacobian(np.asarray(postures, dtype=float), table, values)[1])
+
+
+def designed(model: Model) -> tuple[Model, InformationModel, Mapping[str, float]]:
+    """The model with its measured points in place, the same with all of them, and what is known of its parameters.
+
+    Planar models stay as they are. Warns (`UserWarning`) of points that are assumed.
+    """
+    if model.arm.chain is None:
+        return model, model, {}
+    placed = replace(model, arm=replace(model.arm, chain=with_points(model.arm.chain)))
+    if model.sigma is None and model.held:
+        placed = minimal(placed)
+    several = len(model.arm.chain.tools) > 1
+    return placed, EveryPoint(placed) if several else placed, placed.prior
+
+
+def with_points(chain: SpatialChain) -> SpatialChain:
+    """The chain with the measured points that it does not know beside the last axis, evenly around it."""
+    names = [name for name, place in chain.tools.items() if not np.any(place)]
+    if TOOL in chain.known or not names:
+        return chain
+    beside = ", ".join(names) if len(chain.tools) > 1 else "the measured point"
+    warnings.warn(f"tool: {beside} is not known, {OFF_AXIS:g} mm beside the last axis is assumed", stacklevel=2)
+    axis = chain.end[:3, :3].T @ chain.joints[-1].axis
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across /= np.linalg.norm(across)
+    turns = 2.0 * np.pi * np.arange(len(names)) / len(names)
+    places = OFF_AXIS * (np.cos(turns)[:, None] * across + np.sin(turns)[:, None] * np.cross(axis, across))
+    return replace(chain, tools={**chain.tools, **dict(zip(names, places, strict=True))})

@@ -1,0 +1,67 @@
+"""Many starts climb together on gradients alone, and exchange what they found: for models of many parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from doe.plan.ascent import PlanAscent
+from doe.problem.feasible import random_postures
+from doe.problem.problem import DesignProblem
+from doe.solvers.fedorov import ListBatch, initial
+from doe.solvers.solver import Budget, Offer
+from identification.arrays import Array
+from identification.errors import InputError
+
+TOGETHER = 2_000  # runs of all starts of a batch, at most: their arrays stay in the processor's cache
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """L-BFGS from random postures; later batches from exchanges among the postures of the best plans so far.
+
+    count : starts;  batch : starts that climb together;  pool : postures to exchange, of as many plans as have them
+    """
+
+    count: int = 15
+    batch: int = 10
+    pool: int = 300
+    name: str = "gradient"
+
+    def starts_for(self, problem: DesignProblem) -> int:
+        """The same for every problem."""
+        return self.count
+
+    def offers(
+        self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
+    ) -> Iterator[Offer]:
+        """One offer per start. Raises `InputError` where there are constraints."""
+        if problem.constraints:
+            raise InputError("solver: gradient keeps joint limits only, found constraints, allowed: exchange_ipopt")
+        climb, left, best = PlanAscent(problem), budget.starts, list[Array]()
+        elite = max(2, self.pool // runs)
+        while True:
+            count = max(1, min(self.batch, left, TOGETHER // runs))
+            left -= count
+            started = random_postures(problem, count * runs, generator).reshape(count, runs, -1)
+            yield Offer(started[0])  # something to return if the user stops during the first batch
+            first = not best
+            if not first:
+                started = exchanged(problem, np.concatenate([*best, started[0]]), (count, runs), generator, budget)
+            plans = climb(started, stop=lambda: budget.out_of_time)
+            for plan in plans:
+                yield Offer(plan, 1, independent=first)
+            best = sorted([*best, *plans], key=lambda plan: -problem.objective(plan))[:elite]
+
+
+def exchanged(
+    problem: DesignProblem, pool: Array, shape: tuple[int, int], generator: np.random.Generator, budget: Budget
+) -> Array:
+    """(s, m, n) plans of the pool's postures that no exchange with the pool improves."""
+    postures = np.unique(pool, axis=0)
+    offered = problem.scaled_jacobians(postures)
+    search = ListBatch(problem, offered, initial(problem, len(offered), shape, generator))
+    search.improve(generator, budget)
+    return np.asarray(postures[search.chosen])

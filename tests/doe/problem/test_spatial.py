@@ -1,0 +1,90 @@
+"""Designs of spatial arms: the prior of machining, the minimal set, measured points that are not known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doe.problem.bayesian import ensemble_problem, prior_draws
+from doe.problem.problem import DesignProblem
+from doe.problem.spatial import OFF_AXIS, EveryPoint, designed, with_points
+from identification.arm import Arm
+from identification.minimal import minimal
+from identification.model import Model
+from tests.doe.arms import FOUR
+from tests.doe.six_axis import CHAIN, REFLECTOR, SIX_AXIS, difference_information, difference_jacobian, six_axis
+
+POSTURES = np.random.default_rng(0).uniform(SIX_AXIS.lower, SIX_AXIS.upper, (20, 6))
+
+
+def test_with_a_sigma_the_prior_of_machining_counts() -> None:
+    problem = six_axis()
+    assert problem.parameters == 39
+    assert len(problem.deviations) == 30
+    assert problem.fewest_runs == 3
+    expected = difference_information(problem, Model(SIX_AXIS), POSTURES)
+    np.testing.assert_allclose(problem.information(POSTURES), expected, atol=1e-8 * np.abs(expected).max())
+    assert problem.objective(POSTURES) == pytest.approx(np.linalg.slogdet(expected)[1], abs=1e-3)
+
+
+def test_without_a_sigma_the_design_is_for_a_minimal_set() -> None:
+    problem = six_axis(replace(SIX_AXIS, sigma=None))
+    assert problem.parameters == 27
+    assert not problem.deviations
+    model = minimal(Model(SIX_AXIS))
+    columns = (difference_jacobian(model, POSTURES) / model.scales).reshape(-1, 27)
+    expected = np.linalg.slogdet(columns.T @ columns / len(POSTURES))[1]
+    assert problem.objective(POSTURES) == pytest.approx(expected, abs=1e-5)
+
+
+def test_both_order_plans_alike_where_sigma_is_small() -> None:
+    """What measurements tell apart swamps the prior: log det differs by the same number for every plan."""
+    held, free = six_axis(replace(SIX_AXIS, sigma=1e-4)), six_axis(replace(SIX_AXIS, sigma=None))
+    plans = np.random.default_rng(1).uniform(held.lower, held.upper, (5, 30, 6))
+    differences = [held.objective(plan) - free.objective(plan) for plan in plans]
+    np.testing.assert_allclose(differences, differences[0], atol=1e-3)
+
+
+def test_a_user_may_design_for_a_minimal_set_or_without_a_prior() -> None:
+    assert six_axis().parameters == 39
+    assert DesignProblem.of(minimal(Model(SIX_AXIS))).parameters == 27
+    assert DesignProblem.of(Model(SIX_AXIS, held=False)).objective(POSTURES) < -100.0  # nearly singular, and not held
+    assert not DesignProblem.of(Model(FOUR)).deviations
+
+
+def test_points_that_are_not_known_lie_beside_the_last_axis() -> None:
+    three = replace(CHAIN, tools={name: np.zeros(3) for name in "abc"})
+    with pytest.warns(UserWarning, match="a, b, c is not known, 100 mm beside the last axis"):
+        places = np.array(list(with_points(three).tools.values()))
+    np.testing.assert_allclose(np.linalg.norm(places[:, :2], axis=1), OFF_AXIS)  # the last axis is z of the tip
+    np.testing.assert_allclose(places.sum(axis=0), 0.0, atol=1e-9)
+    assert with_points(CHAIN) is CHAIN
+    known = replace(three, known=frozenset({"tool"}))
+    assert with_points(known) is known
+
+
+def test_every_point_is_measured_at_every_posture() -> None:
+    tools = {"1": REFLECTOR, "2": np.array([-50.0, 20.0, 80.0])}
+    arm = Arm.of_chain(replace(CHAIN, tools=tools), sigma=0.05)
+    problem = six_axis(arm)
+    assert isinstance(problem.model, EveryPoint)
+    assert problem.model.dimension == 6
+    blocks = problem.model.jacobian(POSTURES[:3])
+    np.testing.assert_allclose(blocks, problem.scaled_jacobians(POSTURES[:3]) * problem.model.parameters.scales)
+    own = [k for k, name in enumerate(problem.model.parameters.names) if not name.startswith("tool")]
+    shared = [k for k, name in enumerate(Model(SIX_AXIS).names) if not name.startswith("tool")]
+    for rows, tool in ((slice(0, 3), tools["1"]), (slice(3, 6), tools["2"])):
+        expected = difference_jacobian(Model(SIX_AXIS), POSTURES[:3], tool)[..., shared]
+        np.testing.assert_allclose(blocks[:, rows][..., own], expected, atol=1e-4)
+
+
+def test_uncertain_arms_keep_their_prior() -> None:
+    problem = six_axis()
+    placed, _, _ = designed(Model(SIX_AXIS))
+    draws = prior_draws(placed, 2, np.random.default_rng(0))
+    uncertain = ensemble_problem(problem, draws)
+    assert uncertain.parameters == 78
+    each = [replace(problem, model=replace(placed, known=None)).objective(POSTURES)]
+    assert uncertain.objective(POSTURES) == pytest.approx(2.0 * each[0], rel=1e-2)
