@@ -17,10 +17,10 @@ from doe.bounds.bound import Bound
 from doe.bounds.branch_and_bound import maximum
 from doe.bounds.continuous import ContinuousSet
 from doe.bounds.equivalence import largest_sensitivity
-from doe.bounds.pricing import candidate_price, continuous_price
+from doe.bounds.pricing import Shortlist, candidate_price, continuous_price
 from doe.bounds.restricted_master import Stage, generate_columns
 from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobian
-from doe.plan.ascent import PlanAscent, climbs
+from doe.plan.ascent import WIDE, PlanAscent, climbs
 from doe.problem.candidates import Candidates, PostureList, spread
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
@@ -31,6 +31,7 @@ from identification.status import Status
 SAMPLE = 20_000  # of very many candidates, which are priced first
 COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
 FINE = 1e-6  # the same, before the first thorough search
+MILLIONTH = 1e-6  # relative gap for very many candidates and many parameters: a pass takes seconds
 SEMIDEFINITE = 1e-6  # relative gap that a semidefinite program reaches reliably
 LONG = 3  # postures per parameter of that plan
 PROOFS = 20  # attempts, each with a posture more that was missed
@@ -51,8 +52,10 @@ def column_generation(
     tolerance = _attainable(problem, tolerance)
     stages = [Stage(candidate_price(problem, candidates, prior), tolerance)]
     if len(candidates) > 4 * SAMPLE:
-        sample = PostureList(spread(candidates, SAMPLE))
-        stages.insert(0, Stage(candidate_price(problem, sample, prior), max(COARSE, tolerance)))
+        tolerance = max(tolerance, MILLIONTH) if problem.parameters > WIDE else tolerance
+        sample, few = PostureList(spread(candidates, SAMPLE)), Shortlist(problem, candidates, prior)
+        first = Stage(candidate_price(problem, sample, prior), max(COARSE, tolerance))
+        stages = [first, Stage(few.best, tolerance), Stage(few.everything, tolerance, back=1)]
     start = spread(candidates, 6 * problem.parameters)
     ended, _ = generate_columns(problem, prior, start, stages)
     largest = largest_sensitivity(problem, candidates, ended.gradient, prior)

@@ -7,12 +7,13 @@ import numpy as np
 from doe.bounds.continuous import ContinuousSet, distinct
 from doe.bounds.equivalence import CandidateJacobians, candidate_sensitivities
 from doe.bounds.restricted_master import Price
-from doe.problem.candidates import Candidates
+from doe.problem.candidates import Candidates, PostureList
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 
 NEAR = 0.2  # [rad] times the root of the relative gap
+SHORT = 30_000  # candidates of a shortlist, whose Jacobians are remembered
 PARTS = 256  # of the candidates, of which each may offer one posture per round: keeps new postures apart
 
 
@@ -31,6 +32,31 @@ def candidate_price(problem: DesignProblem, candidates: Candidates, prior: Prior
         return _best_offers(np.concatenate(offers), np.concatenate(values), level, 3 * problem.parameters)
 
     return price
+
+
+class Shortlist:
+    """The best of very many candidates at the last pass over all of them: prices that need no further pass."""
+
+    def __init__(self, problem: DesignProblem, candidates: Candidates, prior: PriorInformation) -> None:
+        self.problem, self.prior = problem, prior
+        self.all = CandidateJacobians(problem, candidates)
+        self.short: Price | None = None
+
+    def best(self, gradient: Array, level: float, near: Array) -> tuple[Array, float]:
+        """`Price` of the shortlist; of all where there is none yet."""
+        return self.everything(gradient, level, near) if self.short is None else self.short(gradient, level, near)
+
+    def everything(self, gradient: Array, level: float, near: Array) -> tuple[Array, float]:
+        """`Price` of all candidates, which makes the shortlist anew."""
+        postures, values = near[:0], np.empty(0)
+        for some, g in candidate_sensitivities(self.all, gradient, self.prior):
+            values, postures = np.concatenate([values, g]), np.concatenate([postures, some])
+            if len(values) > 2 * SHORT:
+                kept = np.argpartition(-values, SHORT)[:SHORT]
+                values, postures = values[kept], postures[kept]
+        kept = np.argsort(-values)[:SHORT]
+        self.short = candidate_price(self.problem, PostureList(postures[kept]), self.prior)
+        return self.short(gradient, level, near)
 
 
 def continuous_price(everything: ContinuousSet, generator: np.random.Generator | None = None) -> Price:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.bounds.approximate_design import SparseDesign
-from doe.bounds.continuous import distinct
+from doe.bounds.continuous import SAME, distinct
 from doe.bounds.convex_program import smallest_eigenvalue_weights
 from doe.bounds.equivalence import level
 from doe.bounds.interior_point import solve_weights
@@ -87,6 +87,12 @@ class WorkingSet:
         once = np.sort(distinct(self.problem.comparable(postures)))
         return self.solved(self.problem, self.prior, postures[once], jacobians[once], accuracy)
 
+    def has(self, offers: Array) -> bool:
+        """True where no posture offered is a new one."""
+        comparable = self.problem.comparable
+        own = comparable(self.postures)
+        return all(np.abs(own - comparable(offer)).max(axis=1).min() <= SAME for offer in offers)
+
     @property
     def level(self) -> float:
         """tr(G M)."""
@@ -112,14 +118,15 @@ def generate_columns(
 ) -> tuple[SparseDesign, float]:
     """Optimal weights, and the gap (absolute) that the last pricing of the last stage found."""
     accuracy = EXACT  # of the weights; later, far from the end, exact ones would be wasted
-    finest = EXACT if stages[-1].goal <= FINE else ROUGH * stages[-1].goal
     working = WorkingSet.solved(problem, prior, start, problem.scaled_jacobians(start), accuracy)
+    finest = EXACT if stages[-1].goal <= FINE else ROUGH * stages[-1].goal
     current, gap, smallest = 0, np.inf, np.inf
     for _ in range(ROUNDS):
         stage, reached = stages[current], working.level
         offers, largest = stage.price(working.solution.gradient, reached, working.postures)
         gap = largest - reached
-        if len(offers) and gap > stage.goal * abs(reached):
+        stuck = accuracy == finest and working.has(offers)  # a gap that rounding leaves
+        if len(offers) and gap > stage.goal * abs(reached) and not stuck:
             accuracy = max(ROUGH * gap / abs(reached), finest)
             # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
             crowded = len(working.postures) > CROWD * problem.parameters
