@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from doe.bounds.bound import Bound
@@ -40,9 +42,14 @@ def best_known_bound(problem: DesignProblem, runs: int) -> Bound | None:
     return min((bound for bound in (closed, found) if bound is not None), key=lambda bound: bound.value, default=None)
 
 
-def everywhere(problem: DesignProblem, runs: int) -> Bound:
-    """Over all postures within limits and constraints. Raises `JobError` where the optimum was not reached."""
-    return continuous_bound(problem, runs=runs, tolerance=ROUGH if problem.parameters > WIDE else EXACT)
+def everywhere(problem: DesignProblem, runs: int, also: Array | None = None) -> Bound:
+    """Over all postures within limits and constraints; of many parameters within the limits alone, which holds too.
+
+    also : (k, n) postures that the search must start from. Raises `JobError` where the optimum was not reached.
+    """
+    if problem.parameters > WIDE:
+        return continuous_bound(replace(problem, constraints=()), runs=runs, tolerance=ROUGH, also=also)
+    return continuous_bound(problem, runs=runs, tolerance=EXACT, also=also)
 
 
 def list_bound(problem: DesignProblem, runs: int) -> Bound | None:
@@ -62,7 +69,7 @@ def bound_that_holds(problem: DesignProblem, bound: Bound | None, postures: Arra
     if bound is None or not _beats(value, bound):
         return bound
     try:
-        again = continuous_bound(problem, runs=len(postures), also=postures)
+        again = everywhere(problem, len(postures), also=postures)
     except JobError:
         return None
     return None if _beats(value, again) else again

@@ -83,7 +83,7 @@ def continuous_design(
     everything = ContinuousSet(problem, prior, also)
     if climbs(problem):
         stages = [Stage(continuous_price(everything, np.random.default_rng(0)), tolerance)]
-        start = climbed(problem, runs)
+        start = np.concatenate([climbed(problem, runs), *([] if also is None else [also])])
     else:
         stages = ascents(everything, tolerance)
         starts = PostureList(everything.starts)

@@ -16,10 +16,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identification.arm import KeepOutCircle, LineOfSight, WorkspaceBox
+from doe.problem.spatial_constraints import InView, OutsideCylinder
+from identification.arm import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.model import Model
+
+ANYWHERE = 1e6  # [mm] a side that the arm file leaves out
 
 
 class Constraint(Protocol):
@@ -61,11 +64,14 @@ def constraints_of(model: Model) -> tuple[Constraint, ...]:
     made: list[Constraint] = []
     for given in model.arm.constraints:
         if isinstance(given, WorkspaceBox):
-            made.append(InsideBox(model, (given.x[0], given.y[0]), (given.x[1], given.y[1])))
+            sides = [given.x, given.y, given.z or (-ANYWHERE, ANYWHERE)][: model.dimension]
+            made.append(InsideBox(model, tuple(side[0] for side in sides), tuple(side[1] for side in sides)))
+        elif isinstance(given, KeepOutCylinder):
+            made.append(OutsideCylinder(model, given))
         elif isinstance(given, KeepOutCircle):
             made.append(OutsideSphere(model, given.center, given.radius))
         elif isinstance(given, LineOfSight):
-            made.append(InSight(model, given))
+            made.append(InSight(model, given) if model.dimension == 2 else InView(model, given))
     return tuple(made)
 
 
@@ -190,7 +196,7 @@ def cross(a: Array, b: Array) -> Array:
 def symbolic_square_distance(point: ca.DM, start: ca.SX, end: ca.SX) -> ca.SX:
     """Squared distance of a point from a segment."""
     along = end - start
-    fraction = ca.fmax(0.0, ca.fmin(1.0, ca.dot(point - start, along) / ca.sumsqr(along)))
+    fraction = ca.fmax(0.0, ca.fmin(1.0, ca.dot(point - start, along) / ca.fmax(ca.sumsqr(along), 1e-12)))
     return ca.sumsqr(start + fraction * along - point)
 
 

@@ -1,0 +1,169 @@
+"""Constraints that only space has: cylinders that every link stays outside of, a tracker that sees the reflector.
+
+As in `doe.problem.constraints` each is said twice: `margin` finds the nearest point of a link by golden section, since
+a distance from a convex body is a convex function along a line; `symbolic` has closed forms of the same sign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+
+from identification.arm import KeepOutCylinder, LineOfSight
+from identification.arrays import Array
+from identification.model import Model
+
+LINK_RADIUS = 0.03  # of the arm's reach: how near to a link a line of sight may pass
+POINTER = 100.0  # [mm] from the reflector to the point that tells where it looks
+GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
+SECTIONS = 50  # of golden section: 1e-10 of a link
+FLAT = 1e-9  # [mm] lengths that divide nothing
+
+
+@dataclass(frozen=True)
+class OutsideCylinder:
+    """Every link stays outside a cylinder with flat ends [mm]."""
+
+    model: Model
+    cylinder: KeepOutCylinder
+    kind: str = "keep_out_cylinder"
+
+    def margin(self, postures: Array) -> Array:
+        """(m, k - 1) signed distance of every link from the cylinder [mm]."""
+        points, start = self.model.points(postures), np.array(self.cylinder.start)
+        along = np.array(self.cylinder.end) - start
+        length = float(np.linalg.norm(along))
+
+        def depth(places: Array) -> Array:
+            height = (places - start) @ along / length
+            away = np.linalg.norm(places - start - height[..., None] * along / length, axis=-1) - self.cylinder.radius
+            beyond = np.abs(height - 0.5 * length) - 0.5 * length
+            outside = np.hypot(np.maximum(away, 0.0), np.maximum(beyond, 0.0))
+            return np.where(np.maximum(away, beyond) > 0.0, outside, np.maximum(away, beyond))
+
+        return smallest_along(depth, points[:, :-1], points[:, 1:])
+
+    def symbolic(self, q: ca.SX) -> ca.SX:
+        """(k - 1,) the larger of: how far a link is beyond an end; (distance from the axis, of what lies between the
+        ends, squared, - radius^2) / (2 radius)."""
+        start = np.array(self.cylinder.start)
+        along = np.array(self.cylinder.end) - start
+        length, radius = float(np.linalg.norm(along)), self.cylinder.radius
+        axis, found = ca.DM(along / length), []
+        for a, b in pairwise(self.model.symbolic_points(q)):
+            here, there = ca.dot(a - ca.DM(start), axis), ca.dot(b - ca.DM(start), axis)
+            beyond = ca.fmax(ca.fmin(here, there) - length, -ca.fmax(here, there))
+            rise = there - here
+            rise = ca.if_else(ca.fabs(rise) < FLAT, FLAT, rise)
+            enters, leaves = -here / rise, (length - here) / rise
+            offset = a - ca.DM(start) - here * axis
+            turned = (b - a) - (there - here) * axis
+            nearest = -ca.dot(offset, turned) / ca.fmax(ca.sumsqr(turned), FLAT)
+            first, last = _share(ca.fmin(enters, leaves)), _share(ca.fmax(enters, leaves))
+            away = ca.sumsqr(offset + ca.fmax(first, ca.fmin(last, nearest)) * turned) - radius**2
+            found.append(ca.fmax(beyond, away / (2.0 * radius)))
+        return ca.vertcat(*found)
+
+
+@dataclass(frozen=True)
+class InView:
+    """The tracker sees the reflector: inside its cone and range, not from behind, no link near the line of sight.
+
+    Links have a radius of 0.03 of the arm's reach here; the last, which carries the reflector, is not in the way.
+    """
+
+    model: Model
+    sight: LineOfSight
+    kind: str = "line_of_sight"
+
+    @cached_property
+    def _pointing(self) -> Model | None:
+        """The model with the measured point moved to where the reflector looks; None: it looks everywhere."""
+        chain = self.model.arm.chain
+        if self.sight.facing is None or chain is None:
+            return None
+        direction = np.array(self.sight.facing) / np.linalg.norm(self.sight.facing)
+        tools = {name: place + POINTER * direction for name, place in chain.tools.items()}
+        return replace(self.model, arm=replace(self.model.arm, chain=replace(chain, tools=tools)))
+
+    @property
+    def _clearance(self) -> float:
+        return LINK_RADIUS * self.model.reach
+
+    def margin(self, postures: Array) -> Array:
+        """(m, k) arc to the edge of the cone, distances to both ends of the range, arc to the edge of acceptance,
+        distances of all links but the last from the line of sight, less their radius [mm]; what is not asked for is
+        left out."""
+        points, tracker = self.model.points(postures), np.array(self.sight.tracker)
+        view, axis = points[:, -1] - tracker, np.array(self.sight.toward) - tracker
+        distance = np.linalg.norm(view, axis=1)
+        found = [(self.sight.half_angle - angle(view, axis)) * distance]
+        if self.sight.reach is not None:
+            found += [distance - self.sight.reach[0], self.sight.reach[1] - distance]
+        if self._pointing is not None:
+            looks = self._pointing.points(postures)[:, -1] - points[:, -1]
+            found.append((self.sight.acceptance - angle(looks, -view)) * distance)
+
+        def away(places: Array) -> Array:
+            share = np.sum((places - tracker) * view[:, None], axis=-1) / (distance**2)[:, None]
+            nearest = tracker + np.clip(share, 0.0, 1.0)[..., None] * view[:, None]
+            return np.asarray(np.linalg.norm(places - nearest, axis=-1) - self._clearance)
+
+        links = smallest_along(away, points[:, :-2], points[:, 1:-1])
+        return np.column_stack([*found, links])
+
+    def symbolic(self, q: ca.SX) -> ca.SX:
+        """(k,) cosines in place of angles, and squares of distances: (distance^2 - radius^2) / (2 radius)."""
+        points, tracker = self.model.symbolic_points(q), ca.DM(self.sight.tracker)
+        axis = np.subtract(self.sight.toward, self.sight.tracker)
+        view = points[-1] - tracker
+        distance, radius = ca.norm_2(view), self._clearance
+        found = [ca.dot(view, ca.DM(axis / np.linalg.norm(axis))) - np.cos(self.sight.half_angle) * distance]
+        if self.sight.reach is not None:
+            found += [distance - self.sight.reach[0], self.sight.reach[1] - distance]
+        if self._pointing is not None:
+            looks = (self._pointing.symbolic_points(q)[-1] - points[-1]) / POINTER
+            found.append(-ca.dot(looks, view) - np.cos(self.sight.acceptance) * distance)
+        for a, b in pairwise(points[:-1]):
+            found.append((symbolic_square_between(tracker, points[-1], a, b) - radius**2) / (2.0 * radius))
+        return ca.vertcat(*found)
+
+
+def angle(one: Array, other: Array) -> Array:
+    """(m,) angle [rad] between vectors (m, 3) or (3,)."""
+    cross = np.linalg.norm(np.cross(one, other), axis=-1)
+    return np.asarray(np.arctan2(cross, np.sum(one * other, axis=-1)))
+
+
+def smallest_along(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
+    """(...) smallest value on segments (..., 3) of a function of points that is convex along lines."""
+    low, high = np.zeros(start.shape[:-1]), np.ones(start.shape[:-1])
+
+    def at(share: Array) -> Array:
+        return function(start + share[..., None] * (end - start))
+
+    for _ in range(SECTIONS):
+        left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+        lower = at(left) <= at(right)
+        low, high = np.where(lower, low, left), np.where(lower, right, high)
+    return np.minimum.reduce([at(0.5 * (low + high)), function(start), function(end)])
+
+
+def symbolic_square_between(a: ca.SX | ca.DM, b: ca.SX, c: ca.SX, d: ca.SX) -> ca.SX:
+    """Squared distance of the segments a-b and c-d of space (C. Ericson, Real-Time Collision Detection, 5.1.9)."""
+    one, other, between = b - a, d - c, a - c
+    square, crossed, second = ca.sumsqr(one), ca.dot(one, other), ca.fmax(ca.sumsqr(other), FLAT)
+    first, last = ca.dot(one, between), ca.dot(other, between)
+    share = _share((crossed * last - first * second) / ca.fmax(square * second - crossed**2, FLAT))
+    along = _share((crossed * share + last) / second)
+    share = _share((crossed * along - first) / ca.fmax(square, FLAT))
+    return ca.sumsqr(between + share * one - along * other)
+
+
+def _share(value: ca.SX) -> ca.SX:
+    return ca.fmax(0.0, ca.fmin(1.0, value))

@@ -1,0 +1,139 @@
+"""Constraints of space against brute force: points along links from products of Denavit-Hartenberg matrices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from doe.bounds.bound import Bound
+from doe.problem.constraints import Constraint, constraints_of
+from doe.problem.feasible import random_postures
+from doe.problem.problem import DesignProblem
+from doe.problem.spatial_constraints import LINK_RADIUS, smallest_along
+from doe.solvers import solve
+from identification.arm import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
+from identification.arrays import Array
+from identification.kinematics.denavit_hartenberg import DHRow, matrix
+from identification.model import Model
+from tests.doe.six_axis import REFLECTOR, SIX_AXIS, TABLE
+
+ROWS = [DHRow(a, np.radians(alpha), d) for a, alpha, d in TABLE]
+BOX = WorkspaceBox((-900.0, 1000.0), (-1000.0, 900.0), (50.0, 1200.0))
+SPHERE = KeepOutCircle((500.0, 300.0, 400.0), 250.0)
+PILLAR = KeepOutCylinder((-500.0, 400.0, 100.0), (-450.0, 500.0, 800.0), 230.0)
+FACING = (0.0, 0.6, 0.8)
+SIGHT = LineOfSight(
+    (2500.0, -600.0, 700.0), np.radians(20.0), (0.0, 0.0, 500.0), (2000.0, 3000.0), FACING, np.radians(70.0)
+)
+ARM = replace(SIX_AXIS, constraints=(BOX, SPHERE, PILLAR, SIGHT))
+MADE = constraints_of(Model(ARM))
+POSTURES = np.random.default_rng(0).uniform(ARM.lower, ARM.upper, (600, 6))
+SHARES = np.linspace(0.0, 1.0, 401)[:, None]
+
+
+def frames(posture: Array) -> list[Array]:
+    """Base, joints after the first, flange."""
+    found = [np.eye(4)]
+    for row, q in zip(ROWS, posture, strict=True):
+        found.append(found[-1] @ matrix(row, q))
+    return found
+
+
+def links(posture: Array) -> list[Array]:
+    """Per link, points along it: from joint to joint (the first two are both at the base), and to the reflector."""
+    places = [frame[:3, 3] for frame in frames(posture)]
+    places = [places[0], *places[:6], (frames(posture)[-1] @ np.r_[REFLECTOR, 1.0])[:3]]
+    return [a + SHARES * (b - a) for a, b in pairwise(places)]
+
+
+def test_the_box_has_a_floor_and_a_ceiling() -> None:
+    for posture, margin in zip(POSTURES[:50], MADE[0].margin(POSTURES[:50]), strict=True):
+        x, y, z = links(posture)[-1][-1]
+        expected = [x + 900, 1000 - x, y + 1000, 900 - y, z - 50, 1200 - z]
+        np.testing.assert_allclose(sorted(margin), sorted(expected), atol=1e-8)
+
+
+def test_spheres_see_every_link() -> None:
+    for posture, margin in zip(POSTURES[:50], MADE[1].margin(POSTURES[:50]), strict=True):
+        nearest = [np.linalg.norm(points - SPHERE.center, axis=1).min() - SPHERE.radius for points in links(posture)]
+        np.testing.assert_allclose(margin, nearest, atol=0.8)  # points are up to 1.6 mm apart
+
+
+def inside_pillar(points: Array) -> Array:
+    """(k,) whether points are in the cylinder: height and distance from the axis by a cross product."""
+    start, along = np.array(PILLAR.start), np.subtract(PILLAR.end, PILLAR.start)
+    height = (points - start) @ along / (along @ along)
+    away = np.linalg.norm(np.cross(points - start, along), axis=1) / np.linalg.norm(along)
+    return np.asarray((height > 0) & (height < 1) & (away < PILLAR.radius))
+
+
+def test_cylinders_see_every_link() -> None:
+    inside = 0
+    for posture, margin in zip(POSTURES, MADE[2].margin(POSTURES), strict=True):
+        for points, own in zip(links(posture), margin, strict=True):
+            hit = bool(inside_pillar(points).any())
+            assert hit == (own < 0) or abs(own) < 0.8
+            inside += hit
+    assert inside > 50
+
+
+def seen(posture: Array) -> list[float]:
+    """Signed figures of each condition: cone, range, acceptance, clearance of every link but the last."""
+    tracker, every = np.array(SIGHT.tracker), links(posture)
+    view = every[-1][-1] - tracker
+    distance, unit = np.linalg.norm(view), view / np.linalg.norm(view)
+    axis = np.subtract(SIGHT.toward, tracker) / np.linalg.norm(np.subtract(SIGHT.toward, tracker))
+    looks = frames(posture)[-1][:3, :3] @ np.array(FACING)
+    reach = SIGHT.reach or (0.0, np.inf)
+    found = [SIGHT.half_angle - np.arccos(unit @ axis), distance - reach[0], reach[1] - distance]
+    found.append(SIGHT.acceptance - np.arccos(-unit @ looks))
+    beam = tracker + np.linspace(0.0, 1.0, 401)[:, None] * view
+    for points in every[:-1]:
+        apart = np.linalg.norm(points[::8, None] - beam, axis=2).min()
+        found.append(apart - LINK_RADIUS * Model(ARM).reach)
+    return found
+
+
+def test_line_of_sight() -> None:
+    margins = MADE[3].margin(POSTURES[:60])
+    for posture, margin in zip(POSTURES, margins, strict=False):
+        expected = np.array(seen(posture))
+        np.testing.assert_allclose(margin[1:3], expected[1:3], atol=1e-8)
+        np.testing.assert_array_equal(margin[[0, 3]] > 0, expected[[0, 3]] > 0)
+        np.testing.assert_allclose(margin[4:], expected[4:], atol=9.0)  # points are up to 12 mm apart
+    assert (margins > 0).any(axis=0).all()
+    assert (margins < 0).any(axis=0)[:4].all()
+    assert (margins[:, 4:] < 0).any()
+
+
+@pytest.mark.parametrize("constraint", MADE, ids=[c.kind for c in MADE])
+def test_symbolic_has_the_same_sign(constraint: Constraint) -> None:
+    q = ca.SX.sym("q", 6)
+    function = ca.Function("f", [q], [constraint.symbolic(q)])
+    symbolic, numeric = np.asarray(function(POSTURES.T)).T, constraint.margin(POSTURES)
+    assert symbolic.shape == numeric.shape
+    assert np.all(np.isfinite(symbolic))
+    clear = np.abs(numeric) > 1e-6
+    np.testing.assert_array_equal((symbolic >= 0)[clear], (numeric >= 0)[clear])
+
+
+def test_smallest_along_a_segment() -> None:
+    start, end = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), np.array([[4.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+    found = smallest_along(lambda x: np.abs(x[..., 0] - 1.0), start, end)
+    np.testing.assert_allclose(found, [0.0, 1.0], atol=1e-8)
+
+
+def test_plans_keep_them() -> None:
+    """Judged by points along the links and by `seen`."""
+    problem = DesignProblem.of(Model(ARM))
+    plan = solve(problem, 14, "exchange", starts=2, seconds=2.0, bound=Bound(np.inf, "continuous"))
+    for posture in [*plan.plan.postures, *random_postures(problem, 5, np.random.default_rng(1))]:
+        every = links(posture)
+        assert min(np.linalg.norm(points - SPHERE.center, axis=1).min() for points in every) >= SPHERE.radius
+        assert not any(inside_pillar(points).any() for points in every)
+        assert min(seen(posture)) > -1e-9
+        assert 50.0 <= every[-1][-1][2] <= 1200.0
