@@ -107,7 +107,7 @@ def designed(model: Model) -> tuple[Model, InformationModel, Mapping[str, float]
     if model.arm.chain is None:
         return model, model, {}
     placed = replace(model, arm=replace(model.arm, chain=with_points(model.arm.chain)))
-    if model.sigma is None and model.held:
+    if model.sigma is None and model.prior:
         placed = minimal(placed)
     several = len(model.arm.chain.tools) > 1
     return placed, EveryPoint(placed) if several else placed, placed.prior
