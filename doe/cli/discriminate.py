@@ -35,7 +35,7 @@ def command(session: Session, arm: Path, data: Path, runs: int, payloads: str | 
     with session.progress("discriminate") as progress:
         diagnosis = diagnose(loaded, measurements, seed=session.seed, progress=progress)
     if diagnosis.verdict != "ambiguous":
-        sentence = f"nothing to distinguish; the verdict is {diagnosis.verdict!r}: {diagnosis.sentence}"
+        sentence = f"nothing to distinguish: the verdict is not ambiguous but {diagnosis.sentence}"
         return Answer({"verdict": diagnosis.verdict, "postures_deg": [], "chance": None}, [sentence])
     found = discriminate(loaded, diagnosis, measurements, runs, session.seed, masses)
     written = [

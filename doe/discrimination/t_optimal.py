@@ -90,12 +90,15 @@ def discriminate(
     runs: int,
     seed: int = 0,
     payloads: tuple[float, ...] | None = None,
+    pool: Array | None = None,
 ) -> NextPostures:
     """The `runs` measurements most likely to resolve an ambiguous diagnosis.
 
-    payloads : [kg] that can be hung on the arm, default its own only
+    payloads : [kg] that can be hung on the arm, default its own only;  pool : (N, n) [rad] to choose from, default
+        random postures that are allowed
 
-    Raises `InputError` for a diagnosis that is not ambiguous or `runs` < 1, `JobError` if no posture is allowed.
+    Raises `InputError` for a diagnosis that is not ambiguous or was made with a prior, or `runs` < 1, `JobError` if no
+    posture is allowed.
     """
     if runs < 1:
         raise InputError(f"runs: {runs}, allowed: at least 1")
@@ -103,8 +106,10 @@ def discriminate(
         raise InputError(
             f"diagnosis: the verdict is {diagnosis.verdict}, allowed: ambiguous, with candidates to distinguish"
         )
+    if diagnosis.prior is not None:
+        raise InputError("diagnosis: found one with a prior, allowed: without")
     generator = np.random.default_rng(seed)
-    options = _pool(arm, diagnosis, generator, payloads)
+    options = _pool(arm, _allowed(arm, generator) if pool is None else pool, generator, payloads)
     rivals = _rivals(diagnosis, measurements, options)
     return _result(diagnosis, rivals, options, t_optimal(rivals, runs), payloads)
 
@@ -123,10 +128,8 @@ def t_optimal(rivals: Rivals, runs: int) -> list[int]:
     return chosen
 
 
-def _pool(
-    arm: Arm, diagnosis: Diagnosis, generator: np.random.Generator, payloads: tuple[float, ...] | None
-) -> _Options:
-    """Random allowed postures, each with a payload and directions of approach."""
+def _allowed(arm: Arm, generator: np.random.Generator) -> Array:
+    """(N, n) random postures that joint limits and constraints allow."""
     postures = generator.uniform(arm.lower, arm.upper, (4 * POOL, arm.links))
     for constraint in constraints_of(Model(arm)):
         margin = np.asarray(constraint.margin(postures)).reshape(len(postures), -1)
@@ -134,6 +137,11 @@ def _pool(
     postures = postures[:POOL]
     if not len(postures):
         raise JobError("constraints: no random posture satisfies them, nothing can be proposed")
+    return postures
+
+
+def _pool(arm: Arm, postures: Array, generator: np.random.Generator, payloads: tuple[float, ...] | None) -> _Options:
+    """Postures, each with a payload and directions of approach."""
     count = len(postures)
     own = 0.0 if arm.gravity is None else arm.gravity.payload
     payload = generator.choice(np.array(payloads or (own,)), count)

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
 from doe.report.pictures import save
-from doe.report.terminal import table
+from doe.report.terminal import NARROW, table
 from doe.studies.blind.reliability import ALL
 from doe.studies.blind.score import BlindStudy
 from identification.arrays import Array
@@ -50,9 +49,7 @@ def cell_table(cells: pl.DataFrame) -> Table:
     headings = ["hidden", "sets", *COLUMNS.values(), "+-"]
     of_cells = cells.filter(pl.col("cell") != ALL).partition_by("cell", maintain_order=True)
     rows = map(_cell_row, of_cells)
-    return table(
-        headings, rows, "Blind study", left=("hidden",), no_wrap=headings, box=SIMPLE_HEAD, padding=(0, 0, 0, 1)
-    )
+    return table(headings, rows, "Blind study", left=("hidden",), no_wrap=headings, **NARROW)
 
 
 def _cell_row(part: pl.DataFrame) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from doe.report.terminal import facts, number, significant, table
+from doe.report.terminal import NARROW, facts, number, significant, table
 from identification.compensate import Compensation
 from identification.estimation import Identification
 from identification.estimation.result import in_words
@@ -79,7 +79,7 @@ def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     joints = (f"q{j} [{'deg' if kind == 'revolute' else 'mm'}]" for j, kind in enumerate(types, start=1))
     found_rows = zip(found.targets, found.commands_in_file_units, found.errors, strict=True)
     rows = (
-        [str(row), *(f"{v:.3f}" for v in target), *(f"{v:.5f}" for v in command), residual_text(error, reached)]
+        [str(row), *(f"{v:.3f}" for v in target), *(f"{v:.4f}" for v in command), residual_text(error, reached)]
         for row, ((target, command, error), reached) in enumerate(zip(found_rows, found.reached, strict=True), start=1)
     )
     caption = f"first {most} of {len(found.targets)} targets; --out writes all"
@@ -88,4 +88,4 @@ def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     data = found.to_json()
     unreachable = f"; rows out of reach: {', '.join(map(str, data['unreachable'][:20]))}" if data["unreachable"] else ""
     reached = f"{data['reached']} of {data['targets']} targets reached by the calibrated model{unreachable}"
-    return [reached, table(headings, rows, "Commands", most=most, caption=caption)]
+    return [reached, table(headings, rows, "Commands", most=most, caption=caption, **NARROW)]

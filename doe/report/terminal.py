@@ -7,8 +7,11 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
+
+NARROW: dict[str, Any] = {"box": SIMPLE_HEAD, "padding": (0, 0, 0, 1)}  # style of tables with many columns
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from doe.report.gap_figures import MANY, binned_rms
 from doe.report.pictures import AFTER, BEFORE, draw_residual_arrows, projections, workspace_axes
-from doe.report.terminal import number, table
+from doe.report.terminal import NARROW, number, table
 from identification.arrays import Array
 from identification.validate import Figures, Validation
 
@@ -35,7 +35,7 @@ def validation_tables(found: Validation) -> list[Any]:
             for block in blocks
         )
         headings = ("block", "which", "rows", "RMS drawing", *figures_of)
-        shown.append(table(headings, lines, "Block by block, in mm", left=("block", "which")))
+        shown.append(table(headings, lines, "Block by block, in mm", left=("block", "which"), **NARROW))
     return shown
 
 

@@ -15,6 +15,7 @@ from identification.arm import Arm, Gravity, WorkspaceBox
 from identification.errors import InputError
 from identification.gap.choice_validation import ChoiceValidation
 from identification.gap.diagnose import diagnose
+from identification.gap.library_prior import library_prior
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model
@@ -42,9 +43,14 @@ def ambiguous() -> tuple[Diagnosis, Measurements]:
     raise AssertionError("no seed gives an ambiguous case")
 
 
+def random_pool(seed: int) -> module._Options:
+    generator = np.random.default_rng(seed)
+    return module._pool(ARM, module._allowed(ARM, generator), generator, None)
+
+
 def test_noncentrality_is_the_misfit_of_the_refitted_rival() -> None:
     found, data = ambiguous()
-    options = module._pool(ARM, found, np.random.default_rng(1), None)
+    options = random_pool(1)
     rivals = module._rivals(found, data, options)
     chosen = [3, 40, 41]
     settled, gain = module._noncentrality(rivals, chosen)
@@ -74,7 +80,7 @@ def test_noncentrality_is_the_misfit_of_the_refitted_rival() -> None:
 def test_chosen_postures_beat_random_ones() -> None:
     found, data = ambiguous()
     best = discriminate(ARM, found, data, 4, seed=1)
-    options = module._pool(ARM, found, np.random.default_rng(2), None)
+    options = random_pool(2)
     rivals = module._rivals(found, data, options)
     chances = []
     for k in range(20):
@@ -107,8 +113,19 @@ def test_same_seed_same_postures_and_payload_is_a_choice() -> None:
     assert discriminate(ARM, found, data, 3, seed=4).payload is None
 
 
+def test_postures_come_from_a_list_that_is_given() -> None:
+    """Of a list with one posture that shows the difference, this one is taken again and again."""
+    found, data = ambiguous()
+    best = discriminate(ARM, found, data, 1, seed=1).plan.postures[0]
+    pool = np.vstack([data.postures, best])
+    assert np.all(discriminate(ARM, found, data, 2, pool=pool).plan.postures == best)
+
+
 def test_bad_input() -> None:
     found, data = ambiguous()
+    held = replace(found, prior=library_prior(ARM, names=["gear_ratio"]))
+    with pytest.raises(InputError, match="found one with a prior"):
+        discriminate(ARM, held, data, 2)
     with pytest.raises(InputError, match="runs: 0"):
         discriminate(ARM, found, data, 0)
     clear = replace(found, candidates=found.candidates[:1], verdict="named")
