@@ -16,7 +16,7 @@ import numpy as np
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.kinematics.corrected import composed_base, composed_tools
+from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.parameters import JOINT_OFFSET
 from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.measurements import Conditions, Measurements
@@ -65,8 +65,8 @@ def placed_calibration(arm: Arm, found: Calibration) -> Calibration:
         return found
     kept = {} if arm.calibration is None else arm.calibration.values
     values = {name: kept.get(name, 0.0) for name in chain.fixed} | dict(found.values)
-    tools = MappingProxyType(composed_tools(chain, values))
-    return replace(found, values=values, base=composed_base(chain, values), tools=tools)
+    geometry = CorrectedGeometry(chain, values)
+    return replace(found, values=values, base=geometry.base, tools=MappingProxyType(geometry.tools))
 
 
 def independent(columns: Array, told: float = TOLD) -> list[int]:

@@ -92,7 +92,7 @@ def parts(
 def write(found: Diagnosis, arm: Path, output: Output, report: Path | None, curves: Path | None) -> list[str]:
     """Writes the files that are asked for, all or none; the lines that say so."""
     from doe.report.gap_page import gap_page
-    from identification.files.arm_text import with_calibration, with_effects
+    from identification.files.arm_text import urdf_beside, with_calibration, with_effects
     from identification.files.io import PathLike, read_text, write_together
     from identification.gap.curve import curves_text
 
@@ -102,6 +102,7 @@ def write(found: Diagnosis, arm: Path, output: Output, report: Path | None, curv
     elif output.out is not None:
         extended = with_effects(read_text(arm), found.extended_arm().effects, arm.parent)
         files[output.out] = with_calibration(extended, found.calibration, arm.parent)
+        files |= urdf_beside(arm, output.out)
     if curves is not None:
         files[curves] = curves_text(found.curves)
     if report is not None:

@@ -116,15 +116,16 @@ def answer(
 
 def write(found: Identification, path: Path, output: Output, urdf: Path | None, hidden: frozenset[str]) -> list[str]:
     """Writes the calibrated arm and the corrected URDF file, all or none; the lines that say so."""
+    from identification.files.arm_text import urdf_beside
     from identification.files.io import PathLike, write_together
 
     files: dict[PathLike, str | bytes] = {}
     if output.out is not None:
         files[output.out] = arm_file(found, path, hidden)
     if found.geometry is not None:
-        from identification.files.arm_spatial import beside, corrected_urdf
+        from identification.files.arm_spatial import corrected_urdf
 
-        files |= beside(path, output.out)
+        files |= urdf_beside(path, output.out)
         files |= {} if urdf is None else {urdf: corrected_urdf(path, found.geometry.real)}
     write_together(files, force=output.force)
     what = {output.out: "calibrated arm", urdf: "corrected URDF file"}

@@ -105,15 +105,6 @@ def corrected_urdf(path: PathLike, chain: SpatialChain) -> str:
     return with_origins(*named, [joint.origin for joint in chain.joints])
 
 
-def beside(path: PathLike, out: PathLike | None) -> dict[PathLike, bytes]:
-    """The URDF file that has to be written for a copy at `out` of the arm file at `path`: none if it is there."""
-    name = read_toml(path).get("urdf")
-    if out is None or name is None:
-        return {}
-    here, there = Path(path).parent / name, Path(out).parent / name
-    return {} if there.exists() and there.read_bytes() == here.read_bytes() else {there: here.read_bytes()}
-
-
 def _chain(file: SpatialArmFile, folder: PathLike) -> SpatialChain:
     """The nominal geometry with its joint limits."""
     if file.dh is None:

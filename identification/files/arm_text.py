@@ -6,6 +6,7 @@ import math
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.files.arm import arm_from_tables
 from identification.files.arm_effects import FileName, built, file_names
-from identification.files.io import PathLike
+from identification.files.io import PathLike, read_toml
 from identification.files.toml import Plain, append_tables, replace_table
 from identification.kinematics.parameters import GEOMETRY, chain_parameters
 
@@ -80,6 +81,15 @@ def with_calibration(text: str, calibration: Calibration, folder: PathLike = "."
     tables = _calibration_table(arm, calibration)
     arm_from_tables({**before, "calibration": tables}, folder)  # nothing is written that could not be read again
     return replace_table(text, "calibration", tables)
+
+
+def urdf_beside(path: PathLike, out: PathLike | None) -> dict[PathLike, bytes]:
+    """The URDF file that has to be written for a copy at `out` of the arm file at `path`: none if it is there."""
+    name = read_toml(path).get("urdf")
+    if out is None or name is None:
+        return {}
+    here, there = Path(path).parent / name, Path(out).parent / name
+    return {} if there.exists() and there.read_bytes() == here.read_bytes() else {there: here.read_bytes()}
 
 
 def _parsed(text: str, folder: PathLike) -> tuple[str, Plain, Arm]:
