@@ -64,9 +64,6 @@ def estimate(
     problem = Problem.of(model, measurements, noise.weights)
     chosen = _known_method(method or ("linear" if problem.exact_form else "gauss_newton"))
     solution, decomposed, problem = _solve(problem, chosen, noise)
-    status = solution.status[0]
-    if not status.succeeded:
-        raise JobError(f"{chosen}: {status.value} Nothing damps this method; gauss_newton may do better.")
     return _result(problem, measurements, chosen, solution, decomposed, noise)
 
 
@@ -76,9 +73,16 @@ def _known_method(name: str) -> str:
     return name
 
 
+def _solution(problem: Problem, method: str) -> Solution:
+    found = METHODS[method](problem)
+    if not found.status[0].succeeded:
+        raise JobError(f"{method}: {found.status[0].value} Nothing damps this method; gauss_newton may do better.")
+    return found
+
+
 def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spectrum, Problem]:
     """Fits; and fits again without the combinations whose standard deviation turns out too large to mean anything."""
-    solution = METHODS[method](problem)
+    solution = _solution(problem, method)
     residuals, jacobian = problem.linearize_at(solution.parameters[0])
     decomposed = spectrum(jacobian, problem.model.scales, problem.tolerance)
     sigma = noise.sigma or _estimated(residuals, decomposed.rank) or 0.0
@@ -87,7 +91,7 @@ def _solve(problem: Problem, method: str, noise: Noise) -> tuple[Solution, Spect
     if decomposed.truncated(min(useful, 0.1)).rank == decomposed.rank:
         return solution, decomposed, problem
     problem = replace(problem, tolerance=min(useful, 0.1))
-    solution = METHODS[method](problem)
+    solution = _solution(problem, method)
     jacobian = problem.linearize_at(solution.parameters[0])[1]
     return solution, spectrum(jacobian, problem.model.scales, problem.tolerance), problem
 
