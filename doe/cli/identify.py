@@ -129,7 +129,12 @@ def write(found: Identification, path: Path, output: Output, urdf: Path | None, 
         files |= {} if urdf is None else {urdf: corrected_urdf(path, found.geometry.real)}
     write_together(files, force=output.force)
     what = {output.out: "calibrated arm", urdf: "corrected URDF file"}
-    return [f"{what.get(Path(name), 'nominal URDF file')} written to {name}" for name in files]
+    lines = [f"{what.get(Path(name), 'nominal URDF file')} written to {name}" for name in files]
+    if urdf is not None and found.model.effects:
+        lines.append(
+            f"a URDF file has no effects: {', '.join(effect.label for effect in found.model.effects)} left out"
+        )
+    return lines
 
 
 def arm_file(found: Identification, path: Path, hidden: frozenset[str]) -> str:

@@ -148,6 +148,13 @@ def test_minimal_parameters(spatial: Folder) -> None:
     assert load_arm(spatial.path / "least.toml").calibration is not None
 
 
+def test_effects_are_left_out_of_the_urdf_file_and_said(spatial: Folder) -> None:
+    spatial.write("arm.toml", ARM + '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 3\n')
+    done = spatial.armcal("identify", "arm.toml", "data.csv", "--urdf", "corrected.urdf")
+    assert done.code == 0, done.err
+    assert "a URDF file has no effects: encoder_eccentricity:3 left out" in done.out
+
+
 def test_another_folder_gets_the_urdf_file_too(spatial: Folder) -> None:
     (spatial.path / "out").mkdir()
     done = spatial.armcal("identify", "arm.toml", "data.csv", "--out", "out/calibrated.toml")
