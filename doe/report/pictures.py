@@ -170,6 +170,8 @@ def draw_residual_arrows(
     for axis, (across, up) in zip(axes, projections(residuals.shape[1]), strict=True):
         seen = [values[:, place] for values in (positions, residuals * scale) for place in (across, up)]
         axis.quiver(*seen, **style)
+        axis.update_datalim(np.column_stack([seen[0] + seen[2], seen[1] + seen[3]]))  # whole arrows
+        axis.autoscale_view()
         axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]")
         if planar:
             axis.plot(0, 0, "ks", ms=5)

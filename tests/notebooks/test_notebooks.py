@@ -50,8 +50,8 @@ def outputs(notebook: NotebookNode) -> Iterator[NotebookNode]:
         yield from cell.outputs
 
 
-def test_all_seven_are_here() -> None:
-    assert [path.name[0] for path in NOTEBOOKS] == list("1234567")
+def test_all_eight_are_here() -> None:
+    assert [path.name[0] for path in NOTEBOOKS] == list("12345678")
 
 
 @by_notebook
