@@ -141,7 +141,7 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     """Verdict first, then the gap, candidates, and what else a person should know."""
     lines = [*findings(diagnosis), *diagnosis.warnings]
     shown: list[Any] = [Text(headline(diagnosis), style="bold"), *map(Text, lines), as_table(gap_sheet(diagnosis))]
-    shown.append(Text(f"expected: on the data the {diagnosis.gap.floor}; elsewhere what the model predicts"))
+    shown.append(Text(f"expected: {diagnosis.gap.floor} on the data; elsewhere what the model predicts"))
     shown += [Text(str(test)) for test in diagnosis.tests if test.confirmed is False]
     shown += effect_tables(diagnosis) if diagnosis.effects else [as_table(excluded_sheet(diagnosis))]
     shown.append(Text(diagnosis.likely))

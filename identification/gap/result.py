@@ -43,7 +43,8 @@ class Estimate:
         return self.name.rpartition(".")[2]
 
     def __str__(self) -> str:
-        return f"{self.short} = {self.value:.4g} +- {self.high_95 - self.value:.2g} {self.unit}"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.short} = {self.value:.4g} +- {self.high_95 - self.value:.2g}{unit}"
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,7 @@ def test_the_number_of_periods_is_part_of_the_name_of_the_effect() -> None:
 
 def test_estimates_say_their_unit_and_small_probabilities_are_no_zero() -> None:
     assert str(Estimate("backlash:3.b", "deg", 0.03, 0.01, 0.01, 0.05)) == "b = 0.03 +- 0.02 deg"
+    assert str(Estimate("gear_ratio:1.e", "1", 0.5, 0.1, 0.3, 0.7)) == "e = 0.5 +- 0.2"
     assert [p_value(p) for p in (0.0, 1e-9, 0.0123)] == ["< 1e-300", "1e-09", "0.012"]
 
 
