@@ -15,12 +15,12 @@ from doe.problem.candidates import listed
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import JobError
+from identification.kinematics.parameters import EFFECT
 from identification.threads import single_thread
 
 BEATEN = 1e-8  # relative excess over a bound that is not rounding
 EXACT = 1e-8  # relative gap of a bound over all postures
 ROUGH = 1e-3  # the same for models of many parameters: some seconds instead of half a minute
-MANY = 60  # parameters beyond which optimal weights on a list are computed to a percent only
 
 
 def best_known_bound(problem: DesignProblem, runs: int) -> Bound | None:
@@ -53,9 +53,10 @@ def everywhere(problem: DesignProblem, runs: int, also: Array | None = None) -> 
 
 
 def list_bound(problem: DesignProblem, runs: int) -> Bound | None:
-    """Over the choices: exact, of very many parameters within a percent."""
+    """Over the choices: exact, within a percent with a prior over many effects."""
     candidates = listed(problem, () if problem.choices is None else problem.choices)
-    if problem.parameters > MANY and problem.criterion.name in POWERS:
+    missing = any(p.kind == EFFECT and p.name in problem.deviations for p in problem.model.parameters)
+    if missing and problem.criterion.name in POWERS:
         return multiplicative(problem, candidates, runs=runs).bound
     return column_generation(problem, candidates, runs=runs).bound
 

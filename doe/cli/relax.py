@@ -40,7 +40,7 @@ relaxation_options = grouped(
         help="clarabel, scs, multiplicative or column_generation.",
     ),
     click.option("--check/--no-check", default=True, show_default=True, help="Cross-check by independent methods."),
-    click.option("--runs", type=click.IntRange(min=1), help="Number of measurements m, for --robust."),
+    click.option("--runs", type=click.IntRange(min=1), help="Number of measurements m, for --robust and spatial arms."),
 )
 
 
@@ -61,7 +61,7 @@ def command(
     from identification.files.arm import load_arm
 
     loaded = load_arm(arm)
-    check_runs(chosen, criterion)
+    check_runs(chosen, criterion, held=loaded.chain is not None and loaded.sigma is not None)
     problem = design_problem(
         loaded, criterion, PostureOptions(candidates=chosen.candidates if criterion.robust else None)
     )
@@ -69,7 +69,8 @@ def command(
     with session.progress("relax") as progress:
         progress(0, 2, "weights")
         solver = chosen.solver or ("multiplicative" if criterion.robust else "column_generation")
-        found = relax(problem, candidates(problem, chosen), solver, runs=chosen.runs)
+        new = chosen.runs or (problem.parameters if problem.deviations else None)
+        found = relax(problem, candidates(problem, chosen), solver, runs=new)
         data, shown = found.to_json(), relax_tables(found)
         if chosen.check:
             progress(1, 2, "cross-check")
@@ -80,11 +81,14 @@ def command(
     return Answer(data, [*shown, *output.write(plan_text(found.plan, loaded.joint_types), "plan with weights")])
 
 
-def check_runs(chosen: RelaxationOptions, criterion: CriterionOptions) -> None:
-    """Raises `InputError` where what is known beforehand needs the number of runs, and where nothing uses it."""
+def check_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, held: bool) -> None:
+    """Raises `InputError` where what is known beforehand needs the number of runs, and where nothing uses it.
+
+    held : the prior of machining holds the geometry of a spatial arm
+    """
     if criterion.robust and chosen.runs is None:
         raise InputError("--robust: found without --runs, allowed: with the number of measurements")
-    if chosen.runs is not None and not criterion.robust:
+    if chosen.runs is not None and not criterion.robust and not held:
         raise InputError("--runs: found without --robust, allowed: with --robust")
 
 

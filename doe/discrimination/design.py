@@ -90,6 +90,8 @@ def discrimination_design(
     freedom are needed). Ctrl-C returns the plan so far, status `interrupted`.
     """
     check_input(problem, loss)
+    if isinstance(effects, Arm) and effects.chain is not None:
+        raise InputError(f"discriminating: arm {effects.name} is spatial, allowed: a planar arm; --robust suits both")
     began = perf_counter()
     library = effects if isinstance(effects, EffectLibrary) else effect_library(effects)
     if runs > LONG_PLAN and starts is None and seconds is None:

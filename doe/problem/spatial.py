@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doe.problem.spatial_constraints import circle_across
 from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.kinematics.parameters import ParameterSet
@@ -121,8 +122,7 @@ def with_points(chain: SpatialChain) -> SpatialChain:
     beside = ", ".join(names) if len(chain.tools) > 1 else "the measured point"
     warnings.warn(f"tool: {beside} is not known, {OFF_AXIS:g} mm beside the last axis is assumed", stacklevel=2)
     axis = chain.end[:3, :3].T @ chain.joints[-1].axis
-    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    across /= np.linalg.norm(across)
+    across, other = circle_across(axis)
     turns = 2.0 * np.pi * np.arange(len(names)) / len(names)
-    places = OFF_AXIS * (np.cos(turns)[:, None] * across + np.sin(turns)[:, None] * np.cross(axis, across))
+    places = OFF_AXIS * (np.cos(turns)[:, None] * across + np.sin(turns)[:, None] * other)
     return replace(chain, tools={**chain.tools, **dict(zip(names, places, strict=True))})

@@ -140,6 +140,14 @@ def angle(one: Array, other: Array) -> Array:
     return np.asarray(np.arctan2(cross, np.sum(one * other, axis=-1)))
 
 
+def circle_across(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors (3,) across an axis and each other."""
+    unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    one = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
+    one /= np.linalg.norm(one)
+    return one, np.cross(unit, one)
+
+
 def smallest_along(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
     """(...) smallest value on segments (..., 3) of a function of points that is convex along lines."""
     low, high = np.zeros(start.shape[:-1]), np.ones(start.shape[:-1])

@@ -99,10 +99,15 @@ def not_estimable_line(design: Design, most: int = 4) -> list[Text]:
 def missing_lines(design: Design) -> list[Text]:
     """What a plan is for where effects may be missing; or, where the model has none, that they may be."""
     problem = design.problem
-    if problem.deviations:
-        effects = {name.partition(":")[0].partition(".")[0] for name in problem.deviations}
-        known = f"{len(problem.deviations)} parameters of {', '.join(sorted(effects))}"
-        return [Text(f"may be missing, each of its typical size: {known}; identify the arm with --prior")]
+    missing = [p.name for p in problem.model.parameters if p.kind == EFFECT and p.name in problem.deviations]
+    held = len(problem.deviations) - len(missing)
+    lines = [Text(f"{held} corrections of the geometry are held by the prior of its machining")] if held else []
+    if missing:
+        effects = {name.partition(":")[0].partition(".")[0] for name in missing}
+        known = f"{len(missing)} parameters of {', '.join(sorted(effects))}"
+        return [*lines, Text(f"may be missing, each of its typical size: {known}; identify the arm with --prior")]
+    if held:
+        return lines
     if problem.model.sigma is None or any(p.kind == EFFECT for p in problem.model.parameters):
         return []
     return [Text("The model has no effects, a real arm has: --robust chooses postures with the library's in mind.")]

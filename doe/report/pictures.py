@@ -15,14 +15,16 @@ from matplotlib.patches import Circle, Rectangle
 
 from doe.bounds.equivalence import sensitivity
 from doe.problem.problem import DesignProblem
+from doe.report.spatial_pictures import draw_spatial_plan
 from identification.arm import Arm, KeepOutCircle, LineOfSight, WorkspaceBox
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.io import write_whole
 from identification.gap.holdout import rms_distance
-from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS
+from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE
 from identification.model import Model
 
+POSITIONS = {REVOLUTE: "angle [deg]", PRISMATIC: "position [mm]"}
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 
 
@@ -37,20 +39,35 @@ def save(figure: Figure, path: Path, force: bool = False) -> None:
 
 
 def plan_figure(arm: Arm, postures: Array) -> Figure:
-    """The postures of a planar arm as stick figures, and every joint's angles within its limits."""
+    """The postures of an arm as stick figures, and every joint's angles within its limits."""
+    if arm.chain is not None:
+        figure = Figure(figsize=(10.0, 8.6))
+        top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[2.2, 1.0]))
+        draw_spatial_plan(top, arm, postures, run_colors(len(postures)))
+        bottom.subplots_adjust(bottom=0.2)
+        draw_joints(bottom.subplots(), arm, postures)
+        return figure
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
     plane, joints = figure.subplots(1, 2, width_ratios=[1.0, 1.1])
     draw_arm(plane, arm, postures)
     draw_constraints(plane, arm)
-    degrees = np.degrees(postures)
+    draw_joints(joints, arm, postures)
+    return figure
+
+
+def draw_joints(joints: Axes, arm: Arm, postures: Array) -> None:
+    """Every joint's angles within its limits; of sliding joints where they are between them."""
+    types = Model(arm).joint_types
+    units = np.array([FILE_UNITS[JOINT_UNITS[kind]][1] for kind in types])
     for j in range(arm.links):
-        low, high = np.degrees([arm.lower[j], arm.upper[j]])
+        low, high = units[j] * arm.lower[j], units[j] * arm.upper[j]
         joints.plot([low, high], [j, j], color=LIMIT, lw=6, alpha=0.35, solid_capstyle="butt")
-        joints.scatter(degrees[:, j], np.full(len(degrees), j), c=run_colors(len(degrees)), s=26, zorder=3, lw=0)
-    joints.set(yticks=range(arm.links), yticklabels=[f"$q_{j + 1}$" for j in range(arm.links)], xlabel="angle [deg]")
+        shown = units[j] * postures[:, j]
+        joints.scatter(shown, np.full(len(shown), j), c=run_colors(len(shown)), s=26, zorder=3, lw=0)
+    joints.set(yticks=range(arm.links), yticklabels=[f"$q_{j + 1}$" for j in range(arm.links)])
+    joints.set_xlabel("angle [deg]" if arm.chain is None else " or ".join(sorted({POSITIONS[kind] for kind in types})))
     joints.set_title("angles within the joint limits, light to dark in order of measurement", fontsize=9)
     joints.invert_yaxis()
-    return figure
 
 
 def run_colors(m: int) -> Array:

@@ -17,7 +17,6 @@ from identification.gap.f_tests import Dictionary
 from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses, projected
 from identification.gap.whitening import Rows
 from identification.information import column_space
-from identification.kinematics.planar import DIMENSION
 from identification.measurements import Conditions, directions_from_order, past_from_order, session_time
 
 # reasons: identification/README.md, "Constants"
@@ -110,7 +109,7 @@ def detectability(
     than 4 residual degrees of freedom.
     """
     given = frozenset() if conditions is None or conditions.temperature is None else frozenset({"temperature"})
-    rows = _planned(postures, conditions, DIMENSION)
+    rows = _planned(postures, conditions, arm.dimension)
     library = library or hypotheses(arm, given, rows)
     noise = sigma or arm.sigma or 1.0
     return assess(library, rows, library.base.jacobian(rows.postures, None, rows.conditions), {}, noise)
