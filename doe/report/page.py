@@ -6,9 +6,10 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import matplotlib
-from matplotlib.figure import Figure
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,8 @@ def page(title: str, verdict: str, sections: Sequence[Section]) -> str:
 
 def svg(figure: Figure) -> str:
     """The figure as an SVG element that scales with the page; equal figures give equal text."""
+    import matplotlib  # deferred: tables need no pictures
+
     buffer = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": "armcal", "svg.fonttype": "path"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
