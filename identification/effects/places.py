@@ -93,11 +93,19 @@ def _inside(effect: Effect, chain: Chain, values: ca.SX, lengths: ca.SX) -> dict
     }
 
 
-def contributions(effect: Effect, chain: Chain, values: ca.SX, state: ca.SX) -> ca.SX:
-    """What an effect adds at all places, in order, in a chain whose other effects leave it in this state."""
+def in_state(chain: Chain, state: ca.SX) -> Chain:
+    """The chain under the loads of a state, see `position_and_state`."""
+    return chain.loaded(state[0], state[1 : 1 + ROTATIONS[chain.dimension]])
+
+
+def contributions(effect: Effect, chain: Chain, loaded: Chain, values: ca.SX, state: ca.SX) -> ca.SX:
+    """What an effect adds at all places, in order, in a chain whose other effects leave it in this state.
+
+    loaded : the chain `in_state`, the same for all effects, since its torques take longer than all else
+    """
     n, d = chain.links, chain.dimension
     turn = ROTATIONS[d]
-    loaded, lengths = chain.loaded(state[0], state[1 : 1 + turn]), state[1 + turn : 1 + turn + n]
+    lengths = state[1 + turn : 1 + turn + n]
     found = {
         "payload": effect.payload(chain, values),
         "gravity_turn": effect.gravity_turn(chain, values),

@@ -19,7 +19,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, Setting
-from identification.effects.places import contributions, state_size
+from identification.effects.places import contributions, in_state, state_size
 from identification.vectorize import vectorize
 
 
@@ -35,6 +35,30 @@ class Template:
     members: tuple[int, ...]
 
 
+class Symbols:
+    """Of posture, conditions and state, and the chain there, loaded and not.
+
+    remembers : the conditions have the past
+    """
+
+    def __init__(self, arm: Arm, remembers: bool) -> None:
+        n, self.arm, self.remembers = arm.links, arm, remembers
+        self.q, self.state = ca.SX.sym("q", n), ca.SX.sym("state", state_size(n, arm.dimension))
+        self.c = ca.SX.sym("c", Conditions.columns(n, remembers))
+        self.chain = Chain.of(arm, self.q, self.c)
+        self.loaded = in_state(self.chain, self.state)
+        self._known: dict[Effect, ca.SX] = {}
+
+    def slopes(self, effect: Effect) -> ca.SX:
+        """(P, size) derivative of what an effect adds at all places by its parameters, nothing being known of these."""
+        if effect not in self._known:
+            v = ca.SX.sym("v", len(effect.parameters))
+            start = ca.DM([p.neutral for p in effect.parameters])
+            jacobian = ca.jacobian(contributions(effect, self.chain, self.loaded, v, self.state), v)
+            self._known[effect] = ca.sparsify(ca.substitute(jacobian, v, start))
+        return self._known[effect]
+
+
 @dataclass(frozen=True)
 class Bundle:
     """Effects whose slopes one function gives.
@@ -43,36 +67,26 @@ class Bundle:
         its last;  symbols : (S,) of them
     """
 
-    arm: Arm
+    at: Symbols
     templates: tuple[Template, ...]
     symbols: ca.SX
     settings: Array
 
-    @property
-    def remembers(self) -> bool:
-        """True if an effect depends on the postures measured before."""
-        return any("past" in template.effect.needs for template in self.templates)
-
     @cached_property
-    def _slopes(self) -> tuple[list[ca.SX], ca.SX, ca.SX, ca.SX]:
-        """Per template (P, size), with the symbols of posture, conditions and state."""
-        n = self.arm.links
-        q, state = ca.SX.sym("q", n), ca.SX.sym("state", state_size(n, self.arm.dimension))
-        c = ca.SX.sym("c", Conditions.columns(n, self.remembers))
-        chain = Chain.of(self.arm, q, c)
-        return [_slopes(template.effect, chain, state) for template in self.templates], q, c, state
+    def _slopes(self) -> list[ca.SX]:
+        """Per template (P, size)."""
+        return [self.at.slopes(template.effect) for template in self.templates]
 
     @cached_property
     def fixed(self) -> bool:
         """True if the slopes do not depend on the fitted model."""
-        slopes, _, _, state = self._slopes
-        return not any(ca.depends_on(ca.vec(s), state) for s in slopes)
+        return not any(ca.depends_on(ca.vec(s), self.at.state) for s in self._slopes)
 
     @cached_property
     def places(self) -> list[list[list[tuple[int, int]]]]:
         """Per template and parameter: (place, number of the slope) of what it adds."""
         found, count = [], 0
-        for slopes in self._slopes[0]:
+        for slopes in self._slopes:
             listed: list[list[tuple[int, int]]] = [[] for _ in range(slopes.shape[1])]
             for row, column in zip(*slopes.sparsity().get_triplet(), strict=True):
                 listed[column].append((row, count))
@@ -82,14 +96,13 @@ class Bundle:
 
     @cached_property
     def _function(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        slopes, q, c, state = self._slopes
-        values = ca.vertcat(*(ca.SX(s.nz[:]) for s in slopes))
-        return vectorize(ca.Function("slopes", [q, c, state, self.symbols], [ca.cse(values)]))
+        values, at = ca.vertcat(*(ca.SX(s.nz[:]) for s in self._slopes)), self.at
+        return vectorize(ca.Function("slopes", [at.q, at.c, at.state, self.symbols], [ca.cse(values)]))
 
     def slopes(self, postures: Array, conditions: Conditions, state: Array) -> Array:
         """(m, K, Z) numbers that are not always zero, for (m, n) postures, their conditions and (m, S) state."""
-        payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
-        table = conditions.table(len(postures), self.arm.links, payload, postures if self.remembers else None)
+        payload = 0.0 if self.at.arm.gravity is None else self.at.arm.gravity.payload
+        table = conditions.table(len(postures), self.at.arm.links, payload, postures if self.at.remembers else None)
         return self._function(postures[:, None], table[:, None], state[:, None], self.settings[None])[0][..., 0]
 
     def columns(self, levers: Array, slopes: Array) -> Iterator[tuple[int, Array]]:
@@ -104,34 +117,27 @@ class Bundle:
             yield from ((member, block[:, :, k]) for k, member in enumerate(template.members))
 
 
-def _slopes(effect: Effect, chain: Chain, state: ca.SX) -> ca.SX:
-    """(P, size) derivative of what an effect adds at all places by its parameters, where nothing is known of them."""
-    v = ca.SX.sym("v", len(effect.parameters))
-    start = ca.DM([p.neutral for p in effect.parameters])
-    jacobian = ca.jacobian(contributions(effect, chain, v, state), v)
-    return ca.sparsify(ca.substitute(jacobian, v, start))
-
-
 def bundles(arm: Arm, effects: Sequence[tuple[int, Effect]]) -> tuple[Bundle, ...]:
     """All effects, each with the number of its hypothesis: those with nothing to scan together (those that depend on
     the fitted model apart), and each scanned one with all its joints and settings."""
+    at = Symbols(arm, any("past" in effect.needs for _, effect in effects))
     plain: dict[bool, list[tuple[int, Effect]]] = {}
     scanned: dict[str, dict[int | None, list[tuple[int, Effect]]]] = {}
     for number, effect in effects:
         if effect.chosen and all(Setting.of(setting).symbolic for setting in effect.settings.values()):
             scanned.setdefault(effect.name, {}).setdefault(effect.joint, []).append((number, effect))
         else:
-            fixed = _plain_bundle(arm, [(number, effect)]).fixed
+            fixed = _plain_bundle(at, [(number, effect)]).fixed
             plain.setdefault(fixed, []).append((number, effect))
-    return (*(_plain_bundle(arm, e) for e in plain.values()), *(_scanned_bundle(arm, s) for s in scanned.values()))
+    return (*(_plain_bundle(at, e) for e in plain.values()), *(_scanned_bundle(at, s) for s in scanned.values()))
 
 
-def _plain_bundle(arm: Arm, effects: Sequence[tuple[int, Effect]]) -> Bundle:
+def _plain_bundle(at: Symbols, effects: Sequence[tuple[int, Effect]]) -> Bundle:
     templates = tuple(Template(effect, (number,)) for number, effect in effects)
-    return Bundle(arm, templates, ca.SX.zeros(0), np.zeros((1, 0)))
+    return Bundle(at, templates, ca.SX.zeros(0), np.zeros((1, 0)))
 
 
-def _scanned_bundle(arm: Arm, by_joint: Mapping[int | None, Sequence[tuple[int, Effect]]]) -> Bundle:
+def _scanned_bundle(at: Symbols, by_joint: Mapping[int | None, Sequence[tuple[int, Effect]]]) -> Bundle:
     """One effect, its values side by side for all joints."""
     templates, settings, symbols = [], [], list[ca.SX]()
     longest = max(map(len, by_joint.values()))
@@ -143,4 +149,4 @@ def _scanned_bundle(arm: Arm, by_joint: Mapping[int | None, Sequence[tuple[int, 
         symbols += chosen.values()
         values = np.array([[effect.chosen[name] for name in chosen] for _, effect in group])
         settings.append(np.pad(values, ((0, longest - len(group)), (0, 0)), mode="edge"))
-    return Bundle(arm, tuple(templates), ca.SX(ca.vertcat(*symbols)), np.hstack(settings))
+    return Bundle(at, tuple(templates), ca.SX(ca.vertcat(*symbols)), np.hstack(settings))

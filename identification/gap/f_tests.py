@@ -12,12 +12,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtr
 
 from identification.arrays import Array
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # reasons: identification/README.md, "Constants"
 VISIBLE = 1e-4  # fraction of a column's length that must survive projection; less is an alias of what is in the model
@@ -136,12 +140,16 @@ class Dictionary:
 
     def scores(self, raw: Array, model_scores: Array) -> Array:
         """(D, B) U^T r of vectors r, from X^T r (C, B) and Q^T r (rank, B)."""
-        raw = raw - self.inside.T @ model_scores
-        found = np.zeros((len(self.index), raw.shape[1]))
-        for j in range(self.index.shape[1]):
-            used = np.flatnonzero(self.turn[:, j])
-            found[used] += self.turn[used, j, None] * raw[self.index[used, j]]
-        return found
+        return np.asarray(self._turns @ (raw - self.inside.T @ model_scores))
+
+    @cached_property
+    def _turns(self) -> csr_array:
+        """(D, C) of what projected columns each basis vector consists."""
+        from scipy.sparse import csr_array
+
+        vector, j = np.nonzero(self.turn)
+        place = (vector, self.index[vector, j])
+        return csr_array((self.turn[vector, j], place), shape=(len(self.index), self.columns.matrix.shape[1]))
 
     def reductions(self, residuals: Array) -> Array:
         """(H, B) reduction of the sum of squares of residuals (N, B); 0 for the forbidden sign."""

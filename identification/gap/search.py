@@ -22,7 +22,7 @@ from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 LEVEL_FACTOR = 0.5  # tuned: factor on the levels where the noise model was estimated from the same data
-SAME_COLUMNS = 1000  # effort: rows from which all columns are those at the base fit
+SAME_COLUMNS = 250  # effort: rows from which all columns are those at the base fit
 WAVES = 3  # of one joint: encoder, its second harmonic, a gear; more are the series of an unknown function
 Choice = tuple[Hypothesis, ...]
 
