@@ -1,7 +1,8 @@
 """A smooth function of one joint angle, by its values at equally spaced nodes: a cubic spline that ends at zero.
 
 It is a sum of cubic B-splines, one centered on each node (C. de Boor, "A Practical Guide to Splines", 1978). Beyond the
-first and the last node nothing is known: there the function goes smoothly to zero within two node spacings.
+first and the last node nothing is known: there the function goes smoothly to zero within two node spacings. A joint
+that was turned once around is where it was: encoder and gear repeat themselves there.
 """
 
 from __future__ import annotations
@@ -50,8 +51,11 @@ class ErrorCurve(ByValue):
         return readonly(solve_banded((1, 1), bands, self.values))
 
     def at(self, angles: ArrayLike) -> Array:
-        """The function at angles [rad] of any shape."""
+        """The function at angles [rad] of any shape; an angle beyond the ends is looked up whole turns away."""
         q = np.asarray(angles, dtype=float)
+        edge = 2.0 * self.spacing  # within which the function goes to zero
+        beyond = (q < self.start - edge) | (q > self.stop + edge)
+        q = np.where(beyond, self.start + np.mod(q - self.start, 2.0 * np.pi), q)
         place, parts = local_splines(q.ravel(), self.start, self.stop, len(self.values))
         padded = np.pad(self.coefficients, 3)  # splines beyond the ends have no coefficient
         return np.einsum("mk,mk->m", parts, padded[place + 3]).reshape(q.shape)

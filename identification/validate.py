@@ -19,6 +19,7 @@ from identification.errors import InputError, nearest
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.information import spectrum
+from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.refit import placed_values, refit_model, refit_parameters
@@ -226,11 +227,15 @@ def identified(arm: Arm) -> Mapping[str, Any]:
 
 # -- blocks and notes --------------------------------------------------------------------------------------------------
 def outside(arm: Arm, measurements: Measurements) -> NDArray[np.bool_] | None:
-    """(m, n) True where a joint is outside the angles of the identification; None where they are not known."""
+    """(m, n) True where a joint is outside the angles of the identification, whole turns aside; None where they are not
+    known."""
     limits = np.array(identified(arm).get("joint_range_deg", ()), dtype=float)
     if limits.shape != (arm.links, 2):
         return None
     degrees = np.round(np.degrees(measurements.postures), 6)
+    turned = limits[:, 0] - 1e-6 + np.mod(degrees - limits[:, 0] + 1e-6, 360.0)
+    revolute = np.array([kind == REVOLUTE for kind in Model(arm).joint_types])
+    degrees = np.where(revolute & (turned <= limits[:, 1] + 1e-6), turned, degrees)
     return (degrees < limits[:, 0] - 1e-6) | (degrees > limits[:, 1] + 1e-6)
 
 

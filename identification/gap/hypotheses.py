@@ -20,6 +20,7 @@ from identification.effects.places import state_size
 from identification.gap.columns import Bundle, bundles
 from identification.gap.f_tests import CHUNK, Columns, Dictionary, dictionary
 from identification.gap.whitening import Rows
+from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
@@ -196,7 +197,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
         for joint in _joints(cls, arm.links):
             spec = EffectSpec(name, joint)
             if joint in unseen:
-                skipped[spec.key] = "the joint hardly moves the measured point"
+                skipped[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             found = [h for h in _with_settings(cls, spec, _scope(arm, joint, rows)) if h.effect.label not in own]
             members += found
@@ -207,15 +208,17 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
 
 
 def unseen_joints(model: Model, rows: Rows) -> frozenset[int]:
-    """Joints, from 1, of a spatial arm whose lever, as RMS over the rows, is nothing beside the reach.
+    """Joints, from 1, of a spatial arm that slide, or whose lever, as RMS over the rows, is nothing beside the reach.
 
-    A reflector on the last axis does not see that joint, and a share of a micrometre would make its errors degrees.
+    The effects of joints are those of encoders and gears that turn. A reflector on the last axis does not see that
+    joint, and a share of a micrometre would make its errors degrees.
     """
     if rows.dimension == 2:
         return frozenset()
     levers = model.joint_levers(rows.postures, None, rows.conditions)
     sizes = np.sqrt(np.mean(np.sum(levers**2, axis=1), axis=0))
-    return frozenset((np.flatnonzero(sizes < UNSEEN * model.reach) + 1).tolist())
+    sliding = np.array([kind == PRISMATIC for kind in model.joint_types])
+    return frozenset((np.flatnonzero(sliding | (sizes < UNSEEN * model.reach)) + 1).tolist())
 
 
 def _joints(cls: type[Effect], links: int) -> list[int | None]:

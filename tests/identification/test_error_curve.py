@@ -56,3 +56,12 @@ def test_bad_input(start: float, stop: float, values: np.ndarray, message: str) 
 def test_equal_by_value() -> None:
     assert ErrorCurve(-0.5, 1.7, VALUES.copy()) == CURVE
     assert ErrorCurve(-0.5, 1.8, VALUES) != CURVE
+
+
+def test_whole_turns_away_it_is_the_same() -> None:
+    """Also for angles that lie a turn from where they were measured; between the ends and there it is zero."""
+    curve = ErrorCurve(-1.0, 1.5, np.random.default_rng(2).standard_normal(20))
+    angles = np.linspace(-1.0, 1.5, 33)
+    for turns in (-2, 1):
+        np.testing.assert_allclose(curve.at(angles + 2.0 * np.pi * turns), curve.at(angles), atol=1e-12)
+    np.testing.assert_array_equal(curve.at([2.5, -2.5, 2.5 + 2.0 * np.pi]), 0.0)
