@@ -22,7 +22,7 @@ from identification.measurements import Measurements
 
 DATA = Path(__file__).parents[1] / "data/ur10_planar/measurements.csv"
 ARM = Arm(np.array([612.0, 572.3, 115.7]))
-ROWS, MORE, CHOICES, DRAWS = 40, 4, 80, 399
+ROWS, MORE, CHOICES, DRAWS = 40, 4, 200, 399
 
 
 def again(data: Measurements, taken: NDArray[np.int64], before: Diagnosis) -> bool:
