@@ -44,7 +44,7 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
         figure = Figure(figsize=(10.0, 8.6))
         top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[2.2, 1.0]))
         draw_spatial_plan(top, arm, postures, run_colors(len(postures)))
-        bottom.subplots_adjust(bottom=0.2)
+        bottom.subplots_adjust(left=0.06, right=0.97, bottom=0.2)
         draw_joints(bottom.subplots(), arm, postures)
         return figure
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")

@@ -53,13 +53,15 @@ def solve(
     chosen = chosen_solver(problem, solver)
     check_solvable(problem, runs, seed, every_parameter=throw)
     with single_thread():
-        known = bound or best_known_bound(problem, runs)
+        late = bound is None and climbs(problem)  # a bound that takes seconds has no part in the search's time
+        known = None if late else bound or best_known_bound(problem, runs)
         result = from_theory(problem, runs, known, seed) if solver is None else None
         chosen = chosen if result is None else Analytic()
         if result is None:
             budget = Budget.of(starts, chosen.starts_for(problem), time_limit(runs, starts, seconds), began)
             offers = offers_of(problem, runs, chosen, budget, seed, theory_first=solver is None)
             result = run_search(problem, offers, budget, known, progress)
+        known = best_known_bound(problem, runs) if late else known
         design = design_of(problem, result, chosen, known, began, seed)
         if bound is None:
             design = replace(design, bound=bound_that_holds(problem, known, design.plan.postures, design.value))
