@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from identification.arm import Arm
+from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, measured_position
 from identification.effects.places import position_and_state, split, widths
@@ -55,6 +56,22 @@ class Expressions:
         if "marker" in self.extra:
             chain, width = replace(chain, marker=c[width]), width + 1
         return replace(chain, errors=c[width:]) if "errors" in self.extra else chain
+
+    def table(self, postures: Array, conditions: Conditions) -> Array:
+        """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory, one of
+        the marker where there are several, and n of errors that curves say."""
+        payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
+        shape, past = postures.shape[:-1], postures if self.remembers else None
+        found = [conditions.table(shape, self.arm.links, payload, past)]
+        if "marker" in self.extra:
+            found.append(np.broadcast_to(0.0 if conditions.marker is None else conditions.marker, shape)[..., None])
+        if "errors" in self.extra:  # tables are looked up here: as formulas they would be thousands of terms
+            curves = {effect.joint_index: effect.curve for effect in self.effects if effect.curve is not None}
+            errors = np.zeros(postures.shape)
+            for joint, curve in curves.items():
+                errors[..., joint] = curve.at(postures[..., joint])
+            found.append(errors)
+        return np.concatenate(found, axis=-1)
 
     @cached_property
     def position_function(self) -> ca.Function:

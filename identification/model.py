@@ -23,7 +23,6 @@ from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, build_all
 from identification.effects.chain import geometry_of
-from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.expressions import Expressions
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, ParameterSet
@@ -187,10 +186,10 @@ class Model:
     @cached_property
     def expressions(self) -> Expressions:
         """The model in CasADi symbols."""
-        extra = (*(["marker"] if self._markers else []), *(["errors"] if self._curves else []))
-        return Expressions(
-            self.arm, self.effects, self.all_parameters, self.parameters, self.fixed, self.remembers, extra
-        )
+        curved = any(effect.curve is not None for effect in self.effects)
+        extra = ("marker",) * self._markers + ("errors",) * curved
+        parts = (self.effects, self.all_parameters, self.parameters, self.fixed, self.remembers)
+        return Expressions(self.arm, *parts, extra)
 
     @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -215,11 +214,6 @@ class Model:
     def _geometry_values(self) -> Array:
         """Best known values of `geometry_parameters`."""
         return self.geometry_parameters.vector(self.best_known)
-
-    @cached_property
-    def _curves(self) -> dict[int, ErrorCurve]:
-        """Joint (from 0) -> its error curve."""
-        return {effect.joint_index: effect.curve for effect in self.effects if effect.curve is not None}
 
     @property
     def _markers(self) -> bool:
@@ -284,10 +278,9 @@ class Model:
     def neutral_conditions(self) -> Array:
         """(4+n,) conditions where nothing is said: the arm's payload, mean temperature, the middle of session 1,
         approach +1; with a memory, of zero angles; of several markers the first."""
-        payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
-        past = np.zeros((1, self.joints)) if self.remembers else None
-        table = Conditions().table(1, self.joints, payload, past)[0]
-        return np.append(table, np.zeros(self._markers + self.joints * bool(self._curves)))
+        table = self.condition_table(np.zeros((1, self.joints)), Conditions())[0]
+        width = self.joints * ("errors" in self.expressions.extra)
+        return np.append(table[: len(table) - width], np.zeros(width))
 
     def _postures(self, postures: ArrayLike) -> Array:
         q = np.atleast_2d(np.asarray(postures, dtype=float))
@@ -305,16 +298,5 @@ class Model:
         return q, self.condition_table(q, conditions or Conditions()), p[..., None, :]
 
     def condition_table(self, postures: Array, conditions: Conditions) -> Array:
-        """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory, one of
-        the marker where there are several, and n of errors that curves say."""
-        past = postures if self.remembers else None
-        table = conditions.table(postures.shape[:-1], self.joints, float(self.neutral_conditions[0]), past)
-        if self._markers:
-            marker = np.broadcast_to(0.0 if conditions.marker is None else conditions.marker, postures.shape[:-1])
-            table = np.concatenate([table, marker[..., None]], axis=-1)
-        if not self._curves:
-            return table
-        errors = np.zeros(postures.shape)  # tables are looked up here: as formulas they would be thousands of terms
-        for joint, curve in self._curves.items():
-            errors[..., joint] = curve.at(postures[..., joint])
-        return np.concatenate([table, errors], axis=-1)
+        """(..., m, 4 + n) values of the symbols for conditions, see `Expressions.table`."""
+        return self.expressions.table(postures, conditions)
