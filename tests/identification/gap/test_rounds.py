@@ -11,7 +11,7 @@ from tests.identification.gap.test_search import NAMES, searched
 
 def test_rounds_say_what_was_added_taken_back_and_left() -> None:
     search, (one, two) = searched()
-    first, second, third = rounds_of(search, ((), (one,), (one,), (one, two), (two,)))
+    first, second, third = rounds_of(search, ((), (one,), (one,), (one, two)), search.fit((two,)), (NAMES[1],))
     assert (first.added, first.removed) == ((NAMES[0],), ())
     assert (second.added, second.removed) == ((NAMES[1],), ())
     assert (third.added, third.removed) == ((), (NAMES[0],))
