@@ -28,6 +28,8 @@ REFITS = ("base", "offsets", "none")
 QUARTERS = 4  # blocks of time; the quadrants of the workspace are as many
 FEWEST = 3 * QUARTERS  # rows from which blocks are formed
 
+END = 0.5  # time at the end of a session, -0.5 to 0.5
+
 
 @dataclass(frozen=True)
 class Figures:
@@ -169,7 +171,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     residuals, nominal = np.empty((2, *measurements.positions.shape))
     refitted, free = [], 0
     for rows in measurements.session_rows:
-        session, conditions = measurements.rows(rows), conditions_of(arm, measurements).rows(rows)
+        session, conditions = measurements.rows(rows), conditions_of(arm, measurements, refit).rows(rows)
         values, residuals[rows], determined = _refitted(arm, session, conditions, refit)
         nominal[rows] = _refitted(drawing, session, conditions, refit)[1]
         refitted.append(values)
@@ -212,9 +214,15 @@ def _refitted(
     return found, residuals, spectrum(jacobian, model.scales).rank
 
 
-def conditions_of(arm: Arm, measurements: Measurements) -> Conditions:
-    """Conditions with the temperature counted from the mean of the data of the identification, where it is known."""
+def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Conditions:
+    """Conditions with the temperature counted from the mean of the data of the identification, where it is known.
+
+    Where the arm was set up anew (`refit`), what happened once in the session of the identification is over: a drift or
+    a step has come to its end.
+    """
     conditions, mean = measurements.conditions, identified(arm).get("mean_temperature_C")
+    if refit != "none" and any(effect.once for effect in Model(arm).effects):
+        conditions = replace(conditions, time=np.full(len(measurements), END))
     if measurements.temperature is None or mean is None:
         return conditions
     return replace(conditions, temperature=measurements.temperature - float(mean))

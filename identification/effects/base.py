@@ -40,6 +40,7 @@ class Effect:
     alias : why no measurement of the tip can tell this effect from the base parameters, or None
     nuisance : True for what is no fault of the arm, which `diagnose` does not look for
     scatter : True for an effect on the noise, which the model of the mean ignores (`identification.effects.noise`)
+    once : True for what happened in the session of the identification: in another one it is as it was at the end
     tabulated : True for an effect that is a table of values (`EffectSpec.curve`) and has no parameters
     dimensions : coordinates of the arms that may have it: 2 in the plane, 3 in space
 
@@ -61,6 +62,7 @@ class Effect:
     alias: ClassVar[str | None] = None
     nuisance: ClassVar[bool] = False
     scatter: ClassVar[bool] = False
+    once: ClassVar[bool] = False
     tabulated: ClassVar[bool] = False
     dimensions: ClassVar[tuple[int, ...]] = (2, 3)
     curve: ErrorCurve | None = None

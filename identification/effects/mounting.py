@@ -41,6 +41,7 @@ class BaseDrift(Effect):
     name = "base_drift"
     summary = "base or tracker creeps during the session"
     needs = frozenset({"time"})
+    once = True
     family = "base_drift"
 
     def define(self) -> tuple[Parameter, ...]:
@@ -58,6 +59,7 @@ class BaseRotationDrift(Effect):
     name = "base_rotation_drift"
     summary = "base or tracker turns during the session"
     needs = frozenset({"time"})
+    once = True
     family = "base_rotation_drift"
 
     def define(self) -> tuple[Parameter, ...]:

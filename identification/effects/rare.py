@@ -52,6 +52,7 @@ class _Step(_Rare):
     """Something that changes once during the session."""
 
     needs = frozenset({"time"})
+    once = True
     settings = MappingProxyType({"at": STEP})
 
     def after(self, chain: Chain) -> ca.SX:

@@ -18,6 +18,7 @@ from identification.gap.curve import Curve
 from identification.gap.curve_choice import Explanation, Members, System, choose
 from identification.gap.curve_fit import Basis
 from identification.gap.fit import Fit, fit
+from identification.gap.hypotheses import Hypothesis
 from identification.gap.noise import Finding
 from identification.gap.result import Candidate
 from identification.gap.selection import WINDOW
@@ -26,6 +27,7 @@ from identification.gap.workflow import Findings
 from identification.measurements import Conditions, Measurements, joint_range
 from identification.model import Model
 
+IMPLAUSIBLE = 4.0  # typical sizes of an effect: one arm in 16,000 has it so large
 TIDY = 7  # decimals of a value in degrees, in files
 SHARES = (0.0, 0.5, 0.75, 1.0)  # of a serial correlation
 
@@ -125,8 +127,26 @@ def find_curves(found: Findings, measurements: Measurements) -> Curves | None:
         return None
     system, scatter, best = _for_other_times(system, scatter, best)
     fitted, curves = _fitted(system, best)
+    while (far := _least_plausible(fitted, best.kept)) is not None:
+        best = system.explain(tuple(h for h in best.kept if h is not far), best.joints, best.logs)
+        fitted, curves = _fitted(system, best)
     again = fit(base.model, system.rows, base.by_name)
     return Curves(fitted, curves, best.kept, scatter, again, gain, system.cross_validated(best) / len(system.rows))
+
+
+def _least_plausible(fitted: Fit, kept: Members) -> Hypothesis | None:
+    """The named effect that is farthest beyond its typical size, if it is implausibly large; else None.
+
+    Beside flexible curves an effect can grow large and be cancelled by them at the angles measured, and nowhere else.
+    """
+    sizes = {
+        h: max(abs(fitted.by_name[p.name]) / p.typical for p in effect.parameters if p.typical)
+        for h in kept
+        for effect in fitted.model.effects
+        if effect.label == h.effect.label and any(p.typical for p in effect.parameters)
+    }
+    farthest = max(sizes, key=lambda h: sizes[h], default=None)
+    return farthest if farthest is not None and sizes[farthest] > IMPLAUSIBLE else None
 
 
 def _for_other_times(
