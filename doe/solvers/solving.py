@@ -11,6 +11,7 @@ import numpy as np
 
 from doe.bounds.best_known import best_known_bound, bound_that_holds
 from doe.bounds.bound import Bound
+from doe.bounds.planar_theorem import applies
 from doe.design import Design
 from doe.plan.ascent import climbs
 from doe.problem.problem import DesignProblem
@@ -53,7 +54,8 @@ def solve(
     chosen = chosen_solver(problem, solver)
     check_solvable(problem, runs, seed, every_parameter=throw)
     with single_thread():
-        late = bound is None and climbs(problem)  # a bound that takes seconds has no part in the search's time
+        # a bound that takes seconds has no part in the search's time; that of a theorem takes none
+        late = bound is None and climbs(problem) and not applies(problem)
         known = None if late else bound or best_known_bound(problem, runs)
         result = from_theory(problem, runs, known, seed) if solver is None else None
         chosen = chosen if result is None else Analytic()

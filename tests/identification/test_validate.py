@@ -186,3 +186,14 @@ def test_what_one_session_of_the_real_robot_taught_carries_over_to_another() -> 
     found = validate(arm, data)
     assert found.model.rms == pytest.approx(left[1], rel=1e-6)
     assert found.model.rms < 0.33 < 0.8 * left[0]
+
+
+def test_what_happened_in_one_session_is_over_in_the_next() -> None:
+    """A zero that jumped in the middle of a session stays where it is: another one sees the arm after the jump."""
+    step = EffectSpec("joint_step", 2, {"at": 0.0, "b": 2e-3})
+    arm = Arm([400.0, 300.0], effects=(EffectSpec("base_offset"), step), calibration=Calibration.of([0, 0], [0, 0]))
+    after = Arm([400.0, 300.0], calibration=Calibration.of([0.0, 0.0], [0.0, 2e-3]))
+    postures = np.random.default_rng(5).uniform(-2.0, 2.0, (40, 2))
+    data = Measurements(postures, Model(after).position(postures))
+    assert validate(arm, data, refit="base").model.rms < 1e-6
+    assert validate(arm, data, refit="none").model.rms > 0.1  # the same session: half of its rows are before the jump

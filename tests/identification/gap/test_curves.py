@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from identification.arm import Arm
 from identification.files.arm_text import dump_arm
 from identification.gap.cross_validation import cross_validate
 from identification.gap.curve import curves_text
-from identification.gap.curves import Curves, curve_candidate, find_curves
+from identification.gap.curves import Curves, _least_plausible, curve_candidate, find_curves
 from identification.gap.hypotheses import hypotheses
 from identification.gap.search import HypothesisSearch
 from identification.gap.unmodelled import Unknown
@@ -140,3 +141,17 @@ def test_cross_validation_fits_the_curves_again() -> None:
         left = target[folds == k] - columns[folds == k] @ solved
         np.testing.assert_allclose(found.residual[folds == k], left, atol=2e-4)  # tables are written to 1e-7 deg
     assert np.mean(found.residual**2) * 2.0 == pytest.approx(np.mean(found.predicted), rel=0.2)
+
+
+def test_an_effect_far_beyond_its_typical_size_is_implausible() -> None:
+    """The farthest first: 20 typical sizes (5e-5) before 6 (5e-4); 3 are plausible."""
+    arm = Arm([300.0, 200.0])
+    library = {h.effect.label: h for h in hypotheses(arm, frozenset()).members}
+    kept = tuple(library[name] for name in ("axes_skew", "encoder_eccentricity:1", "gear_ratio:2"))
+    model = Model(arm.with_effects(*(h.spec for h in kept)))
+    sizes = {"axes_skew.a": 1e-3, "encoder_eccentricity:1.b": -3e-3, "gear_ratio:2.e": 3e-4}
+    fitted = SimpleNamespace(model=model, by_name=dict.fromkeys(model.names, 0.0) | sizes)
+    assert _least_plausible(fitted, kept) is kept[0]
+    assert _least_plausible(fitted, kept[1:]) is kept[1]
+    assert _least_plausible(fitted, kept[2:]) is None
+    assert _least_plausible(fitted, ()) is None
