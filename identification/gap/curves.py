@@ -144,13 +144,13 @@ def _least_plausible(fitted: Fit, kept: Members) -> Hypothesis | None:
     """The named effect that is farthest beyond its typical size, if it is implausibly large; else None.
 
     Beside flexible curves an effect can grow large and be cancelled by them at the angles measured, and nowhere else.
-    What happened once, a collision say, has no size that arms are built to, and curves of the angle cannot cancel it.
+    Drifts and steps too: on a grid measured in order, time follows the angles.
     """
     sizes = {
         h: max(abs(fitted.by_name[p.name]) / p.typical for p in effect.parameters if p.typical)
         for h in kept
         for effect in fitted.model.effects
-        if effect.label == h.effect.label and not effect.once and any(p.typical for p in effect.parameters)
+        if effect.label == h.effect.label and any(p.typical for p in effect.parameters)
     }
     farthest = max(sizes, key=lambda h: sizes[h], default=None)
     return farthest if farthest is not None and sizes[farthest] > IMPLAUSIBLE else None
