@@ -71,11 +71,12 @@ def _preflight(
     arm: Arm, given: Plan, path: Path, aliases: Path | None, force: bool
 ) -> tuple[dict[str, Any] | None, list[Any]]:
     """Which effects the plan could show, as JSON and as tables; draws those that are hard to distinguish if asked."""
+    from doe.problem.spatial import without_prior
     from doe.report.detectability_tables import preflight_tables
     from identification.gap.detectability import detectability
 
     try:
-        sees = detectability(arm, given.postures)
+        sees = detectability(without_prior(arm), given.postures)
     except InputError as error:  # too few runs to test for effects: a property of the plan, not bad input
         if aliases is not None:
             raise InputError(f"--aliases: {path}: {error}") from error

@@ -10,29 +10,26 @@ p K parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from doe.criteria import Criterion, D
 from doe.criteria.bayesian import Average, Worst
+from doe.problem.derived_model import DerivedModel
 from doe.problem.problem import DesignProblem, InformationModel
 from identification.arrays import Array, readonly
 from identification.errors import InputError, nearest
 from identification.kinematics.parameters import ParameterSet
 from identification.model import Model
-from identification.vectorize import vectorize
 
 KINDS = ("average", "worst")
 
 
 @dataclass(frozen=True)
-class EnsembleModel:
+class EnsembleModel(DerivedModel):
     """K arms measured at the same postures. draws : (K, p) parameter vectors [mm, rad]."""
 
     model: InformationModel
@@ -57,24 +54,9 @@ class EnsembleModel:
         return self.model.dimension * len(self.draws)
 
     @property
-    def joint_types(self) -> tuple[str, ...]:
-        """As of the model."""
-        return self.model.joint_types
-
-    @property
-    def sigma(self) -> float | None:
-        """As of the model."""
-        return self.model.sigma
-
-    @property
     def values(self) -> Array:
         """(K p) the draws."""
         return self.draws.ravel()
-
-    @property
-    def neutral_conditions(self) -> Array:
-        """As of the model."""
-        return self.model.neutral_conditions
 
     @cached_property
     def jacobian_function(self) -> ca.Function:
@@ -85,16 +67,6 @@ class EnsembleModel:
         each = [inner(q, c, part) for part in ca.vertsplit(p, self.draws.shape[1])]
         outputs = [ca.vertcat(*(position for position, _ in each)), ca.diagcat(*(jacobian for _, jacobian in each))]
         return ca.Function("ensemble", [q, c, p], ca.cse(outputs))
-
-    @cached_property
-    def _jacobian(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        return vectorize(self.jacobian_function)
-
-    def jacobian(self, postures: ArrayLike, parameters: Any = None, conditions: Any = None) -> Array:
-        """(..., K d, K p) block-diagonal Jacobians of postures (..., n)."""
-        values = self.values if parameters is None else np.asarray(parameters, dtype=float)
-        table = self.neutral_conditions if conditions is None else conditions
-        return np.asarray(self._jacobian(np.asarray(postures, dtype=float), table, values)[1])
 
 
 def prior_draws(

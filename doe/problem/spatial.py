@@ -10,23 +10,22 @@ does not matter to depends on it.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
+from doe.problem.derived_model import DerivedModel
 from doe.problem.spatial_constraints import circle_across
-from identification.arrays import Array
+from identification.arm import Arm
 from identification.conditions import Conditions
 from identification.kinematics.parameters import ParameterSet
 from identification.kinematics.spatial import TOOL, SpatialChain
-from identification.minimal import minimal
+from identification.minimal import WELL_TOLD, minimal
 from identification.model import Model
-from identification.vectorize import vectorize
 
 if TYPE_CHECKING:
     from doe.problem.problem import InformationModel
@@ -35,7 +34,7 @@ OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flang
 
 
 @dataclass(frozen=True)
-class EveryPoint:
+class EveryPoint(DerivedModel):
     """All measured points of a spatial arm at every posture: d is three times their number."""
 
     model: Model
@@ -44,11 +43,6 @@ class EveryPoint:
     def parameters(self) -> ParameterSet:
         """As of the model."""
         return self.model.parameters
-
-    @property
-    def values(self) -> Array:
-        """As of the model."""
-        return self.model.values
 
     @property
     def points(self) -> int:
@@ -60,21 +54,6 @@ class EveryPoint:
     def dimension(self) -> int:
         """d, three for each point."""
         return self.model.dimension * self.points
-
-    @property
-    def joint_types(self) -> tuple[str, ...]:
-        """As of the model."""
-        return self.model.joint_types
-
-    @property
-    def sigma(self) -> float | None:
-        """As of the model."""
-        return self.model.sigma
-
-    @property
-    def neutral_conditions(self) -> Array:
-        """As of the model; the number of the point in it is not used."""
-        return self.model.neutral_conditions
 
     @cached_property
     def jacobian_function(self) -> ca.Function:
@@ -89,16 +68,6 @@ class EveryPoint:
         outputs = [ca.vertcat(*parts) for parts in zip(*each, strict=True)]
         return ca.Function("every_point", [q, c, p], ca.cse(outputs))
 
-    @cached_property
-    def _jacobian(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        return vectorize(self.jacobian_function)
-
-    def jacobian(self, postures: ArrayLike, parameters: Any = None, conditions: Any = None) -> Array:
-        """(m, d, p) of postures (m, n)."""
-        values = self.values if parameters is None else np.asarray(parameters, dtype=float)
-        table = self.neutral_conditions if conditions is None else conditions
-        return np.asarray(self._jacobian(np.asarray(postures, dtype=float), table, values)[1])
-
 
 def designed(model: Model) -> tuple[Model, InformationModel, Mapping[str, float]]:
     """The model with its measured points in place, the same with all of them, and what is known of its parameters.
@@ -112,6 +81,13 @@ def designed(model: Model) -> tuple[Model, InformationModel, Mapping[str, float]
         placed = minimal(placed)
     several = len(model.arm.chain.tools) > 1
     return placed, EveryPoint(placed) if several else placed, placed.prior
+
+
+def without_prior(arm: Arm) -> Arm:
+    """An arm with its measured points in place and a minimal set of parameters, as tests for effects see it."""
+    if arm.chain is None:
+        return arm
+    return minimal(Model(replace(arm, chain=with_points(arm.chain))), WELL_TOLD).arm
 
 
 def with_points(chain: SpatialChain) -> SpatialChain:

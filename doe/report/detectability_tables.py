@@ -10,6 +10,7 @@ from doe.discrimination.design import DiscriminationDesign
 from doe.discrimination.misidentification import LAMBDA
 from doe.report.terminal import table
 from identification.gap.detectability import Detectability
+from identification.gap.hypotheses import untested
 
 HIDDEN = 0.01
 
@@ -26,7 +27,7 @@ def preflight_tables(sees: Detectability) -> list[Any]:
     headings = ("effect", "visible fraction", "smallest detectable size (90 % power)", "looks like")
     title = "What this plan can show of missing effects"
     shown = table(headings, map(row, sees.names, sees.norm_fractions), title, left=("effect",))
-    skipped = [Text(f"not tested: {key}: {why}") for key, why in sees.skipped.items()]
+    skipped = [Text(sentence) for sentence in untested(sees.skipped)]
     never = [Text(f"never identifiable: {key}: equivalent to {why}") for key, why in sees.aliases.items()]
     return [shown, Text(f"{sees.freedom} residual degrees of freedom"), *skipped, *never]
 

@@ -70,7 +70,7 @@ def geometry_tables(found: CorrectedGeometry) -> list[Any]:
 def residual_text(error: float, reached: bool = True) -> str:
     """Distance of the calibrated model's tip from its target [mm], not to be read as the robot's accuracy."""
     text = "< 1e-6" if error < 1e-6 else number(error)
-    return text if reached else f"{text}, not reached"
+    return text if reached else f"not reached, {error:.0f}"
 
 
 def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
@@ -79,7 +79,7 @@ def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     joints = (f"q{j} [{'deg' if kind == 'revolute' else 'mm'}]" for j, kind in enumerate(types, start=1))
     found_rows = zip(found.targets, found.commands_in_file_units, found.errors, strict=True)
     rows = (
-        [str(row), *(f"{v:.3f}" for v in target), *(f"{v:.4f}" for v in command), residual_text(error, reached)]
+        [str(row), *(f"{v:.1f}" for v in target), *(f"{v:.3f}" for v in command), residual_text(error, reached)]
         for row, ((target, command, error), reached) in enumerate(zip(found_rows, found.reached, strict=True), start=1)
     )
     caption = f"first {most} of {len(found.targets)} targets; --out writes all"

@@ -36,8 +36,8 @@ def estimate(
 ) -> Identification:
     """Least-squares estimates of the model's parameters (eq. 3), with covariance (eq. 16) and 95 % intervals.
 
-    model : a `Model`, or another, of any dimension, with the same parameters, values, joints, effects, sigma, reach,
-        closed_form, position and linearize
+    model : a `Model`, or another, of any dimension, with the same parameters, prior, values, joints, effects, sigma,
+        reach, closed_form, position and linearize
     method : `linear` (closed form, the default where the model is linear in its links), `gauss_newton` (the default
         for every other model) or `paper_steps`
     sigma : standard deviation of one coordinate [mm], one number or (m,), which intervals then rely on; "given": the
@@ -55,7 +55,7 @@ def estimate(
     method fails.
     """
     check(model, measurements)
-    if prior := getattr(model, "prior", None):
+    if prior := model.prior:
         if method not in (None, "gauss_newton"):
             raise InputError(f"method: {method} for a spatial arm held by a prior, allowed: gauss_newton")
         return estimate_with_prior(model, measurements, Prior(prior), sigma, weights)

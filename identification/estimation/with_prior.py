@@ -50,7 +50,7 @@ def estimate_with_prior(
     Raises `InputError` for data that do not fit the model, and fewer equations than parameters without a prior.
     """
     model = placed_model(model, measurements)
-    prior = Prior({**getattr(model, "prior", {}), **prior.deviations})
+    prior = Prior({**model.prior, **prior.deviations})
     check(model, measurements, prior)
     noise = weighting(model, measurements, sigma, weights)
     problem, solution = _solved(replace(Problem.of(model, measurements, noise.weights), prior=prior), noise)

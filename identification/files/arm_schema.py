@@ -20,6 +20,7 @@ from identification.files.schema import (
     Sigma,
     StrictTable,
     require_count,
+    require_rising,
 )
 
 ROUNDED = 1e-5  # of a correlation, where a covariance is written with six digits
@@ -58,9 +59,9 @@ class BoxTable(StrictTable):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        for key, (low, high) in (("x_mm", self.x_mm), ("y_mm", self.y_mm)):
-            if low >= high:
-                raise ValueError(f"{key}: found [{low:g}, {high:g}], allowed: the lower one first")
+        for key in type(self).model_fields:
+            if key != "kind":
+                require_rising(key, getattr(self, key))
         return self
 
 

@@ -8,22 +8,23 @@ from pydantic import BaseModel, Field, model_validator
 
 from identification.arm import LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS
 from identification.errors import InputError
-from identification.files.arm_schema import CovarianceTable, EffectTable, MeasurementTable
+from identification.files.arm_schema import BoxTable, CovarianceTable, EffectTable, GravityTable, MeasurementTable
 from identification.files.schema import (
     Angle,
     Coordinate,
     NotNegative,
+    Pair,
     Positive,
     Schema,
     StrictTable,
     Triple,
     require_count,
+    require_rising,
 )
 
 POINT = "three numbers [mm]"
 COORDINATE = f"a number [mm], up to {LENGTH_RANGE[1]:g}"
 ANGLE = f"an angle [deg], up to {LARGEST_ANGLE:g}"
-Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class RowTable(StrictTable):
@@ -83,35 +84,16 @@ class SpatialMeasurementTable(MeasurementTable):
     sigma_deg: Positive | None = Field(None, description="a number > 0 [deg]")
 
 
-class SpatialGravityTable(StrictTable):
+class SpatialGravityTable(GravityTable):
     """`[gravity]`."""
 
     acceleration_m_s2: Triple = Field(description="three numbers [m/s^2]")
-    link_masses_kg: list[NotNegative] = Field(description="one mass >= 0 [kg] for each joint")
-    center_of_mass: list[Annotated[float, Field(ge=0, le=1)]] | None = Field(
-        None, description="one fraction 0 to 1 for each joint"
-    )
-    payload_kg: NotNegative = Field(0.0, description="a number >= 0 [kg]")
 
 
-class SpatialBoxTable(StrictTable):
+class SpatialBoxTable(BoxTable):
     """`kind = "workspace_box"`."""
 
-    kind: Literal["workspace_box"]
-    x_mm: Range = Field(description="two numbers [mm], the lower one first")
-    y_mm: Range = Field(description="two numbers [mm], the lower one first")
-    z_mm: Range = Field(description="two numbers [mm], the lower one first")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        for key in ("x_mm", "y_mm", "z_mm"):
-            _require_rising(key, getattr(self, key))
-        return self
-
-
-def _require_rising(key: str, values: list[float]) -> None:
-    if values[0] >= values[1]:
-        raise ValueError(f"{key}: found [{values[0]:g}, {values[1]:g}], allowed: the lower one first")
+    z_mm: Pair = Field(description="two numbers [mm], the lower one first")
 
 
 class SphereTable(StrictTable):
@@ -157,7 +139,7 @@ class SpatialSightTable(StrictTable):
         if self.toward_mm == self.tracker_mm:
             raise ValueError(f"toward_mm: found {self.toward_mm}, allowed: another point than tracker_mm")
         if self.range_mm is not None:
-            _require_rising("range_mm", self.range_mm)
+            require_rising("range_mm", self.range_mm)
         if self.facing is not None and not any(self.facing):
             raise ValueError(f"facing: found {self.facing}, allowed: a direction, not zero")
         if self.acceptance_deg is not None and self.facing is None:

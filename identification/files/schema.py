@@ -104,3 +104,9 @@ def require_count(key: str, values: list[Any], count: int, what: str = "values f
     """Raises `InputError` for another number of values than one for each link, joint or whatever they are of."""
     if len(values) != count:
         raise InputError(f"{key}: found {len(values)} {what} {count} {whose}, allowed: {count}")
+
+
+def require_rising(key: str, values: list[float]) -> None:
+    """Raises `ValueError`, for a validator of a table, where the first of two values is not the lower one."""
+    if values[0] >= values[1]:
+        raise ValueError(f"{key}: found [{values[0]:g}, {values[1]:g}], allowed: the lower one first")

@@ -126,18 +126,20 @@ def find_curves(found: Findings, measurements: Measurements) -> Curves | None:
     if not best.joints or gain <= WINDOW or not _predicts_better(system, best):
         return None
     system, scatter, best = _for_other_times(system, scatter, best)
-    best = _plausible(system, best)
-    fitted, curves = _fitted(system, best)
+    best, (fitted, curves) = _plausible(system, best)
     again = fit(base.model, system.rows, base.by_name)
     return Curves(fitted, curves, best.kept, scatter, again, gain, system.cross_validated(best) / len(system.rows))
 
 
-def _plausible(system: System, best: Explanation) -> Explanation:
-    """Without named effects of implausible size, as long as the curves still predict better than the names alone."""
-    trial = best
-    while (far := _least_plausible(_fitted(system, trial)[0], trial.kept)) is not None:
+def _plausible(system: System, best: Explanation) -> tuple[Explanation, tuple[CurveFit, tuple[Curve, ...]]]:
+    """Without named effects of implausible size, as long as the curves still predict better than the names alone; and
+    fitted."""
+    trial, fitted = best, _fitted(system, best)
+    first = fitted
+    while (far := _least_plausible(fitted[0], trial.kept)) is not None:
         trial = system.explain(tuple(h for h in trial.kept if h is not far), trial.joints, trial.logs)
-    return trial if trial is best or _predicts_better(system, trial) else best
+        fitted = _fitted(system, trial)
+    return (trial, fitted) if trial is best or _predicts_better(system, trial) else (best, first)
 
 
 def _least_plausible(fitted: Fit, kept: Members) -> Hypothesis | None:

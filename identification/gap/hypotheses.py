@@ -196,7 +196,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
             continue
         for joint in _joints(cls, arm.links):
             spec = EffectSpec(name, joint)
-            if joint in unseen:
+            if joint in unseen and cls.joint_angles is not Effect.joint_angles:
                 skipped[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             found = [h for h in _with_settings(cls, spec, _scope(arm, joint, rows)) if h.effect.label not in own]
@@ -205,6 +205,14 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
                 skipped[spec.key] = "already in the arm's model"
     aliases = {name: cls.alias for name, cls in known.items() if cls.alias is not None}
     return HypothesisSet(arm, tuple(members), skipped, aliases)
+
+
+def untested(skipped: Mapping[str, str]) -> list[str]:
+    """A sentence for each reason why effects were not tested;  skipped : effect -> reason."""
+    return [
+        f"not tested, {why}: {', '.join(key for key, reason in skipped.items() if reason == why)}"
+        for why in dict.fromkeys(skipped.values())
+    ]
 
 
 def unseen_joints(model: Model, rows: Rows) -> frozenset[int]:

@@ -9,7 +9,7 @@ import numpy as np
 from identification.arm import Arm
 from identification.gap.detectability import EXACT, NEAR, Detectability, likenesses
 from identification.gap.holdout import Gap
-from identification.gap.hypotheses import Hypothesis
+from identification.gap.hypotheses import Hypothesis, untested
 from identification.gap.library_prior import LibraryPrior
 from identification.gap.result import Candidate
 from identification.gap.search import HypothesisSearch
@@ -71,11 +71,7 @@ def inseparable(joint: int) -> str:
 
 def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measurements | None, gap: Gap) -> list[str]:
     """What a person should know before trusting the verdict."""
-    skipped = found.search.hypotheses.skipped
-    said = [
-        f"not tested, {why}: {', '.join(key for key, reason in skipped.items() if reason == why)}"
-        for why in dict.fromkeys(skipped.values())
-    ]
+    said = untested(found.search.hypotheses.skipped)
     if found.whole is not None:
         searched = f"{len(found.search.rows)} of the {len(measurements)} rows, taken at random"
         said.append(f"effects were looked for in {searched}; what was found is fitted to all")

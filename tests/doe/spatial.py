@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -83,6 +84,7 @@ class SpatialModel:
     known: tuple[float, ...] = ()
     dimension: int = 3
     closed_form: None = None
+    prior = MappingProxyType[str, float]({})
     effects: tuple[()] = ()
 
     def __getstate__(self) -> dict[str, Any]:

@@ -53,7 +53,8 @@ def test_as_many_as_can_be_told_apart(chain: SpatialChain, count: int | None) ->
 
 
 def test_a_fit_predicts_as_that_of_all() -> None:
-    """Errors of parameters that are left out move the points as those that are kept."""
+    """Errors of parameters that are left out move the points as those that are kept, to first order: what is left is of
+    the square of the errors, some (0.3 mm)^2 over a lever of 100 mm, 1e-3 mm."""
     chain = replace(SIX, tools=OFF_AXIS, known=frozenset({"base"}))
     truth, generator = Model(Arm.of_chain(chain)), np.random.default_rng(6)
     values = 0.3 / truth.scales * generator.standard_normal(len(truth.names))

@@ -49,12 +49,13 @@ def test_a_spatial_arm_from_nothing() -> None:
     found = estimate(Model(Arm.of_chain(CHAIN, sigma=SIGMA)), measured(truth, values, 80, 1))
     fresh = generator.uniform(-2.5, 2.5, (200, 6))
     error = found.model.position(fresh, found.parameters) - truth.position(fresh, values)
-    expected = SIGMA * np.sqrt(39 / 80)  # of a distance; three times it would be a fault, not chance
+    expected = SIGMA * np.sqrt(39 / 80)  # of a distance: 39 parameters from 80 rows, less where the prior knows more
+    # its square is chi2 of up to 39 degrees of freedom over 39: beyond 2 once in 5,000, twice it is no chance
     assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 2.0 * expected
     found_values = np.array([found.parameters[k] for k, name in enumerate(found.names) if name in truth.prior])
-    assert np.all(np.abs(found_values) < 4.0 * sizes[sizes > 0.0])
+    assert np.all(np.abs(found_values) < 4.0 * sizes[sizes > 0.0])  # 4 standard deviations of the prior
     assert found.not_identifiable == ()
-    assert 0.7 < float(found.scatter or 0.0) / SIGMA < 1.4
+    assert 0.7 < float(found.scatter or 0.0) / SIGMA < 1.4  # of some 200 degrees of freedom: 6 standard deviations
 
 
 def test_machining_decides_how_far_corrections_go() -> None:

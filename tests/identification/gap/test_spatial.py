@@ -9,6 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from identification.arm import Arm
+from identification.effects import Effect
 from identification.gap.diagnose import diagnose
 from identification.gap.hypotheses import hypotheses, unseen_joints
 from identification.gap.whitening import Rows
@@ -88,7 +89,7 @@ def test_found_again(effect: str, names: tuple[str, ...]) -> None:
     assert found.verdict == ("named" if names else "none")
     assert found.confirmed in ((True,) if names else (True, None))
     assert found.gap.held_out_after is not None
-    # of three coordinates, with as much again for some 26 parameters from 180 equations
+    # of three coordinates, and what 28 parameters from 180 equations add; the root of 240 squares scatters by 4.6 %
     assert found.gap.held_out_after < 0.05 * np.sqrt(3.0) * np.sqrt(1.0 + 28.0 / 180.0) * 1.15
 
 
@@ -100,7 +101,9 @@ def test_a_joint_that_moves_nothing_is_not_looked_at() -> None:
     rows = Rows.of(Measurements(postures, Model(arm).position(postures)))
     assert unseen_joints(Model(arm), rows) == {6}
     found = hypotheses(arm, frozenset(), rows)
-    assert {h.spec.joint for h in found.members} == {None, 1, 2, 3, 4, 5}
+    of_angles = [h for h in found.members if type(h.effect).joint_angles is not Effect.joint_angles]
+    assert {h.spec.joint for h in of_angles} == {None, 1, 2, 3, 4, 5}
+    assert any(h.key == "link_step:6" for h in found.members)  # what lies beyond the joint still grows
     assert found.skipped["backlash:6"] == "the joint slides, or hardly moves the measured point"
 
 
