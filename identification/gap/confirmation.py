@@ -134,7 +134,12 @@ class Confirmation:
         if self.confirmed is None:
             return f"too few rows to say whether it holds for {self.transfer}"
         if self.confirmed:
-            return f"holds for {self.transfer}"
+            limits = (
+                ""
+                if self.as_predicted
+                else " as far as these rows tell: the gap shrinks, perhaps not to the prediction"
+            )
+            return f"holds for {self.transfer}{limits}"
         grows = ["the gap does not shrink"] if self.shrinks is False else []
         exceeds = ["the gap exceeds the prediction"] if self.as_predicted is False else []
         return f"does not hold for {self.transfer}, {' and '.join(grows + exceeds)}"

@@ -128,3 +128,14 @@ def test_says_what_was_tested_and_what_failed() -> None:
     assert wrong.to_json()["shrinks"] is False
     assert str(held_out(rng, 200, 2.0)).startswith("holds for other postures: ")
     assert str(held_out(rng, 1, 2.0)).startswith("too few rows to say whether it holds for other postures")
+
+
+def test_a_gap_that_shrinks_while_the_prediction_stays_open_is_said_so() -> None:
+    """Twice the predicted square is left, in stretches of time that differ so much that it may be chance."""
+    left = np.repeat([0.2, 0.2, 6.0, 0.2, 0.3, 0.2, 8.0, 0.9], 20)
+    rows = HeldOut(left + 30.0, left, Mean(1.0, 1e-4, 100.0), np.full(160, 30.0), 0.7, 2)
+    found = confirm(
+        rows, groupings(np.random.default_rng(7).uniform(size=(160, 3)), np.arange(160), np.arange(160)), "a later time"
+    )
+    assert (found.confirmed, found.shrinks, found.as_predicted) == (True, True, None)
+    assert found.answer.startswith("holds for a later time as far as these rows tell: the gap shrinks")
