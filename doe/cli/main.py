@@ -17,6 +17,7 @@ from doe.cli import (
     design,
     diagnose,
     discriminate,
+    effects,
     identify,
     relax,
     score,
@@ -97,6 +98,7 @@ VERBS = (
     discriminate,
     validate,
     compensate,
+    effects,
 )
 for module in VERBS:
     main.add_command(module.command)

@@ -1,0 +1,25 @@
+"""`armcal effects`: the library of physical effects, and what each needs."""
+
+from __future__ import annotations
+
+import click
+
+from doe.cli.common import Answer, Session, verb
+
+
+@verb("armcal effects joint_compliance", "The physical effects that armcal knows, and the data that each needs.")
+@click.argument("name", required=False)
+def command(session: Session, name: str | None) -> Answer:
+    """List the effects of the library, or say everything about the effect NAME.
+
+    Formula, parameters with units and typical sizes, which data or tables it needs and how to give them, and how it
+    stands in an arm file. Effects of installed packages (entry points armcal.effects) are in the list.
+    """
+    from doe.report.catalogue_tables import entry_tables, library_tables
+    from identification.effects.catalogue import entries, entry
+
+    if name is not None:
+        found = entry(name.partition(":")[0])
+        return Answer(found.to_json(), entry_tables(found))
+    listed = entries()
+    return Answer({"effects": [found.to_json() for found in listed]}, library_tables(listed))

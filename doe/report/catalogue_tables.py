@@ -1,0 +1,64 @@
+"""The library of effects as tables for a terminal (rich)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rich.text import Text
+
+from doe.report.terminal import NARROW, facts, table
+from identification.effects.catalogue import Entry
+
+TITLES = {
+    "looked for": "Effects that diagnose looks for",
+    "table": "Found by diagnose where no name fits",
+    "scatter": "Effects on the scatter: simulated, screened for, not estimated",
+    "alias": "Cannot be told from the geometry: listed, never named",
+    "sessions": "Set by armcal where there are several sessions",
+}
+HEADINGS = ("name", "what is wrong", "needs")
+
+
+def library_tables(entries: Sequence[Entry]) -> list[Any]:
+    """Name, cause and needs of every effect, by kind."""
+    shown: list[Any] = []
+    for kind, title in TITLES.items():
+        rows = [[_name(e), e.summary, ", ".join(e.needs)] for e in entries if e.kind == kind]
+        if rows:
+            shown.append(table(HEADINGS, rows, title, left=HEADINGS, **NARROW))
+    return [*shown, "A name with :j belongs to joint j. More about one of them: armcal effects backlash"]
+
+
+def _name(entry: Entry) -> str:
+    only = f" ({entry.arms[0]})" if len(entry.arms) == 1 else ""
+    return entry.name + (":j" if entry.place.startswith("each") else "") + only
+
+
+def entry_tables(entry: Entry) -> list[Any]:
+    """Everything about one effect."""
+    lines = [
+        ("cause", entry.summary),
+        ("model", entry.formula),
+        ("belongs to", entry.place),
+        ("arms", " and ".join(entry.arms)),
+        ("needs", "; ".join(entry.supply) or "nothing besides postures and positions"),
+    ]
+    if entry.alias is not None:
+        lines.append(("looks like", entry.alias))
+    shown: list[Any] = [Text(entry.name, style="bold"), facts(lines)]
+    if entry.parameters:
+        rows = [[p.toml_key, p.file_unit, _size(p.typical, p.to_file)] for p in entry.parameters]
+        title = "Parameters" if entry.place != "one joint or all" else "Parameters (of an arm of three joints)"
+        shown.append(table(("key", "unit", "typical size"), rows, title, left=("key", "unit"), **NARROW))
+    if entry.settings:
+        rows = [[name, allowed] for name, allowed in entry.settings.items()]
+        shown.append(
+            table(("key", "allowed"), rows, "Settings: chosen, not estimated", left=("key", "allowed"), **NARROW)
+        )
+    intro = "In an arm file, with its parameters left out so that identify estimates them:"
+    return [*shown, entry.example if entry.kind == "table" else Text(f"{intro}\n\n{entry.example}\n")]
+
+
+def _size(typical: float | None, factor: float) -> str:
+    return "-" if typical is None else f"{typical * factor:.2g}"

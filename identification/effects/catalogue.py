@@ -1,0 +1,118 @@
+"""The library as people look it up: what each effect is, its parameters, and the data that it needs.
+
+Everything is read off the classes, so that a user's own effects stand in the list as well.
+"""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from identification.effects import Effect, library
+from identification.effects.base import OWN
+from identification.effects.settings import Setting
+from identification.errors import InputError, nearest
+from identification.kinematics.parameters import Parameter
+
+JOINTS = 3  # of the arm that parameters are listed for; one parameter per joint is listed as the first
+# what the arm or the data must have -> how to give it
+SUPPLY = {
+    "gravity": "[gravity] in the arm file: acceleration_m_s2, link_masses_kg, center_of_mass, payload_kg",
+    "time": "the column order or time_s in the measurements; without it rows count as measured in their order",
+    "past": "the column order or time_s in the measurements; without it rows count as measured in their order",
+    "directions": "columns direction1, direction2 .. (+1 or -1) in the measurements; left out: from the order",
+    "temperature": "the column temperature_C in the measurements",
+    "session": "the column session in the measurements, or one file for each session",
+}
+SPATIAL, PLANAR = 3, 2
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An effect of the library.
+
+    place : `each joint`, `one joint or all`, `each joint from 2`, `the whole arm`
+    arms : `planar`, `spatial` or both;  needs : as of `Effect.needs`, sorted
+    parameters : of an arm of three joints;  settings : name -> what an arm file may say
+    kind : `looked for` by diagnose, `scatter`, `alias` of base parameters, `table` of values, `sessions`
+    """
+
+    name: str
+    summary: str
+    formula: str
+    place: str
+    arms: tuple[str, ...]
+    needs: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    settings: dict[str, str]
+    kind: str
+    alias: str | None
+    own: bool
+
+    @property
+    def supply(self) -> tuple[str, ...]:
+        """How to give what the effect needs, a sentence for each."""
+        return tuple(dict.fromkeys(SUPPLY.get(need, need) for need in self.needs))
+
+    @property
+    def example(self) -> str:
+        """An entry of an arm file in which the parameters are to be estimated."""
+        if self.kind == "table":
+            return "written by `armcal diagnose --out`"
+        lines = ["[[effects]]", f'name = "{self.name}"']
+        lines += ["joint = 2"] if self.place.startswith("each joint") else []
+        return "\n".join([*lines, *(f"{name} = ...  # {allowed}" for name, allowed in self.settings.items())])
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `effects` (identification/files/README.md, "JSON keys")."""
+        parameters = [
+            {"key": p.toml_key, "unit": p.file_unit, "typical": None if p.typical is None else p.typical * p.to_file}
+            for p in self.parameters
+        ]
+        names = ("name", "summary", "formula", "place", "arms", "needs", "settings", "kind", "alias")
+        return {name: getattr(self, name) for name in names} | {"parameters": parameters, "supply": self.supply}
+
+
+def entries() -> list[Entry]:
+    """Every effect known, the user's own included."""
+    return [entry(name) for name in library()]
+
+
+def entry(name: str) -> Entry:
+    """One effect. Raises `InputError` for an unknown name."""
+    if name not in library():
+        raise InputError(f"effects: unknown name {name!r}, {nearest(name, library())}")
+    cls = library()[name]
+    settings = {key: Setting.of(value) for key, value in cls.settings.items()}
+    chosen = {key: int(value.low) if value.whole else value.low for key, value in settings.items()}
+    joint = None if cls.per_joint == "none" else max(cls.first_joint, 1) if cls.per_joint == "required" else None
+    dimension = PLANAR if PLANAR in cls.dimensions else SPATIAL
+    effect = cls(np.full(JOINTS, 1.0), joint, chosen, False, dimension)
+    return Entry(
+        name=name,
+        summary=cls.summary,
+        formula=" ".join((inspect.getdoc(cls) or cls.summary).split("\n\n")[0].split()),
+        place=_place(cls),
+        arms=tuple(word for word, d in (("planar", PLANAR), ("spatial", SPATIAL)) if d in cls.dimensions),
+        needs=tuple(sorted(cls.needs)),
+        parameters=effect.parameters,
+        settings={key: value.allowed for key, value in settings.items()},
+        kind=_kind(cls),
+        alias=cls.alias,
+        own=not cls.__module__.startswith(OWN),
+    )
+
+
+def _place(cls: type[Effect]) -> str:
+    if cls.per_joint == "none":
+        return "the whole arm"
+    each = "each joint" if cls.first_joint <= 1 else f"each joint from {cls.first_joint}"
+    return each if cls.per_joint == "required" else "one joint or all"
+
+
+def _kind(cls: type[Effect]) -> str:
+    told = {"table": cls.tabulated, "scatter": cls.scatter, "alias": cls.alias is not None, "sessions": cls.nuisance}
+    return next((kind for kind, true in told.items() if true), "looked for")

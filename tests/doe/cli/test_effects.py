@@ -1,0 +1,24 @@
+"""`armcal effects` as a user runs it."""
+
+from __future__ import annotations
+
+from tests.doe.cli.conftest import Folder
+
+
+def test_the_list_and_one_effect(folder: Folder) -> None:
+    listed = folder.armcal("effects", "--json")
+    assert listed.code == 0, listed.err
+    by_name = {found["name"]: found for found in listed.data["effects"]}
+    assert by_name["thermal_growth"]["parameters"] == [{"key": "a_per_K", "unit": "1/K", "typical": 2e-5}]
+    assert by_name["link_bending"]["arms"] == ["planar"]
+    shown = folder.armcal("effects", "transmission_ripple:2")
+    assert 'name = "transmission_ripple"' in shown.out
+    assert "0.25 to 2000" in shown.out
+    assert "gravity" in folder.armcal("effects").out
+
+
+def test_an_unknown_effect_is_one_line(folder: Folder) -> None:
+    done = folder.armcal("effects", "baclash")
+    assert done.code == 2
+    assert len(done.err.strip().splitlines()) == 1
+    assert "did you mean 'backlash'" in done.err

@@ -1,0 +1,73 @@
+"""The catalogue against the table of effects that people read, and an effect of one's own in it."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from identification.arm import EffectSpec
+from identification.effects import build, library, register
+from identification.effects.base import _LIBRARY
+from identification.effects.catalogue import SUPPLY, entries, entry
+from identification.effects.joint import Backlash
+from identification.errors import InputError
+
+README = (Path(__file__).parents[3] / "identification/README.md").read_text()
+
+
+def documented() -> dict[str, str]:
+    """Name -> its row in the tables of the section on effects."""
+    section = README.partition("\n## Effects\n")[2].partition("\n### Typical sizes")[0]
+    rows = [line for line in section.splitlines() if line.startswith("| `")]
+    return {re.match(r"\| `([a-z_]+)", row)[1]: row for row in rows}  # type: ignore[index]
+
+
+def test_the_documented_effects_are_those_of_the_library_with_the_keys_of_the_files() -> None:
+    rows = documented()
+    aliases = {e.name for e in entries() if e.kind == "alias"}
+    assert set(rows) | aliases == {e.name for e in entries() if not e.own}
+    for found in entries():
+        for p in found.parameters if found.name in rows and found.name != "session_base" else ():
+            if not re.search(r"\d_", p.toml_key):  # one for each joint: the first is documented
+                assert re.search(rf"\b{p.toml_key}\b", rows[found.name]), p.name
+
+
+def test_every_effect_can_be_read_from_the_example_once_its_settings_are_given() -> None:
+    for found in entries():
+        if found.kind == "table":
+            continue
+        filled = re.sub(r"= \.\.\.  # a (whole )?number ([-\d.]+) to .*", r"= \2", found.example)
+        (table,) = tomllib.loads(filled)["effects"]
+        values = {key: value for key, value in table.items() if key not in ("name", "joint")}
+        spec = EffectSpec(table["name"], table.get("joint"), values)
+        assert build(spec, 3, dimension=3 if found.arms == ("spatial",) else 2).name == found.name
+
+
+def test_what_is_needed_says_how_to_give_it() -> None:
+    for found in entries():
+        assert set(found.needs) <= set(SUPPLY), found.name
+    assert entry("thermal_growth").supply == ("the column temperature_C in the measurements",)
+    assert entry("joint_hysteresis").kind == "looked for"
+    assert entry("measurement_scale").alias is not None
+
+
+def test_a_users_own_effect_is_in_the_list(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("identification.effects._LIBRARY", _LIBRARY)
+    own = type(
+        "Own", (Backlash,), {"name": "own_play", "summary": "my own play", "__module__": "mine", "__doc__": "Mine."}
+    )
+    register(own)
+    try:
+        found = entry("own_play")
+        assert (found.own, found.formula, found.place) == (True, "Mine.", "each joint")
+    finally:
+        del _LIBRARY["own_play"]
+    assert "own_play" not in library()
+
+
+def test_an_unknown_name_is_refused_with_the_nearest() -> None:
+    with pytest.raises(InputError, match="unknown name 'baclash', did you mean 'backlash'"):
+        entry("baclash")
