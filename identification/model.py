@@ -25,7 +25,7 @@ from identification.effects import Chain, Effect, build_all
 from identification.effects.chain import geometry_of
 from identification.errors import InputError
 from identification.expressions import Expressions
-from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, ParameterSet
+from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.kinematics.planar import PlanarGeometry
 from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR, SpatialChain
@@ -172,15 +172,8 @@ class Model:
         """
         if self.arm.chain is not None:
             return None
-        chain = [*self.parameters.indices(LENGTH_ERROR), *self.parameters.indices(JOINT_OFFSET)]
-        base = [k for k, name in enumerate(self.names) if name in ("base_offset.x0", "base_offset.y0")]
-        if len(chain) < 2 * self.joints:
-            return None
-        offset = len(base) == 2
-        indices = np.array(chain + base if offset else chain)
-        curves = any(effect.tabulated for effect in self.effects)
-        exact = not self.fixed and not curves and len(indices) == len(self.names)
-        return PlanarClosedForm(self.arm.lengths, offset, indices, exact)
+        others = bool(self.fixed) or any(effect.tabulated for effect in self.effects)
+        return PlanarClosedForm.of(self.arm.lengths, self.parameters, others)
 
     # -- symbols ---------------------------------------------------------------------------------------------------
     @cached_property

@@ -23,6 +23,7 @@ LAYERS = {
     "identification.files": 1,
     "identification.kinematics": 1,
     "identification.arm": 1,
+    "identification.workspace": 1,
     "identification.error_curve": 1,
     "identification.effects": 2,
     "identification.conditions": 2,

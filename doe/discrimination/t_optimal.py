@@ -27,7 +27,8 @@ from doe.problem.constraints import constraints_of
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError, JobError
-from identification.gap.result import Candidate, Diagnosis
+from identification.gap.candidate import Candidate
+from identification.gap.result import Diagnosis
 from identification.gap.selection import WINDOW
 from identification.measurements import Conditions, Measurements
 from identification.model import Model

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doe.problem.spatial_constraints import InView, OutsideCylinder
-from identification.arm import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.model import Model
+from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
 ANYWHERE = 1e6  # [mm] a side that the arm file leaves out
 

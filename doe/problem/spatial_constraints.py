@@ -14,9 +14,9 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from identification.arm import KeepOutCylinder, LineOfSight
 from identification.arrays import Array
 from identification.model import Model
+from identification.workspace import KeepOutCylinder, LineOfSight
 
 LINK_RADIUS = 0.03  # of the arm's reach: how near to a link a line of sight may pass
 POINTER = 100.0  # [mm] from the reflector to the point that tells where it looks

@@ -11,7 +11,8 @@ from rich.text import Text
 
 from doe.report.page import Section, Sheet, page
 from doe.report.terminal import number, significant, table
-from identification.gap.result import Candidate, Diagnosis, Estimate
+from identification.gap.candidate import Candidate, Estimate
+from identification.gap.result import Diagnosis
 from identification.gap.summary import findings, headline
 
 MOST_TRIALS = 12

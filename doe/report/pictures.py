@@ -16,13 +16,14 @@ from matplotlib.patches import Circle, Rectangle
 from doe.bounds.equivalence import sensitivity
 from doe.problem.problem import DesignProblem
 from doe.report.spatial_pictures import draw_spatial_plan
-from identification.arm import Arm, KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.io import write_whole
 from identification.gap.holdout import rms_distance
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE
 from identification.model import Model
+from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 
 POSITIONS = {REVOLUTE: "angle [deg]", PRISMATIC: "position [mm]"}
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"

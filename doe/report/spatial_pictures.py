@@ -8,9 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from doe.problem.spatial_constraints import circle_across
-from identification.arm import Arm, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
+from identification.arm import Arm
 from identification.arrays import Array
 from identification.model import Model
+from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
 SIDES = ((22.0, -60.0), (22.0, 30.0))  # [deg] elevation and azimuth of the two views
 ZOOM = 1.0  # of the box in its place, whose sides have the same scale

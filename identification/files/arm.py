@@ -10,14 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from identification.arm import (
-    Arm,
-    Calibration,
-    Constraint,
-    KeepOutCircle,
-    LineOfSight,
-    WorkspaceBox,
-)
+from identification.arm import Arm, Calibration
 from identification.arrays import readonly
 from identification.errors import InputError
 from identification.files.arm_effects import (
@@ -39,6 +32,7 @@ from identification.files.arm_schema import (
 )
 from identification.files.io import PathLike, read_toml
 from identification.kinematics.parameters import chain_parameters
+from identification.workspace import Constraint, KeepOutCircle, LineOfSight, WorkspaceBox
 
 
 def load_arm(path: PathLike) -> Arm:

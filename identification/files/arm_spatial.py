@@ -11,16 +11,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from identification.arm import (
-    Arm,
-    Calibration,
-    Constraint,
-    KeepOutCircle,
-    KeepOutCylinder,
-    LineOfSight,
-    Machining,
-    WorkspaceBox,
-)
+from identification.arm import Arm, Calibration, Machining
 from identification.arrays import Array, readonly
 from identification.errors import InputError, nearest
 from identification.files.arm_effects import (
@@ -54,6 +45,7 @@ from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, chain_
 from identification.kinematics.frames import from_own_axes, pose
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE
 from identification.kinematics.spatial import BASE, TOOL, Joint, SpatialChain
+from identification.workspace import Constraint, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
 
 def spatial_arm(tables: Mapping[str, Any], folder: PathLike) -> Arm:

@@ -12,16 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import tomlkit
 
-from identification.arm import (
-    Arm,
-    Calibration,
-    Constraint,
-    EffectSpec,
-    Gravity,
-    KeepOutCircle,
-    KeepOutCylinder,
-    WorkspaceBox,
-)
+from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.files.arm import arm_from_tables
@@ -29,6 +20,7 @@ from identification.files.arm_effects import FileName, built, file_names
 from identification.files.io import PathLike, read_toml
 from identification.files.toml import Plain, append_tables, replace_table
 from identification.kinematics.parameters import GEOMETRY, chain_parameters
+from identification.workspace import Constraint, KeepOutCircle, KeepOutCylinder, WorkspaceBox
 
 if TYPE_CHECKING:
     from identification.effects import Effect

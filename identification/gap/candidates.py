@@ -9,9 +9,10 @@ import numpy as np
 from identification.arm import Calibration
 from identification.estimation.intervals import limits_95
 from identification.estimation.uncertainty import Uncertainty
+from identification.gap.candidate import Candidate, Estimate
 from identification.gap.certainty import certainty
 from identification.gap.fit import Fit
-from identification.gap.result import Candidate, Estimate, Trial
+from identification.gap.result import Trial
 from identification.gap.search import Choice, HypothesisSearch
 from identification.gap.selection import trial_of
 from identification.gap.workflow import Findings
@@ -40,16 +41,24 @@ def candidate(
     search : the tests;  fits : the fits, perhaps to more rows;  delta : its BIC less the lowest
     """
     found = fits.fit(chosen)
-    sure = certainty(fits, found)
-    added = len(found.model.effects) - len(chosen)  # the arm's own come first
-    effects, specs = found.model.effects[added:], found.model.arm.effects[-len(chosen) :] if chosen else ()
-    origin = {"source": "armcal diagnose", "joint_range_deg": joint_range(fits.rows.postures)}
+    test = trial_of(search, chosen, draws, generator)
+    return candidate_of(found, len(chosen), test, certainty(fits, found), delta)
+
+
+def candidate_of(found: Fit, added: int, test: tuple[float, float], sure: Uncertainty, delta: float = 0.0) -> Candidate:
+    """The effects that a fit has in its model beside the arm's own, with their estimates.
+
+    added : their number;  test : F statistic and adjusted p-value;  delta : BIC less the lowest
+    """
+    own = len(found.model.effects) - added  # the arm's own come first
+    effects, specs = found.model.effects[own:], found.model.arm.effects
+    origin = {"source": "armcal diagnose", "joint_range_deg": joint_range(found.rows.postures)}
     return Candidate(
         tuple(effect.label for effect in effects),
-        specs,
-        tuple(sorted({h.family for h in chosen})),
+        specs[len(specs) - added :],
+        tuple(sorted({effect.family or effect.name for effect in effects})),
         delta,
-        *trial_of(search, chosen, draws, generator),
+        *test,
         estimates(found, sure, {p.name for effect in effects for p in effect.parameters}),
         Calibration(found.by_name, found.model.names, sure.covariance, MappingProxyType(origin)),
         intervals=sure.kind,

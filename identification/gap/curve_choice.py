@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.effects import Effect
-from identification.gap.curve_fit import Basis, Evidence, Penalized, bases_of
+from identification.gap.curve_fit import Basis, Evidence, Penalized, bases_of, curve_columns
 from identification.gap.f_tests import CHUNK
 from identification.gap.fit import Fit
 from identification.gap.hypotheses import Hypothesis, unseen_joints
@@ -73,12 +73,9 @@ class System:
         """(N, n) model, curves and residual, whitened as these rows are."""
         at = (rows.postures, self.found.values, rows.conditions)
         position, jacobian = self.found.model.linearize(*at)
-        levers = self.found.model.joint_levers(*at)
-        parts = [jacobian / self.lengths]
-        for basis in self.bases:
-            functions = basis.at(rows.postures[:, basis.joint])
-            parts.append(levers[:, :, basis.joint, None] * functions[:, None, :])
-        return rows.whiten(np.concatenate([*parts, (rows.positions - position)[:, :, None]], axis=2))
+        curves = curve_columns(self.bases, rows.postures, self.found.model.joint_levers(*at))
+        left = (rows.positions - position)[:, :, None]
+        return rows.whiten(np.concatenate([jacobian / self.lengths, curves, left], axis=2))
 
     def _products(self, fold: NDArray[np.int64]) -> LaggedProducts:
         """Of the columns over the rows of each fold (m,), a few rows at a time."""

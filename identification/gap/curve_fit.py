@@ -213,6 +213,15 @@ def _whole(lower: Array) -> Array:
     return np.asarray(strict + strict.T + np.diag(np.diag(lower)))
 
 
+def curve_columns(bases: Sequence[Basis], postures: Array, levers: Array) -> Array:
+    """(m, d, K) derivative of the positions by the coefficients of all curves.
+
+    levers : (m, d, n) derivative of the positions by each joint's own offset [mm/rad]
+    """
+    columns = [levers[:, :, b.joint, None] * b.at(postures[:, b.joint])[:, None, :] for b in bases]
+    return np.concatenate([np.zeros((*levers.shape[:2], 0)), *columns], axis=2)
+
+
 def bases_of(postures: Array, joints: Sequence[int]) -> tuple[Basis, ...]:
     """Of the joints (from 0) that move, on nodes `SPACING` apart, or wider for more than `MOST_NODES` of them."""
     ranges = np.ptp(postures, axis=0)

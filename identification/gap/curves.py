@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from types import MappingProxyType
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import fdtrc
 
-from identification.arm import Calibration
 from identification.arrays import Array
 from identification.estimation.uncertainty import Uncertainty
-from identification.gap.candidates import estimates
+from identification.gap.candidate import Candidate
+from identification.gap.candidates import candidate_of
 from identification.gap.curve import Curve
 from identification.gap.curve_choice import Explanation, Members, System, choose
-from identification.gap.curve_fit import Basis
+from identification.gap.curve_fit import Basis, Evidence, curve_columns
 from identification.gap.fit import Fit, fit
 from identification.gap.hypotheses import Hypothesis
 from identification.gap.noise import Finding
-from identification.gap.result import Candidate
 from identification.gap.selection import WINDOW
 from identification.gap.whitening import Rows
 from identification.gap.workflow import Findings
-from identification.measurements import Conditions, Measurements, joint_range
+from identification.measurements import Conditions, Measurements
 from identification.model import Model
 
 IMPLAUSIBLE = 4.0  # typical sizes of an effect: one arm in 16,000 has it so large
@@ -36,55 +34,57 @@ SHARES = (0.0, 0.5, 0.75, 1.0)  # of a serial correlation
 class CurveFit(Fit):
     """A fit whose model has error curves, estimated beside its parameters.
 
-    bases : of the curves;  coefficients, variances : (K,) of their cosines, and of the prior for noise of one
-    spread : (K, K) posterior covariance of their coefficients for noise of one
+    bases : of the curves;  evidence : their K coefficients with prior and posterior
     response : (p, K) what a unit of each coefficient changes in the parameters
-    determined : number of coefficients that the data determine
     """
 
     bases: tuple[Basis, ...] = ()
-    coefficients: Array = None  # type: ignore[assignment]
-    variances: Array = None  # type: ignore[assignment]
-    spread: Array = None  # type: ignore[assignment]
+    evidence: Evidence = None  # type: ignore[assignment]
     response: Array = None  # type: ignore[assignment]
-    determined: float = 0.0
+
+    @classmethod
+    def of(cls, found: Fit, bases: tuple[Basis, ...], evidence: Evidence, response: Array) -> CurveFit:
+        """A fit of a model whose error curves stay as they are, with what is known of these."""
+        own = {field.name: getattr(found, field.name) for field in fields(Fit)}
+        return cls(**own, bases=bases, evidence=evidence, response=response)
 
     @property
     def effective(self) -> float:
         """Number of parameters and coefficients that the data determine."""
-        return super().effective + self.determined
+        return super().effective + self.evidence.effective
 
     def covariance(self, bounded: bool = True) -> Array:
         """(p, p) of the estimates; the curves' uncertainty is part of it."""
         free = self.free if bounded else np.ones(len(self.values), dtype=bool)
         response = np.where(free[:, None], self.response, 0.0)
-        return super().covariance(bounded) + self.sigma**2 * response @ self.spread @ response.T
+        return super().covariance(bounded) + self.sigma**2 * response @ self.evidence.covariance @ response.T
 
     def regression(self) -> tuple[Array, Array, Array]:
         """As of `Fit`, with the coefficients of the curves behind the parameters, and their prior."""
         parameters, rows, left = super().regression()
         curves = self.curve_columns(self.rows.postures, self.rows.conditions)
-        precisions = self.variances**-0.5
+        precisions = self.evidence.variances**-0.5
         prior = np.asarray(block_diag(rows, np.diag(precisions)))
-        return np.concatenate([parameters, curves], axis=2), prior, np.r_[left, -precisions * self.coefficients]
+        missed = -precisions * self.evidence.coefficients
+        return np.concatenate([parameters, curves], axis=2), prior, np.r_[left, missed]
 
     def curve_columns(self, postures: Array, conditions: Conditions) -> Array:
         """(m, d, K) derivative of the positions by the coefficients."""
-        levers = self.model.joint_levers(postures, self.values, conditions)
-        columns = [levers[:, :, b.joint, None] * b.at(postures[:, b.joint])[:, None, :] for b in self.bases]
-        return np.concatenate(columns, axis=2)
+        return curve_columns(self.bases, postures, self.model.joint_levers(postures, self.values, conditions))
 
     def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
         """As of `Fit`, with the coefficients of the curves behind the parameters."""
         jacobian = self.model.jacobian(postures, self.values, conditions)
         moved = self.curve_columns(postures, conditions) + jacobian @ self.response
-        covariance = block_diag(super().covariance(), self.sigma**2 * self.spread)
+        covariance = block_diag(super().covariance(), self.sigma**2 * self.evidence.covariance)
         return np.concatenate([jacobian, moved], axis=2), np.asarray(covariance)
 
 
 @dataclass(frozen=True)
 class Curves:
-    """fit : with the curves in the model;  kept : named effects beside them;  scatter : findings that still hold
+    """What explains the data best, error curves among it.
+
+    fit : with the curves in the model;  kept : named effects beside them;  scatter : findings that still hold
     base : the base model, fitted to the same rows;  gain : cost of the named effects alone, less that of the curves
     held_out : mean square distance [mm^2] on postures left out
     """
@@ -207,18 +207,7 @@ def _fitted(system: System, best: Explanation) -> tuple[CurveFit, tuple[Curve, .
     specs = [spec for spec, effect in there if effect.label in stay]
     model = Model(arm.with_effects(*own, *specs, *(curve.spec for curve in curves)))
     refit = fit(model, system.rows, system.found.by_name)
-    response = system.model_response(best)
-    own_fields = {name: getattr(refit, name) for name in Fit.__dataclass_fields__}
-    found = CurveFit(
-        **own_fields,
-        bases=bases,
-        coefficients=evidence.coefficients,
-        variances=evidence.variances,
-        spread=evidence.covariance,
-        response=response,
-        determined=evidence.effective,
-    )
-    return found, curves
+    return CurveFit.of(refit, bases, evidence, system.model_response(best)), curves
 
 
 def _curve(basis: Basis, coefficients: Array, covariance: Array, noise: float, log_length: float) -> Curve:
@@ -234,23 +223,9 @@ def _curve(basis: Basis, coefficients: Array, covariance: Array, noise: float, l
 def curve_candidate(found: Curves) -> Candidate:
     """The best set with the curves in it; its F test is against the base model."""
     fitted, base = found.fit, found.base
-    effects = [e for e in fitted.model.effects if e.label in {h.effect.label for h in found.kept}]
     covariance = fitted.covariance(bounded=False)
     sure = Uncertainty("scatter", covariance, np.full(len(covariance), float(max(fitted.freedom, 1))))
-    origin = {"source": "armcal diagnose", "joint_range_deg": joint_range(fitted.rows.postures)}
-    specs = fitted.model.arm.effects[-len(found.kept) - len(found.curves) :]
     size = fitted.effective - base.rank
     f = max(base.squares / fitted.sigma**2 - fitted.freedom, 0.0) / size
-    return Candidate(
-        (*(e.label for e in effects), *(curve.key for curve in found.curves)),
-        specs,
-        tuple(sorted({*(h.family for h in found.kept), "joint_error_curve"})),
-        0.0,
-        float(f),
-        float(fdtrc(size, max(fitted.freedom, 1), f)),
-        estimates(fitted, sure, {p.name for effect in effects for p in effect.parameters}),
-        Calibration(fitted.by_name, fitted.model.names, covariance, MappingProxyType(origin)),
-        intervals=sure.kind,
-        reliance=sure.sentence,
-        freedom=tuple(sure.freedom.tolist()),
-    )
+    test = float(f), float(fdtrc(size, max(fitted.freedom, 1), f))
+    return candidate_of(fitted, len(found.kept) + len(found.curves), test, sure)

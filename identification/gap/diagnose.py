@@ -12,15 +12,17 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.estimation.estimate import check
+from identification.gap.candidate import Candidate
 from identification.gap.candidates import trial_list
 from identification.gap.certainty import fit_doubts
 from identification.gap.choice_validation import ChoiceValidation, disagreement, validate_choice
 from identification.gap.confirmation import HeldOut
 from identification.gap.cross_validation import cross_validation
 from identification.gap.detectability import Detectability, assess, require_spare
-from identification.gap.explanation import Explanation, Fits, explanation, fits_of, with_prior
+from identification.gap.explanation import Explanation, Fits, explained_fits
 from identification.gap.fit import Fit
 from identification.gap.holdout import (
+    Gap,
     check_holdout,
     check_same_arm,
     confirmation_of,
@@ -36,7 +38,7 @@ from identification.gap.order_range import order_ranges
 from identification.gap.probabilities import Probabilities
 from identification.gap.repeats import noise_floor, repeat_finding
 from identification.gap.replicate import replications
-from identification.gap.result import Candidate, Diagnosis, Residuals
+from identification.gap.result import Diagnosis, Residuals
 from identification.gap.rounds import rounds_of
 from identification.gap.search import LEVEL_FACTOR, HypothesisSearch
 from identification.gap.selection import ALPHA_NEXT
@@ -71,8 +73,7 @@ def diagnose(
         where the closed form puts it (`practical`).
     measurements : of one session, or of several that their column `session` names, each with a base of its own
     holdout : measurements of the same arm that are used for nothing but the confirmation
-    seed : of the bootstrap; the same seed gives the same diagnosis
-    draws : bootstrap draws, at least 399
+    seed, draws : of the bootstrap; the same seed gives the same diagnosis, at least 399 draws
     prior : once effects are named, fit the best set with the rest of the library beside it, each held by a prior of
         its typical size;  missing : only these effects
 
@@ -80,31 +81,39 @@ def diagnose(
     freedom, one posture or one position only, a hold-out of another arm or one that shares rows with the data, unknown
     names in `missing`.
     """
-    if draws < FEWEST_DRAWS:
-        raise InputError(f"draws: {draws}, allowed: at least {FEWEST_DRAWS}, or no effect can pass the strictest test")
-    check_input(arm, measurements, holdout)
+    check_input(arm, measurements, holdout, draws)
     holdout = None if holdout is None else of_these_sessions(holdout, measurements)
     given = practical(arm, measurements)
     arm = with_sessions(given, measurements)
     if prior:
         library_prior(arm, given_by(measurements), missing)
+    generator = np.random.default_rng(seed)
+    found = findings_of(arm, measurements, holdout, draws, generator, progress)
+    explained, fits = explained_fits(found, measurements, draws, generator, prior, missing)
+    result = diagnosis_of(measurements, holdout, explained, fits, generator)
+    progress(STEPS, STEPS, result.sentence)
+    return result if arm is given else of_first_session(result, given)
+
+
+def findings_of(
+    arm: Arm,
+    measurements: Measurements,
+    holdout: Measurements | None,
+    draws: int,
+    generator: np.random.Generator,
+    progress: Progress,
+) -> Findings:
+    """Steps 1 to 5: what is missing in the model. Raises `InputError` for too few rows, a hold-out of another arm."""
     rows = Rows.of(measurements)
     library = hypotheses(arm, varying(measurements), rows)
     first = HypothesisSearch(library, rows).fit(())
     require_spare(first.freedom, len(rows))
     if holdout is not None:
         check_same_arm(first, measurements, holdout)
-    generator = np.random.default_rng(seed)
     progress(1, STEPS, "base model fitted")
     found = Workflow(library, draws, generator, lambda message: progress(2, STEPS, message)).findings(rows)
     progress(6, STEPS, "assessing the plan, the sizes excluded, and the held-out data")
-    explained = explanation(found, measurements, draws, generator)
-    fits = fits_of(explained, measurements)
-    if prior:
-        explained, fits = with_prior(explained, fits, measurements, missing)
-    result = diagnosis_of(measurements, holdout, explained, fits, generator)
-    progress(STEPS, STEPS, result.sentence)
-    return result if arm is given else of_first_session(result, given)
+    return found
 
 
 def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:
@@ -117,8 +126,10 @@ def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:
     return replace(result, arm=with_base(arm), candidates=candidates, named=single(result.named))
 
 
-def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | None) -> None:
-    """Raise `InputError` for data that do not belong to the arm or lack what its effects need."""
+def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | None, draws: int) -> None:
+    """Raise `InputError` for too few draws, for data that do not belong to the arm or lack what its effects need."""
+    if draws < FEWEST_DRAWS:
+        raise InputError(f"draws: {draws}, allowed: at least {FEWEST_DRAWS}, or no effect can pass the strictest test")
     check(Model(arm), measurements)
     for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
         if np.all(np.ptp(table, axis=0) == 0.0):
@@ -141,27 +152,52 @@ def diagnosis_of(
     fits: Fits,
     generator: np.random.Generator,
 ) -> Diagnosis:
-    """What was found, with its candidates, aliases, the gap before and after, and notes."""
-    found, after, kept = explained.found, fits.after, ~explained.found.outlier
-    arm, named, unknown = fits.base.model.arm, explained.named, explained.found.unknown
+    """Steps 6 to 8: what was found, the gap before and after, and what rows say that were not used for the fits."""
+    found, arm, named = explained.found, fits.base.model.arm, bool(explained.named.effects)
+    kept = ~found.outlier
+    choice = None if explained.smooth else validate_choice(found, measurements, generator)
+    there = held_out_rows(explained, fits, choice, measurements, holdout)
+    residuals = show_residuals(arm, measurements, fits.base, fits.after)
+    before, after = residuals.before[kept], residuals.after[kept]
+    gap = gap_of(before, after, there, noise_floor(residuals.after, measurements, kept, arm.sigma))
+    estimated = len(fits.after.residual) - fits.after.freedom  # parameters, less what a prior knows of them
+    result = named_effects(explained, measurements, residuals, gap, estimated)
+    confirmation = None
+    if holdout is not None and there is not None:
+        confirmation = confirmation_of(measurements, holdout, there, named)
+    return replace(
+        result,
+        choice=choice,
+        replication=replications(explained.fit, measurements, kept, result.effects),
+        misfit=misfit(residuals.after, estimated, measurements, arm.sigma, kept),
+        confirmation=confirmation,
+        cross_validation=cross_validation(fits.base, fits.after, measurements, kept, generator, named),
+        warnings=fit_doubts(arm, measurements, fits.after, after),
+        notes=(*result.notes, *notes(arm, measurements, found, holdout, gap), *prior_note(explained.prior)),
+    )
+
+
+def named_effects(
+    explained: Explanation, measurements: Measurements, residuals: Residuals, gap: Gap, estimated: int
+) -> Diagnosis:
+    """The verdict with its candidates and aliases, and what every test said.
+
+    estimated : parameters of the best set, less what a prior knows of them
+    """
+    found, named, unknown = explained.found, explained.named, explained.found.unknown
     curves = explained.smooth.curves if explained.smooth else ()
     hidden = hidden_orders(found.search, {h.label: h for h in explained.chosen})
     detectable = assess_data(found, explained.fit.sigma)
-    validated = None if curves else validate_choice(found, measurements, generator)
-    there = held_out_rows(explained, fits, validated, measurements, holdout)
-    residuals = show_residuals(arm, measurements, fits.base, after)
-    estimated = len(after.residual) - after.freedom  # parameters, less what a prior knows of them
-    floor = noise_floor(residuals.after, measurements, kept, arm.sigma)
-    gap = gap_of(residuals.before[kept], residuals.after[kept], there, floor)
+    repeats = repeat_finding(residuals.after, estimated, measurements, ~found.outlier)
     return Diagnosis(
-        arm=arm,
+        arm=found.search.hypotheses.base.arm,
         verdict="named" if curves and unknown.place is None else verdict_of(found),
         candidates=explained.candidates,
         named=named,
         aliases=(*hidden, *alias_list(detectable, explained.candidates)),
         where=unknown.place,
         shape=next((c.shape for c in curves if unknown.place == f"joint:{c.joint}"), unknown.shape),
-        scatter=(*found.scatter, *repeat_finding(residuals.after, estimated, measurements, kept)),
+        scatter=(*found.scatter, *repeats),
         outlier_rows=tuple(int(k) + 1 for k in np.flatnonzero(found.outlier)),
         gap=gap,
         trials=trial_list(found),
@@ -171,16 +207,8 @@ def diagnosis_of(
         rounds=rounds_of(found.search, found.selection.path, explained.fit, named.effects),
         shapes=order_ranges(explained.fit, found.fits.rows, named.effects),
         probabilities=explained.likely,
-        choice=validated,
-        replication=replications(explained.fit, measurements, kept, named.effects),
-        misfit=misfit(residuals.after, estimated, measurements, arm.sigma, kept),
-        confirmation=None
-        if holdout is None or there is None
-        else confirmation_of(measurements, holdout, there, bool(named.effects)),
-        cross_validation=cross_validation(fits.base, after, measurements, kept, generator, bool(named.effects)),
-        warnings=fit_doubts(arm, measurements, after, residuals.after[kept]),
         curves=curves,
-        notes=(*order_notes(hidden), *notes(arm, measurements, found, holdout, gap), *prior_note(explained.prior)),
+        notes=tuple(order_notes(hidden)),
         prior=explained.prior,
     )
 

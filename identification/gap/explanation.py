@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.gap.candidate import Candidate
 from identification.gap.candidates import candidate, candidate_list
 from identification.gap.curves import Curves, curve_candidate, find_curves
 from identification.gap.fit import Fit, fit
 from identification.gap.library_prior import LibraryPrior
 from identification.gap.prior_fits import held, held_candidate
 from identification.gap.probabilities import Probabilities, probabilities
-from identification.gap.result import Candidate
 from identification.gap.search import Choice
 from identification.gap.whitening import Rows
 from identification.gap.workflow import Findings
@@ -71,6 +71,23 @@ def fits_of(explained: Explanation, measurements: Measurements) -> Fits:
     found = explained.found
     base = fit(found.search.hypotheses.base, Rows.of(measurements).pick(~found.outlier))
     return Fits(base, explained.fit if explained.chosen or explained.smooth else base)
+
+
+def explained_fits(
+    found: Findings,
+    measurements: Measurements,
+    draws: int,
+    generator: np.random.Generator,
+    prior: bool = False,
+    names: Sequence[str] | None = None,
+) -> tuple[Explanation, Fits]:
+    """What explains the data, and the model before and after.
+
+    prior : with the rest of the library held by its prior;  names : of effects in that library, None: all
+    """
+    explained = explanation(found, measurements, draws, generator)
+    fits = fits_of(explained, measurements)
+    return with_prior(explained, fits, measurements, names) if prior else (explained, fits)
 
 
 def with_prior(

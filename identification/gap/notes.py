@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from identification.arm import Arm
+from identification.gap.candidate import Candidate
 from identification.gap.detectability import EXACT, NEAR, Detectability, likenesses
 from identification.gap.holdout import Gap
 from identification.gap.hypotheses import Hypothesis, untested
 from identification.gap.library_prior import LibraryPrior
-from identification.gap.result import Candidate
 from identification.gap.search import HypothesisSearch
 from identification.gap.workflow import Findings
 from identification.measurements import Measurements

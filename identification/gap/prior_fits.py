@@ -8,18 +8,18 @@ factor is small, and where much is left that no name explains it is 1.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
 from identification.arm import Calibration
 from identification.estimation.uncertainty import Uncertainty
 from identification.estimation.with_prior import Restricted
+from identification.gap.candidate import Candidate
 from identification.gap.candidates import estimates
 from identification.gap.curves import CurveFit
 from identification.gap.fit import Fit, fit
 from identification.gap.library_prior import LibraryPrior, given_by, library_prior
-from identification.gap.result import Candidate
 from identification.measurements import Measurements
 
 
@@ -51,15 +51,13 @@ def likeliest_size(found: Fit, library: LibraryPrior) -> tuple[float, float]:
 
 def _beside_curves(wide: Fit, found: CurveFit) -> CurveFit:
     """The fit with the curves of another one, which keep their values and uncertainty."""
-    own = {field.name: getattr(wide, field.name) for field in fields(Fit)}
-    curves = {field.name: getattr(found, field.name) for field in fields(CurveFit) if field.name not in own}
     columns, rows = wide.jacobian, wide.prior_rows
     penalized = columns if rows is None else np.concatenate([columns, rows])
     moved = found.rows.whiten(found.curve_columns(found.rows.postures, found.rows.conditions))
     padded = np.concatenate([moved, np.zeros((len(penalized) - len(columns), moved.shape[1]))])
     scales = wide.model.scales
     response = -np.linalg.lstsq(penalized / scales, padded, rcond=None)[0] / scales[:, None]
-    return CurveFit(**own, **(curves | {"response": response}))
+    return CurveFit.of(wide, found.bases, found.evidence, response)
 
 
 def held_candidate(named: Candidate, fitted: Fit, library: LibraryPrior) -> Candidate:

@@ -8,9 +8,10 @@ from html import escape
 from types import MappingProxyType
 from typing import Any
 
-from identification.arm import Arm, Calibration, EffectSpec
+from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.gap import summary
+from identification.gap.candidate import Candidate
 from identification.gap.choice_validation import ChoiceValidation
 from identification.gap.confirmation import Confirmation
 from identification.gap.curve import Curve
@@ -24,97 +25,6 @@ from identification.gap.probabilities import Probabilities
 from identification.gap.replication import Replication
 from identification.gap.rounds import Round
 from identification.minimal import placed_calibration
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """One parameter with its 95 % interval, in the unit of files and tables."""
-
-    name: str
-    unit: str
-    value: float
-    std: float
-    low_95: float
-    high_95: float
-
-    @property
-    def short(self) -> str:
-        """The name inside its effect: `a`."""
-        return self.name.rpartition(".")[2]
-
-    def __str__(self) -> str:
-        unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{self.short} = {self.value:.4g} +- {self.high_95 - self.value:.2g}{unit}"
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A set of effects that explains the data about as well as the best.
-
-    effects : labels, `transmission_ripple:2[k=17]`;  specs : in the same order, as they stand in an arm file
-        (settings, no estimates)
-    f, p_adjusted : F statistic and adjusted p-value of the member that enters last
-    parameters : estimates of the effects' parameters;  calibration : everything estimated, with its covariance
-    probability : that these effects are missing and no others; None where it was not computed
-    intervals, reliance : what the 95 % intervals rely on, as in `estimation.uncertainty`, and in words
-    freedom : degrees of freedom of each variance in the calibration's covariance; empty: those of the residuals
-    held : effects that the calibration has beside them, each as far as its prior allows
-    """
-
-    effects: tuple[str, ...]
-    specs: tuple[EffectSpec, ...]
-    classes: tuple[str, ...]
-    delta_bic: float
-    f: float
-    p_adjusted: float
-    parameters: tuple[Estimate, ...]
-    calibration: Calibration
-    probability: float | None = None
-    intervals: str = "scatter"
-    reliance: str = "from the scatter of the residuals"
-    freedom: tuple[float, ...] = ()
-    held: tuple[EffectSpec, ...] = ()
-
-    @property
-    def title(self) -> str:
-        """The effects with the settings that were found: `axes_skew + transmission_ripple:2[k=18]`."""
-        return " + ".join(self.effects)
-
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """What and where, without the settings: `transmission_ripple:2`."""
-        return tuple(spec.key for spec in self.specs)
-
-    @property
-    def estimates(self) -> Mapping[str, tuple[Estimate, ...]]:
-        """Effect (its label) -> the estimates of its parameters."""
-        owners = [p.name.rpartition(".")[0] for p in self.parameters]
-        rows = list(zip(owners, self.parameters, strict=True))
-        return {
-            label: tuple(p for owner, p in rows if owner in (label, key))
-            for label, key in zip(self.effects, self.keys, strict=True)
-        }
-
-    def to_json(self) -> dict[str, Any]:
-        """An entry of `candidates` (identification/files/README.md, "JSON keys")."""
-        return {
-            "effects": list(self.effects),
-            "classes": list(self.classes),
-            "probability": self.probability,
-            "delta_bic": self.delta_bic,
-            "f": self.f,
-            "p_adjusted": self.p_adjusted,
-            "parameters": [vars(p) for p in self.parameters],
-            "settings": self._settings(),
-            "intervals": self.intervals,
-        }
-
-    def _settings(self) -> dict[str, float]:
-        """`transmission_ripple:2.k` -> 17: the settings, named as the parameters of the same effect are."""
-        owners = {p.name.rpartition(".")[0] for p in self.parameters}
-        named = zip(self.effects, self.specs, strict=True)
-        prefixes = [(label if label in owners else spec.key, spec) for label, spec in named]
-        return {f"{prefix}.{name}": value for prefix, spec in prefixes for name, value in spec.values.items()}
 
 
 @dataclass(frozen=True)

@@ -71,19 +71,17 @@ class SharedFit:
     @classmethod
     def of(cls, found: Fit, sessions: tuple[Session, ...]) -> SharedFit:
         """sessions : of the rows that the fit is to"""
-        rows, model = found.rows, found.model
+        rows = found.rows
         shape = len(rows), rows.dimension, -1
         columns, values, penalty = [found.jacobian.reshape(shape)], [found.values], [np.zeros(len(found.values))]
         curves, end = {}, len(found.values)
         if isinstance(found, CurveFit):
-            levers = model.joint_levers(rows.postures, found.values, rows.conditions)
+            columns.append(rows.whiten(found.curve_columns(rows.postures, rows.conditions)).reshape(shape))
             for basis in found.bases:
-                functions = basis.at(rows.postures[:, basis.joint])
-                columns.append(rows.whiten(levers[:, :, basis.joint, None] * functions[:, None, :]).reshape(shape))
                 curves[basis.joint + 1] = np.arange(end, end + basis.count)
                 end += basis.count
-            values.append(found.coefficients)
-            penalty.append(1.0 / found.variances)
+            values.append(found.evidence.coefficients)
+            penalty.append(1.0 / found.evidence.variances)
         jacobian, known = np.concatenate(columns, axis=2), np.concatenate(values)
         lengths = np.sqrt(np.einsum("mdp,mdp->p", jacobian, jacobian))
         lengths = np.where(lengths > 0.0, lengths, 1.0)

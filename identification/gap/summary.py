@@ -9,7 +9,8 @@ from identification.gap.order_range import in_words
 from identification.gap.replication import said
 
 if TYPE_CHECKING:
-    from identification.gap.result import Candidate, Diagnosis
+    from identification.gap.candidate import Candidate
+    from identification.gap.result import Diagnosis
 
 SHORT = 60  # characters of names that a verdict spells out; the tables have all of them
 VERDICTS = {

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
+from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, ParameterSet
 
 Complex = NDArray[np.complex128]
 Solver = Callable[[Array], tuple[Array, Array]]
@@ -33,6 +34,20 @@ class PlanarClosedForm:
     offset: bool
     indices: NDArray[np.intp]
     exact: bool
+
+    @classmethod
+    def of(cls, lengths: Array, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
+        """For the parameters of a model, None where one of a length or an offset is missing.
+
+        others : the model has parameters or curves beside these
+        """
+        chain = [*parameters.indices(LENGTH_ERROR), *parameters.indices(JOINT_OFFSET)]
+        base = [k for k, name in enumerate(parameters.names) if name in ("base_offset.x0", "base_offset.y0")]
+        if len(chain) < 2 * len(lengths):
+            return None
+        offset = len(base) == 2
+        indices = np.array(chain + base if offset else chain)
+        return cls(lengths, offset, indices, not others and len(indices) == len(parameters))
 
     def solver(self, postures: Array, weights: Array, tolerance: float) -> Solver:
         """Function of positions (K, m, 2) [mm] -> (K, q) parameters and (K,) weighted sums of squares.

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 from doe.plan.plan import Plan
-from identification.arm import Arm, Calibration, EffectSpec, Gravity, WorkspaceBox
+from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.estimation import estimate
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.simulate import simulate
+from identification.workspace import WorkspaceBox
 
 EFFECT = EffectSpec("encoder_eccentricity", 2, MappingProxyType({"a": 0.001, "b": 0.0}))
 

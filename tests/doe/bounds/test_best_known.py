@@ -13,8 +13,9 @@ from doe.bounds.bound import Bound
 from doe.bounds.planar_theorem import closed_form_bound, closed_form_log_det
 from doe.bounds.relaxation import relax
 from doe.criteria import A
-from identification.arm import Arm, EffectSpec, WorkspaceBox
+from identification.arm import Arm, EffectSpec
 from identification.model import Model
+from identification.workspace import WorkspaceBox
 
 BOX = Arm([300.0, 200.0, 150.0], lower=np.radians([-180, -120, -100]), upper=np.radians([180, 60, 90]), sigma=0.1)
 

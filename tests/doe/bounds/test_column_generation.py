@@ -14,10 +14,11 @@ from doe.bounds import column_generation as module
 from doe.bounds.column_generation import column_generation, continuous_bound, continuous_design
 from doe.criteria import A, Criterion, D, Ds, E, I
 from doe.problem.candidates import PostureList, grid, listed
-from identification.arm import Arm, EffectSpec, WorkspaceBox
+from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.errors import JobError
 from identification.status import Status
+from identification.workspace import WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem, random_box
 from tests.doe.regression import regression
 

@@ -8,8 +8,9 @@ from scipy.optimize import minimize
 
 from doe.bounds.continuous import ContinuousSet, distinct
 from doe.problem.prior import PriorInformation
-from identification.arm import Arm, EffectSpec, KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
+from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
 
 BOXED = Arm(FOUR.lengths, FOUR.lower, FOUR.upper, 0.1, constraints=(WorkspaceBox((-400.0, 600.0), (0.0, 650.0)),))

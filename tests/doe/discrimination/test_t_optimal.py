@@ -11,7 +11,7 @@ import pytest
 from doe.discrimination import t_optimal as module
 from doe.discrimination.t_optimal import discriminate
 from doe.problem.constraints import constraints_of
-from identification.arm import Arm, Gravity, WorkspaceBox
+from identification.arm import Arm, Gravity
 from identification.errors import InputError
 from identification.gap.choice_validation import ChoiceValidation
 from identification.gap.diagnose import diagnose
@@ -19,6 +19,7 @@ from identification.gap.library_prior import library_prior
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.workspace import WorkspaceBox
 
 ARM = Arm(
     [260.0, 180.0, 120.0],

@@ -14,9 +14,10 @@ from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import Random, solve
 from doe.solvers.derivatives import ConstraintFunction
-from identification.arm import Arm, Calibration, KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.arm import Arm, Calibration
 from identification.errors import InputError
 from identification.model import Model
+from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 from tests.doe.arms import FOUR
 
 BOX = WorkspaceBox((-400.0, 600.0), (0.0, 650.0))

@@ -15,10 +15,10 @@ from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from doe.problem.spatial_constraints import LINK_RADIUS, smallest_along
 from doe.solvers import solve
-from identification.arm import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 from identification.arrays import Array
 from identification.kinematics.denavit_hartenberg import DHRow, matrix
 from identification.model import Model
+from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 from tests.doe.six_axis import REFLECTOR, SIX_AXIS, TABLE
 
 ROWS = [DHRow(a, np.radians(alpha), d) for a, alpha, d in TABLE]

@@ -9,7 +9,7 @@ import numpy as np
 from doe.report.gap_page import estimate_sheet, p_value
 from doe.report.next_postures import missing_payload
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
-from identification.gap.result import Candidate, Estimate
+from identification.gap.candidate import Candidate, Estimate
 from identification.measurements import Measurements
 
 NOTHING = Calibration.of(np.zeros(2), np.zeros(2), MappingProxyType({}), (), np.zeros((0, 0)), MappingProxyType({}))

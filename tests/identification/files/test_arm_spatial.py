@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.arm import Arm, KeepOutCircle, KeepOutCylinder, LineOfSight, Machining, WorkspaceBox
+from identification.arm import Arm, Machining
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
@@ -23,6 +23,7 @@ from identification.kinematics.frames import pose
 from identification.kinematics.spatial import BASE, TOOL
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
 DATA = Path(__file__).parents[2] / "data"
 URDF = DATA / "spatial" / "six_axis.urdf"

@@ -132,8 +132,8 @@ def test_cross_validation_fits_the_curves_again() -> None:
     jacobian = fit.model.jacobian(data.postures, fit.values)
     levers = fit.model.joint_levers(data.postures, fit.values)[:, :, 0]
     columns = np.concatenate([jacobian, levers[:, :, None] * fit.bases[0].at(data.postures[:, 0])[:, None]], axis=2)
-    target = fit.position_residuals(data, Conditions()) + columns[:, :, 4:] @ fit.coefficients
-    penalty = np.diag(np.r_[np.zeros(4), 1.0 / fit.variances])
+    target = fit.position_residuals(data, Conditions()) + columns[:, :, 4:] @ fit.evidence.coefficients
+    penalty = np.diag(np.r_[np.zeros(4), 1.0 / fit.evidence.variances])
     found = cross_validate(fit, folds)
     for k in range(4):
         a, r = columns[folds != k].reshape(-1, columns.shape[2]), target[folds != k].ravel()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,13 +13,22 @@ from scipy import stats
 from identification.gap.f_tests import Columns, Dictionary, dictionary
 from identification.information import column_space
 
+SEEDS = st.integers(0, 10_000)
+SIZES = st.lists(st.integers(1, 4), min_size=1, max_size=6)  # columns of each hypothesis
+
 
 def basis(jacobian: np.ndarray) -> np.ndarray:
     return column_space(jacobian, np.ones(jacobian.shape[1]))
 
 
-def beside(jacobian: np.ndarray, columns: list[np.ndarray], one_sided: np.ndarray, weights: np.ndarray) -> Dictionary:
-    return dictionary(basis(jacobian), Columns.of(columns, len(jacobian)), one_sided, weights)
+def beside(
+    jacobian: np.ndarray, columns: list[np.ndarray], one_sided: Sequence[bool] = (), weights: Sequence[float] = ()
+) -> Dictionary:
+    """Hypotheses about any sign and of equal weights where nothing else is said."""
+    signs = np.array(one_sided or [False] * len(columns))
+    return dictionary(
+        basis(jacobian), Columns.of(columns, len(jacobian)), signs, np.array(weights or [1.0] * len(columns))
+    )
 
 
 def _problem(seed: int, sizes: list[int]) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
@@ -27,11 +38,11 @@ def _problem(seed: int, sizes: list[int]) -> tuple[np.ndarray, list[np.ndarray],
     return jacobian, columns, rng.standard_normal(40)
 
 
-@given(seed=st.integers(0, 10_000), sizes=st.lists(st.integers(1, 4), min_size=1, max_size=6))
+@given(seed=SEEDS, sizes=SIZES)
 @settings(max_examples=40)
 def test_f_and_p_are_those_of_two_nested_fits(seed: int, sizes: list[int]) -> None:
     jacobian, columns, y = _problem(seed, sizes)
-    tested = beside(jacobian, columns, np.zeros(len(sizes), dtype=bool), np.ones(len(sizes)))
+    tested = beside(jacobian, columns)
     q = basis(jacobian)
     residual = (y - q @ (q.T @ y))[:, None]
     reductions = tested.reductions(residual)
@@ -53,7 +64,7 @@ def test_forbidden_sign_is_no_evidence_and_the_allowed_one_is_a_one_sided_t_test
     for sign in (1.0, -1.0):
         y = sign * 2.0 * columns[0][:, 0] / np.linalg.norm(columns[0]) + 0.3 * np.random.default_rng(1).normal(size=40)
         residual = (y - q @ (q.T @ y))[:, None]
-        tested = beside(jacobian, columns, np.array([True]), np.ones(1))
+        tested = beside(jacobian, columns, [True])
         p = tested.p_values(tested.reductions(residual), np.square(residual).sum(axis=0))[0, 0]
         if sign < 0.0:
             assert p == 1.0
@@ -70,14 +81,14 @@ def test_columns_inside_the_model_are_invisible() -> None:
     jacobian, _, _ = _problem(5, [1])
     inside = jacobian @ np.array([[1.0], [2.0], [0.0], [0.0], [0.0], [0.5]])
     half = np.hstack([inside, np.random.default_rng(0).normal(size=(40, 1))])
-    tested = beside(jacobian, [inside, half, np.zeros((40, 1))], np.zeros(3, dtype=bool), np.ones(3))
+    tested = beside(jacobian, [inside, half, np.zeros((40, 1))])
     assert tested.sizes.tolist() == [0, 1, 0]
 
 
 def test_smallest_weighted_p_value_is_the_smallest_over_all() -> None:
     jacobian, columns, _ = _problem(7, [1, 2, 1, 3, 2])
     weights = np.array([1.0, 0.1, 1.0, 1.0, 0.5])
-    tested = beside(jacobian, columns, np.array([True, False, False, False, False]), weights)
+    tested = beside(jacobian, columns, [True, False, False, False, False], weights.tolist())
     q = basis(jacobian)
     drawn = np.random.default_rng(8).normal(size=(40, 30))
     drawn -= q @ (q.T @ drawn)
@@ -88,16 +99,16 @@ def test_smallest_weighted_p_value_is_the_smallest_over_all() -> None:
 
 def test_subset_keeps_the_columns_of_its_members() -> None:
     jacobian, columns, y = _problem(9, [2, 1, 3, 1])
-    tested = beside(jacobian, columns, np.zeros(4, dtype=bool), np.ones(4))
+    tested = beside(jacobian, columns)
     part = tested.subset(np.array([0, 2]))
     np.testing.assert_allclose(part.reductions(y[:, None]), tested.reductions(y[:, None])[[0, 2]])
 
 
-@given(seed=st.integers(0, 10_000), sizes=st.lists(st.integers(1, 4), min_size=1, max_size=6))
+@given(seed=SEEDS, sizes=SIZES)
 @settings(max_examples=20)
 def test_a_block_is_a_basis_of_what_only_its_hypothesis_explains(seed: int, sizes: list[int]) -> None:
     jacobian, columns, _ = _problem(seed, sizes)
-    tested = beside(jacobian, columns, np.zeros(len(sizes), dtype=bool), np.ones(len(sizes)))
+    tested = beside(jacobian, columns)
     q = basis(jacobian)
     for k, own in enumerate(columns):
         left = own - q @ (q.T @ own)

@@ -13,10 +13,10 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation.prior import effective_count
-from identification.gap.curve_fit import Basis
+from identification.gap.curve_fit import Basis, Evidence
 from identification.gap.curves import CurveFit
 from identification.gap.diagnose import diagnose
-from identification.gap.fit import Fit, fit
+from identification.gap.fit import fit
 from identification.gap.library_prior import library_prior
 from identification.gap.prior_fits import held
 from identification.gap.result import Diagnosis
@@ -154,12 +154,10 @@ def test_a_curve_keeps_its_values_and_moves_the_rest() -> None:
 
     rows = Rows.of(DATA)
     plain = fit(Model(ARM.with_effects(curve(1.0))), rows)
-    own = {name: getattr(plain, name) for name in Fit.__dataclass_fields__}
-    shape = {"bases": (basis,), "coefficients": coefficients, "variances": np.ones(basis.count)}
+    spread = 1e-12 * np.eye(basis.count)
+    evidence = Evidence(0.0, np.zeros(2), coefficients, np.ones(basis.count), spread, 1.5, 0.0)
     response = np.zeros((len(plain.values), basis.count))
-    wide, library = held(
-        CurveFit(**own, **shape, spread=1e-12 * np.eye(basis.count), response=response, determined=1.5), DATA
-    )
+    wide, library = held(CurveFit.of(plain, (basis,), evidence, response), DATA)
     assert isinstance(wide, CurveFit)
     assert library.left_out["encoder_eccentricity:1"] == "its joint has an error curve"
     assert "encoder_eccentricity:2" in library.effects

@@ -19,10 +19,11 @@ from doe.jobs.workers import processes
 from doe.plan.plan import Plan
 from doe.studies.monte_carlo import Fitted, Study, Truth, dft_postures, load_study, pooled, run_study
 from doe.studies.monte_carlo.replications import Cell
-from identification.arm import Arm, EffectSpec, WorkspaceBox
+from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
 from identification.estimation import BatchFit, estimate_each
 from identification.model import Model
+from identification.workspace import WorkspaceBox
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 PAPER = Truth("paper", [1.5, -0.6, -0.4, 0.7], np.radians([0.5, -0.5, 0.7, -0.3]).tolist())
