@@ -18,7 +18,9 @@ from doe.cli import (
     diagnose,
     discriminate,
     effects,
+    help,
     identify,
+    init,
     relax,
     score,
     simulate,
@@ -74,7 +76,8 @@ class Verbs(click.Group):
 @click.group(
     cls=Verbs,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-    epilog="Every verb takes --json, --seed and --quiet, and `armcal VERB --help` shows an example.",
+    epilog="Every verb takes --json, --seed and --quiet, and `armcal VERB --help` shows an example. "
+    "A calibration starts with `armcal init`; file formats: `armcal help formats`.",
 )
 @click.version_option(package_name="armcal", prog_name="armcal")
 def main() -> None:
@@ -86,6 +89,7 @@ def main() -> None:
 
 VERBS = (
     demo,
+    init,
     design,
     score,
     advise,
@@ -99,6 +103,7 @@ VERBS = (
     validate,
     compensate,
     effects,
+    help,
 )
 for module in VERBS:
     main.add_command(module.command)

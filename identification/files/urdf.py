@@ -35,6 +35,30 @@ class Urdf:
     text: str
     by_child: Mapping[str, ElementTree.Element]
     links: tuple[str, ...]
+    robot: ElementTree.Element
+
+    @property
+    def root(self) -> str:
+        """The link that hangs on no joint; the first of several."""
+        return next((link for link in self.links if link not in self.by_child), self.links[0])
+
+    @property
+    def ends(self) -> tuple[str, ...]:
+        """The links that carry no joint, in the order of the file."""
+        parents = {self._attribute(joint, "parent", "link") for joint in self.by_child.values()}
+        return tuple(link for link in self.links if link not in parents)
+
+    def masses(self, base: str, tip: str) -> tuple[float, ...]:
+        """[kg] of what each moving joint of a chain carries up to the next one, zero where the file gives none."""
+        masses = {str(link.get("name")): link.find("inertial/mass") for link in self.robot.findall("link")}
+        found: list[float] = []
+        for element in self.elements(base, tip):
+            if element.get("type") != FIXED:
+                found.append(0.0)
+            mass = masses.get(self._attribute(element, "child", "link"))
+            if found and mass is not None:
+                found[-1] += self._number("mass", str(mass.get("value")))
+        return tuple(found)
 
     def elements(self, base: str, tip: str) -> list[ElementTree.Element]:
         """The joints from a base link to a tip link. Raises `InputError` where there is no such way."""
@@ -141,7 +165,7 @@ def read_urdf(path: PathLike) -> Urdf:
         raise InputError(f"{path}: the root element is <{root.tag}>, allowed: <robot>")
     links = tuple(str(link.get("name")) for link in root.findall("link"))
     by_child: dict[str, ElementTree.Element] = {}
-    found_file = Urdf(str(path), text, by_child, links)
+    found_file = Urdf(str(path), text, by_child, links, root)
     for joint in root.findall("joint"):
         child = found_file._attribute(joint, "child", "link")
         if child in by_child:

@@ -1,0 +1,32 @@
+"""`armcal help`: the help of a verb, and the file formats."""
+
+from __future__ import annotations
+
+import click
+
+from doe.cli.common import Answer, Session, verb
+from identification.errors import InputError, nearest
+
+FORMATS = "formats"
+
+
+@verb("armcal help formats", "The help of a verb, or the file formats.")
+@click.argument("topic", default=FORMATS)
+def command(session: Session, topic: str) -> Answer:
+    """Show the help of the verb TOPIC, or with `formats` all file formats and JSON keys."""
+    context = click.get_current_context()
+    assert context.parent is not None  # a verb is called by its group
+    group = context.parent.command
+    assert isinstance(group, click.Group)
+    if topic == FORMATS:
+        from rich.markdown import Markdown
+
+        from identification.files import formats
+
+        text = formats()
+        return Answer({"topic": topic, "text": text}, [Markdown(text)])
+    if topic not in group.commands:
+        raise InputError(f"unknown topic {topic!r}, {nearest(topic, [FORMATS, *group.commands])}")
+    found = group.commands[topic]
+    text = found.get_help(click.Context(found, info_name=topic, parent=context.parent))
+    return Answer({"topic": topic, "text": text}, [text])

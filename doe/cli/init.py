@@ -1,0 +1,70 @@
+"""`armcal init`: the first files of a calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from doe.cli.common import Answer, Session, verb
+from doe.cli.options import FILE, FOLDER
+from identification.errors import InputError
+from identification.files.io import PathLike, write_together
+
+
+@verb("armcal init --urdf robot.urdf --out calibration", "Write the first files: arm, measurements, what to do.")
+@click.option("--links", metavar="N", help="A planar arm: how many links, or their lengths [mm]: 612,572.3,115.7")
+@click.option("--urdf", "robot", type=FILE, metavar="FILE", help="A spatial arm from a URDF file.")
+@click.option("--dh", metavar="N", type=click.IntRange(1, 12), help="A spatial arm from N Denavit-Hartenberg rows.")
+@click.option("--base-link", help="Of the URDF file; left out: its root.")
+@click.option("--tip-link", help="Of the URDF file; left out: tool0, tcp .. or the end with the most joints.")
+@click.option("--out", type=FOLDER, default=".", show_default="here", metavar="DIR", help="Folder; made if missing.")
+@click.option("--force", is_flag=True, help="Overwrite existing files.")
+def command(
+    session: Session,
+    links: str | None,
+    robot: Path | None,
+    dh: int | None,
+    base_link: str | None,
+    tip_link: str | None,
+    out: Path,
+    force: bool,
+) -> Answer:
+    """Write an arm file with comments, the columns of a measurement file, and the steps of a calibration.
+
+    One of --links, --urdf and --dh says which arm; a planar one of three links without any of them.
+    """
+    from doe.report.first_files import ARM, STEPS, dh_files, planar_files, urdf_files
+
+    given = [name for name, value in (("--links", links), ("--urdf", robot), ("--dh", dh)) if value is not None]
+    if len(given) > 1:
+        raise InputError(f"{given[1]}: found with {given[0]}, allowed: one of them")
+    for name, value in (("--base-link", base_link), ("--tip-link", tip_link)):
+        if value is not None and robot is None:
+            raise InputError(f"{name}: found without --urdf, allowed: with --urdf")
+    if robot is not None:
+        files = urdf_files(robot, base_link, tip_link)
+    else:
+        files = planar_files(links or "3") if dh is None else dh_files(dh)
+    written = _write(files, out, robot, force)
+    steps = [f"{out / STEPS} says what to do, step by step", f"armcal design {out / ARM} --runs 20 --out plan.csv"]
+    return Answer({"directory": out, "files": written, "next": steps}, [f"written: {', '.join(written)}", *steps])
+
+
+def _write(files: dict[str, str], folder: Path, source: Path | None, force: bool) -> list[str]:
+    """All of the files or none, but for a URDF file that is there already; their paths."""
+    kept = {} if source is None else {source.name: source}
+    paths = {folder / name: text for name, text in files.items()}
+    new: dict[PathLike, str | bytes] = {
+        path: text for path, text in paths.items() if not _same(path, kept.get(path.name))
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out: {folder} cannot be made ({error.strerror}), allowed: a folder") from None
+    write_together(new, force)
+    return list(map(str, new))
+
+
+def _same(path: Path, other: Path | None) -> bool:
+    return other is not None and path.exists() and path.samefile(other)

@@ -1,0 +1,22 @@
+"""`armcal help` as a user runs it."""
+
+from __future__ import annotations
+
+from tests.doe.cli.conftest import Folder
+
+
+def test_formats_and_verbs(folder: Folder) -> None:
+    formats = folder.armcal("help", "--json")
+    assert formats.code == 0, formats.err
+    assert "links_mm" in formats.data["text"]
+    assert "| `design`, `score` |" in formats.data["text"]
+    shown = folder.armcal("help", "formats").out
+    assert "temperature_C" in shown
+    assert folder.armcal("help", "design").out.strip() == folder.armcal("design", "--help").out.strip()
+
+
+def test_an_unknown_topic_is_one_line(folder: Folder) -> None:
+    done = folder.armcal("help", "desing")
+    assert done.code == 2
+    assert "did you mean 'design'" in done.err
+    assert len(done.err.strip().splitlines()) == 1

@@ -1,0 +1,106 @@
+"""`armcal init` as a user runs it: what it writes is read by the other verbs, and says what is made up."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from doe.report.first_files import dh_files, planar_files, urdf_files
+from identification import Model, load_arm
+from identification.errors import InputError
+from identification.files.csv import read_table
+from identification.files.urdf import read_urdf
+from tests.doe.cli.conftest import Folder
+
+URDF = Path(__file__).parents[2] / "data/spatial/six_axis.urdf"
+GRIPPER = """<robot name="two fingers"><link name="base"/>
+<link name="arm"><inertial><mass value="2.5"/></inertial></link>
+<link name="hand"><inertial><mass value="0.5"/></inertial></link><link name="tcp"/>
+<link name="left"/><link name="right"/>
+<joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="2"/></joint>
+<joint name="mount" type="fixed"><parent link="arm"/><child link="hand"/><origin xyz="0.3 0 0"/></joint>
+<joint name="middle" type="fixed"><parent link="hand"/><child link="tcp"/></joint>
+<joint name="finger" type="prismatic"><parent link="hand"/><child link="left"/><limit lower="0" upper="0.1"/></joint>
+<joint name="other" type="prismatic"><parent link="hand"/><child link="right"/><limit lower="0" upper="0.1"/>
+<mimic joint="finger"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("words", "joints"),
+    [((), 3), (("--links", "4"), 4), (("--links", "612,572.3,115.7"), 3), (("--dh", "6"), 6), (("--dh", "8"), 8)],
+)
+def test_what_is_written_is_read(folder: Folder, words: tuple[str, ...], joints: int) -> None:
+    done = folder.armcal("init", *words, "--out", "new/cell", "--json")
+    assert done.code == 0, done.err
+    home = folder.path / "new/cell"
+    assert {Path(name).name for name in done.data["files"]} == {path.name for path in home.iterdir()}
+    arm = load_arm(home / "arm.toml")
+    assert arm.links == joints
+    assert np.isfinite(Model(arm).position(np.zeros((1, joints)))).all()
+    header = home.joinpath("measurements.csv").read_text().strip().split(",")
+    assert [name for name in header if name.startswith("q")] == [f"q{j}_deg" for j in range(1, joints + 1)]
+    with pytest.raises(InputError, match="there are no rows below the header"):
+        read_table(home / "measurements.csv")
+
+
+def test_the_schema_accepts_the_arm_and_refuses_a_misspelt_key() -> None:
+    for files in (planar_files("3"), dh_files(6), urdf_files(URDF)):
+        tables, schema = tomllib.loads(files["arm.toml"]), json.loads(files["arm.schema.json"])
+        jsonschema.validate(tables, schema)
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate({**tables, "link_mm": [1.0]}, schema)
+
+
+def test_made_up_numbers_are_marked_and_given_ones_are_not() -> None:
+    assert "links_mm = [600.0, 480.0, 384.0]  # EXAMPLE" in planar_files("3")["arm.toml"]
+    assert "links_mm = [612.0, 572.3, 115.7]\n" in planar_files("612,572.3, 115.7")["arm.toml"]
+
+
+def test_a_urdf_file_is_copied_and_its_chain_found(folder: Folder) -> None:
+    done = folder.armcal("init", "--urdf", str(URDF), "--out", "cell")
+    assert done.code == 0, done.err
+    home = folder.path / "cell"
+    assert home.joinpath(URDF.name).read_bytes() == URDF.read_bytes()
+    assert load_arm(home / "arm.toml").links == 6
+    again = folder.armcal("init", "--urdf", str(home / URDF.name), "--out", str(home), "--force")
+    assert again.code == 0, again.err  # the file is where it belongs already
+
+
+def test_ends_that_cannot_be_measured_are_not_taken(folder: Folder) -> None:
+    folder.path.joinpath("hand.urdf").write_text(GRIPPER)
+    files = urdf_files(folder.path / "hand.urdf")
+    assert 'tip_link = "tcp"' in files["arm.toml"]
+    assert "link_masses_kg = [3.0]" in files["arm.toml"]  # arm and hand move together
+    assert "lower = [-57.2958]" in files["arm.toml"]
+    folder.path.joinpath("hand.urdf").write_text(GRIPPER.replace('"tcp"', '"camera"'))
+    assert 'tip_link = "left"' in urdf_files(folder.path / "hand.urdf")["arm.toml"]  # two joints; `right` mimics
+    assert read_urdf(folder.path / "hand.urdf").ends == ("camera", "left", "right")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--links", "0"), "--links: found '0', allowed: how many, 1 to 12, or lengths > 0"),
+        (("--links", "3,-1"), "--links: found '3,-1'"),
+        (("--links", "3", "--dh", "6"), "--dh: found with --links"),
+        (("--tip-link", "tool0"), "--tip-link: found without --urdf"),
+        (("--urdf", "none.urdf"), "none.urdf: no such file"),
+        (("--urdf", str(URDF), "--tip-link", "tool1"), "did you mean 'tool0'"),
+        (("--out", "arm.toml"), "--out: arm.toml cannot be made"),
+        (("--out", "."), "arm.toml: the file exists"),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_written(folder: Folder, words: tuple[str, ...], sentence: str) -> None:
+    folder.path.joinpath("arm.toml").write_text("links_mm = [1.0]")
+    before = sorted(folder.path.iterdir())
+    done = folder.armcal("init", *words)
+    assert done.code == 2
+    assert sentence in done.err
+    assert len(done.err.strip().splitlines()) == 1
+    assert sorted(folder.path.iterdir()) == before
