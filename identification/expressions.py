@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -11,13 +11,12 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
+from identification.composition import Composition, chain_at, condition_width, parts
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, measured_position
 from identification.effects.places import position_and_state, split, widths
 from identification.kinematics.parameters import ParameterSet
-from identification.vectorize import vectorize
-
-Evaluate = Callable[..., tuple[np.ndarray, ...]]
+from identification.vectorize import Evaluate, vectorize
 
 
 @dataclass(frozen=True)
@@ -39,9 +38,8 @@ class Expressions:
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """SX of postures q (n), conditions c, parameters (p) and position (d)."""
-        n = self.arm.links
-        width = Conditions.columns(n, self.remembers) + ("marker" in self.extra) + n * ("errors" in self.extra)
-        q, c, p = ca.SX.sym("q", n), ca.SX.sym("c", width), ca.SX.sym("p", len(self.estimated))
+        width = condition_width(self.arm.links, self.remembers, self.extra)
+        q, c, p = ca.SX.sym("q", self.arm.links), ca.SX.sym("c", width), ca.SX.sym("p", len(self.estimated))
         return q, c, p, measured_position(self.chain(q, c), self.effects, self.values(p))
 
     def values(self, p: ca.SX) -> ca.SX:
@@ -51,11 +49,18 @@ class Expressions:
 
     def chain(self, q: ca.SX, c: ca.SX) -> Chain:
         """The nominal chain at the symbols of a posture and its conditions."""
-        width = Conditions.columns(self.arm.links, self.remembers)
-        chain = Chain.of(self.arm, q, c[:width])
-        if "marker" in self.extra:
-            chain, width = replace(chain, marker=c[width]), width + 1
-        return replace(chain, errors=c[width:]) if "errors" in self.extra else chain
+        return chain_at(self.arm, q, c, self.remembers, self.extra)
+
+    @cached_property
+    def composed(self) -> Composition | None:
+        """The same from parts that models share; None in the plane and without effects, where one tape is faster."""
+        chain = self.arm.chain
+        if chain is None or not self.effects:
+            return None
+        values = tuple(
+            None if p.name in self.estimated.names else float(self.fixed.get(p.name, 0.0)) for p in self.every
+        )
+        return Composition(parts(chain, self.arm.gravity, self.remembers, self.extra), self.effects, values)
 
     def table(self, postures: Array, conditions: Conditions) -> Array:
         """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory, one of
@@ -89,16 +94,18 @@ class Expressions:
     @cached_property
     def position(self) -> Evaluate:
         """Of arrays (q, c, p): the position."""
-        return vectorize(self.position_function)
+        return self.composed.position if self.composed else vectorize(self.position_function)
 
     @cached_property
     def jacobian(self) -> Evaluate:
         """Of arrays (q, c, p): position and Jacobian."""
-        return vectorize(self.jacobian_function)
+        return self.composed.jacobian if self.composed else vectorize(self.jacobian_function)
 
     @cached_property
     def joint_levers(self) -> Evaluate:
         """Of arrays (q, c, p): the derivative with respect to an angle added at each joint, (d, n)."""
+        if self.composed:
+            return self.composed.joint_levers
         added, position, _ = self._with_added
         turns = split(added, self.arm.links, self.arm.dimension)["joint_angles"]
         return self._at_zero("levers", [ca.jacobian(position, turns)])
@@ -106,6 +113,8 @@ class Expressions:
     @cached_property
     def place_levers(self) -> Evaluate:
         """Of arrays (q, c, p): the derivative with respect to what is added at each place, (d, P), and the state."""
+        if self.composed:
+            return self.composed.place_levers
         added, position, state = self._with_added
         return self._at_zero("place_levers", [ca.jacobian(position, added), state])
 

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+Evaluate = Callable[..., tuple[np.ndarray, ...]]  # of arrays, see `vectorize`
 PART = 4096  # of a batch at a time: the arrays of an instruction, 32 kB each, stay in the processor's cache
 
 BINARY = {
@@ -65,7 +66,7 @@ UNARY = {
 }
 
 
-def vectorize(function: ca.Function) -> Callable[..., tuple[np.ndarray, ...]]:
+def vectorize(function: ca.Function) -> Evaluate:
     """Numpy version of an SX function whose inputs are dense column vectors.
 
     The result takes, per input, an array whose LAST axis runs over the components and whose leading axes broadcast

@@ -38,6 +38,7 @@ LAYERS = {
     "identification.files.measurement": 2,
     "identification.files.target": 2,
     "identification.vectorize": 0,
+    "identification.composition": 3,
     "identification.expressions": 3,
     "identification.model": 3,
     "identification.information": 4,

@@ -17,9 +17,9 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
+from identification.composition import Symbols
 from identification.conditions import Conditions
-from identification.effects import Chain, Effect, Setting
-from identification.effects.places import contributions, in_state, state_size
+from identification.effects import Effect, Setting
 from identification.vectorize import vectorize
 
 
@@ -35,27 +35,19 @@ class Template:
     members: tuple[int, ...]
 
 
-class Symbols:
-    """Of posture, conditions and state, and the chain there, loaded and not.
-
-    remembers : the conditions have the past
-    """
+class SlopeSymbols(Symbols):
+    """Symbols of posture, conditions and state, and slopes that are kept."""
 
     def __init__(self, arm: Arm, remembers: bool) -> None:
-        n, self.arm, self.remembers = arm.links, arm, remembers
-        self.q, self.state = ca.SX.sym("q", n), ca.SX.sym("state", state_size(n, arm.dimension))
-        self.c = ca.SX.sym("c", Conditions.columns(n, remembers))
-        self.chain = Chain.of(arm, self.q, self.c)
-        self.loaded = in_state(self.chain, self.state)
+        super().__init__(arm, remembers)
         self._known: dict[Effect, ca.SX] = {}
 
     def slopes(self, effect: Effect) -> ca.SX:
         """(P, size) derivative of what an effect adds at all places by its parameters, nothing being known of these."""
         if effect not in self._known:
-            v = ca.SX.sym("v", len(effect.parameters))
+            added, v = self.added(effect)
             start = ca.DM([p.neutral for p in effect.parameters])
-            jacobian = ca.jacobian(contributions(effect, self.chain, self.loaded, v, self.state), v)
-            self._known[effect] = ca.sparsify(ca.substitute(jacobian, v, start))
+            self._known[effect] = ca.sparsify(ca.substitute(ca.jacobian(added, v), v, start))
         return self._known[effect]
 
 
@@ -67,7 +59,7 @@ class Bundle:
         its last;  symbols : (S,) of them
     """
 
-    at: Symbols
+    at: SlopeSymbols
     templates: tuple[Template, ...]
     symbols: ca.SX
     settings: Array
@@ -120,7 +112,7 @@ class Bundle:
 def bundles(arm: Arm, effects: Sequence[tuple[int, Effect]]) -> tuple[Bundle, ...]:
     """All effects, each with the number of its hypothesis: those with nothing to scan together (those that depend on
     the fitted model apart), and each scanned one with all its joints and settings."""
-    at = Symbols(arm, any("past" in effect.needs for _, effect in effects))
+    at = SlopeSymbols(arm, any("past" in effect.needs for _, effect in effects))
     plain: dict[bool, list[tuple[int, Effect]]] = {}
     scanned: dict[str, dict[int | None, list[tuple[int, Effect]]]] = {}
     for number, effect in effects:
@@ -132,12 +124,12 @@ def bundles(arm: Arm, effects: Sequence[tuple[int, Effect]]) -> tuple[Bundle, ..
     return (*(_plain_bundle(at, e) for e in plain.values()), *(_scanned_bundle(at, s) for s in scanned.values()))
 
 
-def _plain_bundle(at: Symbols, effects: Sequence[tuple[int, Effect]]) -> Bundle:
+def _plain_bundle(at: SlopeSymbols, effects: Sequence[tuple[int, Effect]]) -> Bundle:
     templates = tuple(Template(effect, (number,)) for number, effect in effects)
     return Bundle(at, templates, ca.SX.zeros(0), np.zeros((1, 0)))
 
 
-def _scanned_bundle(at: Symbols, by_joint: Mapping[int | None, Sequence[tuple[int, Effect]]]) -> Bundle:
+def _scanned_bundle(at: SlopeSymbols, by_joint: Mapping[int | None, Sequence[tuple[int, Effect]]]) -> Bundle:
     """One effect, its values side by side for all joints."""
     templates, settings, symbols = [], [], list[ca.SX]()
     longest = max(map(len, by_joint.values()))

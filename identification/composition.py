@@ -1,0 +1,273 @@
+"""Spatial models put together from parts that are compiled once: the geometry, and every effect by itself.
+
+    position = T(q, g, a) + i,   (a, i) = sum_e A_e(q, c, v_e, s)
+
+g are the values of the geometry, a and i what effects e with values v_e add at the places of the chain before the
+instrument and at it (effects/places.py), s the state that they see: loads, which effects may change, link lengths, and
+the tip before the instrument. Derivatives follow by the chain rule, exactly. To set up the geometry of six axes takes
+longer than most fits of it, and `diagnose` asks for hundreds of sets of effects.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arm import Arm, Gravity
+from identification.arrays import Array
+from identification.conditions import Conditions
+from identification.effects import Chain, Effect
+from identification.effects.places import ROTATIONS, contributions, in_state, position_and_state, state_size, widths
+from identification.kinematics.spatial import DIMENSION, SpatialChain
+from identification.vectorize import Evaluate, vectorize
+
+INSTRUMENT = "instrument"
+INSIDE = ("joint_angles", "extensions", "tool", "base_rotation", "base_translation")  # places of a spatial geometry
+LOADED = slice(0, 1 + ROTATIONS[DIMENSION])  # of the state, and of all places
+Said = tuple[np.ndarray, ...]  # by a part
+
+
+class Symbols:
+    """Of posture, conditions and state, and the chain there, loaded and not.
+
+    remembers : the conditions have the past;  extra : their further columns, see `chain_at`
+    """
+
+    def __init__(self, arm: Arm, remembers: bool, extra: tuple[str, ...] = ()) -> None:
+        n, self.arm, self.remembers = arm.links, arm, remembers
+        self.q, self.state = ca.SX.sym("q", n), ca.SX.sym("state", state_size(n, arm.dimension))
+        self.c = ca.SX.sym("c", condition_width(n, remembers, extra))
+        self.chain = chain_at(arm, self.q, self.c, remembers, extra)
+        self.loaded = in_state(self.chain, self.state)
+
+    def added(self, effect: Effect) -> tuple[ca.SX, ca.SX]:
+        """(P,) what an effect adds at all places, and the symbols of its parameters."""
+        v = ca.SX.sym("v", len(effect.parameters))
+        return contributions(effect, self.chain, self.loaded, v, self.state), v
+
+
+def condition_width(links: int, remembers: bool, extra: tuple[str, ...]) -> int:
+    """Columns of the conditions of a model."""
+    return Conditions.columns(links, remembers) + ("marker" in extra) + links * ("errors" in extra)
+
+
+def chain_at(arm: Arm, q: ca.SX, c: ca.SX, remembers: bool, extra: tuple[str, ...]) -> Chain:
+    """The nominal chain at the symbols of a posture and its conditions.
+
+    extra : further columns of the conditions, in order: `marker`, and `errors` that curves say
+    """
+    width = Conditions.columns(arm.links, remembers)
+    chain = Chain.of(arm, q, c[:width])
+    if "marker" in extra:
+        chain, width = replace(chain, marker=c[width]), width + 1
+    return replace(chain, errors=c[width:]) if "errors" in extra else chain
+
+
+@dataclass(frozen=True)
+class Part:
+    """An effect as a function of arrays (q, c, v, s).
+
+    rows : (R,) places where it adds something;  loads, measures : they are some of the loads, of the instrument
+    reads : it depends on the state
+    evaluate : what it adds there (R, 1), the derivatives by its values (R, size) and by the state (R, S)
+    """
+
+    rows: NDArray[np.int64]
+    loads: bool
+    measures: bool
+    reads: bool
+    evaluate: Evaluate
+
+    @classmethod
+    def of(cls, at: Symbols, effect: Effect) -> Part:
+        """Compiled."""
+        every, v = at.added(effect)
+        rows = np.flatnonzero([not every[k].is_zero() for k in range(every.numel())])
+        added = every[rows.tolist()]
+        outputs = ca.cse([ca.densify(added), ca.jacobian(added, v), ca.jacobian(added, at.state)])
+        function = ca.Function("effect", [at.q, at.c, v, at.state], outputs)
+        loads, measures = rows < LOADED.stop, rows >= every.numel() - DIMENSION
+        return cls(rows, bool(loads.any()), bool(measures.any()), outputs[2].nnz() > 0, vectorize(function))
+
+
+class Parts:
+    """What all models of one spatial arm share."""
+
+    def __init__(self, chain: SpatialChain, gravity: Gravity | None, remembers: bool, extra: tuple[str, ...]) -> None:
+        self.at = Symbols(Arm.of_chain(chain, gravity=gravity), remembers, extra)
+        self.sizes = widths(len(chain), DIMENSION)
+        ends = np.cumsum(list(self.sizes.values())).tolist()
+        self.places = {
+            place: slice(end - size, end) for (place, size), end in zip(self.sizes.items(), ends, strict=True)
+        }
+        self.count = sum(self.sizes.values())
+        self.lengths = np.array(ca.DM(chain.link_lengths(ca.SX(0)))).ravel()
+        self.of_lengths = slice(LOADED.stop, LOADED.stop + len(chain))  # of the state
+        self.of_tip = slice(LOADED.stop + len(chain), LOADED.stop + len(chain) + DIMENSION)
+        self._effects: dict[object, Part] = {}
+        self._geometries: dict[object, Evaluate] = {}
+
+    def of(self, effect: Effect) -> Part:
+        """An effect's part."""
+        key = type(effect), effect.joint, *effect.chosen.items()
+        if key not in self._effects:
+            self._effects[key] = Part.of(self.at, effect)
+        return self._effects[key]
+
+    def geometry(self, known: tuple[float | None, ...], places: tuple[str, ...], derivatives: bool) -> Evaluate:
+        """Of arrays (q, c, g, a): the tip, and its derivatives by g and a.
+
+        known : of each value of the geometry, None: it belongs to g
+        places : those of which a has what is added, the others have nothing
+        """
+        if (key := (known, places, derivatives)) not in self._geometries:
+            self._geometries[key] = self._compiled(*key)
+        return self._geometries[key]
+
+    def _compiled(self, known: tuple[float | None, ...], places: tuple[str, ...], derivatives: bool) -> Evaluate:
+        g = ca.SX.sym("g", sum(value is None for value in known))
+        a = ca.SX.sym("a", sum(self.sizes[place] for place in places))
+        free, added, start = iter(ca.vertsplit(g) if g.numel() else ()), ca.SX.zeros(self.count), 0
+        values = ca.vertcat(*(next(free) if value is None else value for value in known))
+        for place in places:
+            added[self.places[place]] = a[start : (start := start + self.sizes[place])]
+        tip = position_and_state(self.at.chain, (), ca.SX(values), added)[0]
+        outputs = [tip, ca.jacobian(tip, g), ca.jacobian(tip, a)] if derivatives else [tip]
+        return vectorize(ca.Function("geometry", [self.at.q, self.at.c, g, a], ca.cse(outputs)))
+
+
+@lru_cache(maxsize=8)
+def parts(chain: SpatialChain, gravity: Gravity | None, remembers: bool, extra: tuple[str, ...]) -> Parts:
+    """Made once for equal arms."""
+    return Parts(chain, gravity, remembers, extra)
+
+
+class At(NamedTuple):
+    """A model at some postures.
+
+    position : (..., d);  by_geometry : (..., d, g) derivatives;  levers : (..., d, P) by what is added at each place
+    state : (..., S);  added : of each effect what its part says
+    """
+
+    position: Array
+    by_geometry: Array
+    levers: Array
+    state: Array
+    added: list[Said]
+
+
+@dataclass(frozen=True)
+class Composition:
+    """A spatial arm with effects as functions of arrays (q, c, p), as `Expressions` gives them.
+
+    values : of all parameters, those of the geometry first, None where p has them
+    """
+
+    shared: Parts
+    effects: tuple[Effect, ...]
+    values: tuple[float | None, ...]
+
+    def position(self, q: Array, c: Array, p: Array) -> tuple[Array]:
+        """(d, 1) positions."""
+        return (self._at(q, c, p, self._used, derivatives=False).position[..., None],)
+
+    def jacobian(self, q: Array, c: Array, p: Array) -> tuple[Array, Array]:
+        """(d, 1) positions and (d, p) derivatives by p."""
+        at = self._at(q, c, p, self._used)
+        columns = [at.by_geometry]
+        for part, values, (_, slopes, _) in zip(self._parts, self._own, at.added, strict=True):
+            free = [k for k, value in enumerate(values) if value is None]
+            columns.append(at.levers[..., part.rows] @ slopes[..., free])
+        return at.position[..., None], np.concatenate(columns, axis=-1)
+
+    def place_levers(self, q: Array, c: Array, p: Array) -> tuple[Array, Array]:
+        """(d, P) derivatives by what is added at each place, and the state (S, 1)."""
+        at = self._at(q, c, p, INSIDE)
+        return at.levers, at.state[..., None]
+
+    def joint_levers(self, q: Array, c: Array, p: Array) -> tuple[Array]:
+        """(d, n) derivatives by an angle added at each joint."""
+        used = tuple(place for place in INSIDE if place == "joint_angles" or place in self._used)
+        return (self._at(q, c, p, used).levers[..., self.shared.places["joint_angles"]],)
+
+    @cached_property
+    def _parts(self) -> list[Part]:
+        return [self.shared.of(effect) for effect in self.effects]
+
+    @cached_property
+    def _geometry_values(self) -> tuple[float | None, ...]:
+        return self.values[: len(self.values) - sum(len(effect.parameters) for effect in self.effects)]
+
+    @cached_property
+    def _own(self) -> list[tuple[float | None, ...]]:
+        """Per effect its part of the values."""
+        ends = np.cumsum([len(self._geometry_values), *(len(effect.parameters) for effect in self.effects)]).tolist()
+        return [self.values[start:end] for start, end in pairwise(ends)]
+
+    @cached_property
+    def _used(self) -> tuple[str, ...]:
+        """Places of the geometry where the effects add anything."""
+        rows = {int(row) for part in self._parts for row in part.rows}
+        return tuple(place for place in INSIDE if rows & set(range(*self.shared.places[place].indices(1 << 30))))
+
+    def _split(self, p: Array) -> tuple[Array, list[Array]]:
+        """(..., g) values of the geometry that p has, and (..., size) all of each effect."""
+        start = sum(value is None for value in self._geometry_values)
+        found = [p[..., :start]]
+        for values in self._own:
+            own = np.empty((*p.shape[:-1], len(values)))
+            for k, value in enumerate(values):
+                own[..., k] = p[..., start] if value is None else value
+                start += value is None
+            found.append(own)
+        return found[0], found[1:]
+
+    def _at(self, q: Array, c: Array, p: Array, used: tuple[str, ...], derivatives: bool = True) -> At:
+        """The model, with levers of the places used; loads come before everything, the instrument after it."""
+        shared, (g, values) = self.shared, self._split(p)
+        batch = np.broadcast_shapes(q.shape[:-1], c.shape[:-1], p.shape[:-1])
+        state = np.zeros((*batch, shared.at.state.numel()))
+        state[..., 0], state[..., shared.of_lengths] = c[..., 0], shared.lengths
+        said = [part.evaluate(q, c, v, state) for part, v in zip(self._parts, values, strict=True)]
+        if any(part.loads for part in self._parts):
+            state[..., LOADED] += self._total(said, batch)[..., LOADED]
+            said = [part.evaluate(q, c, v, state) for part, v in zip(self._parts, values, strict=True)]
+        total = self._total(said, batch)
+        a = np.concatenate([np.zeros((*batch, 0)), *(total[..., shared.places[place]] for place in used)], axis=-1)
+        found = shared.geometry(self._geometry_values, used, derivatives)(q, c, g, a)
+        state[..., shared.of_tip] = position = found[0][..., 0]
+        if any(part.measures for part in self._parts):
+            said = [part.evaluate(q, c, v, state) for part, v in zip(self._parts, values, strict=True)]
+            position = position + self._total(said, batch)[..., shared.places[INSTRUMENT]]
+        if not derivatives:
+            return At(position, np.zeros(0), np.zeros(0), state, said)
+        return At(position, *self._derivatives(found[1], found[2], said, used), state, said)
+
+    def _total(self, said: list[Said], batch: tuple[int, ...]) -> Array:
+        """(..., P) what all effects add."""
+        total = np.zeros((*batch, self.shared.count))
+        for part, (added, *_) in zip(self._parts, said, strict=True):
+            total[..., part.rows] += added[..., 0]
+        return total
+
+    def _derivatives(self, by_g: Array, by_a: Array, said: list[Said], used: tuple[str, ...]) -> tuple[Array, Array]:
+        """Those of the position by the geometry's values and by what is added at all places."""
+        shared, start = self.shared, 0
+        levers = np.zeros((*by_a.shape[:-1], shared.count))
+        for place in used:
+            levers[..., shared.places[place]] = by_a[..., start : (start := start + shared.sizes[place])]
+        if any(part.reads for part in self._parts):
+            by_state = np.zeros((*by_a.shape[:-2], shared.count, shared.at.state.numel()))
+            for part, (_, _, slopes) in zip(self._parts, said, strict=True):
+                by_state[..., part.rows, :] += slopes
+            levers[..., LOADED] = levers @ by_state[..., LOADED]
+            turned = np.eye(DIMENSION) + by_state[..., shared.places[INSTRUMENT], shared.of_tip]
+            by_g, levers = turned @ by_g, turned @ levers
+        levers[..., shared.places[INSTRUMENT]] = np.eye(DIMENSION)
+        return by_g, levers
