@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -138,8 +138,16 @@ def fit(
     weights = np.ones(len(rows))
     plain = Problem(model, rows.postures, rows.conditions, rows.positions[None], weights, prior=prior, noise=noise)
 
+    last: dict[bytes, tuple[Array, Array]] = {}  # starts and ends of fits are asked for twice
+
+    def at(values: Array) -> tuple[Array, Array]:
+        if (key := values.tobytes()) not in last:
+            last.clear()
+            last[key] = model.linearize(rows.postures, values, rows.conditions)
+        return last[key]
+
     def linearize(values: Array, _: Index) -> tuple[Array, Array]:
-        position, jacobian = model.linearize(rows.postures, values[0], rows.conditions)
+        position, jacobian = at(values[0])
         return rows.whiten(rows.positions - position)[None], rows.whiten(jacobian)[None]
 
     def with_prior(values: Array, index: Index) -> tuple[Array, Array]:
@@ -150,7 +158,7 @@ def fit(
     problem, spread = replace(plain.least_squares, linearize=with_prior).tied(
         [[model.parameters.index(name) for name in group] for group in ties]
     )
-    values = starts(plain)[0] if start is None else _better_start(plain, model.parameters.vector(start))
+    values = starts(plain)[0] if start is None else _better_start(plain, model.parameters.vector(start), at)
     found = levenberg_marquardt(problem, values[None, np.argmax(spread, axis=0)])
     values = spread @ found.parameters[0]
     residual, jacobian = linearize(values[None], np.arange(1))
@@ -160,12 +168,14 @@ def fit(
     return Fit(model, rows, values, residual[0], triangle, free, spread.shape[1], found.status[0], prior_rows)
 
 
-def _better_start(problem: Problem, values: Array) -> Array:
-    """(p,) the start, or the closed form's where that is better by far: with a base offset it is in any frame."""
+def _better_start(problem: Problem, values: Array, at: Callable[[Array], tuple[Array, Array]]) -> Array:
+    """(p,) the start, or the closed form's where that is better by far: with a base offset it is in any frame.
 
-    def left(there: Array) -> float:  # by the function that the fit needs anyway: to compile another one takes longer
-        position, _ = problem.model.linearize(problem.postures, there, problem.conditions)
-        return rms_distance(problem.positions[0] - position)
+    at : positions and Jacobian, which the fit needs anyway: to compile another function takes longer
+    """
+
+    def left(there: Array) -> float:
+        return rms_distance(problem.positions[0] - at(there)[0])
 
     if left(values) <= FAR * problem.model.reach:
         return values

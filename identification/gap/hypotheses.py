@@ -75,6 +75,11 @@ class Hypothesis:
         return 1 if self.tied else len(self.effect.parameters)
 
     @cached_property
+    def one_sign(self) -> bool:
+        """True if physics keeps all parameters from being negative."""
+        return all(p.lower == 0.0 for p in self.effect.parameters)
+
+    @cached_property
     def one_sided(self) -> bool:
         """True for one parameter that physics keeps from being negative."""
         return self.size == 1 and self.effect.parameters[0].lower == 0.0
@@ -245,10 +250,6 @@ def _with_settings(cls: type[Effect], spec: EffectSpec, scope: Scope) -> list[Hy
     specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
     weight = cls.prior * (1.0 if spec.joint is None else 1.0 / np.sqrt(arm.links)) / max(len(specs), 1)
     found = [Hypothesis(build(s, arm.links, arm.lengths, dimension=arm.dimension), s, weight) for s in specs]
-    if not cls.settings and len(found[0].effect.parameters) > 1 and _not_negative(found[0].effect):
+    if not cls.settings and len(found[0].effect.parameters) > 1 and found[0].one_sign:
         found.append(replace(found[0], tied=True))
     return found
-
-
-def _not_negative(effect: Effect) -> bool:
-    return all(p.lower == 0.0 for p in effect.parameters)

@@ -19,7 +19,7 @@ mean over sizes equally spaced in log lambda is taken, from those just detectabl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,24 +42,21 @@ class Explained:
     shares : (G,) prior variance along each direction of a group, in all 1 for each effect
     counts : (G,) directions in the group;  lengths : (G,) of what the fit explains along them
     forms : (M, G, G) b^T S b of each effect as a quadratic form of what is explained
+    further : (H, 1) parameters and (H, 1) what is explained of one more effect each, directions of their own
     """
 
     shares: Array
     counts: Array
     lengths: Array
     forms: Array
+    further: tuple[NDArray[np.int64], Array] | None = None
 
     def with_each(self, sizes: NDArray[np.int64], squares: Array) -> Explained:
-        """Groups (H, G + 1): these and one more for each of H further effects.
+        """These and, one at a time, each of H further effects.
 
         sizes : (H,) parameters of the further effect;  squares : (H,) sum of squares that it explains beside the others
         """
-        own, further = (self.shares, self.counts, self.lengths), (1.0 / sizes, sizes, np.sqrt(squares))
-        both = [np.column_stack([np.tile(a, (len(b), 1)), b]) for a, b in zip(own, further, strict=True)]
-        forms = np.zeros(np.array(self.forms.shape) + 1)
-        forms[:-1, :-1, :-1] = self.forms
-        forms[-1, -1, -1] = 1.0
-        return Explained(both[0], both[1], both[2], forms)
+        return replace(self, further=(sizes[:, None], squares[:, None]))
 
 
 def explained(found: Fit, effects: Sequence[Sequence[str]], families: Sequence[bool]) -> Explained:
@@ -114,18 +111,24 @@ def amplitude_prior(information: Array, lengths: Array | None) -> Array:
 def log_bayes_factor(found: Explained, left: Array, squares: float, freedom: int) -> Array:
     """(...) logarithm of the Bayes factor against the base model.
 
-    found : groups (..., G) of directions;  left : (...) sum of squares with the effects
+    left : (...) sum of squares with the effects, (H,) where there are further ones
     squares, freedom : sum of squares and degrees of freedom of the base model
     """
-    gain = np.square(SIZES)[:, None] * found.shares[..., None, :]  # (..., sizes, G)
+    gain = np.square(SIZES)[:, None] * found.shares  # (sizes, G)
     kept = gain / (1.0 + gain)
-    mean = kept * found.lengths[..., None, :]
-    rest = np.maximum(left[..., None] + np.sum(np.square(found.lengths)[..., None, :] * (1.0 - kept), axis=-1), TINY)
-    volume = np.sum(found.counts[..., None, :] * np.log1p(gain), axis=-1)
-    spread = (kept * found.counts[..., None, :]) @ np.einsum("mgg->gm", found.forms)
-    moved = np.empty(spread.shape)
-    for k, form in enumerate(found.forms):
-        moved[..., k] = np.sum(mean @ form * mean, axis=-1) * (freedom / rest)
-    moments = np.sum(np.log((spread + moved) / np.square(SIZES)[:, None]), axis=-1)
-    factors = -0.5 * volume - 0.5 * freedom * np.log(rest / squares) + moments
+    mean = kept * found.lengths
+    rest = left[..., None] + np.sum(np.square(found.lengths) * (1.0 - kept), axis=1)
+    volume = np.log1p(gain) @ found.counts
+    effects = [((kept * found.counts) @ np.diag(form), np.sum(mean @ form * mean, axis=1)) for form in found.forms]
+    if found.further is not None:
+        count, explains = found.further
+        more = np.square(SIZES) / count  # (H, sizes)
+        more_kept = more / (1.0 + more)
+        rest = rest + explains * (1.0 - more_kept)
+        volume = volume + count * np.log1p(more)
+        effects.append((more_kept * count, np.square(more_kept) * explains))
+    rest = np.maximum(rest, TINY)
+    factors = -0.5 * volume - 0.5 * freedom * np.log(rest / squares)
+    for spread, moved in effects:
+        factors = factors + np.log((spread + moved * (freedom / rest)) / np.square(SIZES))
     return np.asarray(logsumexp(factors, axis=-1) - np.log(len(SIZES)))

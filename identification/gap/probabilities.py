@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from math import lgamma
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +26,7 @@ NEXT = 0.05  # prior odds of a further effect, for each that is there already
 OUTSIDE = 0.03  # prior odds of a shape outside the library to an effect of it
 CREDIBLE = 0.9  # probability of the credible set
 LISTED = 0.01  # less likely sets are not listed by name
+NEGLIGIBLE = 45.0  # log odds: all sets of a library below that are 1e-15 together
 Names = tuple[str, ...]
 
 
@@ -100,9 +100,11 @@ def probabilities(found: Findings) -> Probabilities:
     search, chosen = found.search, found.selection.chosen
     fewer = [chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))]
     beside = list(dict.fromkeys([(), *fewer, chosen]))
+    anchors = {a: _refitted(search, a) for a in [*beside, *(rival for rival, _ in found.selection.rivals)]}
+    least = max(option.log_odds for option in anchors.values()) - NEGLIGIBLE
     sets: dict[frozenset[str], _Option] = {}
-    for anchor in dict.fromkeys([*beside, *(rival for rival, _ in found.selection.rivals)]):
-        for option in [_refitted(search, anchor), *_longer(search, anchor)]:
+    for anchor, own in anchors.items():
+        for option in [own, *_longer(search, anchor, least)]:
             known = sets.get(option.labels)
             if known is None or (option.refitted, option.log_odds) > (known.refitted, known.log_odds):
                 sets[option.labels] = option
@@ -131,22 +133,26 @@ def _refitted(search: HypothesisSearch, chosen: Choice) -> _Option:
     return _Option(labels, title, names, float(factor) + _log_prior(search, chosen), refitted=True)
 
 
-def _longer(search: HypothesisSearch, chosen: Choice) -> Iterator[_Option]:
-    """A set with each effect that could be added, from its fit where there is one."""
-    found, base = search.fit(chosen), search.fit(())
+def _longer(search: HypothesisSearch, chosen: Choice, least: float) -> Iterator[_Option]:
+    """A set with each effect that could be added, from its fit where there is one.
+
+    least : log odds of what is worth listing
+    """
+    found, base, own = search.fit(chosen), search.fit(()), _labels(chosen)
     members, against = search.rivals(chosen)
     reductions = against.reductions(found.residual[:, None])[:, 0]
     groups = _explained(search, chosen).with_each(against.sizes, reductions)
-    factors = log_bayes_factor(groups, found.squares - reductions, base.squares, base.freedom)
-    for member, factor, reduction in zip(members, factors, reductions, strict=True):
+    log_odds = log_bayes_factor(groups, found.squares - reductions, base.squares, base.freedom)
+    log_odds += _log_prior(search, chosen) + np.array([_log_step(search, len(chosen), member) for member in members])
+    log_odds -= np.log(2.0) * np.array([m.one_sided for m in members]) * (reductions == 0.0)  # it has the other sign
+    fitted = {label for labels in search.fits if own < labels for label in labels - own if len(labels) == len(own) + 1}
+    for member, odds in zip(members, log_odds.tolist(), strict=True):
         longer = (*chosen, member.free)
-        if _labels(longer) in search.fits:
+        if member.free.label in fitted:
             yield _refitted(search, longer)
-        elif member.tied or member.key not in search.hypotheses.families:  # a family as one value, until it is fitted
-            opposite = np.log(2.0) if member.one_sided and reduction == 0.0 else 0.0
-            names = tuple(sorted(h.key for h in longer))
-            log_odds = float(factor) + _log_prior(search, (*chosen, member)) - opposite
-            yield _Option(_labels(longer), _title(search, longer), names, log_odds, refitted=False)
+        elif odds >= least and (member.tied or member.key not in search.hypotheses.families):
+            names = tuple(sorted(h.key for h in longer))  # a family as one value, until it is fitted
+            yield _Option(_labels(longer), _title(search, longer), names, odds, refitted=False)
 
 
 def _outside(search: HypothesisSearch, chosen: Choice) -> float:
@@ -181,18 +187,15 @@ def _explained(search: HypothesisSearch, chosen: Choice) -> Explained:
 
 
 def _log_prior(search: HypothesisSearch, chosen: Choice) -> float:
-    """Log prior odds of a set to nothing missing: one effect `FIRST`, each further one `NEXT` times those before it.
+    """Log prior odds of a set to nothing missing: one effect `FIRST`, each further one `NEXT` times those before it."""
+    return sum(_log_step(search, count, hypothesis) for count, hypothesis in enumerate(chosen))
+
+
+def _log_step(search: HypothesisSearch, count: int, further: Hypothesis) -> float:
+    """Log prior odds of so many effects and a further one to those alone.
 
     Where several effects are missing another one is likelier (Polya's urn). An effect of one sign only counts twice:
     its prior has half the width.
     """
-    if not chosen:
-        return 0.0
-    share = np.log([h.weight / search.hypotheses.total_weight for h in chosen])
-    sign = [np.log(2.0) * _one_sign(h) for h in chosen]
-    number = np.log(FIRST) + (len(chosen) - 1) * np.log(NEXT) + lgamma(len(chosen))
-    return float(number + share.sum() + sum(sign))
-
-
-def _one_sign(hypothesis: Hypothesis) -> bool:
-    return all(p.lower == 0.0 for p in hypothesis.effect.parameters)
+    odds = NEXT * count if count else FIRST
+    return float(np.log(odds * further.weight / search.hypotheses.total_weight) + np.log(2.0) * further.one_sign)
