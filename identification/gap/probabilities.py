@@ -86,10 +86,10 @@ class Probabilities:
 
 
 class _Option(NamedTuple):
-    """labels tell sets apart, names are how they are called, title with settings; log_odds to the base model."""
+    """labels tell sets apart, names are how they are called; log_odds to the base model."""
 
+    chosen: Choice
     labels: frozenset[str]
-    title: str
     names: Names
     log_odds: float
     refitted: bool
@@ -109,16 +109,17 @@ def probabilities(found: Findings) -> Probabilities:
             if known is None or (option.refitted, option.log_odds) > (known.refitted, known.log_odds):
                 sets[option.labels] = option
     outside = float(logsumexp([_outside(search, anchor) for anchor in beside]))
-    return _normalized(list(sets.values()), outside)
+    return _normalized(search, list(sets.values()), outside)
 
 
-def _normalized(options: list[_Option], outside: float) -> Probabilities:
+def _normalized(search: HypothesisSearch, options: list[_Option], outside: float) -> Probabilities:
     total = logsumexp([outside, *(option.log_odds for option in options)])
     sets: dict[Names, float] = {}
-    titles = {option.names: option.title for option in sorted(options, key=lambda option: option.log_odds)}
+    likeliest = {option.names: option.chosen for option in sorted(options, key=lambda option: option.log_odds)}
     for option in options:
         sets[option.names] = sets.get(option.names, 0.0) + float(np.exp(option.log_odds - total))
     none = sets.pop(())
+    titles = {names: _title(search, chosen) for names, chosen in likeliest.items()}
     return Probabilities(none, sets, float(np.exp(outside - total)), titles)
 
 
@@ -126,11 +127,10 @@ def _refitted(search: HypothesisSearch, chosen: Choice) -> _Option:
     """A set with its own fit."""
     found, base = search.fit(chosen), search.fit(())
     labels, names = _labels(chosen), tuple(sorted(h.key for h in chosen))
-    title = _title(search, chosen)
     if not chosen:
-        return _Option(labels, title, names, 0.0, refitted=True)
+        return _Option(chosen, labels, names, 0.0, refitted=True)
     factor = log_bayes_factor(_explained(search, chosen), np.array(found.squares), base.squares, base.freedom)
-    return _Option(labels, title, names, float(factor) + _log_prior(search, chosen), refitted=True)
+    return _Option(chosen, labels, names, float(factor) + _log_prior(search, chosen), refitted=True)
 
 
 def _longer(search: HypothesisSearch, chosen: Choice, least: float) -> Iterator[_Option]:
@@ -145,14 +145,15 @@ def _longer(search: HypothesisSearch, chosen: Choice, least: float) -> Iterator[
     log_odds = log_bayes_factor(groups, found.squares - reductions, base.squares, base.freedom)
     log_odds += _log_prior(search, chosen) + np.array([_log_step(search, len(chosen), member) for member in members])
     log_odds -= np.log(2.0) * np.array([m.one_sided for m in members]) * (reductions == 0.0)  # it has the other sign
+    keys = [h.key for h in chosen]
     fitted = {label for labels in search.fits if own < labels for label in labels - own if len(labels) == len(own) + 1}
     for member, odds in zip(members, log_odds.tolist(), strict=True):
-        longer = (*chosen, member.free)
-        if member.free.label in fitted:
-            yield _refitted(search, longer)
+        further = member.free
+        if further.label in fitted:
+            yield _refitted(search, (*chosen, further))
         elif odds >= least and (member.tied or member.key not in search.hypotheses.families):
-            names = tuple(sorted(h.key for h in longer))  # a family as one value, until it is fitted
-            yield _Option(_labels(longer), _title(search, longer), names, odds, refitted=False)
+            names = tuple(sorted([*keys, further.key]))  # a family as one value, until it is fitted
+            yield _Option((*chosen, further), own | {further.label}, names, odds, refitted=False)
 
 
 def _outside(search: HypothesisSearch, chosen: Choice) -> float:

@@ -78,6 +78,8 @@ def test_parts_are_made_once() -> None:
     """For models of equal arms with different effects."""
     models = [model_and_arguments(specs)[0] for specs in (SPECS[:4], SPECS[2:5])]
     first, second = (model.expressions.composed for model in models)
-    assert first is not None and second is not None and first.shared is second.shared
+    assert first is not None
+    assert second is not None
+    assert first.shared is second.shared
     assert first.shared is parts(CHAIN, GRAVITY, False, ("marker",))
     assert first.shared.of(models[0].effects[3]) is second.shared.of(models[1].effects[1])
