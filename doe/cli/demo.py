@@ -12,12 +12,16 @@ from identification.errors import InputError, JobError
 from identification.files.io import write_whole
 
 
-@verb("armcal demo --out my-demo", "Run the whole loop on the paper's 4-link arm.")
+@verb("armcal demo --spatial --out my-demo", "Run the whole loop on a simulated arm.")
+@click.option("--spatial", is_flag=True, help="Six axes and a laser tracker instead of the paper's 4-link arm.")
 @click.option("--out", type=FOLDER, metavar="DIR", help="Directory for the files; left out: the next free armcal-demo.")
 @force_option
-def command(session: Session, out: Path | None, force: bool) -> Answer:
-    """The whole loop on the paper's 4-link arm, from a plan to the missing effect, and a report.html."""
-    from doe.demo import run_demo
+def command(session: Session, spatial: bool, out: Path | None, force: bool) -> Answer:
+    """The whole loop on the paper's 4-link arm, or on one of six axes: from a plan to the missing effect, commands for
+    the real arm, in space a corrected URDF file, and a report.html."""
+    from doe.demo.planar import planar
+    from doe.demo.run import run_demo
+    from doe.demo.spatial import spatial as six_axes
     from doe.report.demo_overview import overview_figure
     from doe.report.demo_page import demo_data, demo_page, demo_tables
     from doe.report.pictures import save
@@ -26,7 +30,7 @@ def command(session: Session, out: Path | None, force: bool) -> Answer:
     make_directory(directory, force)
     try:
         with session.progress("demo") as progress:
-            demo = run_demo(directory, session.seed, progress)
+            demo = run_demo(directory, six_axes() if spatial else planar(), session.seed, progress)
             write_whole(directory / "report.html", demo_page(demo), force=True)
             save(overview_figure(demo), directory / "overview.png", force=True)
     except KeyboardInterrupt:

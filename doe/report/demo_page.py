@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.text import Text
 
-from doe.demo import Demo
+from doe.demo.run import Demo
 from doe.report.gap_page import as_table, candidate_sheet, gap_sections
 from doe.report.page import Section, Sheet, page
 from doe.report.pictures import certificate_figure, plan_figure, residual_figure
@@ -23,7 +23,7 @@ def gap_sheet(demo: Demo) -> Sheet:
         ["RMS error [mm]", "on the data", "on 200 fresh postures"],
         [
             ["nominal (from the drawing)", number(start), number(drawing)],
-            ["lengths and offsets identified", number(demo.base.rms_after), number(demo.gap(demo.base))],
+            ["geometry identified", number(demo.base.rms_after), number(demo.gap(demo.base))],
             [last_model(demo), number(demo.extended.rms_after), number(demo.gap(demo.extended))],
         ],
     )
@@ -37,20 +37,34 @@ def last_model(demo: Demo) -> str:
 def parameter_sheet(demo: Demo) -> Sheet:
     """Estimates with intervals beside the hidden truth."""
     rows = []
-    for row in demo.extended.to_json()["parameters"]:
+    for row in demo.checked:
         std = row["std"]
         figures = [significant(row[key], std) for key in ("value", "low_95", "high_95")]
-        rows.append([row["name"], *figures, number(demo.truth[row["name"]]), row["unit"]])
+        rows.append([row["name"], *figures, number(row["hidden"]), row["unit"]])
     return Sheet(["parameter", "value", "low 95 %", "high 95 %", "truth", "unit"], rows)
+
+
+def truth_sheet(demo: Demo) -> Sheet:
+    """The last model and its commands against the hidden arm itself, without noise."""
+    drawn, corrected = demo.target_errors
+    reached = int(demo.compensation.reached.sum())
+    rows = [
+        ["last model: where the tip is, at the fresh postures", number(demo.model_error)],
+        [f"hidden arm from {reached} targets, sent there as drawn", number(drawn)],
+        ["... sent there with the corrected commands", number(corrected)],
+    ]
+    return Sheet(["checked against the hidden arm, without noise", "RMS [mm]"], rows)
 
 
 def demo_summary(demo: Demo) -> str:
     """The whole loop in one sentence."""
     optimal = "certified optimal" if demo.design.certified_optimal else f"efficiency {demo.design.efficiency:.4f}"
     return (
-        f"A {optimal} plan of {len(demo.design.plan)} runs. The RMS error on 200 fresh postures falls from "
+        f"A plan of {len(demo.design.plan)} runs ({optimal}). The RMS error on 200 fresh postures falls from "
         f"{demo.drawing_gap:.2f} mm (nominal) to {demo.gap(demo.base):.3f} mm (calibrated) and "
-        f"{demo.gap(demo.extended):.3f} mm ({last_model(demo)}); measurement noise alone gives {demo.noise:.3f} mm."
+        f"{demo.gap(demo.extended):.3f} mm ({last_model(demo)}); measurement noise alone gives {demo.noise:.3f} mm. "
+        f"Commands corrected with this model miss their targets by {demo.target_errors[1]:.3f} mm, uncorrected ones by "
+        f"{demo.target_errors[0]:.2f} mm."
     )
 
 
@@ -67,6 +81,14 @@ def demo_data(demo: Demo, directory: Path) -> dict[str, Any]:
             "extended": demo.gap(demo.extended),
             "noise": demo.noise,
         },
+        "hidden": {
+            "parameters": demo.checked,
+            "model_error_mm": demo.model_error,
+            "targets_reached": int(demo.compensation.reached.sum()),
+            "targets_as_drawn_mm": demo.target_errors[0],
+            "targets_corrected_mm": demo.target_errors[1],
+        },
+        "files": list(demo.files),
     }
 
 
@@ -78,35 +100,40 @@ def demo_tables(demo: Demo, directory: Path) -> list[Any]:
         *map(Text, (headline(demo.diagnosis), *findings(demo.diagnosis))),
         as_table(candidate_sheet(demo.diagnosis)),
         as_table(parameter_sheet(demo), "Refitted with the named effect (sigma from the arm file)"),
-        Text(
-            f"Files in {directory}: arm.toml, plan.csv, data.csv, fresh.csv, truth.toml, calibrated.toml, extended.toml"
-        ),
+        as_table(truth_sheet(demo)),
+        Text(f"Files in {directory}: {', '.join(demo.files)}"),
         Text(f"Look at {directory / 'report.html'} in a browser."),
     ]
 
 
 def demo_page(demo: Demo) -> str:
-    """report.html: plan, certificate, identification, gap."""
-    sections = [
-        Section(
-            "The plan",
-            f"{len(demo.design.plan)} postures chosen within the joint limits (grey). {demo.design}",
-            (),
-            [plan_figure(demo.arm, demo.design.plan.postures)],
-        ),
-        Section(
-            "The certificate",
-            "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line "
-            "is the largest d found at each angle of a joint; black points are the plan's postures.",
-            (),
-            [certificate_figure(demo.problem, demo.design.plan.postures)],
-        ),
-        Section(
-            "Identification",
-            "From simulated measurements of an arm whose true errors the fit does not know.",
-            [parameter_sheet(demo), gap_sheet(demo)],
-            [residual_figure(demo.arm, demo.data.postures, demo.data.positions, *demo.residuals)],
-        ),
-        *gap_sections(demo.diagnosis),
+    """report.html: plan, certificate, identification, gap, and what was hidden."""
+    sections = [*plan_sections(demo), *found_sections(demo)]
+    return page(f"armcal demo: {demo.scenario.title}", demo_summary(demo), sections)
+
+
+def plan_sections(demo: Demo) -> list[Section]:
+    """Where to measure, and how good that is."""
+    within = " and the tracker's view" if demo.arm.constraints else ""
+    lead = f"{len(demo.design.plan)} postures chosen within the joint limits (grey){within}. {demo.design}"
+    certificate = (
+        "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
+        "the largest d found at each angle of a joint; black points are the plan's postures."
+    )
+    postures, effort = demo.design.plan.postures, (4096, 61) if demo.arm.chain is None else (128, 25)
+    return [
+        Section("The plan", lead, (), [plan_figure(demo.arm, postures)]),
+        Section("The certificate", certificate, (), [certificate_figure(demo.problem, postures, *effort)]),
     ]
-    return page("armcal demo: the paper's 4-link arm", demo_summary(demo), sections)
+
+
+def found_sections(demo: Demo) -> list[Section]:
+    """What the measurements say, and whether it is true."""
+    identified = "From simulated measurements of an arm whose true errors the fit does not know."
+    hidden = "What was hidden, as the simulation has it: the fits and the commands saw the measurements only."
+    picture = residual_figure(demo.arm, demo.data.postures, demo.data.positions, *demo.residuals)
+    return [
+        Section("Identification", identified, [gap_sheet(demo)], [picture]),
+        *gap_sections(demo.diagnosis),
+        Section("Against the truth", hidden, [parameter_sheet(demo), truth_sheet(demo)]),
+    ]

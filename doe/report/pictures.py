@@ -13,7 +13,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Circle, Rectangle
 
-from doe.bounds.equivalence import sensitivity
 from doe.problem.problem import DesignProblem
 from doe.report.spatial_pictures import draw_spatial_plan
 from identification.arm import Arm
@@ -111,22 +110,30 @@ def _draw_cone(axes: Axes, sight: LineOfSight) -> None:
     axes.plot(*tracker, "k^", ms=7)
 
 
-def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4096) -> Figure:
+def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4096, steps: int = 61) -> Figure:
     """The equivalence theorem seen along each joint: the largest d(q) at each value, which must not exceed p.
 
-    For every active joint the value is held at 61 values while the other joints take `samples` quasi-random values and
-    their limits; the line is the largest d found. A plan is optimal where the line touches p and never crosses it.
+    For every active joint the value is held at `steps` values while the other joints take `samples` random values,
+    their limits and the plan's own, as far as constraints allow; the line is the largest d found. A plan is optimal
+    where the line touches p and never crosses it.
     """
     active = problem.active_joints
     figure = Figure(figsize=(10.0, 2.9), layout="constrained")
     axes = np.atleast_1d(figure.subplots(1, len(active), sharey=True))
-    information = problem.information(postures)
-    others = spread(problem, samples)
-    at_plan = sensitivity(problem, information, postures)
+    prior, gradient = (
+        problem.prior.per_new_run(len(postures)),
+        problem.criterion.gradient(problem.information(postures)),
+    )
+
+    def d(somewhere: Array) -> Array:
+        return prior.sensitivities(problem.scaled_jacobians(somewhere), gradient)
+
+    others, at_plan = np.concatenate([spread(problem, samples), postures]), d(postures)
     for axis, joint in zip(axes, active, strict=True):
         unit, factor, _ = FILE_UNITS[JOINT_UNITS[problem.model.joint_types[joint]]]
-        values = np.linspace(problem.lower[joint], problem.upper[joint], 61)
-        axis.plot(factor * values, [_largest(problem, information, others, joint, q) for q in values], color=AFTER)
+        values = np.linspace(problem.lower[joint], problem.upper[joint], steps)
+        held = (others_at(problem, others, joint, value) for value in values)
+        axis.plot(factor * values, [d(some).max(initial=0.0) for some in held], color=AFTER)
         axis.plot(factor * postures[:, joint], at_plan, ".", color="k", ms=5)
         axis.axhline(problem.parameters, color=BEFORE, lw=1, ls="--")
         axis.set(xlabel=f"$q_{joint + 1}$ [{unit}]")
@@ -135,18 +142,19 @@ def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4
     return figure
 
 
+def others_at(problem: DesignProblem, others: Array, joint: int, value: float) -> Array:
+    """(k, n) the postures that are allowed with a joint at this value."""
+    held = others.copy()
+    held[:, joint] = value
+    return held[problem.feasible(held)]
+
+
 def spread(problem: DesignProblem, samples: int) -> Array:
     """(s, n) postures over the limits: a fixed random cloud, and the corners of the active joints' box."""
     generator = np.random.default_rng(0)
     cloud = generator.uniform(problem.lower, problem.upper, (samples, problem.joints))
     choices = generator.integers(0, 2, (min(samples, 2 ** len(problem.active_joints) * 4), problem.joints))
     return np.concatenate([cloud, np.where(choices == 1, problem.upper, problem.lower)])
-
-
-def _largest(problem: DesignProblem, information: Array, others: Array, joint: int, value: float) -> float:
-    held = others.copy()
-    held[:, joint] = value
-    return float(sensitivity(problem, information, held).max())
 
 
 def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, after: Array) -> Figure:

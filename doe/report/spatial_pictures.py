@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from doe.problem.spatial_constraints import circle_across
 from identification.arm import Arm
@@ -14,35 +15,44 @@ from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
 SIDES = ((22.0, -60.0), (22.0, 30.0))  # [deg] elevation and azimuth of the two views
-ZOOM = 1.0  # of the box in its place, whose sides have the same scale
+TICKS = 4  # of an axis, at most
 RING = np.linspace(0.0, 2.0 * np.pi, 49)
 FORBIDDEN, SEEN = "#c44e52", "#888888"
 
 
 def draw_spatial_plan(figure: Any, arm: Arm, postures: Array, colors: Array) -> list[Axes]:
     """The arm's skeletons at postures (m, n), from two sides, in the frame of its base."""
-    lines = Model(arm).points(postures)
-    drawn = []
-    for k, (elevation, azimuth) in enumerate(SIDES):
-        axes = figure.add_subplot(1, len(SIDES), k + 1, projection="3d")
-        for line, color in zip(lines, colors, strict=True):
-            axes.plot(*line.T, color=color, lw=1.1, alpha=0.75)
-            axes.plot(*line[-1:].T, "o", color=color, ms=3)
-        axes.plot([0], [0], [0], "ks", ms=6)
-        for outline, color in outlines(arm):
-            axes.plot(*outline.T, color=color, lw=0.8)
-        for constraint in arm.constraints:
-            if isinstance(constraint, LineOfSight):
-                axes.plot(*np.array([constraint.tracker]).T, "k^", ms=6)
-        axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
-        axes.tick_params(labelsize=7)
-        limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
-        axes.set_box_aspect(limits[:, 1] - limits[:, 0], zoom=ZOOM)
-        axes.view_init(elevation, azimuth)
-        drawn.append(axes)
-    figure.subplots_adjust(left=0.03, right=0.93, bottom=0.06, top=0.94, wspace=0.12)
+    drawn = [figure.add_subplot(1, len(SIDES), k + 1, projection="3d") for k in range(len(SIDES))]
+    for axes, side in zip(drawn, SIDES, strict=True):
+        draw_side(axes, arm, postures, colors, side)
+    figure.subplots_adjust(left=0.03, right=0.93, bottom=0.06, top=0.94, wspace=0.3)
     figure.suptitle(f"{len(postures)} postures, from two sides; light to dark in order of measurement", fontsize=9)
     return drawn
+
+
+def draw_side(
+    axes: Any, arm: Arm, postures: Array, colors: Array, side: tuple[float, float] = SIDES[0], zoom: float = 1.0
+) -> None:
+    """The skeletons and what constrains them, from one side.
+
+    zoom : of the box in its place, whose sides have the same scale
+    """
+    for line, color in zip(Model(arm).points(postures), colors, strict=True):
+        axes.plot(*line.T, color=color, lw=1.1, alpha=0.75)
+        axes.plot(*line[-1:].T, "o", color=color, ms=3)
+    axes.plot([0], [0], [0], "ks", ms=6)
+    for outline, color in outlines(arm):
+        axes.plot(*outline.T, color=color, lw=0.8)
+    for constraint in arm.constraints:
+        if isinstance(constraint, LineOfSight):
+            axes.plot(*np.array([constraint.tracker]).T, "k^", ms=6)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
+    axes.tick_params(labelsize=7)
+    for one in (axes.xaxis, axes.yaxis, axes.zaxis):
+        one.set_major_locator(MaxNLocator(TICKS))
+    limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
+    axes.set_box_aspect(limits[:, 1] - limits[:, 0], zoom=zoom)
+    axes.view_init(*side)
 
 
 def outlines(arm: Arm) -> list[tuple[Array, str]]:

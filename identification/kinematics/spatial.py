@@ -10,9 +10,9 @@ rotations about its own axes. `tool` is a measured point in the frame at the end
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from types import MappingProxyType
 
 import casadi as ca
@@ -212,9 +212,15 @@ class SpatialChain(ByValue):
 
     def points(self, postures: Array, values: Array) -> Array:
         """(..., n + 2, 3) the same at postures (..., n)."""
-        q = ca.SX.sym("q", len(self))
-        points = ca.horzcat(*(ca.SX(point) for point in self.symbolic_points(q, values)))
-        return np.swapaxes(vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))(postures)[0], -1, -2)
+        return np.swapaxes(_points(self, np.asarray(values, dtype=float).tobytes())(postures)[0], -1, -2)
+
+
+@lru_cache(maxsize=16)
+def _points(chain: SpatialChain, values: bytes) -> Callable[[Array], tuple[Array, ...]]:
+    """Postures -> the points of `symbolic_points` as columns; compiled once for each geometry."""
+    q = ca.SX.sym("q", len(chain))
+    points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, np.frombuffer(values))))
+    return vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))
 
 
 def _six(

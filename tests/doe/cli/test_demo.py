@@ -55,6 +55,12 @@ def test_demo_runs_the_whole_loop(demo: tuple[Folder, Outcome]) -> None:
     # parameters to 40 equations adds up to some 13 %
     assert gap["extended"] < 1.3 * gap["noise"]
     assert done.data["diagnose"]["effects"] == ["encoder_eccentricity:1"]  # what truth.toml hides
+    hidden = done.data["hidden"]
+    assert len(hidden["parameters"]) == 8 + 2
+    assert all(abs(row["value"] - row["hidden"]) < 4.0 * row["std"] for row in hidden["parameters"])
+    # the noise in 40 equations for 10 parameters, and twice the 20 % by which such a sum scatters
+    assert hidden["model_error_mm"] < 1.4 * gap["noise"] * np.sqrt(10.0 / 40.0)
+    assert hidden["targets_corrected_mm"] < 1.4 * gap["noise"] * np.sqrt(10.0 / 40.0) < hidden["targets_as_drawn_mm"]
     outline = Outline()
     outline.feed(folder.read("d/report.html"))
     assert outline.open == []
@@ -82,7 +88,7 @@ def test_a_second_demo_takes_another_directory(folder: Folder, monkeypatch: pyte
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("doe.demo.diagnose", stopped)  # spares the second half
+    monkeypatch.setattr("doe.demo.run.diagnose", stopped)  # spares the second half
     (folder.path / "armcal-demo").mkdir()
     assert "the files in armcal-demo-2" in folder.armcal("demo", "--json").err
     assert (folder.path / "armcal-demo-2" / "data.csv").exists()
@@ -95,7 +101,7 @@ def test_ctrl_c_says_that_files_are_left(folder: Folder, monkeypatch: pytest.Mon
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("doe.demo.diagnose", stopped)
+    monkeypatch.setattr("doe.demo.run.diagnose", stopped)
     done = folder.armcal("demo", "--out", "half")
     assert done.code == 1
     assert "stopped by Ctrl-C; the files in half" in done.err
@@ -120,3 +126,14 @@ def test_the_demo_shows_what_identify_and_diagnose_say_of_its_files(demo: tuple[
         assert row["std"] == pytest.approx(same["std"], rel=1e-7)
     assert diagnosis["named"]["intervals"] == again["intervals"]
     assert again["rms_after_mm"] == pytest.approx(diagnosis["gap"]["rms_after_mm"], rel=1e-9)
+
+
+def test_the_command_takes_the_arm_of_six_axes(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("doe.demo.run.solve", stopped)
+    done = folder.armcal("demo", "--spatial", "--out", "six")
+    assert done.code == 1
+    assert "stopped by Ctrl-C; the files in six" in done.err
+    assert 'kind = "spatial"' in folder.read("six/arm.toml")

@@ -1,0 +1,117 @@
+"""A six-axis arm before a laser tracker, with axes a little off and an encoder that sits off centre."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from doe.demo.lines_in_space import LinesInSpace, moved
+from doe.demo.run import Scenario
+from identification.arrays import Array
+
+# axes at home, stretched out along x: point [mm] and direction of each, in the frame of the base; then the flange
+POINTS = np.array(
+    [[0, 0, 130], [0, 190, 130], [610, 60, 130], [1180, 60, 130], [1180, 170, 130], [1180, 170, 20]], dtype=float
+)
+AXES = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [0, 1, 0], [0, 0, -1], [0, 1, 0]], dtype=float)
+FLANGE = np.array([1180.0, 260.0, 20.0])
+NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+LIMITS = np.radians([180.0, 180.0, 150.0, 180.0, 180.0, 180.0])
+
+ARM = """\
+# A six-axis arm before a laser tracker; robot.urdf beside this file is its drawing
+name = "six-axis"
+kind = "spatial"
+urdf = "robot.urdf"
+base_link = "base_link"
+tip_link = "flange"
+
+[measurement]
+sigma_mm = 0.05
+
+[[constraints]]
+kind = "workspace_box"                  # the reflector stays above the floor
+x_mm = [-1600.0, 1600.0]
+y_mm = [-1600.0, 1600.0]
+z_mm = [0.0, 1700.0]
+
+[[constraints]]
+kind = "line_of_sight"                  # the tracker sees the reflector, and nothing of the arm is between
+tracker_mm = [2600.0, 400.0, 500.0]
+toward_mm = [0.0, 0.0, 400.0]
+half_angle_deg = 35.0
+facing = [0.5, 0.6, -0.6]               # where the reflector looks, in the frame of the flange
+acceptance_deg = 70.0
+"""
+REFLECTOR = FLANGE + np.array([55.0, 60.0, -50.0])  # [mm] at home
+HIDDEN_JOINT, HIDDEN_WAVE = 2, (0.03, -0.025)  # encoder off centre: joint from 1; cosine, sine [deg]
+SHIFT, LEAN, OFFSET = 0.4, 1.5e-3, 4e-3  # errors of the lines [mm], [rad], of the joints' zeros [rad]: as machined
+SEED = 2026  # of these errors
+RUNS = 36
+EFFORT = {"starts": 1}
+
+
+def urdf() -> str:
+    """The drawing: with all joints at zero every frame is parallel to that of the base."""
+    places = np.diff(np.vstack([np.zeros(3), POINTS, FLANGE]), axis=0) / 1000.0
+    links = ("base_link", *(f"link_{j}" for j in range(1, 7)), "flange")
+    lines = ['<?xml version="1.0"?>', '<robot name="six-axis">', *(f'  <link name="{link}"/>' for link in links)]
+    for j, place in enumerate(places):
+        between = (
+            f'<parent link="{links[j]}"/><child link="{links[j + 1]}"/><origin xyz="{_three(place)}" rpy="0 0 0"/>'
+        )
+        kind, rest = ("fixed", "") if j == len(NAMES) else ("revolute", _motion(j))
+        name = (*NAMES, "flange_mount")[j]
+        lines.append(f'  <joint name="{name}" type="{kind}">{between}{rest}</joint>')
+    return "\n".join([*lines, "</robot>\n"])
+
+
+def _motion(j: int) -> str:
+    limit = f"{LIMITS[j]:.6f}"
+    return f'<axis xyz="{_three(AXES[j])}"/><limit lower="-{limit}" upper="{limit}" effort="100" velocity="3"/>'
+
+
+def _three(values: Array) -> str:
+    return " ".join(f"{value:g}" for value in values)
+
+
+def hidden_arm() -> LinesInSpace:
+    """What the demo hides."""
+    generator = np.random.default_rng(SEED)
+    points, axes = moved(POINTS, AXES, generator, SHIFT, LEAN)
+    offsets = OFFSET * generator.standard_normal(len(POINTS))
+    cosine, sine = np.cos(np.radians(160.0)), np.sin(np.radians(160.0))
+    orientation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    origin = orientation @ [-2590.0, -410.0, -495.0]  # about where arm.toml has the tracker
+    wave = tuple(np.radians(HIDDEN_WAVE).tolist())
+    return LinesInSpace(points, axes, offsets, REFLECTOR, origin, orientation, HIDDEN_JOINT - 1, wave)
+
+
+def hidden_text(real: LinesInSpace) -> str:
+    """What is hidden, to look at: no arm file can say it, since the fitted model has other parameters."""
+    lines = [
+        "# What the demo hides. Joints as lines in space at home, in the frame of the base; drawn beside them.",
+        "",
+    ]
+    for j, name in enumerate(NAMES):
+        lines += [
+            "[[joint]]",
+            f'name = "{name}"',
+            f"point_mm = {np.round(real.points[j], 4).tolist()}  # drawn {POINTS[j].tolist()}",
+            f"axis = {np.round(real.axes[j], 6).tolist()}  # drawn {AXES[j].tolist()}",
+            f"offset_deg = {np.degrees(real.offsets[j]):.5f}",
+            "",
+        ]
+    lines += ["[encoder_eccentricity]", f"joint = {HIDDEN_JOINT}"]
+    lines += [f"{key}_deg = {value}" for key, value in zip("ab", HIDDEN_WAVE, strict=True)]
+    lines += ["", "[reflector]", f"at_home_mm = {real.reflector.tolist()}"]
+    return "\n".join([*lines, "", "[base]", f"in_the_tracker_mm = {np.round(real.origin, 4).tolist()}\n"])
+
+
+def spatial(runs: int = RUNS) -> Scenario:
+    """The demo of six axes."""
+    real = hidden_arm()
+    files = {"robot.urdf": urdf(), "arm.toml": ARM, "hidden.toml": hidden_text(real)}
+    effect = f"encoder_eccentricity:{HIDDEN_JOINT}."
+    hidden = {effect + key: value for key, value in zip("ab", HIDDEN_WAVE, strict=True)}
+    title = "a six-axis arm before a laser tracker"
+    return Scenario(title, files, real.positions, hidden, every_parameter=False, runs=runs, effort=EFFORT)
