@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -98,9 +98,19 @@ def placed_chain(
 
 def tip_frames(chain: SpatialChain, postures: Array, values: Mapping[str, float] = MappingProxyType({})) -> Array:
     """(m, 4, 4) poses of the tip in the base at postures (m, n), with errors of the geometry by name."""
+    return frames_of_tip(chain, values)(postures)
+
+
+def frames_of_tip(chain: SpatialChain, values: Mapping[str, float] = MappingProxyType({})) -> Callable[[Array], Array]:
+    """The function of postures that `tip_frames` evaluates."""
     q = ca.SX.sym("q", len(chain))
     tip = replace(chain, base=np.eye(4)).frames(q, values)[-1]
-    origin, axes = vectorize(ca.Function("tip", [q], [ca.densify(tip.origin), ca.densify(tip.axes)]))(postures)
-    frames = np.tile(np.eye(4), (len(postures), 1, 1))
-    frames[:, :3, 3], frames[:, :3, :3] = origin[..., 0], axes
-    return frames
+    compiled = vectorize(ca.Function("tip", [q], [ca.densify(tip.origin), ca.densify(tip.axes)]))
+
+    def evaluate(postures: Array) -> Array:
+        origin, axes = compiled(postures)
+        frames = np.tile(np.eye(4), (len(postures), 1, 1))
+        frames[:, :3, 3], frames[:, :3, :3] = origin[..., 0], axes
+        return frames
+
+    return evaluate

@@ -52,6 +52,8 @@ LAYERS = {
     "identification.sessions": 5,
     "identification.validate": 6,
     "identification.gap": 6,
+    "identification.readings": 5,
+    "identification.inspection": 7,
     "doe.criteria": 11,
     "doe.jobs": 11,
     "doe.problem": 12,

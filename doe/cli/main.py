@@ -11,6 +11,7 @@ import click
 
 from doe.cli import (
     advise,
+    check,
     compare,
     compensate,
     demo,
@@ -97,6 +98,7 @@ VERBS = (
     relax,
     study,
     simulate,
+    check,
     identify,
     diagnose,
     discriminate,

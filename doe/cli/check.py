@@ -1,0 +1,29 @@
+"""`armcal check`: what data are like before any fit is believed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from doe.cli.common import Answer, Session, verb
+from doe.cli.options import FILE
+
+
+@verb("armcal check arm.toml measurements.csv", "Are the measurements what they should be?")
+@click.argument("arm", type=FILE)
+@click.argument("data", type=FILE)
+def command(session: Session, arm: Path, data: Path) -> Answer:
+    """Look at the measurements DATA of ARM before anything is fitted in earnest.
+
+    Rows, ranges against limits, units, repeats, what the drawing leaves with its place fitted, joints that turn the
+    other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
+    """
+    from doe.report.inspection_tables import inspection_tables
+    from identification.files.arm import load_arm
+    from identification.files.measurement import load_measurements
+    from identification.inspection import inspect
+
+    loaded = load_arm(arm)
+    found = inspect(loaded, load_measurements(data, loaded))
+    return Answer(found.to_json(), inspection_tables(found))

@@ -1,0 +1,45 @@
+"""What data are like, as tables for a terminal (rich)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.text import Text
+
+from doe.report.terminal import NARROW, facts, number, table
+from identification.inspection import Inspection
+
+
+def inspection_tables(found: Inspection) -> list[Any]:
+    """Problems first, then the facts, the range of each joint, and what the data cannot say."""
+    data = found.to_json()
+    head = "Put right first:" if found.problems else "Nothing speaks against these data."
+    shown: list[Any] = [Text(head, style="bold"), *(Text(f"  - {sentence}") for sentence in found.problems)]
+    lines = [
+        ("rows", f"{found.rows} of {found.postures} postures"),
+        ("columns besides", ", ".join(found.given) or "none"),
+    ]
+    if found.sessions:
+        lines.append(("sessions", ", ".join(found.sessions)))
+    if found.markers:
+        lines.append(("measured points", ", ".join(found.markers)))
+    if found.floor.source is not None:
+        lines.append(("repeats scatter by", f"{found.floor.value:.4g} mm"))
+    lines.append(("the drawing leaves", f"{number(found.drawing)} mm (RMS, with its place in the frame fitted)"))
+    lines.append(("a fit leaves", f"{number(data['rms_fitted_mm'])} mm"))
+    rows = [
+        [
+            str(j.joint),
+            *(f"{j.in_file_units(x):.2f}" for x in (j.low, j.high, j.limit_low, j.limit_high)),
+            j.unit,
+            str(j.outside),
+        ]
+        for j in found.joints
+    ]
+    headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
+    shown += [facts(lines), table(headings, rows, "Joints", left=("unit",), **NARROW)]
+    return [*shown, *(Text(f"note: {note}") for note in found.notes), *_next(found)]
+
+
+def _next(found: Inspection) -> list[str]:
+    return [] if found.problems else ["Next: armcal identify ARM DATA --out calibrated.toml, then armcal diagnose"]

@@ -1,0 +1,214 @@
+"""What data are like before any fit is believed: ranges, repeats, frames, signs, and what can be found from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.data_checks import data_warnings
+from identification.errors import InputError
+from identification.estimation import Identification, estimate
+from identification.files.measurement import unit_warnings
+from identification.gap.repeats import NoiseFloor, noise_floor
+from identification.kinematics.parameters import REVOLUTE
+from identification.measurements import Measurements, rms_distance
+from identification.model import Model
+from identification.readings import Reading, Readings, planar_base, read_differently
+from identification.sessions import with_sessions
+
+BEYOND = np.radians(0.01)  # [rad, mm] past a limit: how far a joint that stands at it is read
+STILL = np.radians(5.0)  # [rad] of a joint's range, below which its own errors are hardly seen
+FAR_ZERO = np.radians(5.0)  # [rad] an offset that is no machining error
+MOVED = 10.0  # times what the drawing leaves: a base that is not at the origin
+ROUGH = 0.02  # of the reach: more than a drawing is off by
+
+
+@dataclass(frozen=True)
+class JointRange:
+    """The positions of one joint [rad or mm]; `outside`: rows beyond its limits."""
+
+    joint: int
+    kind: str
+    low: float
+    high: float
+    limit_low: float
+    limit_high: float
+    outside: int
+
+    @property
+    def unit(self) -> str:
+        """Of files."""
+        return "deg" if self.kind == REVOLUTE else "mm"
+
+    def in_file_units(self, value: float) -> float:
+        """[deg] or [mm]."""
+        return float(np.degrees(value)) if self.kind == REVOLUTE else value
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `joints` (identification/files/README.md, "JSON keys")."""
+        names = ("low", "high", "limit_low", "limit_high")
+        shown = {name: self.in_file_units(getattr(self, name)) for name in names}
+        return {"joint": self.joint, "unit": self.unit, **shown, "rows_outside": self.outside}
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """What was seen in the measurements of an arm.
+
+    rows, postures : how many rows, and how many postures that are not repeats
+    given : optional columns;  floor : what repeats scatter by
+    readings : the columns as they are, and a better way to read them if there is one
+    fit : the geometry fitted, None with too few rows;  reach : of the arm [mm]
+    base : (2,) where the base of a planar arm stands [mm]
+    units : sentences about units, swapped markers and rows that are far off
+    """
+
+    arm: Arm
+    rows: int
+    postures: int
+    sessions: tuple[str, ...]
+    markers: tuple[str, ...]
+    given: tuple[str, ...]
+    joints: tuple[JointRange, ...]
+    floor: NoiseFloor
+    readings: Readings
+    fit: Identification | None
+    base: Array | None
+    units: tuple[str, ...]
+
+    @property
+    def drawing(self) -> float:
+        """RMS distance [mm] that the drawing leaves where its place in the instrument's frame is fitted."""
+        return self.readings.written.rms
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What should be put right before anything is fitted, in sentences."""
+        said = [*self.units] or self._reading() or self._base() or self._offsets()  # a later one may follow from it
+        rough = self.drawing > ROUGH * self.arm.reach
+        if rough and not said:
+            said.append(f"the drawing is {self.drawing:.4g} mm off wherever the arm stands: check lengths and columns")
+        for joint in self.joints:
+            if joint.outside:
+                low, high = (joint.in_file_units(x) for x in (joint.limit_low, joint.limit_high))
+                limits = f"{low:.6g} to {high:.6g} {joint.unit}"
+                said.append(f"joint {joint.joint} is beyond its limits, {limits}, in {joint.outside} rows")
+        return tuple(said)
+
+    def _reading(self) -> list[str]:
+        better: Reading | None = self.readings.better
+        if better is None:
+            return []
+        gain = f"the drawing then leaves {better.rms:.3g} mm instead of {self.drawing:.4g}"
+        return [f"it looks as if {', and '.join(better.words)}: {gain}"]
+
+    def _offsets(self) -> list[str]:
+        """Joints whose zero is another one than the drawing's, where the drawing alone is far off."""
+        if self.fit is None or self.readings.better is not None or self.arm.chain is not None:
+            return []
+        offsets = enumerate((self.fit.joint_offsets + np.pi) % (2.0 * np.pi) - np.pi, start=1)
+        far = [f"{np.degrees(x):.1f} deg at joint {j}" for j, x in offsets if j > 1 and abs(x) > FAR_ZERO]
+        return [f"zeros differ from the drawing's: {', '.join(far)}"] if far else []
+
+    def _base(self) -> list[str]:
+        """Where the base of a planar arm stands, if that is far from the origin and not in the model."""
+        known = self.arm.chain is not None or any(spec.name == "base_offset" for spec in self.arm.effects)
+        away = 0.0 if self.base is None else float(np.linalg.norm(self.base))
+        if known or self.base is None or self.readings.better is not None or away < MOVED * self.drawing:
+            return []
+        x, y = self.base
+        return [f"the base stands about ({x:.4g}, {y:.4g}) mm from the origin of the frame: add the effect base_offset"]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What these data cannot say, in sentences."""
+        still = [str(j.joint) for j in self.joints if j.kind == REVOLUTE and j.high - j.low < STILL]
+        said = [f"joint {', '.join(still)} hardly moves: its own errors cannot be seen"] if still else []
+        if self.fit is None:
+            said.append("too few rows for a fit of the geometry")
+        elif self.fit.not_identifiable:
+            said.append(f"not estimable separately: {'; '.join(self.fit.not_identifiable)}")
+        if self.postures == self.rows:
+            said.append("no posture is repeated: what the arm scatters by is not known from these data")
+        missing = {"temperature": "a column temperature_C", "gravity": "[gravity] in the arm file"}
+        there = {*self.given, *(["gravity"] if self.arm.gravity is not None else [])}
+        lacking = [how for what, how in missing.items() if what not in there]
+        return (
+            *said,
+            *(
+                [f"effects of {_list(missing, there)} are not tested without {' and '.join(lacking)}"]
+                if lacking
+                else []
+            ),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of `check` (identification/files/README.md, "JSON keys")."""
+        better, fit = self.readings.better, self.fit
+        return {
+            "rows": self.rows,
+            "postures": self.postures,
+            "sessions": self.sessions,
+            "markers": self.markers,
+            "given": self.given,
+            "joints": [joint.to_json() for joint in self.joints],
+            **{name: value for name, value in self.floor.to_json().items() if "repeats_mm" in name},
+            "rms_drawing_mm": self.drawing,
+            "better_reading": None if better is None else {"changes": better.words, "rms_mm": better.rms},
+            "rms_fitted_mm": None if fit is None else rms_distance(fit.residuals_after),
+            "not_identifiable": () if fit is None else fit.not_identifiable,
+            "problems": self.problems,
+            "notes": self.notes,
+        }
+
+
+def _list(missing: dict[str, str], there: set[str]) -> str:
+    return " and ".join(what for what in missing if what not in there)
+
+
+def inspect(arm: Arm, measurements: Measurements) -> Inspection:
+    """Look at measurements of an arm: nothing is changed, nothing is believed.
+
+    Raises `InputError` for another number of joints or coordinates than the arm has.
+    """
+    if measurements.links != arm.links:
+        raise InputError(f"measurements: {measurements.links} joints for an arm of {arm.links} links")
+    fit = _fit(arm, measurements)
+    units = (unit_warnings if arm.chain is None else data_warnings)(measurements, arm)
+    residual = np.zeros_like(measurements.positions) if fit is None else fit.residuals_after
+    floor = noise_floor(residual, measurements, np.ones(len(measurements), dtype=bool), None)
+    return Inspection(
+        arm=arm,
+        rows=len(measurements),
+        postures=len(np.unique(measurements.posture_numbers)),
+        sessions=measurements.sessions,
+        markers=measurements.marker_names,
+        given=tuple(sorted(measurements.given)),
+        joints=_ranges(arm, measurements.postures),
+        floor=floor,
+        readings=read_differently(arm, measurements),
+        fit=fit,
+        base=planar_base(arm, measurements) if arm.chain is None else None,
+        units=tuple(units),
+    )
+
+
+def _fit(arm: Arm, measurements: Measurements) -> Identification | None:
+    """The geometry of the arm fitted, None if the rows are too few for it."""
+    try:
+        return estimate(Model(with_sessions(arm, measurements)), measurements)
+    except InputError:
+        return None
+
+
+def _ranges(arm: Arm, postures: Array) -> tuple[JointRange, ...]:
+    found = []
+    for j, kind in enumerate(arm.joint_types):
+        q, low, high = postures[:, j], float(arm.lower[j]), float(arm.upper[j])
+        outside = int(np.sum((q < low - BEYOND) | (q > high + BEYOND)))
+        found.append(JointRange(j + 1, kind, float(q.min()), float(q.max()), low, high, outside))
+    return tuple(found)

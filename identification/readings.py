@@ -1,0 +1,191 @@
+"""Other ways to read a measurement file: joints that turn the other way, swapped columns, other zeros, mirrored axes.
+
+A wrong sign leaves decimetres where a real arm leaves millimetres, so the drawing is enough to see it: for each way to
+read the columns the base (and in space the measured point) is fitted to the drawing in closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+
+import numpy as np
+
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.kinematics.parameters import PRISMATIC
+from identification.kinematics.placement import placed
+from identification.measurements import Measurements
+from identification.placed import frames_of_tip
+
+ENOUGH = 200  # rows that are looked at: a wrong sign is seen in far fewer
+CLEARLY = 3.0  # times less is left: the columns mean something else
+ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
+EQUATIONS = 4  # for each fitted number, below which anything may fit
+KEPT = 4  # effort: readings from which the next kind of change starts
+DRAWN = 0.02  # of the reach: what may well be the drawing's errors, so that nothing more is tried
+MANY = 6  # joints, up to which all combinations of signs are tried
+PLANE, SPACE = 3, 9  # numbers fitted: a pose in the plane; a pose and a point in space
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read the columns.
+
+    order : joint j is in column order[j];  signs : +1 or -1 of each joint
+    quarters : quarter turns to add to each joint;  mirrored : one axis of the positions points the other way
+    rms : distance [mm] that the drawing leaves
+    """
+
+    order: tuple[int, ...]
+    signs: tuple[int, ...]
+    quarters: tuple[int, ...]
+    mirrored: bool = False
+    rms: float = np.inf
+
+    @classmethod
+    def as_written(cls, joints: int) -> Reading:
+        """As the columns say."""
+        return cls(tuple(range(joints)), (1,) * joints, (0,) * joints)
+
+    @property
+    def changes(self) -> int:
+        """How many things are read differently."""
+        swapped = sum(a != b for a, b in enumerate(self.order)) // 2
+        return swapped + sum(s < 0 for s in self.signs) + sum(k != 0 for k in self.quarters) + self.mirrored
+
+    def postures(self, given: Array) -> Array:
+        """(m, n) what the arm's joints are, of columns (m, n)."""
+        return given[:, list(self.order)] * np.array(self.signs) + 0.5 * np.pi * np.array(self.quarters)
+
+    def positions(self, given: Array) -> Array:
+        """(m, d) what the positions are in axes of the right hand."""
+        return given * np.r_[np.ones(given.shape[1] - 1), -1.0] if self.mirrored else given
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """What is different, each in a sentence; joints and columns from 1."""
+        swaps = sorted({tuple(sorted((a, b))) for a, b in enumerate(self.order) if a != b})
+        said = [f"columns of joints {a + 1} and {b + 1} are swapped" for a, b in swaps]
+        said += [f"joint {j} turns the other way" for j, sign in enumerate(self.signs, start=1) if sign < 0]
+        turns = {1: 90, 2: 180, 3: -90}
+        zeros = enumerate(self.quarters, start=1)
+        said += [f"joint {j} has another zero than the drawing: add {turns[k]} deg to it" for j, k in zeros if k]
+        return (*said, *(["an axis of the positions points the other way"] if self.mirrored else []))
+
+
+@dataclass(frozen=True)
+class Readings:
+    """written : as the columns say;  better : one that explains the positions clearly better, or None."""
+
+    written: Reading
+    better: Reading | None
+
+
+def read_differently(arm: Arm, measurements: Measurements) -> Readings:
+    """Look for another way to read the columns that explains the positions clearly better (`CLEARLY`).
+
+    Tried are signs, pairs of swapped columns, zeros off by quarter turns, and a mirrored frame. With few rows nothing
+    is tried.
+    """
+    rows = _some(measurements)
+    left, n = _distance(arm, rows), arm.links
+    written = replace(Reading.as_written(n), rms=left(Reading.as_written(n)))
+    if rows.positions.size < EQUATIONS * (PLANE if arm.chain is None else SPACE):
+        return Readings(written, None)
+    known = {replace(written, rms=0.0): written}
+    for stage in (_mirrored, _signs, _swaps, _zeros, _flips, _zeros):
+        kept = sorted(known.values(), key=lambda reading: reading.rms)[:KEPT]
+        if kept[0].rms < DRAWN * arm.reach:
+            break
+        starts = dict.fromkeys((written, *kept))
+        for reading in (other for start in starts for other in stage(replace(start, rms=0.0), arm)):
+            if reading not in known:
+                known[reading] = replace(reading, rms=left(reading))
+    best = _simplest(list(known.values()))
+    return Readings(written, best if CLEARLY * best.rms < written.rms else None)
+
+
+def _simplest(tried: list[Reading]) -> Reading:
+    """The reading with the fewest changes of those that leave about as little as the best."""
+    least = min(reading.rms for reading in tried)
+    return min((r for r in tried if r.rms <= ALIKE * least), key=lambda r: (r.changes, r.rms))
+
+
+def _mirrored(best: Reading, arm: Arm) -> Iterator[Reading]:
+    yield replace(best, mirrored=not best.mirrored)
+
+
+def _signs(best: Reading, arm: Arm) -> Iterator[Reading]:
+    """All combinations of signs, of many joints those with up to two changes, with and without a mirrored frame."""
+    n = arm.links
+    every = product((1, -1), repeat=n)
+    for signs in every if n <= MANY else (s for s in every if sum(x < 0 for x in s) <= 2):
+        for mirrored in (False, True):
+            yield replace(best, signs=signs, mirrored=mirrored)
+
+
+def _swaps(best: Reading, arm: Arm) -> Iterator[Reading]:
+    """Every pair of columns of like joints swapped, as it is and with one joint turning the other way."""
+    for a, b in combinations(range(arm.links), 2):
+        if arm.joint_types[a] == arm.joint_types[b]:
+            order = list(best.order)
+            order[a], order[b] = order[b], order[a]
+            swapped = replace(best, order=tuple(order))
+            yield swapped
+            yield from _flips(swapped, arm)
+
+
+def _flips(best: Reading, arm: Arm) -> Iterator[Reading]:
+    """One joint turning the other way than before."""
+    for j in range(arm.links):
+        yield replace(best, signs=tuple(-sign if i == j else sign for i, sign in enumerate(best.signs)))
+
+
+def _zeros(best: Reading, arm: Arm) -> Iterator[Reading]:
+    """The zero of one turning joint off by quarter turns."""
+    for j, k in product(range(arm.links), (1, 2, 3)):
+        if arm.joint_types[j] != PRISMATIC:
+            yield replace(best, quarters=tuple(k if i == j else old for i, old in enumerate(best.quarters)))
+
+
+def _some(measurements: Measurements) -> Measurements:
+    """Rows of the point that is measured most, spread over the file."""
+    rows = np.arange(len(measurements))
+    if (markers := measurements.marker_numbers) is not None:
+        rows = rows[markers == np.bincount(markers).argmax()]
+    if measurements.session is not None:  # between sessions the base may have moved
+        sessions = measurements.session[rows]
+        names, counts = np.unique(sessions, return_counts=True)
+        rows = rows[sessions == names[counts.argmax()]]
+    return measurements.rows(rows[np.unique(np.linspace(0, len(rows) - 1, ENOUGH).astype(int))])
+
+
+def _distance(arm: Arm, rows: Measurements) -> Callable[[Reading], float]:
+    """Root mean square distance [mm] of the drawing from the positions of a reading, its place fitted."""
+    if (chain := arm.chain) is not None:
+        frames, measured = frames_of_tip(chain), rows.positions[:, :3]
+        return lambda reading: (
+            placed(frames(reading.postures(rows.postures)), reading.positions(measured), chain.reach).rms
+        )
+
+    def in_plane(reading: Reading) -> float:
+        theta = np.cumsum(reading.postures(rows.postures), axis=1)
+        tip = np.exp(1j * theta) @ arm.lengths
+        measured = reading.positions(rows.positions) @ np.array([1.0, 1.0j])
+        tip, measured = tip - tip.mean(), measured - measured.mean()
+        crossed = abs(np.vdot(tip, measured))  # at the best rotation
+        squares = np.sum(np.abs(tip) ** 2 + np.abs(measured) ** 2) - 2.0 * crossed
+        return float(np.sqrt(max(squares, 0.0) / len(tip)))
+
+    return in_plane
+
+
+def planar_base(arm: Arm, measurements: Measurements) -> Array:
+    """(2,) where the base of a planar arm stands by its drawing [mm]."""
+    tip = np.exp(1j * np.cumsum(measurements.postures, axis=1)) @ arm.lengths
+    measured = measurements.positions @ np.array([1.0, 1.0j])
+    crossed = np.vdot(tip - tip.mean(), measured - measured.mean())
+    base = measured.mean() - tip.mean() * np.exp(1j * np.angle(crossed))
+    return np.array([base.real, base.imag])

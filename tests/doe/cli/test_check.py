@@ -1,0 +1,40 @@
+"""`armcal check` as a user runs it, in the plane and in space."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from tests.doe.cli.conftest import Folder
+
+DATA = Path(__file__).parents[2] / "data/ur10"
+KEYS = {"rows", "postures", "joints", "rms_drawing_mm", "rms_fitted_mm", "better_reading", "problems", "notes"}
+
+
+def test_simulated_data_are_fine(folder: Folder) -> None:
+    folder.simulated()
+    done = folder.armcal("check", "arm.toml", "data.csv", "--json")
+    assert done.code == 0, done.err
+    assert set(done.data) >= KEYS
+    assert done.data["problems"] == []
+    assert [joint["limit_high"] for joint in done.data["joints"]] == pytest.approx([180.0, 120.0, 60.0, 90.0])
+    assert "Nothing speaks against these data." in folder.armcal("check", "arm.toml", "data.csv").out
+
+
+def test_a_joint_that_turns_the_other_way(folder: Folder) -> None:
+    folder.simulated()
+    frame = pl.read_csv(folder.path / "data.csv").with_columns(-pl.col("q3_deg"))
+    frame.write_csv(folder.path / "flipped.csv")
+    done = folder.armcal("check", "arm.toml", "flipped.csv")
+    assert done.code == 0
+    assert "joint 3 turns the other way" in " ".join(done.out.split())
+
+
+def test_six_axes(folder: Folder) -> None:
+    done = folder.armcal("check", str(DATA / "ur10.toml"), str(DATA / "series_A.csv"), "--json")
+    assert done.code == 0, done.err
+    assert done.data["rows"] == 596
+    assert done.data["problems"] == []
+    assert done.data["rms_fitted_mm"] < 0.5 < 0.8 < done.data["rms_drawing_mm"] < 0.9

@@ -1,0 +1,85 @@
+"""What `inspect` says of data: each fault on purpose has its sentence, and good data have none."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm, EffectSpec
+from identification.errors import InputError
+from identification.inspection import inspect
+from identification.measurements import Measurements
+
+LENGTHS = np.array([500.0, 400.0, 200.0])
+ARM = Arm(LENGTHS, lower=np.full(3, -2.5), upper=np.full(3, 2.5))
+
+
+def data(m: int = 40, base: complex = 0.0, zero: float = 0.0, still: bool = False) -> Measurements:
+    """Measurements of an arm with errors of drawing and noise, written with complex numbers."""
+    generator = np.random.default_rng(21)
+    q = generator.uniform(-2.4, 2.4, (m, 3))
+    q[:, 2] = 0.3 if still else q[:, 2]
+    theta = np.cumsum(q + np.array([0.0, 0.004 + zero, -0.003]), axis=1)
+    z = np.exp(1j * theta) @ (LENGTHS + np.array([0.5, -0.4, 0.3])) + base
+    z += 0.05 * (generator.standard_normal(m) + 1j * generator.standard_normal(m))
+    return Measurements(q, np.column_stack([z.real, z.imag]))
+
+
+def test_good_data_have_no_problem() -> None:
+    found = inspect(ARM, data())
+    assert found.problems == ()
+    assert (found.rows, found.postures) == (40, 40)
+    assert 1.0 < found.drawing < 5.0
+    assert found.to_json()["rms_fitted_mm"] == pytest.approx(0.05 * np.sqrt(2.0 * (1.0 - 6.0 / 80.0)), rel=0.3)
+    assert any("no posture is repeated" in note for note in found.notes)
+
+
+def test_each_fault_has_its_sentence() -> None:
+    good = data()
+    flipped = inspect(ARM, replace(good, postures=good.postures * [1.0, 1.0, -1.0]))
+    (sentence,) = flipped.problems
+    assert sentence.startswith("it looks as if joint 3 turns the other way: the drawing then leaves")
+    (zero,) = inspect(ARM, data(zero=0.5)).problems
+    assert zero == "zeros differ from the drawing's: 28.9 deg at joint 2"  # 0.004 and 0.5 rad
+    (limits,) = inspect(replace(ARM, lower=np.array([-2.5, -2.0, -2.5])), good).problems
+    assert limits.startswith("joint 2 is beyond its limits, -114.592 to 143.239 deg, in ")
+    (units,) = inspect(ARM, replace(good, postures=np.radians(good.postures))).problems
+    assert "look like radians" in units
+    (wrong,) = inspect(replace(ARM, lengths=np.array([500.0, 100.0, 200.0])), good).problems
+    assert wrong.startswith("the drawing is")
+
+
+def test_a_base_away_from_the_origin_asks_for_its_effect() -> None:
+    away = data(base=300.0 - 120.0j)
+    (sentence,) = inspect(ARM, away).problems
+    found = re.match(r"the base stands about \((.*), (.*)\) mm from the origin", sentence)
+    assert found is not None
+    assert [float(word) for word in found.groups()] == pytest.approx([300.0, -120.0], abs=5.0)  # errors of the drawing
+    assert inspect(replace(ARM, effects=(EffectSpec("base_offset"),)), away).problems == ()
+
+
+def test_what_the_data_cannot_say() -> None:
+    found = inspect(ARM, data(still=True))
+    assert "joint 3 hardly moves: its own errors cannot be seen" in found.notes
+    assert any(note.startswith("not estimable separately: ") for note in found.notes)
+    few = inspect(ARM, data(m=2))
+    assert few.fit is None
+    assert "too few rows for a fit of the geometry" in few.notes
+
+
+def test_repeats_say_what_the_arm_scatters_by() -> None:
+    ten = data(m=10)
+    generator = np.random.default_rng(22)
+    noise = 0.05 * generator.standard_normal((40, 2))
+    again = Measurements(np.tile(ten.postures, (4, 1)), np.tile(ten.positions, (4, 1)) + noise)
+    found = inspect(ARM, again)
+    assert (found.rows, found.postures) == (40, 10)
+    assert found.floor.value == pytest.approx(0.05 * np.sqrt(2.0), rel=0.35)  # 30 degrees of freedom, 3 deviations
+
+
+def test_data_of_another_arm_are_refused() -> None:
+    with pytest.raises(InputError, match="3 joints for an arm of 2 links"):
+        inspect(Arm(LENGTHS[:2]), data())

@@ -1,0 +1,100 @@
+"""Ways to read the columns: what was changed in data on purpose is found, and nothing is said of data as they are."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification import load_arm, load_measurements
+from identification.arm import Arm
+from identification.measurements import Measurements
+from identification.readings import planar_base, read_differently
+
+DATA = Path(__file__).parents[1] / "data"
+PLANAR = Arm(np.array([612.0, 572.3, 115.7]))
+Change = Callable[[np.ndarray], np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def six_axis() -> tuple[Arm, Measurements]:
+    arm = load_arm(DATA / "ur10/ur10.toml")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return arm, load_measurements(DATA / "ur10/series_A.csv", arm).rows(slice(None, None, 4))
+
+
+@pytest.fixture(scope="module")
+def planar() -> Measurements:
+    return load_measurements(DATA / "ur10_planar/measurements.csv", 3)
+
+
+def words(arm: Arm, data: Measurements, change: Change) -> tuple[str, ...]:
+    better = read_differently(arm, replace(data, postures=change(data.postures))).better
+    return () if better is None else better.words
+
+
+CASES: list[tuple[Change, tuple[str, ...]]] = [
+    (lambda q: q, ()),
+    (lambda q: q * [1, -1, 1], ("joint 2 turns the other way",)),
+    (lambda q: -q, ("an axis of the positions points the other way",)),
+    (lambda q: q[:, [1, 0, 2]], ("columns of joints 1 and 2 are swapped",)),
+    (lambda q: q[:, [0, 2, 1]] * [1, 1, -1], ("columns of joints 2 and 3 are swapped", "joint 2 turns the other way")),
+    (lambda q: q - [0, np.pi, 0], ("joint 2 has another zero than the drawing: add 180 deg to it",)),
+    (lambda q: q - [0, 0, np.pi / 2], ("joint 3 has another zero than the drawing: add 90 deg to it",)),
+]
+
+
+@pytest.mark.parametrize(("change", "said"), CASES)
+def test_a_planar_arm(planar: Measurements, change: Change, said: tuple[str, ...]) -> None:
+    assert words(PLANAR, planar, change) == said
+
+
+SPATIAL: list[tuple[Change, tuple[str, ...]]] = [
+    (lambda q: q, ()),
+    (lambda q: q * [1, 1, -1, 1, 1, 1], ("joint 3 turns the other way",)),
+    (lambda q: q * [-1, 1, -1, 1, 1, -1], ("joint 1 turns the other way", "joint 3 turns the other way")),
+    (lambda q: q[:, [0, 1, 2, 4, 3, 5]], ("columns of joints 4 and 5 are swapped",)),
+]
+
+
+@pytest.mark.parametrize(("change", "said"), SPATIAL)
+def test_six_axes(six_axis: tuple[Arm, Measurements], change: Change, said: tuple[str, ...]) -> None:
+    """The reflector is on the last axis, so that nothing shows which way joint 6 turns."""
+    assert words(*six_axis, change) == said
+
+
+def test_a_mirrored_frame_in_space(six_axis: tuple[Arm, Measurements]) -> None:
+    arm, data = six_axis
+    found = read_differently(arm, replace(data, positions=data.positions * [1.0, -1.0, 1.0]))
+    assert found.better is not None
+    assert found.better.words == ("an axis of the positions points the other way",)
+    assert found.better.rms < 1.0 < 50.0 < found.written.rms
+
+
+def test_nothing_is_said_of_arms_with_errors_as_they_are_built() -> None:
+    generator = np.random.default_rng(11)
+    for n in (2, 3, 4, 6):
+        for _ in range(5):
+            lengths = generator.uniform(100.0, 600.0, n)
+            q = generator.uniform(-2.5, 2.5, (30, n))
+            theta = np.cumsum(q + np.radians(generator.normal(0.0, 1.0, n)), axis=1)
+            z = np.exp(1j * theta) @ (lengths + generator.normal(0.0, 2.0, n)) * np.exp(0.7j) + 500.0
+            found = read_differently(Arm(lengths), Measurements(q, np.column_stack([z.real, z.imag])))
+            assert found.better is None
+
+
+def test_few_rows_are_not_read_in_other_ways(planar: Measurements) -> None:
+    five = replace(planar.rows(slice(0, 5)), postures=planar.postures[:5] * [1.0, -1.0, 1.0])
+    assert read_differently(PLANAR, five).better is None
+
+
+def test_where_the_base_stands() -> None:
+    generator = np.random.default_rng(12)
+    q = generator.uniform(-2.0, 2.0, (20, 3))
+    z = np.exp(1j * np.cumsum(q, axis=1)) @ PLANAR.lengths * np.exp(0.3j) + (120.0 - 45.0j)
+    assert planar_base(PLANAR, Measurements(q, np.column_stack([z.real, z.imag]))) == pytest.approx([120.0, -45.0])
