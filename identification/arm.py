@@ -87,7 +87,7 @@ class Calibration(ByValue):
     values : parameter name -> value [API units]: `length_error:1`, `joint_offset:1`, `effect:joint.parameter`, ...
     parameter_names : (p) order of the covariance;  covariance : (p, p) [API units]
     base, tools : of a spatial arm, where they were estimated: (4, 4) pose of the base [mm] and name -> (3,) place of
-        each measured point [mm], with the values that correct them
+        each measured point [mm], with the values that correct them;  tool_axes : name -> (3, 3) of a measured frame
     """
 
     values: Mapping[str, float]
@@ -96,6 +96,7 @@ class Calibration(ByValue):
     provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     base: Array | None = None
     tools: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
+    tool_axes: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", MappingProxyType({k: float(v) for k, v in self.values.items()}))

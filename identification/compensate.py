@@ -18,7 +18,7 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, Linearize, levenberg_marquardt
-from identification.kinematics.corrected import composed_base, composed_tools
+from identification.kinematics.corrected import standing_in
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Conditions, directions_from_order, past_from_order
 from identification.model import Model
@@ -113,8 +113,7 @@ def as_drawn(arm: Arm) -> Arm:
     """The nominal arm, without effects; a spatial one stands where the calibration found it, and with its points."""
     chain = arm.chain
     if chain is not None and arm.calibration is not None:
-        values = arm.calibration.values
-        chain = replace(chain, base=composed_base(chain, values), tools=composed_tools(chain, values))
+        chain = standing_in(chain, arm.calibration.values)
     return replace(arm, effects=(), calibration=None, chain=chain)
 
 

@@ -29,6 +29,8 @@ from identification.vectorize import Evaluate, vectorize
 
 INSTRUMENT = "instrument"
 INSIDE = ("joint_angles", "extensions", "tool", "base_rotation", "base_translation")  # places of a spatial geometry
+POINT = slice(DIMENSION)  # of the position
+ORIENTATION = 10  # columns of a measured orientation: nine, and whether there is none
 LOADED = slice(0, 1 + ROTATIONS[DIMENSION])  # of the state, and of all places
 Said = tuple[np.ndarray, ...]  # by a part
 
@@ -54,19 +56,28 @@ class Symbols:
 
 def condition_width(links: int, remembers: bool, extra: tuple[str, ...]) -> int:
     """Columns of the conditions of a model."""
-    return Conditions.columns(links, remembers) + ("marker" in extra) + links * ("errors" in extra)
+    return orientation_columns(links, remembers, extra).stop + links * ("errors" in extra)
+
+
+def orientation_columns(links: int, remembers: bool, extra: tuple[str, ...]) -> slice:
+    """Those of a measured orientation among the columns of the conditions."""
+    start = Conditions.columns(links, remembers) + ("marker" in extra)
+    return slice(start, start + ORIENTATION * ("orientation" in extra))
 
 
 def chain_at(arm: Arm, q: ca.SX, c: ca.SX, remembers: bool, extra: tuple[str, ...]) -> Chain:
     """The nominal chain at the symbols of a posture and its conditions.
 
-    extra : further columns of the conditions, in order: `marker`, and `errors` that curves say
+    extra : further columns of the conditions, in order: `marker`, `orientation` that was measured (nine numbers, by
+        columns, and 1 where there is none), and `errors` that curves say
     """
-    width = Conditions.columns(arm.links, remembers)
+    width, measured = Conditions.columns(arm.links, remembers), orientation_columns(arm.links, remembers, extra)
     chain = Chain.of(arm, q, c[:width])
     if "marker" in extra:
-        chain, width = replace(chain, marker=c[width]), width + 1
-    return replace(chain, errors=c[width:]) if "errors" in extra else chain
+        chain = replace(chain, marker=c[width])
+    if "orientation" in extra:
+        chain = replace(chain, reference=c[measured.start : measured.stop - 1])
+    return replace(chain, errors=c[measured.stop :]) if "errors" in extra else chain
 
 
 @dataclass(frozen=True)
@@ -241,10 +252,11 @@ class Composition:
         total = self._total(said, batch)
         a = np.concatenate([np.zeros((*batch, 0)), *(total[..., shared.places[place]] for place in used)], axis=-1)
         found = shared.geometry(self._geometry_values, used, derivatives)(q, c, g, a)
-        state[..., shared.of_tip] = position = found[0][..., 0]
+        position = found[0][..., 0]
+        state[..., shared.of_tip] = position[..., POINT]
         if any(part.measures for part in self._parts):
             said = [part.evaluate(q, c, v, state) for part, v in zip(self._parts, values, strict=True)]
-            position = position + self._total(said, batch)[..., shared.places[INSTRUMENT]]
+            position[..., POINT] += self._total(said, batch)[..., shared.places[INSTRUMENT]]
         if not derivatives:
             return At(position, np.zeros(0), np.zeros(0), state, said)
         return At(position, *self._derivatives(found[1], found[2], said, used), state, said)
@@ -268,6 +280,7 @@ class Composition:
                 by_state[..., part.rows, :] += slopes
             levers[..., LOADED] = levers @ by_state[..., LOADED]
             turned = np.eye(DIMENSION) + by_state[..., shared.places[INSTRUMENT], shared.of_tip]
-            by_g, levers = turned @ by_g, turned @ levers
-        levers[..., shared.places[INSTRUMENT]] = np.eye(DIMENSION)
+            for moved in (by_g, levers):
+                moved[..., POINT, :] = turned @ moved[..., POINT, :]
+        levers[..., shared.places[INSTRUMENT]] = np.eye(levers.shape[-2], DIMENSION)
         return by_g, levers

@@ -24,6 +24,7 @@ class Conditions(ByValue):
     session : (m,) number of the session of each row, from 0, None: 0
     past : (m, n, 12) what each joint remembers of the postures before (`past_from_order`) [rad], None: nothing
     marker : (m,) number of the measured point of each row, from 0, None: the first
+    orientation : (m, 3, 3) measured, which computed ones are compared with; None: those of the arm as best known
     For K sessions at once, (K, m), (K, m, n) and (K, m, n, 12).
     """
 
@@ -34,6 +35,7 @@ class Conditions(ByValue):
     session: Array | None = None
     past: Array | None = None
     marker: Array | None = None
+    orientation: Array | None = None
 
     @staticmethod
     def columns(n: int, past: bool = False) -> int:

@@ -1,4 +1,5 @@
-"""What a spatial arm's measurements say against their own columns: units, swapped markers, rows where a beam was lost.
+"""What a spatial arm's measurements say against their own columns: units, conventions of orientations, swapped markers,
+rows where a beam was lost.
 
 Base and measured points are found by the closed form, so that what is left of the nominal arm is its errors, some
 millimetres; another unit or another point is off by far more.
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
+from identification.kinematics.orientations import from_angles, to_angles
 from identification.kinematics.parameters import REVOLUTE
-from identification.measurements import Measurements
+from identification.measurements import POINT, Measurements, distances
 from identification.model import Model
 from identification.placed import placed_model
 
@@ -32,15 +34,14 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     if measurements.positions.size < 4 * len(Model(bare).parameters):
         return []
     said = _units(measurements, bare)
-    return said or list(_far_rows(measurements, bare))
+    return said or [*_orientations(measurements, bare), *_far_rows(measurements, bare)]
 
 
 def _units(measurements: Measurements, arm: Arm) -> list[str]:
     """Radians in `_deg` columns, metres in `_mm` columns, where that fits the arm clearly better."""
     turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
-    center = measurements.positions.mean(axis=0)
     small = bool(turning.any() and np.all(np.abs(measurements.postures[:, turning]) < SMALL_ANGLE))
-    near = bool(np.all(np.linalg.norm(measurements.positions - center, axis=1) < NEAR * arm.reach))
+    near = bool(np.all(distances(measurements.positions - measurements.positions.mean(axis=0)) < NEAR * arm.reach))
     if not small and not near:
         return []
     readings = [(q, p) for q in (False, True)[: 1 + small] for p in (False, True)[: 1 + near]]
@@ -52,6 +53,37 @@ def _units(measurements: Measurements, arm: Arm) -> list[str]:
     said = ["the joint angles look like radians: name the columns q1_rad.. instead of q1_deg.."] if radians else []
     named = "name the columns x_m, y_m, z_m instead of x_mm, y_mm, z_mm"
     return said + ([f"the positions look like metres: {named}"] if metres else [])
+
+
+def _orientations(measurements: Measurements, arm: Arm) -> Iterator[str]:
+    """Another convention of the orientations, where those that are measured are far from the nominal arm's."""
+    if measurements.orientations is None:
+        return
+    fixed_axes = np.swapaxes(from_angles(-to_angles(measurements.orientations)), -1, -2)
+    readings = {
+        "": measurements.orientations,
+        "angles about fixed axes": fixed_axes,
+        "the instrument in the frame of the tool": np.swapaxes(measurements.orientations, -1, -2),
+        "the instrument in the frame of the tool, by angles about fixed axes": np.swapaxes(fixed_axes, -1, -2),
+    }
+    missed = {name: _median_angle(measurements, arm, read) for name, read in readings.items()}
+    if missed[""] <= FAR * arm.machining.rotation:
+        return
+    best = min(missed, key=missed.__getitem__)
+    looks = f"; they look like {best}" if CLEARLY * missed[best] < missed[""] else ""
+    yield (
+        f"the orientations are {np.degrees(missed['']):.3g} deg from the nominal arm's in the median{looks}; rx_deg, "
+        "ry_deg and rz_deg turn the tool about its own x, then y, then z axis, from the frame of the instrument"
+    )
+
+
+def _median_angle(measurements: Measurements, arm: Arm, orientations: Array) -> float:
+    """[rad] between the nominal arm's orientations and these, base and measured frames found by the closed form."""
+    read = replace(measurements, orientations=orientations)
+    computed = placed_model(Model(arm), read).position(read.postures, conditions=read.conditions)
+    chain = arm.chain
+    assert chain is not None
+    return float(np.median(np.linalg.norm(computed[:, POINT.stop :], axis=1))) / (chain.angle_scale or 1.0)
 
 
 def _misfit(measurements: Measurements, arm: Arm, radians: NDArray[np.bool_], unit: float) -> float:
@@ -96,4 +128,4 @@ def _distances(arm: Arm, measurements: Measurements, kept: NDArray[np.bool_]) ->
     """(m,) from the nominal arm [mm], base and measured points found from the rows kept."""
     placed = placed_model(Model(arm), measurements.rows(kept))
     computed = placed.position(measurements.postures, conditions=measurements.conditions)
-    return np.linalg.norm(measurements.positions - computed, axis=1)
+    return distances(measurements.positions - computed)

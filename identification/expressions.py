@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -11,10 +11,19 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.composition import Composition, chain_at, condition_width, parts
+from identification.composition import (
+    ORIENTATION,
+    Composition,
+    chain_at,
+    condition_width,
+    orientation_columns,
+    parts,
+)
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, measured_position
 from identification.effects.places import position_and_state, split, widths
+from identification.errors import InputError
+from identification.kinematics.orientations import turned
 from identification.kinematics.parameters import ParameterSet
 from identification.vectorize import Evaluate, vectorize
 
@@ -24,7 +33,9 @@ class Expressions:
     """Position of the tip and its derivatives as expressions of posture q, conditions c and parameters p.
 
     every, estimated : all parameters, and those of the vector p;  fixed : name -> value of the others
-    extra : further columns of the conditions, in order: `marker`, and `errors` that curves say
+    extra : further columns of the conditions, in order: `marker`, `orientation` that was measured and `errors` that
+        curves say
+    best : name -> best known value of the geometry's parameters
     """
 
     arm: Arm
@@ -34,10 +45,12 @@ class Expressions:
     fixed: Mapping[str, float]
     remembers: bool
     extra: tuple[str, ...]
+    best: Mapping[str, float]
 
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """SX of postures q (n), conditions c, parameters (p) and position (d)."""
+        """SX of postures q (n), conditions c, parameters (p) and position (d): of a pose the point, and the rotation
+        vector by which the computed orientation is turned against the measured one, times `angle_scale` [mm]."""
         width = condition_width(self.arm.links, self.remembers, self.extra)
         q, c, p = ca.SX.sym("q", self.arm.links), ca.SX.sym("c", width), ca.SX.sym("p", len(self.estimated))
         return q, c, p, measured_position(self.chain(q, c), self.effects, self.values(p))
@@ -49,7 +62,12 @@ class Expressions:
 
     def chain(self, q: ca.SX, c: ca.SX) -> Chain:
         """The nominal chain at the symbols of a posture and its conditions."""
-        return chain_at(self.arm, q, c, self.remembers, self.extra)
+        chain = chain_at(self.arm, q, c, self.remembers, self.extra)
+        if chain.reference is None or self.arm.chain is None:
+            return chain
+        missing = c[orientation_columns(self.arm.links, self.remembers, self.extra).stop - 1]
+        best = self.arm.chain.orientation(q, self.best, chain.marker)
+        return replace(chain, reference=chain.reference + missing * best)
 
     @cached_property
     def composed(self) -> Composition | None:
@@ -64,12 +82,14 @@ class Expressions:
 
     def table(self, postures: Array, conditions: Conditions) -> Array:
         """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory, one of
-        the marker where there are several, and n of errors that curves say."""
+        the marker where there are several, ten of a measured orientation, and n of errors that curves say."""
         payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
         shape, past = postures.shape[:-1], postures if self.remembers else None
         found = [conditions.table(shape, self.arm.links, payload, past)]
         if "marker" in self.extra:
             found.append(np.broadcast_to(0.0 if conditions.marker is None else conditions.marker, shape)[..., None])
+        if "orientation" in self.extra:
+            found.append(self._reference(postures, found, conditions.orientation))
         if "errors" in self.extra:  # tables are looked up here: as formulas they would be thousands of terms
             curves = {effect.joint_index: effect.curve for effect in self.effects if effect.curve is not None}
             errors = np.zeros(postures.shape)
@@ -77,6 +97,15 @@ class Expressions:
                 errors[..., joint] = curve.at(postures[..., joint])
             found.append(errors)
         return np.concatenate(found, axis=-1)
+
+    @property
+    def neutral(self) -> Array:
+        """(4 + n,) a row of the table where nothing is said."""
+        found = self.table(np.zeros((1, self.arm.links)), Conditions())[0]
+        measured = orientation_columns(self.arm.links, self.remembers, self.extra)
+        found[measured.start :] = 0.0
+        found[measured.start : measured.stop][-1:] = 1.0
+        return found
 
     @cached_property
     def position_function(self) -> ca.Function:
@@ -130,6 +159,36 @@ class Expressions:
         added = self._with_added[0]
         found = ca.substitute(expressions, [added], [ca.SX.zeros(added.numel())])
         return vectorize(ca.Function(name, list(self.symbols[:3]), ca.cse(found)))
+
+    def orientations(self, q: Array, c: Array, p: Array) -> Array:
+        """(m, 3, 3) orientations of the measured frame for the instrument; raises `InputError` where none is measured.
+
+        c : without measured orientations
+        """
+        chain = self.arm.chain
+        if chain is None or chain.angle_scale is None:
+            raise InputError("orientations: the arm measures none, allowed: with sigma_mm and sigma_deg in its file")
+        columns = c[..., orientation_columns(len(chain), self.remembers, self.extra)][..., :-1]
+        nominal = np.swapaxes(columns.reshape(*columns.shape[:-1], 3, 3), -1, -2)
+        return turned(self.position(q, c, p)[0][..., 3:, 0] / chain.angle_scale) @ nominal
+
+    def _reference(self, postures: Array, columns: list[Array], orientation: Array | None) -> Array:
+        """(..., m, 10) columns of measured orientations (m, 3, 3), the last zero: they are there; of None those of the arm
+        as best known.  columns : that come before them, the last the marker's where there are several"""
+        found = np.zeros((*postures.shape[:-1], ORIENTATION))
+        if orientation is not None:
+            found[..., :-1] = np.swapaxes(orientation, -1, -2).reshape(*orientation.shape[:-2], 9)
+        else:
+            found[..., :-1] = self._best_orientation(postures, columns[-1][..., -1:])[0][..., 0]
+        return found
+
+    @cached_property
+    def _best_orientation(self) -> Evaluate:
+        """Of arrays (q, marker): the orientation of the arm as best known, (9,) by columns."""
+        assert self.arm.chain is not None
+        q, marker = ca.SX.sym("q", self.arm.links), ca.SX.sym("marker")
+        found = self.arm.chain.orientation(q, self.best, marker if "marker" in self.extra else None)
+        return vectorize(ca.Function("orientation", [q, marker], [ca.cse(ca.densify(found))]))
 
     def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Evaluate:
         """Of arrays (q, c): an expression of the nominal chain."""

@@ -32,9 +32,17 @@ __all__ = [
 SAME_POSTURE = 5e-4
 
 
+POINT = slice(3)  # the coordinates of a residual that are those of a point, in a plane, in space and of a pose
+
+
 def rms_distance(residuals: Array) -> float:
-    """Root mean square over rows of the length of (m, d) residuals."""
-    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
+    """Root mean square over rows of the distances of (m, d) residuals."""
+    return float(np.sqrt(np.mean(np.sum(residuals[:, POINT] ** 2, axis=1))))
+
+
+def distances(residuals: Array) -> Array:
+    """(m,) distances [mm] of (m, d) residuals: of poses, d = 6, those of the points."""
+    return np.asarray(np.linalg.norm(residuals[:, POINT], axis=1))
 
 
 def joint_range(postures: Array) -> list[list[float]]:
@@ -44,8 +52,17 @@ def joint_range(postures: Array) -> list[list[float]]:
 
 
 _Test = Callable[[Array], NDArray[np.bool_]]
-DIMENSIONS = (2, 3)  # coordinates that an instrument may measure
-_OPTIONAL = ("order", "payload", "temperature", "directions", "sigma", "repeats")
+DIMENSIONS = (2, 3, 6)  # coordinates that an instrument may measure
+_OPTIONAL = ("order", "payload", "temperature", "directions", "sigma", "repeats", "orientations")
+
+
+def _is_rotation(matrices: Array) -> NDArray[np.bool_]:
+    """(m, 3, 3) True in rows that turn and do not mirror."""
+    square = np.swapaxes(matrices, 1, 2) @ matrices
+    good = np.all(np.abs(square - np.eye(3)) < 1e-6, axis=(1, 2)) & (np.linalg.det(matrices) > 0.0)
+    return np.broadcast_to(good[:, None, None], matrices.shape)
+
+
 # columns, sentence and test of what is allowed, for every field of `Measurements`; all of them finite
 _VALUES: dict[str, tuple[str, str, _Test]] = {
     "postures": ("joints", "finite angles [rad]", np.isfinite),
@@ -56,6 +73,7 @@ _VALUES: dict[str, tuple[str, str, _Test]] = {
     "directions": ("joints", "+1 or -1", lambda v: np.abs(v) == 1.0),
     "sigma": ("one", "numbers > 0 [mm]", lambda v: v > 0.0),
     "repeats": ("one", "whole numbers", lambda v: v == np.round(v)),
+    "orientations": ("axes", "rotation matrices", _is_rotation),
 }
 
 
@@ -65,6 +83,11 @@ def _numbers(name: str, values: Any) -> Array:
         return readonly(values)
     except (TypeError, ValueError):
         raise InputError(f"measurements.{name}: not an array of numbers, allowed: real numbers") from None
+
+
+def _with_rotations(positions: Array) -> Array:
+    """(m, 6) of points (m, 3): the orientations are as measured."""
+    return positions if positions.shape[1:] != (3,) else np.pad(positions, ((0, 0), (0, 3)))
 
 
 def _names(name: str, values: Any, m: int) -> NDArray[np.str_]:
@@ -89,7 +112,8 @@ class Measurements(ByValue):
     """m measured postures of an n-link arm, in the order of the file.
 
     postures : (m, n) commanded joint angles [rad]
-    positions : (m, d) measured tip positions [mm], in a plane or in space
+    positions : (m, d) measured tip positions [mm], in a plane or in space; of poses d = 6: the last three are rotation
+        vectors that `orientations` are turned by, times `angle_scale` [mm], zero where they are left out
     order : (m,) order or time stamps; rows in order if the file has none
     sigma : (m,) standard deviation per row and axis [mm], None: not given per row
     repeats : (m,) equal numbers mark repeats of one posture, None: not given
@@ -97,6 +121,7 @@ class Measurements(ByValue):
     session_names : the sessions in the order of their numbers, also where only some of them are among these rows
     marker : (m,) name of the measured point of each row, where several are measured; None: one
     marker_names : the points in the order of their numbers
+    orientations : (m, 3, 3) measured axes of the tool in space, by columns; None: not measured
     past : (m, n, 12) what each joint remembers of the rows before; None: it follows from the order
 
     Raises `InputError` for no rows, other shapes (nothing is broadcast), and values that no measurement can have.
@@ -115,6 +140,7 @@ class Measurements(ByValue):
     marker: NDArray[np.str_] | None = None
     marker_names: tuple[str, ...] = ()
     past: Array | None = None
+    orientations: Array | None = None
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
@@ -123,10 +149,13 @@ class Measurements(ByValue):
             allowed = f"(m, n) with m >= 1 rows and n = 1 to {MAX_LINKS} joints"
             raise InputError(f"measurements.postures: shape {postures.shape}, allowed: {allowed}")
         m, n = postures.shape
+        if self.orientations is not None:
+            object.__setattr__(self, "positions", _with_rotations(_numbers("positions", self.positions)))
         by_columns: dict[str, list[tuple[int, ...]]] = {
             "one": [(m,)],
             "coordinates": [(m, d) for d in DIMENSIONS],
             "joints": [(m, n)],
+            "axes": [(m, 3, 3)],
         }
         for name, (columns, allowed, test) in _VALUES.items():
             value = getattr(self, name)
@@ -230,7 +259,8 @@ class Measurements(ByValue):
                 directions[rows] = directions_from_order(self.postures[rows], order[rows])
         temperature = None if self.temperature is None else self.temperature - np.mean(self.temperature)
         marker = None if self.marker_numbers is None else self.marker_numbers.astype(float)
-        return Conditions(self.payload, temperature, time, directions, self._session_numbers, self._past, marker)
+        session = self._session_numbers
+        return Conditions(self.payload, temperature, time, directions, session, self._past, marker, self.orientations)
 
     @cached_property
     def _past(self) -> Array:

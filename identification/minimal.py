@@ -2,8 +2,9 @@
 
 Every combination of the geometry's errors that moves the measured points is one of the parameters that are kept (the
 continuous and complete set of the literature: L. J. Everett, M. Driels, B. W. Mooring, "Kinematic modelling for robot
-calibration", ICRA 1987), 27 of a six-axis arm with one reflector off its last axis. Which of several equivalent ones
-is kept is a choice: those that an engineer looks for first.
+calibration", ICRA 1987): four for each revolute joint and two for each prismatic one, and three for each reflector off
+the last axis or six for a measured frame; of a six-axis arm 27 with one reflector, 33 with three, 30 with a frame.
+Which of several equivalent ones is kept is a choice: those that an engineer looks for first.
 """
 
 from __future__ import annotations
@@ -66,7 +67,8 @@ def placed_calibration(arm: Arm, found: Calibration) -> Calibration:
     kept = {} if arm.calibration is None else arm.calibration.values
     values = {name: kept.get(name, 0.0) for name in chain.fixed} | dict(found.values)
     geometry = CorrectedGeometry(chain, values)
-    return replace(found, values=values, base=geometry.base, tools=MappingProxyType(geometry.tools))
+    tools, axes = MappingProxyType(geometry.tools), MappingProxyType(geometry.tool_axes)
+    return replace(found, values=values, base=geometry.base, tools=tools, tool_axes=axes)
 
 
 def independent(columns: Array, told: float = TOLD) -> list[int]:

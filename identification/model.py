@@ -10,7 +10,7 @@ over links k..n, which is what eq. 4 prints. For arms in space see identificatio
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -58,7 +58,7 @@ class Model:
 
     @cached_property
     def _built(self) -> tuple[tuple[Effect, EffectSpec], ...]:
-        effects = build_all(self.arm.effects, self.joints, self.arm.lengths, self.dimension)
+        effects = build_all(self.arm.effects, self.joints, self.arm.lengths, self.arm.dimension)
         return tuple(zip(effects, self.arm.effects, strict=True))
 
     @cached_property
@@ -108,8 +108,8 @@ class Model:
 
     @property
     def dimension(self) -> int:
-        """d, measured coordinates per posture."""
-        return self.arm.dimension
+        """d, measured coordinates per posture: 2, 3, or 6 of a pose."""
+        return self.arm.dimension if self.arm.chain is None else self.arm.chain.coordinates
 
     @property
     def joints(self) -> int:
@@ -180,9 +180,9 @@ class Model:
     def expressions(self) -> Expressions:
         """The model in CasADi symbols."""
         curved = any(effect.curve is not None for effect in self.effects)
-        extra = ("marker",) * self._markers + ("errors",) * curved
+        extra = ("marker",) * self._markers + ("orientation",) * (self.dimension > 3) + ("errors",) * curved
         parts = (self.effects, self.all_parameters, self.parameters, self.fixed, self.remembers)
-        return Expressions(self.arm, *parts, extra)
+        return Expressions(self.arm, *parts, extra, self.best_known)
 
     @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -213,6 +213,11 @@ class Model:
         """True if several points of the tool are measured."""
         return self.arm.chain is not None and len(self.arm.chain.tools) > 1
 
+    @property
+    def dimensions(self) -> tuple[int, ...]:
+        """Coordinates that measurements may have: of an arm that measures poses also those of points alone."""
+        return tuple(sorted({self.arm.dimension, self.dimension}))
+
     # -- batches ---------------------------------------------------------------------------------------------------
     def position(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
@@ -222,6 +227,11 @@ class Model:
         Postures (K, m, n), with conditions (K, m), are K plans, each with its own parameter set or all with one.
         """
         return self.expressions.position(*self._arguments(postures, parameters, conditions))[0][..., 0]
+
+    def orientations(self, postures: ArrayLike, conditions: Conditions | None = None) -> Array:
+        """(m, 3, 3) orientations of the measured frame for the instrument, as best known, of an arm that measures them."""
+        without = replace(conditions or Conditions(), orientation=None)
+        return self.expressions.orientations(*self._arguments(postures, None, without))
 
     def jacobian(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None
@@ -270,10 +280,8 @@ class Model:
     @property
     def neutral_conditions(self) -> Array:
         """(4+n,) conditions where nothing is said: the arm's payload, mean temperature, the middle of session 1,
-        approach +1; with a memory, of zero angles; of several markers the first."""
-        table = self.condition_table(np.zeros((1, self.joints)), Conditions())[0]
-        width = self.joints * ("errors" in self.expressions.extra)
-        return np.append(table[: len(table) - width], np.zeros(width))
+        approach +1; with a memory, of zero angles; of several markers the first; no orientation measured."""
+        return self.expressions.neutral
 
     def _postures(self, postures: ArrayLike) -> Array:
         q = np.atleast_2d(np.asarray(postures, dtype=float))

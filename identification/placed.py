@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError, nearest
+from identification.kinematics.orientations import mean_rotation
 from identification.kinematics.placement import placed, placed_tool, registered
-from identification.kinematics.spatial import BASE, TOOL, SpatialChain
+from identification.kinematics.spatial import BASE, DIMENSION, TOOL, SpatialChain
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.vectorize import vectorize
@@ -40,17 +41,22 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if (calibration := arm.calibration) is not None:
         found_anew = {BASE, TOOL} - chain.known
         kept = {name: v for name, v in calibration.values.items() if re.split(r"[.\[]", name)[0] not in found_anew}
-        calibration = replace(calibration, values=kept, base=None, tools={})
+        calibration = replace(calibration, values=kept, base=None, tools={}, tool_axes={})
     values = {} if calibration is None else calibration.values
-    found = placed_chain(chain, rows.postures, rows.positions, markers, values)
+    found = placed_chain(chain, rows.postures, rows.positions[:, :3], markers, values)
+    if rows.orientations is not None and TOOL not in chain.known:
+        found = replace(found, tool_axes=tool_axes(found, rows.postures, rows.orientations, markers, values))
     return replace(model, arm=replace(arm, chain=found, calibration=calibration))
 
 
 def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChain:
-    """The chain with the measured points that the data name, in the order of the data; `InputError` for others.
+    """The chain with the measured points that the data name, in the order of the data; `InputError` for others. Without
+    orientations where the data have none.
 
     One point that the arm knows is the one that is measured, whatever the data call it.
     """
+    if chain.angle_scale is not None and measurements.dimension == DIMENSION:
+        chain = replace(chain, angle_scale=None)
     names, tools = measurements.marker_names, chain.tools
     if not names:
         if len(tools) > 1:
@@ -60,7 +66,8 @@ def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChai
     if tuple(tools)[: len(names)] == names:
         return chain
     if len(tools) == 1 == len(names):
-        return replace(chain, tools=dict(zip(names, tools.values(), strict=True)))
+        axes = dict(zip(names, chain.tool_axes.values(), strict=False))
+        return replace(chain, tools=dict(zip(names, tools.values(), strict=True)), tool_axes=axes)
     if TOOL not in chain.known:
         return replace(chain, tools={name: tools.get(name, np.zeros(3)) for name in names})
     for name in names:
@@ -94,6 +101,22 @@ def placed_chain(
         if (own := markers == number).any():
             tools[name] = placed_tool(frames[own], positions[own], base)
     return replace(chain, base=base, tools=tools)
+
+
+def tool_axes(
+    chain: SpatialChain,
+    postures: Array,
+    orientations: Array,
+    markers: NDArray[np.int64],
+    values: Mapping[str, float] = MappingProxyType({}),
+) -> dict[str, Array]:
+    """Name -> (3, 3) axes of the measured frames in the tip's frame that explain orientations (m, 3, 3) best, where the
+    base stands; other arguments as of `placed_chain`."""
+    tips = chain.base[:3, :3] @ tip_frames(chain, postures, values)[:, :3, :3]
+    own = np.swapaxes(tips, -1, -2) @ orientations
+    there = {number: markers == number for number in range(len(chain.tools))}
+    found = {name: mean_rotation(own[there[k]]) for k, name in enumerate(chain.tools) if there[k].any()}
+    return {**chain.tool_axes, **found}
 
 
 def tip_frames(chain: SpatialChain, postures: Array, values: Mapping[str, float] = MappingProxyType({})) -> Array:

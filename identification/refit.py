@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.kinematics.corrected import composed_base, composed_tools, corrected
+from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected
 from identification.kinematics.frames import own_axes_angles
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet, of_effects
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
@@ -28,7 +29,8 @@ def as_calibrated(arm: Arm) -> Arm:
     """The arm with its calibrated geometry as the nominal one; values of effects stay."""
     assert arm.chain is not None
     values = {} if arm.calibration is None else arm.calibration.values
-    kept = None if arm.calibration is None else replace(arm.calibration, values=of_effects(values), base=None, tools={})
+    bare: dict[str, Any] = {"values": of_effects(values), "base": None, "tools": {}, "tool_axes": {}}
+    kept = None if arm.calibration is None else replace(arm.calibration, **bare)
     return replace(arm, chain=corrected(arm.chain, values), calibration=kept)
 
 
@@ -85,4 +87,6 @@ def placed_values(chain: SpatialChain, values: Mapping[str, float]) -> dict[str,
     found |= dict(zip([f"base.r{axis}" for axis in "xyz"], own_axes_angles(base[:3, :3]).tolist(), strict=True))
     for name, place in composed_tools(chain, values).items():
         found |= {f"{TOOL}[{name}].{axis}": float(x) for axis, x in zip("xyz", np.asarray(place), strict=True)}
+    for name, axes in composed_axes(chain, values).items():
+        found |= {f"{TOOL}[{name}].r{axis}": float(x) for axis, x in zip("xyz", own_axes_angles(axes), strict=True)}
     return {name: found.get(name, value) for name, value in values.items()}

@@ -11,6 +11,7 @@ from identification.arrays import Array
 from identification.effects import build, build_all
 from identification.effects.noise import NoiseEffect, Scene
 from identification.errors import InputError
+from identification.kinematics.orientations import turned
 from identification.measurements import Conditions, Measurements, directions_from_order
 from identification.model import Model
 
@@ -25,12 +26,14 @@ def simulate(
     temperature: Array | None = None,
     directions: Array | None = None,
 ) -> Measurements:
-    """Measure `truth` once at each posture, in the given order; of several measured points every one.
+    """Measure `truth` once at each posture, in the given order; of several measured points every one, with orientations
+    where the truth measures them.
 
     truth : arm whose calibration and effect values are the true ones; what has no value is zero, but an effect on the
         scatter needs all of its values
     postures : (m, n) commanded joint angles [rad]
-    sigma : standard deviation per axis [mm], default the arm's; 0 gives exact positions
+    sigma : standard deviation per axis [mm], default the arm's; 0 gives exact positions. Of orientations in the same
+        ratio to `sigma_deg` as in the truth
     payload, temperature : (m,) conditions per row, where the truth needs them [kg], [deg C]
     directions : (m, n) of approach, +1 or -1; left out: they follow from the order
     """
@@ -51,7 +54,10 @@ def simulate(
     errors = noise * generator.standard_normal(exact.shape)
     session = replace(session, positions=exact)
     errors = disturbed(errors, truth, session, session.conditions, noise, generator)
-    return replace(session, positions=exact + errors)
+    if truth.chain is None or (scale := truth.chain.angle_scale) is None:
+        return replace(session, positions=exact + errors)
+    seen = turned(errors[:, 3:] / scale) @ model.orientations(q, session.conditions)
+    return replace(session, positions=(exact + errors)[:, :3], orientations=seen)
 
 
 def _of_each_point(session: Measurements, names: tuple[str, ...]) -> Measurements:

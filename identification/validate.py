@@ -20,7 +20,7 @@ from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.information import spectrum
 from identification.kinematics.parameters import REVOLUTE
-from identification.measurements import Conditions, Measurements
+from identification.measurements import Conditions, Measurements, distances
 from identification.model import Model
 from identification.refit import placed_values, refit_model, refit_parameters
 
@@ -95,12 +95,12 @@ class Validation:
     @property
     def model(self) -> Figures:
         """Of the calibrated model, over all rows."""
-        return Figures.of(np.linalg.norm(self.residuals, axis=1))
+        return Figures.of(distances(self.residuals))
 
     @property
     def nominal(self) -> Figures:
         """Of the drawing, refitted in the same way, over all rows."""
-        return Figures.of(np.linalg.norm(self.nominal_residuals, axis=1))
+        return Figures.of(distances(self.nominal_residuals))
 
     @property
     def blocks(self) -> tuple[Block, ...]:
@@ -108,7 +108,7 @@ class Validation:
         return tuple(self._block(*group) for group in _groups(self.arm, self.measurements))
 
     def _block(self, kind: str, name: str, rows: NDArray[np.int64]) -> Block:
-        figures = (Figures.of(np.linalg.norm(r[rows], axis=1)) for r in (self.residuals, self.nominal_residuals))
+        figures = (Figures.of(distances(r[rows])) for r in (self.residuals, self.nominal_residuals))
         return Block(kind, name, len(rows), *figures)
 
     def to_json(self) -> dict[str, Any]:
@@ -187,7 +187,7 @@ def check(model: Model, measurements: Measurements) -> None:
         ("joints", measurements.links, model.joints),
         ("coordinates", measurements.dimension, model.dimension),
     ):
-        if found != needed:
+        if found != needed and (what == "joints" or found not in model.dimensions):
             raise InputError(f"measurements: found {found} {what}, allowed: {needed}, as the arm has")
     if "gravity" in model.needs and model.arm.gravity is None:
         raise InputError("gravity: an effect of the arm needs it, allowed: an arm file with a [gravity] table")

@@ -13,6 +13,7 @@ from identification.arrays import Array
 from identification.estimation.intervals import quantile_95
 from identification.gap.detectability import Detectability
 from identification.gap.result import Diagnosis
+from identification.measurements import distances
 from identification.model import Model
 
 COLUMNS = 3
@@ -33,7 +34,7 @@ def against_figure(diagnosis: Diagnosis) -> Figure:
     for axis, (name, values) in zip(axes, shown.against.items(), strict=False):
         x, label = (np.degrees(values), name.replace("[rad]", "[deg]")) if "[rad]" in name else (values, name)
         for residuals, color, when in ((shown.before, BEFORE, "before"), (shown.after, AFTER, "after")):
-            distance = np.linalg.norm(residuals[kept], axis=1)
+            distance = distances(residuals[kept])
             style = {"ms": 3, "alpha": 0.5} if len(distance) <= MANY else {"ms": 1, "alpha": 0.2, "rasterized": True}
             axis.plot(x[kept], distance, ".", color=color, **style)
             axis.plot(*binned_rms(x[kept], distance), color=color, lw=1.8, label=when)
@@ -68,7 +69,7 @@ def workspace_figure(diagnosis: Diagnosis) -> Figure:
     axes = workspace_axes(figure, dimension)
     pairs = ((shown.before, BEFORE, "before"), (shown.after, AFTER, "after"))
     for column, (residuals, color, name) in zip(axes, pairs, strict=True):
-        scale = 0.12 * diagnosis.arm.reach / (float(np.linalg.norm(shown.before[kept], axis=1).max()) or 1.0)
+        scale = 0.12 * diagnosis.arm.reach / (float(distances(shown.before[kept]).max()) or 1.0)
         draw_residual_arrows(column, shown.positions[kept], residuals[kept], color, name, float(scale))
     return figure
 

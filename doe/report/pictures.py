@@ -19,8 +19,8 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.io import write_whole
-from identification.gap.holdout import rms_distance
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE
+from identification.measurements import distances, rms_distance
 from identification.model import Model
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 
@@ -164,13 +164,13 @@ def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, 
     top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.3 * views, 1.0]))
     pairs = ((before, BEFORE, "before"), (after, AFTER, "after"))
     for column, (residuals, color, name) in zip(workspace_axes(top, arm.dimension), pairs, strict=True):
-        size = float(np.linalg.norm(residuals, axis=1).max()) or 1.0
+        size = float(distances(residuals).max()) or 1.0
         scale = 0.12 * arm.reach / size  # the largest arrow is an eighth of the reach
         draw_residual_arrows(column, positions, residuals, color, name, scale)
     strips = np.atleast_1d(bottom.subplots(1, arm.links, sharey=True))
     for j, axis in enumerate(strips):
         for residuals, color in ((before, BEFORE), (after, AFTER)):
-            axis.plot(np.degrees(postures[:, j]), np.linalg.norm(residuals, axis=1), ".", color=color, ms=4, alpha=0.7)
+            axis.plot(np.degrees(postures[:, j]), distances(residuals), ".", color=color, ms=4, alpha=0.7)
         axis.set(xlabel=f"$q_{j + 1}$ [deg]", yscale="log")
     strips[0].set_ylabel("residual [mm]")
     return figure

@@ -12,6 +12,7 @@ from doe.report.gap_figures import MANY, binned_rms
 from doe.report.pictures import AFTER, BEFORE, draw_residual_arrows, projections, workspace_axes
 from doe.report.terminal import NARROW, number, table
 from identification.arrays import Array
+from identification.measurements import distances
 from identification.validate import Figures, Validation
 
 REFITTED = {
@@ -60,10 +61,10 @@ def validation_figure(found: Validation) -> Figure:
     pairs = ((found.nominal_residuals, BEFORE, "drawing"), (found.residuals, AFTER, "model"))
     axis = top.subplots()
     for residuals, color, name in pairs:
-        _draw_distances(axis, np.linalg.norm(residuals[found.measurements.sequence], axis=1), color, name)
+        _draw_distances(axis, distances(residuals[found.measurements.sequence]), color, name)
     axis.set(xlabel="measurement, in order", ylabel="distance [mm]", ylim=(0, None))
     axis.legend(frameon=False, fontsize=8)
-    largest = max(float(np.linalg.norm(residuals, axis=1).max()) for residuals, _, _ in pairs) or 1.0
+    largest = max(float(distances(residuals).max()) for residuals, _, _ in pairs) or 1.0
     scale = 0.12 * found.arm.reach / largest
     for column, (residuals, color, name) in zip(workspace_axes(bottom, found.arm.dimension), pairs, strict=True):
         draw_residual_arrows(column, found.measurements.positions, residuals, color, name, scale)

@@ -43,6 +43,7 @@ class Chain:
     errors: ca.SX | None = None  # (n,) [rad] that error curves say at this posture, None: there are none
     turn: ca.SX | float = 0.0  # [rad] of gravity, against the arm's own; in space three, about x, y, z of the base
     marker: ca.SX | None = None  # number of the measured point, from 0
+    reference: ca.SX | None = None  # (9,) orientation to compare with, by columns, None: none is measured
 
     @classmethod
     def of(cls, arm: Arm, q: ca.SX, c: ca.SX) -> Chain:

@@ -48,7 +48,8 @@ def state_size(links: int, dimension: int = 2) -> int:
 
 
 def measured_position(chain: Chain, effects: Sequence[Effect], values: ca.SX) -> ca.SX:
-    """(d,) measured position [mm]: joints -> links -> mounting -> instrument (identification/README.md, "Effects").
+    """(d,) measured position [mm]: joints -> links -> mounting -> instrument (identification/README.md, "Effects");
+    where orientations are measured with three numbers more, see `Expressions.symbols`.
 
     values : those of the geometry, then the parameters of the effects in order
     """
@@ -74,9 +75,10 @@ def position_and_state(
     for effect, v in parts:
         for place, value in _inside(effect, chain, v, plain).items():
             more[place] += value
-    tip = chain.geometry.tip(chain.q + more["joint_angles"], geometry, more, chain.marker)
+    real = chain.q + more["joint_angles"]
+    tip, turned = chain.geometry.tip(real, geometry, more, chain.marker, chain.reference)
     measured = tip + more["instrument"] + sum(e.instrument(tip, v) for e, v in parts)
-    return measured, ca.vertcat(payload, turn, plain, tip)
+    return ca.vertcat(measured, turned), ca.vertcat(payload, turn, plain, tip)
 
 
 def _inside(effect: Effect, chain: Chain, values: ca.SX, lengths: ca.SX) -> dict[str, ca.SX | float]:

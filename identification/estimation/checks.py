@@ -37,7 +37,7 @@ def check(model: Model, measurements: Measurements, prior: Prior | None = None) 
     n, m, p = model.joints, len(measurements), len(model.parameters)
     if measurements.links != n:
         raise InputError(f"measurements: {measurements.links} joints for an arm of {n} links, allowed: {n}")
-    if measurements.dimension != model.dimension:
+    if measurements.dimension not in getattr(model, "dimensions", (model.dimension,)):
         allowed = f"allowed: {model.dimension} as the model has"
         raise InputError(f"measurements: positions of {measurements.dimension} coordinates, {allowed}")
     if p == 0:
@@ -45,7 +45,7 @@ def check(model: Model, measurements: Measurements, prior: Prior | None = None) 
     _check_needs(model, measurements)
     held = {*model.prior, *(() if prior is None else prior.deviations)}
     p -= len(held & set(model.names))
-    if (d := model.dimension) * m < p:
+    if (d := measurements.dimension) * m < p:
         found = f"{d} m = {d * m} < p = {p}"
         raise InputError(f"measurements: fewer equations than unknowns: {found}, allowed: m >= {-(-p // d)}")
 

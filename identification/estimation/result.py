@@ -19,7 +19,7 @@ from identification.estimation.uncertainty import LEVEL, Uncertainty
 from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint
 from identification.kinematics.planar import orientation_transform
-from identification.measurements import rms_distance
+from identification.measurements import POINT, distances, rms_distance
 from identification.model import Model
 from identification.status import Status
 
@@ -163,12 +163,22 @@ class Identification:
     @property
     def max_before(self) -> float:
         """Largest distance over rows [mm], arm as it was."""
-        return float(np.max(np.linalg.norm(self.residuals_before, axis=1)))
+        return float(np.max(distances(self.residuals_before)))
 
     @property
     def max_after(self) -> float:
         """Largest distance over rows [mm], arm as identified."""
-        return float(np.max(np.linalg.norm(self.residuals_after, axis=1)))
+        return float(np.max(distances(self.residuals_after)))
+
+    @property
+    def rms_angles(self) -> tuple[float, float] | None:
+        """Root mean squares over rows of the angles between measured and computed orientations [rad], arm as it was and
+        as identified; None where none are measured."""
+        chain = getattr(self.model, "arm", None) and self.model.arm.chain
+        if chain is None or chain.angle_scale is None:
+            return None
+        before, after = (rms_distance(r[:, POINT.stop :]) for r in (self.residuals_before, self.residuals_after))
+        return before / chain.angle_scale, after / chain.angle_scale
 
     # -- onward ----------------------------------------------------------------------------------------------------
     def calibration(self) -> Calibration:
@@ -179,7 +189,7 @@ class Identification:
         calibration = Calibration(self._everything, self.names, cov, provenance)
         if (geometry := self.geometry) is None:
             return calibration
-        return replace(calibration, base=geometry.base, tools=geometry.tools)
+        return replace(calibration, base=geometry.base, tools=geometry.tools, tool_axes=geometry.tool_axes)
 
     @cached_property
     def geometry(self) -> CorrectedGeometry | None:
@@ -204,6 +214,7 @@ class Identification:
             "rms_after_mm": self.rms_after,
             "max_before_mm": self.max_before,
             "max_after_mm": self.max_after,
+            **dict(zip(("rms_before_deg", "rms_after_deg"), np.degrees(self.rms_angles or ()).tolist(), strict=False)),
             "method": self.method,
             "status": self.status.name,
             "warnings": list(self.warnings),
@@ -247,6 +258,8 @@ class Identification:
         lines.append(f"95 % intervals: {self.uncertainty.sentence}")
         lines.append(f"RMS {self.rms_before:.4g} -> {self.rms_after:.4g} mm")
         lines.append(f"max {self.max_before:.4g} -> {self.max_after:.4g} mm")
+        if self.rms_angles is not None:
+            lines.append("orientations, RMS {:.4g} -> {:.4g} deg".format(*np.degrees(self.rms_angles)))
         lines.append(f"{self.method}: {self.outcome}")
         return "\n".join(lines)
 

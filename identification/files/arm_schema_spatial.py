@@ -53,7 +53,10 @@ class TravelsTable(StrictTable):
 
 
 class PoseTable(StrictTable):
-    """`[base]`: a pose, its rotation about its own x, then y, then z."""
+    """`[base]`, `[tool]` or `[tool.MARKER]`: a pose, its rotation about its own x, then y, then z.
+
+    A tool is a measured point in the frame of the tip; only where orientations are measured its rotation counts.
+    """
 
     x_mm: Coordinate = Field(0.0, description=COORDINATE)
     y_mm: Coordinate = Field(0.0, description=COORDINATE)
@@ -61,14 +64,6 @@ class PoseTable(StrictTable):
     rx_deg: Angle = Field(0.0, description=ANGLE)
     ry_deg: Angle = Field(0.0, description=ANGLE)
     rz_deg: Angle = Field(0.0, description=ANGLE)
-
-
-class PointTable(StrictTable):
-    """`[tool]`, or `[tool.MARKER]`: a measured point in the frame of the tip."""
-
-    x_mm: Coordinate = Field(0.0, description=COORDINATE)
-    y_mm: Coordinate = Field(0.0, description=COORDINATE)
-    z_mm: Coordinate = Field(0.0, description=COORDINATE)
 
 
 class MachiningTable(StrictTable):
@@ -224,4 +219,4 @@ _TABLES: dict[str, type[BaseModel]] = {
     "constraints.keep_out_cylinder": CylinderTable,
     "constraints.line_of_sight": SpatialSightTable,
 }
-SPATIAL, POINTS = Schema(_TABLES), Schema({"": PointTable})
+SPATIAL, TOOLS = Schema(_TABLES), Schema({"": PoseTable})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -24,8 +25,8 @@ from identification.files.arm_effects import (
     gravity_of,
 )
 from identification.files.arm_schema_spatial import (
-    POINTS,
     SPATIAL,
+    TOOLS,
     AnglesTable,
     CylinderTable,
     MachiningTable,
@@ -34,6 +35,7 @@ from identification.files.arm_schema_spatial import (
     SpatialBoxTable,
     SpatialCalibrationTable,
     SpatialConstraint,
+    SpatialMeasurementTable,
     SphereTable,
     TravelsTable,
 )
@@ -63,7 +65,8 @@ def spatial_arm(tables: Mapping[str, Any], folder: PathLike) -> Arm:
     if table is not None:
         chain = _with_markers(chain, table)
         calibration = _calibration(table, chain, file_names(chain.parameters(), effects))
-        chain = before_errors(chain, calibration.values, calibration.base, calibration.tools)
+        axes = calibration.tool_axes if chain.angle_scale is not None else {}
+        chain = before_errors(chain, calibration.values, calibration.base, calibration.tools, axes)
     return Arm.of_chain(
         chain,
         sigma=None if file.measurement is None else file.measurement.sigma_mm,
@@ -145,8 +148,22 @@ def _standing(file: SpatialArmFile, chain: SpatialChain) -> SpatialChain:
     if file.base is not None:
         chain = replace(chain, base=_pose(file.base), known=chain.known | {BASE})
     if file.tool is not None:
-        chain = replace(chain, tools=_tools(file.tool), known=chain.known | {TOOL})
-    return chain
+        tools, axes = _tools(file.tool)
+        chain = replace(chain, tools=tools, tool_axes=axes, known=chain.known | {TOOL})
+    return replace(chain, angle_scale=_angle_scale(file.measurement))
+
+
+def _angle_scale(table: SpatialMeasurementTable | None) -> float | None:
+    """[mm/rad] of orientations, whose residuals weigh as much as those of positions; None: they are not measured."""
+    if table is None or table.sigma_deg is None:
+        return None
+    if table.sigma_mm is None:
+        found = (
+            "found without sigma_mm: orientations are not used; what a degree weighs against a millimetre is not known"
+        )
+        warnings.warn(f"measurement.sigma_deg: {found}", UserWarning, stacklevel=2)
+        return None
+    return table.sigma_mm / float(np.radians(table.sigma_deg))
 
 
 def _pose(table: PoseTable) -> Array:
@@ -154,14 +171,15 @@ def _pose(table: PoseTable) -> Array:
     return pose((table.x_mm, table.y_mm, table.z_mm), from_own_axes(*angles))
 
 
-def _tools(table: Mapping[str, Any], place: str = "tool") -> dict[str, Array]:
-    """Name -> (3,) point of `[tool]`, which is of marker 1, or of `[tool.MARKER]`."""
+def _tools(table: Mapping[str, Any], place: str = "tool") -> tuple[dict[str, Array], dict[str, Array]]:
+    """Name -> (3,) point of `[tool]`, which is of marker 1, or of `[tool.MARKER]`; and name -> its (3, 3) axes."""
     several = table and all(isinstance(value, dict) for value in table.values())
     points = (
         {name: (f"{place}.{name}.", value) for name, value in table.items()} if several else {"1": ("tool.", table)}
     )
-    read = {name: POINTS.validated(value, where) for name, (where, value) in points.items()}
-    return {name: readonly((point.x_mm, point.y_mm, point.z_mm)) for name, point in read.items()}
+    read = {name: _pose(TOOLS.validated(value, where)) for name, (where, value) in points.items()}
+    places = {name: readonly(found[:3, 3]) for name, found in read.items()}
+    return places, {name: readonly(found[:3, :3]) for name, found in read.items()}
 
 
 # -- what else the file says -------------------------------------------------------------------------------------------
@@ -199,7 +217,8 @@ def _with_markers(chain: SpatialChain, table: SpatialCalibrationTable) -> Spatia
     """With the measured points of the calibration, where the file does not give them as known."""
     if TOOL in chain.known or not table.tools:
         return chain
-    return replace(chain, tools=_tools(table.tools, "calibration.tools"))
+    tools, axes = _tools(table.tools, "calibration.tools")
+    return replace(chain, tools=tools, tool_axes=axes)
 
 
 def _calibration(table: SpatialCalibrationTable, chain: SpatialChain, names: list[FileName]) -> Calibration:
@@ -221,5 +240,6 @@ def _calibration(table: SpatialCalibrationTable, chain: SpatialChain, names: lis
         covariance,
         MappingProxyType(dict(table.provenance)),
         None if table.base is None else _pose(table.base),
-        {} if TOOL in chain.known or not table.tools else dict(chain.tools),
+        dict(chain.tools) if (found := table.tools and TOOL not in chain.known) else {},
+        dict(chain.tool_axes) if found and chain.angle_scale is not None else {},
     )

@@ -179,7 +179,7 @@ def _planar_errors(calibration: Calibration) -> Plain:
 
 
 def _spatial_errors(calibration: Calibration, by_api: Mapping[str, FileName]) -> Plain:
-    from identification.kinematics.frames import point_table, pose_table
+    from identification.kinematics.frames import pose_table, tool_tables
 
     geometry = {name: value for name, value in calibration.values.items() if GEOMETRY.fullmatch(name)}
     _require_known(geometry, by_api)
@@ -187,7 +187,7 @@ def _spatial_errors(calibration: Calibration, by_api: Mapping[str, FileName]) ->
     if calibration.base is not None:
         tables["base"] = pose_table(calibration.base)
     if calibration.tools:
-        tables["tools"] = {name: point_table(place) for name, place in calibration.tools.items()}
+        tables["tools"] = tool_tables(calibration.tools, calibration.tool_axes)
     return tables
 
 

@@ -23,7 +23,7 @@ FINITE = "a finite number"
 # columns that mean something by themselves: none of them is a misspelling of another
 KNOWN = re.compile(
     r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
-    r"|marker|r[xyz]_deg|q[wxyz]|commanded\d+_(deg|mm)"
+    r"|marker|r[xyz]_(deg|rad)|q[wxyz]|commanded\d+_(deg|rad|mm?)"
 )
 Test = Callable[[Array], NDArray[np.bool_]]
 

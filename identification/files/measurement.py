@@ -17,6 +17,7 @@ from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.files.csv import KNOWN, Table, Test, read_table
 from identification.files.io import PathLike
+from identification.files.orientation import angle_columns, orientation_columns, read_orientations
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.measurements import Measurements
 
@@ -43,6 +44,7 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     axes = "xyz" if spatial else "xy"
     postures = read_postures(table, types)
     n = postures.shape[1]
+    poses = isinstance(links, Arm) and links.chain is not None and links.chain.angle_scale is not None
     conditions: dict[str, Any] = dict(read_conditions(table, n))
     measurements = Measurements(
         postures=postures,
@@ -53,11 +55,15 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
         repeats=_repeats(table),
         session=table.texts("session") if "session" in table else None,
         marker=table.texts("marker") if spatial and "marker" in table else None,
+        orientations=read_orientations(table) if poses else None,
         provenance=MappingProxyType({"file": table.file_name, "sha256": table.sha256}),
     )
     lengths = [f"{name}_{unit}" for name in (*axes, "sigma") for unit in ("mm", "m")]
     optional = [*_OPTIONAL, *(["marker"] if spatial else []), *_OF_PLANS, *(f"direction{j}" for j in range(1, n + 1))]
-    warn_unknown(table, [*joint_columns(table, types), *lengths, *optional])
+    optional += orientation_columns(table) if poses else []
+    wanted = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
+    hint = wanted if spatial and not poses and orientation_columns(table) else ""
+    warn_unknown(table, [*joint_columns(table, types), *lengths, *optional], hint)
     return measurements
 
 
@@ -65,6 +71,7 @@ def measurement_text(measurements: Measurements, joint_types: JointTypes = None)
     """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad)."""
     columns = posture_columns(measurements.postures, joint_types)
     columns |= {f"{axis}_mm": column for axis, column in zip("xyz", measurements.positions.T, strict=False)}
+    columns |= {} if measurements.orientations is None else angle_columns(measurements.orientations)
     if measurements.order is not None:
         whole = bool(np.all(measurements.order == np.round(measurements.order)))
         columns["order" if whole else "time_s"] = measurements.order
@@ -157,18 +164,22 @@ def csv_text(columns: dict[str, NDArray[np.generic]]) -> str:
     return pl.DataFrame(series).write_csv()
 
 
-def warn_unknown(table: Table, known: Iterable[str]) -> None:
-    """One `UserWarning` for all columns that are not `known`, with the nearest known one where there is one."""
+def warn_unknown(table: Table, known: Iterable[str], hint: str = "") -> None:
+    """One `UserWarning` for all columns that are not `known`, with the nearest known one where there is one.
+
+    hint : what else to say
+    """
     known = list(known)
     unknown = []
     for column in table.columns:
         if column not in known:
-            hint = nearest(column, [k for k in known if k not in table] or known).partition(" allowed:")[0]
-            hint = "" if KNOWN.fullmatch(column) else hint
-            unknown.append(f"{column!r} ({hint})" if hint.startswith("did you mean") else f"{column!r}")
+            near = nearest(column, [k for k in known if k not in table] or known).partition(" allowed:")[0]
+            near = "" if KNOWN.fullmatch(column) else near
+            unknown.append(f"{column!r} ({near})" if near.startswith("did you mean") else f"{column!r}")
     if unknown:
         columns = "column is" if len(unknown) == 1 else "columns are"
-        warnings.warn(f"{table.path}: {columns} not used: {', '.join(unknown)}", UserWarning, stacklevel=3)
+        more = f"; {hint}" if hint else ""
+        warnings.warn(f"{table.path}: {columns} not used: {', '.join(unknown)}{more}", UserWarning, stacklevel=3)
 
 
 def read_conditions(table: Table, n: int) -> dict[str, Array | None]:

@@ -22,7 +22,7 @@ from identification.gap.search import Choice, HypothesisSearch, bic_change
 from identification.gap.whitening import Rows
 from identification.gap.workflow import Findings
 from identification.information import column_space
-from identification.measurements import Conditions, Measurements
+from identification.measurements import POINT, Conditions, Measurements, distances
 
 # reasons: identification/README.md, "Constants"
 FOLDS = 5
@@ -61,7 +61,7 @@ def validate_choice(
     rivals.add(frozenset(h.label for h in chosen))
     named = search.fit(chosen)
     left, expected = (np.concatenate([getattr(fold, name) for fold in folds]) for name in ("squares", "expected"))
-    own = named.squares * rows.dimension / max(named.freedom, 1)
+    own = float(np.sum(named.residual.reshape(len(rows), -1)[:, POINT] ** 2)) * rows.dimension / max(named.freedom, 1)
     again = float(np.mean([fold.labels in rivals for fold in folds]))
     return ChoiceValidation(again, max(0.0, float(np.mean(left - expected)) - own))
 
@@ -106,7 +106,7 @@ def _predicted(model: Array, residual: Array, out: NDArray[np.bool_], d: int) ->
     left = residual[~out] - unit[~out] @ (inverse @ residual[~out])
     noise = float(left @ left) / max(len(left) - np.linalg.matrix_rank(inverse), 1)
     spread = noise * np.square(unit[out] @ inverse).sum(axis=1)
-    return np.square(error).reshape(-1, d).sum(axis=1), spread.reshape(-1, d).sum(axis=1)
+    return np.square(error).reshape(-1, d)[:, POINT].sum(axis=1), spread.reshape(-1, d)[:, POINT].sum(axis=1)
 
 
 def disagreement(found: Findings, likely: Probabilities, rows: Measurements, there: Conditions) -> float:
@@ -116,4 +116,4 @@ def disagreement(found: Findings, likely: Probabilities, rows: Measurements, the
     rivals = [((), likely.none), *((rival, likely.of(h.key for h in rival)) for rival, _ in found.selection.rivals)]
     named = search.fit(chosen).position_residuals(rows, there)
     moved = [(p, search.fit(rival).position_residuals(rows, there) - named) for rival, p in rivals]
-    return float(sum(p * np.mean(np.square(by).sum(axis=1)) for p, by in moved))
+    return float(sum(p * np.mean(distances(by) ** 2) for p, by in moved))

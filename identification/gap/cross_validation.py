@@ -19,7 +19,7 @@ from identification.gap.confirmation import LEVEL, Confirmation, Groups, HeldOut
 from identification.gap.curve_fit import inverse_if_clear
 from identification.gap.fit import Fit
 from identification.gap.holdout import groups_of
-from identification.measurements import Measurements
+from identification.measurements import POINT, Measurements
 
 # reasons: identification/README.md, "Constants"
 FOLDS = 8
@@ -28,8 +28,8 @@ QUESTIONS = 2  # transfers that are tested, over which the level is divided
 
 
 class CrossValidated(NamedTuple):
-    """Residuals (m, d) [mm] of rows by fits to the other parts, and (m,) the mean square that these fits predict for
-    the rows of the same part."""
+    """Residuals (m, d) [mm] of rows by fits to the other parts, and (m,) the mean square distance that these fits
+    predict for the rows of the same part."""
 
     residual: Array
     predicted: Array
@@ -80,7 +80,7 @@ def cross_validate(found: Fit | Linearized, folds: Groups) -> CrossValidated:
 
 
 def _predicted(problem: Linearized, part: NDArray[np.int64], moved: Array, step: Array, inverse: Array) -> float:
-    """Mean square of the rows of a part that the other rows predict: their noise, and errors of the parameters.
+    """Mean square distance of a part's rows that the other rows predict: their noise, and errors of the parameters.
 
     moved : (m, d) left of all rows after the step from all rows to the others;  inverse : of their normal matrix
     """
@@ -89,8 +89,8 @@ def _predicted(problem: Linearized, part: NDArray[np.int64], moved: Array, step:
     d = moved.shape[1]
     freedom = max(int(others.sum()) * d - problem.determined, 1.0)
     white = moved if problem.white is problem.columns else problem.white_left - problem.white @ step
-    spread = np.sum(inverse * _gram(problem.columns[part])) / len(part)
-    return float(np.sum(moved[others] ** 2) * d + np.sum(white[others] ** 2) * spread) / freedom
+    spread = np.sum(inverse * _gram(problem.columns[part, POINT])) / len(part)
+    return float(np.sum(moved[others, POINT] ** 2) * d + np.sum(white[others] ** 2) * spread) / freedom
 
 
 def _normal(jacobian: Array, residual: Array) -> tuple[Array, Array]:
@@ -146,12 +146,13 @@ def cross_validation(
 
 
 def _held_out(base: Linearized, named: Linearized, folds: Groups) -> HeldOut:
-    before, after = cross_validate(base, folds), cross_validate(named, folds)
+    left, found = cross_validate(base, folds).residual[:, POINT], cross_validate(named, folds)
+    after = found.residual[:, POINT]
     return HeldOut(
-        np.square(before.residual).sum(axis=1),
-        np.square(after.residual).sum(axis=1),
-        Mean(float(np.mean(after.predicted)), 0.0, np.inf),
-        np.square(before.residual - after.residual).sum(axis=1),
-        float(np.sqrt(np.mean(after.predicted) / after.residual.shape[1])),
-        after.residual.shape[1],
+        np.square(left).sum(axis=1),
+        np.square(after).sum(axis=1),
+        Mean(float(np.mean(found.predicted)), 0.0, np.inf),
+        np.square(left - after).sum(axis=1),
+        float(np.sqrt(np.mean(found.predicted) / after.shape[1])),
+        after.shape[1],
     )

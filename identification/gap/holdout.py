@@ -12,7 +12,7 @@ from identification.errors import InputError
 from identification.gap.confirmation import Confirmation, Groups, HeldOut, Mean, confirm, groupings, mean_of
 from identification.gap.fit import Fit
 from identification.gap.repeats import NOTHING_KNOWN, NoiseFloor
-from identification.measurements import Conditions, Measurements, rms_distance
+from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 
 SESSION = "another session"
 
@@ -110,8 +110,8 @@ def held_out(
     mismatch : mean square distance [mm^2] that the choice of the named model adds
     """
     there = held_out_conditions(measurements, holdout)
-    before, after = (fit.position_residuals(holdout, there) for fit in (base, named))
-    own = np.square(named.position_residuals(measurements, measurements.conditions)[kept]).sum(axis=1)
+    before, after = (fit.position_residuals(holdout, there)[:, POINT] for fit in (base, named))
+    own = np.square(named.position_residuals(measurements, measurements.conditions)[kept, POINT]).sum(axis=1)
     white = 2.0 * float(np.mean(own)) ** 2 / max(named.freedom, 1)  # the variance that white Gaussian noise gives
     left = mean_of(own, groups_of(measurements, kept), white)
     # parameters are adapted to their own rows, where they leave less than in new ones
@@ -122,8 +122,8 @@ def held_out(
         np.square(after).sum(axis=1),
         Mean(scale * left.value + added.value + mismatch, scale**2 * left.variance + added.variance, left.freedom),
         np.square(before - after).sum(axis=1),
-        float(np.sqrt(scale * left.value / named.model.dimension)),
-        named.model.dimension,
+        float(np.sqrt(scale * left.value / before.shape[1])),
+        before.shape[1],
     )
 
 
@@ -141,7 +141,7 @@ def parameter_part(found: Fit, rows: Measurements, there: Conditions) -> Mean:
     tr(G C), its variance 2 tr(G C G C).
     """
     columns, covariance = found.uncertain(rows.postures, there)
-    tall = columns.reshape(-1, columns.shape[-1])
+    tall = columns[:, POINT].reshape(-1, columns.shape[-1])
     product = tall.T @ tall / len(rows) @ covariance
     return Mean(float(np.trace(product)), 2.0 * float(np.trace(product @ product)), np.inf)
 
@@ -153,11 +153,11 @@ def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements)
     part of the workspace stays below, other links or another set-up of base and instrument do not.
     """
     there = held_out_conditions(measurements, holdout)
-    left = np.square(base.position_residuals(measurements, measurements.conditions)).sum(axis=1)
+    left = distances(base.position_residuals(measurements, measurements.conditions)) ** 2
     expected = float(np.sqrt(np.mean(left) + parameter_part(base, holdout, there).value))
     limit = max(10.0 * expected, 0.01 * base.model.reach)
     # the median, since a few outliers do not make it another arm
-    missed = float(np.median(np.linalg.norm(base.position_residuals(holdout, there), axis=1)))
+    missed = float(np.median(distances(base.position_residuals(holdout, there))))
     if missed > limit:
         raise InputError(
             f"holdout: median residual {missed:.3g} mm with the arm calibrated on the data, allowed: up to {limit:.3g} "

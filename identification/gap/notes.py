@@ -87,7 +87,7 @@ def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measur
     ]
     if arm.sigma is not None:
         share = len(fit.residual) / max(fit.freedom, 1)
-        ratio = gap.rms_after * float(np.sqrt(share / measurements.dimension)) / arm.sigma
+        ratio = gap.rms_after * float(np.sqrt(share / min(measurements.dimension, 3))) / arm.sigma
         if measurements.sigma is None and not 0.67 < ratio < 1.5:
             of_file = f"{ratio:.2f} times the sigma_mm of the arm file"
             said.append(f"the residual scatter is {of_file}; the tests use the scatter, not sigma_mm")

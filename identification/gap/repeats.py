@@ -11,7 +11,7 @@ from scipy.special import fdtrc
 from identification.arrays import Array
 from identification.gap.noise import LEVEL, Finding
 from identification.gap.posture_neighbors import FAR
-from identification.measurements import Measurements
+from identification.measurements import POINT, Measurements
 
 # reasons: identification/README.md, "Constants"
 FEWEST = 4  # degrees of freedom of a standard deviation worth printing
@@ -106,14 +106,14 @@ def noise_floor(
     kept : (m,) rows that are no outliers;  sigma : of the arm file [mm], None: unknown
     """
     groups, time = repeats_in_time(measurements, kept)
-    far = far_apart(groups, time)
+    far, points = far_apart(groups, time), residual[kept, POINT]
     stretch = np.floor(time / FAR).astype(np.int64)
     if measurements.sigma is not None:
         sigma = float(np.sqrt(np.mean(measurements.sigma[kept] ** 2)))
     return NoiseFloor(
-        pure_error(residual[kept][far], groups[far]).rms,
-        pure_error(residual[kept], groups * (stretch.max() + 1) + stretch).rms,
-        None if sigma is None else sigma * float(np.sqrt(residual.shape[1])),
+        pure_error(points[far], groups[far]).rms,
+        pure_error(points, groups * (stretch.max() + 1) + stretch).rms,
+        None if sigma is None else sigma * float(np.sqrt(points.shape[1])),
     )
 
 

@@ -106,7 +106,7 @@ class HypothesisSearch:
     def linear(self) -> bool:
         """True where all columns are taken at the base fit: of many rows, and in space, where a model takes longer to
         set up than its fit takes."""
-        return len(self.rows) >= SAME_COLUMNS or self.rows.dimension == 3
+        return len(self.rows) >= SAME_COLUMNS or self.rows.dimension != 2
 
     @cached_property
     def slopes(self) -> Slopes:

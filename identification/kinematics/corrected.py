@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -20,7 +21,13 @@ def corrected(chain: SpatialChain, values: Numbers) -> SpatialChain:
     joints = tuple(
         replace(joint, origin=_corrected_origin(joint, j, values)) for j, joint in enumerate(chain.joints, start=1)
     )
-    return replace(chain, joints=joints, base=composed_base(chain, values), tools=composed_tools(chain, values))
+    return replace(standing_in(chain, values), joints=joints)
+
+
+def standing_in(chain: SpatialChain, values: Numbers) -> SpatialChain:
+    """The chain with base and measured points or frames where its errors bring them; its joints as they are."""
+    tools, axes = composed_tools(chain, values), composed_axes(chain, values)
+    return replace(chain, base=composed_base(chain, values), tools=tools, tool_axes=axes)
 
 
 def composed_base(chain: SpatialChain, values: Numbers) -> Array:
@@ -34,16 +41,31 @@ def composed_tools(chain: SpatialChain, values: Numbers) -> dict[str, Array]:
     return {name: np.asarray(place) + _tool_error(values, name) for name, place in chain.tools.items()}
 
 
-def before_errors(chain: SpatialChain, values: Numbers, base: Array | None, tools: Mapping[str, Array]) -> SpatialChain:
-    """The chain of which the errors make these: the reverse of `composed_base` and `composed_tools`.
+def composed_axes(chain: SpatialChain, values: Numbers) -> dict[str, Array]:
+    """Name of each measured frame -> (3, 3) its axes in the tip's frame; where only points are measured as they are."""
+    if chain.angle_scale is None:
+        return dict(chain.tool_axes)
+    return {name: chain.tool_axes.get(name, np.eye(3)) @ _tool_turn(values, name) for name in chain.tools}
 
-    base : (4, 4) or None: as it is;  tools : those of these names, the others as they are
+
+def before_errors(
+    chain: SpatialChain,
+    values: Numbers,
+    base: Array | None,
+    tools: Mapping[str, Array],
+    axes: Mapping[str, Array] = MappingProxyType({}),
+) -> SpatialChain:
+    """The chain of which the errors make these: the reverse of `standing_in`.
+
+    base : (4, 4) or None: as it is;  tools, axes : those of these names, the others as they are
     """
     if base is not None:
         shift, turn = _six(values, "base.", "base.r", "")
         chain = replace(chain, base=pose(base[:3, 3] - shift, base[:3, :3] @ turn.T))
     if tools:
         chain = replace(chain, tools={name: place - _tool_error(values, name) for name, place in tools.items()})
+    if axes:
+        chain = replace(chain, tool_axes={name: found @ _tool_turn(values, name).T for name, found in axes.items()})
     return chain
 
 
@@ -63,3 +85,7 @@ def _six(values: Numbers, translation: str, rotation: str, suffix: str) -> tuple
 
 def _tool_error(values: Numbers, name: str) -> Array:
     return np.array([values.get(f"tool[{name}].{axis}", 0.0) for axis in AXES])
+
+
+def _tool_turn(values: Numbers, name: str) -> Array:
+    return _six(values, "", f"tool[{name}].r", "")[1]

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from identification.arrays import Array
-from identification.kinematics.corrected import composed_base, composed_tools, corrected
-from identification.kinematics.frames import point_table, pose_table, roll_pitch_yaw, rotation_about
+from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected
+from identification.kinematics.frames import point_table, pose_table, roll_pitch_yaw, rotation_about, tool_tables
 from identification.kinematics.parameters import JOINT_OFFSET, REVOLUTE
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 
@@ -54,6 +54,13 @@ class CorrectedGeometry:
         return {} if TOOL in self.chain.known else composed_tools(self.chain, self.values)
 
     @property
+    def tool_axes(self) -> dict[str, Array]:
+        """Name -> (3, 3) axes of each measured frame in the frame of the tip, empty where only points are measured or
+        they are known."""
+        measured = self.chain.angle_scale is not None and TOOL not in self.chain.known
+        return composed_axes(self.chain, self.values) if measured else {}
+
+    @property
     def common_normals(self) -> list[CommonNormal]:
         """Of successive axes of revolute joints that are not exactly parallel, in the corrected geometry."""
         found, frame = [], np.eye(4)
@@ -86,7 +93,7 @@ class CorrectedGeometry:
         """Keys of `identify` for spatial arms (identification/files/README.md, "JSON keys")."""
         return {
             "base": None if self.base is None else pose_table(self.base),
-            "tools": {name: point_table(place) for name, place in self.tools.items()},
+            "tools": tool_tables(self.tools, self.tool_axes),
             "geometry": [self._row(j) for j in range(1, len(self.chain) + 1)],
             "joint_offsets": [self._offset(j) for j in range(1, len(self.chain) + 1)],
             "strict_table": self.strict_table,

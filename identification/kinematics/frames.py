@@ -6,6 +6,7 @@ rotations about own axes, x, then y, then z.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -68,6 +69,14 @@ def pose_table(matrix: Array) -> dict[str, float]:
     """(4, 4) [mm] as files and JSON have it."""
     angles = zip(AXES, np.degrees(own_axes_angles(matrix[:3, :3])), strict=True)
     return point_table(matrix[:3, 3]) | {f"r{axis}_deg": float(f"{angle:.15g}") for axis, angle in angles}
+
+
+def tool_tables(tools: Mapping[str, Array], axes: Mapping[str, Array]) -> dict[str, dict[str, float]]:
+    """Measured points (3,) [mm] by name, with axes (3, 3) where those are measured, as files and JSON have them."""
+    return {
+        name: pose_table(pose(place, axes[name])) if name in axes else point_table(place)
+        for name, place in tools.items()
+    }
 
 
 @dataclass(frozen=True)

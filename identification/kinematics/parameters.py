@@ -35,7 +35,7 @@ JOINT_UNITS: Mapping[str, str] = MappingProxyType({REVOLUTE: "rad", PRISMATIC: "
 # kinds of parameters; those of the chain belong to a joint, those of the effects may
 LENGTH_ERROR, JOINT_OFFSET, EFFECT = "length_error", "joint_offset", "effect"
 # names of the parameters of a chain, in the plane and in space
-GEOMETRY = re.compile(r"(length_error|joint_offset|(translation|rotation)_[xyz]):\d+|base\.r?[xyz]|tool\[.*\]\.[xyz]")
+GEOMETRY = re.compile(r"(length_error|joint_offset|(translation|rotation)_[xyz]):\d+|base\.r?[xyz]|tool\[.*\]\.r?[xyz]")
 
 
 @dataclass(frozen=True)

@@ -39,16 +39,17 @@ class PlanarGeometry(ByValue):
         """(n,) lengths [mm] at values (2 n) of the parameters."""
         return ca.SX(ca.DM(self.lengths)) + values[: len(self.lengths)]
 
-    def tip(self, q: ca.SX, values: ca.SX, added: Mapping[str, ca.SX], marker: ca.SX | None = None) -> ca.SX:
-        """(2,) measured point [mm] at real joint angles (n,) but for their offsets, before the instrument.
+    def tip(
+        self, q: ca.SX, values: ca.SX, added: Mapping[str, ca.SX], *of_spatial_arms: ca.SX | None
+    ) -> tuple[ca.SX, ca.SX]:
+        """(2,) measured point [mm] at real joint angles (n,) but for their offsets, before the instrument, and (0,).
 
         added : what effects add at each place of the chain (identification/effects/places.py)
-        marker : of spatial arms
         """
         lengths, offsets = self.link_lengths(values) + added["extensions"], values[len(self.lengths) :]
         points, theta = symbolic_chain(lengths, q + offsets, added["deflections"], added["slopes"])
         tip = points[-1] + rotate(theta, added["tool"])
-        return rotate(added["base_rotation"], tip) + added["base_translation"]
+        return rotate(added["base_rotation"], tip) + added["base_translation"], ca.SX(0, 1)
 
     def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
         """n + 1 points (2,) of base, joints and tip [mm] at a posture (n,) and values (2 n) of the parameters."""

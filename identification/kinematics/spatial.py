@@ -5,7 +5,8 @@
 `origin_j` is the nominal pose of joint j's frame in the frame of the joint before (as in URDF). `error_j` are six local
 corrections in the frame of joint j before it moves: translations along x, y, z, then rotations about x, y, z. `base` is
 the pose of the arm's base in the frame of the instrument; its errors are a shift along the axes of the instrument and
-rotations about its own axes. `tool` is a measured point in the frame at the end of the chain.
+rotations about its own axes. `tool` is a measured point in the frame at the end of the chain; where orientations are
+measured a frame, its errors a shift of the point and rotations about its own axes.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ import numpy as np
 
 from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
-from identification.kinematics.frames import AXES, Frame, rotation_about
+from identification.kinematics.frames import AXES, Frame, pose, rotation_about
+from identification.kinematics.orientations import rotation_vector
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE, Parameter, ParameterSet
 from identification.vectorize import vectorize
 
@@ -83,6 +85,8 @@ class SpatialChain(ByValue):
     tools : name of each measured point -> (3,) its place in the tip's frame [mm]
     known : those of `base` and `tool` that are given, and not to be found from the measurements
     fixed : names of further parameters that are not estimated (identification/minimal.py)
+    angle_scale : [mm/rad] what a radian of a measured orientation counts as; None: only points are measured
+    tool_axes : name -> (3, 3) axes of a measured frame in the tip's frame; those that are not there are the tip's
     """
 
     joints: tuple[Joint, ...]
@@ -91,6 +95,8 @@ class SpatialChain(ByValue):
     tools: Mapping[str, Array] = field(default_factory=lambda: {"1": np.zeros(3)})
     known: frozenset[str] = frozenset()
     fixed: frozenset[str] = frozenset()
+    angle_scale: float | None = None
+    tool_axes: Mapping[str, Array] = field(default_factory=dict)
     dimension = DIMENSION
 
     def __post_init__(self) -> None:
@@ -99,6 +105,11 @@ class SpatialChain(ByValue):
 
     def __len__(self) -> int:
         return len(self.joints)
+
+    @property
+    def coordinates(self) -> int:
+        """Numbers that are measured of a posture: 3 of a point, 6 of a pose."""
+        return DIMENSION if self.angle_scale is None else 2 * DIMENSION
 
     @cached_property
     def reach(self) -> float:
@@ -139,10 +150,12 @@ class SpatialChain(ByValue):
 
     @cached_property
     def every_parameter(self) -> ParameterSet:
-        """All of the geometry: base (6), tools (3 each), and for each joint its offset and six errors."""
+        """All of the geometry: base (6), tools (3 each, 6 where orientations are measured), and for each joint its
+        offset and six errors."""
         found = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)
         for name in self.tools:
-            found += [Parameter(f"tool[{name}].{axis}", "mm", kind=TOOL) for axis in AXES]
+            of_tool = _six(f"tool[{name}].", f"tool[{name}].r", "", self.angle_scale or 1.0, (TOOL, TOOL), None)
+            found += of_tool[: self.coordinates]
         kinds = TRANSLATION_ERROR, ROTATION_ERROR
         for j, (joint, lever) in enumerate(zip(self.joints, self.levers.tolist(), strict=True), start=1):
             unit, scale = ("rad", lever) if joint.type == REVOLUTE else ("mm", 1.0)
@@ -190,18 +203,37 @@ class SpatialChain(ByValue):
         errors = [values.get(f"tool[{name}].{axis}", 0.0) for axis in AXES]
         return frame.point(ca.DM(self.tools[name]) + ca.vertcat(*errors) + added)
 
-    def tip(self, q: ca.SX, values: ca.SX, added: Mapping[str, ca.SX], marker: ca.SX | None = None) -> ca.SX:
-        """(3,) measured point [mm] at real joint positions (n,) but for their offsets, before the instrument.
+    def tip(
+        self,
+        q: ca.SX,
+        values: ca.SX,
+        added: Mapping[str, ca.SX],
+        marker: ca.SX | None = None,
+        reference: ca.SX | None = None,
+    ) -> tuple[ca.SX, ca.SX]:
+        """(3,) measured point [mm] at real joint positions (n,) but for their offsets, before the instrument, and (3,)
+        how far the measured frame is turned against its reference [mm], (0,) where only points are measured.
 
         values : those of `parameters`;  marker : number of the measured point from 0, None: the first
+        reference : (9,) orientation to compare with, by columns
         """
         named = {name: values[k] for k, name in enumerate(self.parameters().names)}
         frame = self.frames(q, named, added)[-1]
-        points = [self.tool(frame, name, named, added["tool"]) for name in self.tools]
-        found = points[0]
-        for k, point in enumerate(points[1:] if marker is not None else [], start=1):
-            found = ca.if_else(marker == k, point, found)
-        return found
+        point = _of_marker([self.tool(frame, name, named, added["tool"]) for name in self.tools], marker)
+        if self.angle_scale is None or reference is None:
+            return point, ca.SX(0, 1)
+        axes = ca.reshape(self._orientation(frame, named, marker), 3, 3)
+        return point, self.angle_scale * rotation_vector(ca.mtimes(axes, ca.reshape(reference, 3, 3).T))
+
+    def _orientation(self, frame: Frame, values: Values, marker: ca.SX | None) -> ca.SX:
+        """(9,) axes of the measured frame, by columns, where the tip's frame is there."""
+        placed = (frame.placed(pose(rotation=self.tool_axes.get(name, np.eye(3)))) for name in self.tools)
+        turned = [_turned(one, values, f"tool[{name}].r", "") for one, name in zip(placed, self.tools, strict=True)]
+        return _of_marker([ca.vec(one.axes) for one in turned], marker)
+
+    def orientation(self, q: ca.SX, values: Values, marker: ca.SX | None = None) -> ca.SX:
+        """(9,) axes of the measured frame, by columns, for the instrument; arguments as of `frames` and `tip`."""
+        return self._orientation(self.frames(q, values)[-1], values, marker)
 
     def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
         """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""
@@ -221,6 +253,14 @@ def _points(chain: SpatialChain, values: bytes) -> Callable[[Array], tuple[Array
     q = ca.SX.sym("q", len(chain))
     points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, np.frombuffer(values))))
     return vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))
+
+
+def _of_marker(found: Sequence[ca.SX], marker: ca.SX | None) -> ca.SX:
+    """What belongs to the measured point of this number from 0; None: the first."""
+    chosen = found[0]
+    for k, other in enumerate(found[1:] if marker is not None else [], start=1):
+        chosen = ca.if_else(marker == k, other, chosen)
+    return chosen
 
 
 def _six(
