@@ -163,7 +163,7 @@ class Expressions:
     def orientations(self, q: Array, c: Array, p: Array) -> Array:
         """(m, 3, 3) orientations of the measured frame for the instrument; raises `InputError` where none is measured.
 
-        c : without measured orientations
+        c : of conditions without measured orientations
         """
         chain = self.arm.chain
         if chain is None or chain.angle_scale is None:

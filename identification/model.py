@@ -10,7 +10,7 @@ over links k..n, which is what eq. 4 prints. For arms in space see identificatio
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -215,7 +215,7 @@ class Model:
 
     @property
     def dimensions(self) -> tuple[int, ...]:
-        """Coordinates that measurements may have: of an arm that measures poses also those of points alone."""
+        """Coordinates that measurements may have: of poses also those of points alone."""
         return tuple(sorted({self.arm.dimension, self.dimension}))
 
     # -- batches ---------------------------------------------------------------------------------------------------
@@ -229,9 +229,8 @@ class Model:
         return self.expressions.position(*self._arguments(postures, parameters, conditions))[0][..., 0]
 
     def orientations(self, postures: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """(m, 3, 3) orientations of the measured frame for the instrument, as best known, of an arm that measures them."""
-        without = replace(conditions or Conditions(), orientation=None)
-        return self.expressions.orientations(*self._arguments(postures, None, without))
+        """(m, 3, 3) orientations of the measured frame for the instrument, as best known."""
+        return self.expressions.orientations(*self._arguments(postures, None, conditions))
 
     def jacobian(
         self, postures: ArrayLike, parameters: ArrayLike | None = None, conditions: Conditions | None = None

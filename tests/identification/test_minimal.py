@@ -33,9 +33,10 @@ SLIDING = replace(DHRow(0.0, HALF, 0.0), type=PRISMATIC, limits=(100.0, 600.0))
         (replace(SIX, tools=OFF_AXIS), 27),
         (replace(SIX, tools=ON_AXIS), 25),  # the last joint's offset and one more turn the point about itself
         (replace(SIX, tools=THREE), 33),
+        (replace(SIX, tools=OFF_AXIS, angle_scale=300.0), 30),  # 4 for each axis, 6 of the frame
         (chain_of([DHRow(0.0, HALF, 300.0), SLIDING, DHRow(80.0, 0.3, 50.0), DHRow(0.0, 0.0, 90.0)]), None),
     ],
-    ids=["reflector", "on the last axis", "three reflectors", "a sliding joint"],
+    ids=["reflector", "on the last axis", "three reflectors", "a pose", "a sliding joint"],
 )
 def test_as_many_as_can_be_told_apart(chain: SpatialChain, count: int | None) -> None:
     """The rank of all parameters' Jacobian, by singular values, is that of the minimal set; nothing is lost."""
@@ -44,7 +45,9 @@ def test_as_many_as_can_be_told_apart(chain: SpatialChain, count: int | None) ->
     generator = np.random.default_rng(5)
     postures = generator.uniform(model.arm.lower, model.arm.upper, (200, len(chain)))
     marker = Conditions(marker=np.arange(200.0) % len(chain.tools))
-    everything, kept = ((m.jacobian(postures, None, marker) / m.scales).reshape(600, -1) for m in (model, found))
+    everything, kept = (
+        (m.jacobian(postures, None, marker) / m.scales).reshape(-1, len(m.names)) for m in (model, found)
+    )
     every_value, kept_value = (np.linalg.svd(rows, compute_uv=False) for rows in (everything, kept))
     rank = int(np.sum(every_value > 1e-9 * every_value[0]))
     assert len(found.names) == rank == int(np.sum(kept_value > 1e-9 * kept_value[0]))

@@ -1,0 +1,238 @@
+"""Measured poses, d = 6, against products of exponentials in numpy, finite differences and hidden parameters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from identification.arm import Arm, Calibration
+from identification.arrays import Array
+from identification.data_checks import data_warnings
+from identification.estimation import estimate
+from identification.files.arm import load_arm
+from identification.files.arm_text import with_calibration
+from identification.files.measurement import load_measurements, measurement_text
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.measurements import Measurements
+from identification.minimal import minimal
+from identification.model import Model
+from identification.placed import placed_model
+from identification.simulate import simulate
+from identification.validate import validate
+
+HALF = np.pi / 2.0
+TABLE = [(0.0, HALF, 300.0), (-420.0, 0.0, 0.0), (-390.0, 0.0, 0.0), (0.0, HALF, 130.0), (0.0, -HALF, 100.0)]
+SIGMA, SIGMA_DEG = 0.05, 0.01
+SCALE = SIGMA / np.radians(SIGMA_DEG)
+SIX = Arm.of_chain(
+    replace(chain_of([DHRow(*row) for row in [*TABLE, (0.0, 0.0, 80.0)]]), angle_scale=SCALE), sigma=SIGMA
+)
+HIDDEN = {"base.x": 1500.0, "base.rx": 0.3, "base.rz": 2.0, "tool[1].x": 40.0, "tool[1].z": 50.0, "tool[1].ry": 0.7}
+
+
+def twist(axis: Array, point: Array) -> Array:
+    """(4, 4) generator of a rotation about a line."""
+    x, y, z = axis
+    found = np.zeros((4, 4))
+    found[:3, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    found[:3, 3] = -np.cross(axis, point)
+    return found
+
+
+class Exponentials:
+    """An arm of six lines in space, all a little off, that a frame at its end is measured of."""
+
+    def __init__(self, generator: np.random.Generator) -> None:
+        home, lines = np.eye(4), []
+        for a, alpha, d in [*TABLE, (0.0, 0.0, 80.0)]:
+            axis = home[:3, 2] + 2e-3 * generator.standard_normal(3)
+            lines.append(twist(axis / np.linalg.norm(axis), home[:3, 3] + 0.5 * generator.standard_normal(3)))
+            along, across = np.eye(4), np.eye(4)
+            along[2, 3], across[0, 3] = d, a
+            across[1:3, 1:3] = [[np.cos(alpha), -np.sin(alpha)], [np.sin(alpha), np.cos(alpha)]]
+            home = home @ along @ across
+        tool = expm(twist(np.array([0.48, 0.6, 0.64]), np.array([60.0, -40.0, 70.0])))
+        self.base = expm(2.0 * twist(np.array([0.6, 0.64, 0.48]), np.array([900.0, 0.0, 500.0])))
+        self.lines, self.home = lines, home @ tool
+
+    def poses(self, postures: Array) -> Array:
+        """(m, 4, 4)."""
+        found = []
+        for row in postures:
+            place = self.home
+            for line, angle in zip(self.lines[::-1], row[::-1], strict=True):
+                place = expm(line * angle) @ place
+            found.append(self.base @ place)
+        return np.array(found)
+
+
+def measured(arm: Exponentials, count: int, generator: np.random.Generator, noise: float = 1.0) -> Measurements:
+    q = generator.uniform(-2.5, 2.5, (count, 6))
+    poses, errors = arm.poses(q), noise * generator.standard_normal((2, count, 3))
+    turns = Rotation.from_rotvec(np.radians(SIGMA_DEG) * errors[1]).as_matrix()
+    return Measurements(q, poses[:, :3, 3] + SIGMA * errors[0], orientations=turns @ poses[:, :3, :3])
+
+
+def test_an_arm_of_another_parametrization() -> None:
+    """Points and orientations of fresh postures to the noise of 30 parameters from 40 poses."""
+    generator = np.random.default_rng(2)
+    arm = Exponentials(generator)
+    data, fresh = measured(arm, 40, generator), measured(arm, 100, generator, 0.0)
+    assert data_warnings(data, SIX) == []
+    found = estimate(minimal(placed_model(Model(SIX), data)), data)
+    assert len(found.names) == 30  # four for each of six axes, six of the frame
+    assert found.dof == 6 * 40 - 30
+    assert found.p_value is not None
+    assert found.p_value > 0.01
+    left = fresh.positions - found.model.position(fresh.postures, found.parameters, fresh.conditions)
+    expected = SIGMA * np.sqrt(3.0 * 30 / (6 * 40))  # of three coordinates, for a plan as good as random ones
+    assert np.sqrt(np.mean(np.sum(left[:, :3] ** 2, axis=1))) < 2.0 * expected
+    assert np.sqrt(np.mean(np.sum(left[:, 3:] ** 2, axis=1))) < 2.0 * expected
+    assert found.rms_angles is not None
+    assert found.to_json()["rms_after_deg"] == pytest.approx(np.sqrt(3.0) * SIGMA_DEG, rel=0.2)
+
+
+def test_residuals_are_rotation_vectors() -> None:
+    """Against scipy's logarithm of computed times measured, and the Jacobian against differences."""
+    generator = np.random.default_rng(3)
+    arm = Exponentials(generator)
+    data = measured(arm, 5, generator, 100.0)
+    model = placed_model(Model(SIX), data)
+    values = 1e-3 * generator.standard_normal(len(model.names)) / model.scales * 300.0
+    position, jacobian = model.linearize(data.postures, values, data.conditions)
+    truth = replace(model.arm, calibration=Calibration(model.parameters.mapping(values)))
+    computed = Model(truth).orientations(data.postures)
+    assert data.orientations is not None
+    turns = Rotation.from_matrix(computed @ np.swapaxes(data.orientations, 1, 2)).as_rotvec()
+    np.testing.assert_allclose(position[:, 3:], SCALE * turns, atol=1e-9)
+    for k, scale in enumerate(model.scales):
+        step = 1e-3 / scale * np.eye(len(values))[k]
+        ends = [model.position(data.postures, values + sign * step, data.conditions) for sign in (1.0, -1.0)]
+        np.testing.assert_allclose(jacobian[..., k] / scale, (ends[0] - ends[1]) / 2e-3, atol=1e-6)
+
+
+def test_without_measurements_the_jacobian_is_the_angular_velocity() -> None:
+    """Of the arm as best known, in which the instrument's axes turn; the noise is the same in all directions."""
+    model = Model(replace(SIX, calibration=Calibration(HIDDEN)))
+    q = np.random.default_rng(4).uniform(-2.0, 2.0, (4, 6))
+    np.testing.assert_allclose(model.position(q)[:, 3:], 0.0, atol=1e-12)
+    start = model.orientations(q)
+    for k in range(0, len(model.names), 6):
+        name = model.names[k]
+        step = 1e-6 if name.startswith(("base.r", "tool[1].r", "rotation", "joint")) else 1e-3
+        moved = Model(replace(SIX, calibration=Calibration({**HIDDEN, name: HIDDEN.get(name, 0.0) + step})))
+        vectors = Rotation.from_matrix(moved.orientations(q) @ np.swapaxes(start, 1, 2)).as_rotvec()
+        np.testing.assert_allclose(model.jacobian(q)[:, 3:, k], SCALE * vectors / step, atol=2e-3)  # SCALE 1e-6
+
+
+def test_intervals_cover() -> None:
+    """Predicted points and orientations of 5 hidden arms, 95 % intervals of 30 parameters each: 150 free numbers."""
+    generator, inside = np.random.default_rng(5), []
+    sizes = Model(SIX).prior
+    for _ in range(5):
+        hidden = {name: size * generator.standard_normal() for name, size in sizes.items()}
+        truth = replace(SIX, calibration=Calibration(hidden | HIDDEN))
+        data = simulate(truth, generator.uniform(-2.5, 2.5, (30, 6)), generator)
+        found = estimate(Model(SIX), data, sigma="given")
+        fresh = simulate(truth, generator.uniform(-2.5, 2.5, (50, 6)), generator, sigma=1e-9)
+        position, jacobian = found.model.linearize(fresh.postures, found.parameters, fresh.conditions)
+        deviations = np.sqrt(np.einsum("mdp,pq,mdq->md", jacobian, found.covariance, jacobian))
+        inside.append(np.abs(fresh.positions - position) < 1.96 * deviations)
+    assert 0.9 < np.mean(inside) < 0.99
+
+
+def test_a_planar_arm_with_its_angle() -> None:
+    """Three parallel axes with the angle of the last link, against least squares in the plane; heights are as drawn."""
+    lengths, generator = np.array([300.0, 250.0, 120.0]), np.random.default_rng(6)
+    chain = chain_of([DHRow(a, 0.0, 0.0) for a in lengths])
+    chain = replace(chain, angle_scale=SCALE, known=frozenset({"base", "tool"}), tools={"1": np.zeros(3)})
+    q = generator.uniform(-1.5, 1.5, (25, 3))
+    errors, offsets = np.array([0.3, -0.2, 0.0]), np.radians([0.05, -0.04, 0.02])
+    theta = np.cumsum(q + offsets, axis=1)
+    points = (np.exp(1j * theta) @ (lengths + errors)) + SIGMA * (generator.standard_normal((25, 2)) @ [1.0, 1.0j])
+    angle = theta[:, -1] + np.radians(SIGMA_DEG) * generator.standard_normal(25)
+    turns = Rotation.from_rotvec(angle[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+    data = Measurements(q, np.column_stack([points.real, points.imag, np.zeros(25)]), orientations=turns)
+    kept = {f"joint_offset:{j}" for j in (1, 2, 3)} | {f"translation_x:{j}" for j in (2, 3)}
+    every = Model(Arm.of_chain(chain, sigma=SIGMA)).names
+    arm = Arm.of_chain(replace(chain, fixed=frozenset(every) - kept), sigma=SIGMA)
+    found = estimate(Model(arm), data)
+
+    x = np.zeros(5)  # dl_1, dl_2, three offsets: Gauss-Newton, converged after three steps
+    for _ in range(5):
+        turned = np.exp(1j * np.cumsum(q + x[2:], axis=1))
+        links = turned * (lengths + np.r_[x[:2], 0.0])
+        beyond = 1j * np.cumsum(links[:, ::-1], axis=1)[:, ::-1]
+        columns = np.column_stack([turned[:, :2], beyond])
+        left = points - links.sum(axis=1)
+        angles = np.column_stack([np.zeros((25, 2)), np.ones((25, 3))])
+        missed = angle - np.sum(q + x[2:], axis=1)
+        rows = np.concatenate([columns.real, columns.imag, SCALE * angles])
+        x += np.linalg.lstsq(rows, np.concatenate([left.real, left.imag, SCALE * missed]), rcond=None)[0]
+    value = found.model.parameters.mapping(found.parameters)
+    wanted = {"translation_x:2": x[0], "translation_x:3": x[1], **{f"joint_offset:{j}": x[1 + j] for j in (1, 2, 3)}}
+    for name, expected in wanted.items():
+        assert value[name] == pytest.approx(expected, abs=1e-9)
+
+
+# -- files -------------------------------------------------------------------------------------------------------------
+ROWS = "".join(f"[[dh]]\na_mm = {a}\nalpha_deg = {np.degrees(alpha):.12g}\nd_mm = {d}\n" for a, alpha, d in TABLE)
+TEXT = f'kind = "spatial"\n{ROWS}[measurement]\nsigma_mm = 0.05\nsigma_deg = 0.01\n'
+
+
+def five_axes(folder: Path) -> tuple[Arm, Measurements]:
+    (folder / "arm.toml").write_text(TEXT)
+    arm = load_arm(folder / "arm.toml")
+    truth = replace(arm, calibration=Calibration({**HIDDEN, "joint_offset:3": 0.002, "translation_x:4": 0.4}))
+    generator = np.random.default_rng(7)
+    return arm, simulate(truth, generator.uniform(-2.5, 2.5, (40, 5)), generator)
+
+
+def test_files_round_trip(tmp_path: Path) -> None:
+    """Measurements, a calibrated arm with its frame, and what it predicts of other poses."""
+    arm, data = five_axes(tmp_path)
+    (tmp_path / "data.csv").write_text(measurement_text(data))
+    read = load_measurements(tmp_path / "data.csv", arm)
+    assert read.orientations is not None
+    assert data.orientations is not None
+    np.testing.assert_allclose(read.orientations, data.orientations, atol=1e-13)
+    found = estimate(Model(arm), read)
+    (tmp_path / "out.toml").write_text(with_calibration(TEXT, found.calibration()))
+    back = load_arm(tmp_path / "out.toml")
+    fresh = np.random.default_rng(8).uniform(-2.0, 2.0, (10, 5))
+    one, other = Model(found.calibrated_arm()), Model(back)
+    np.testing.assert_allclose(other.position(fresh), one.position(fresh), atol=1e-9)
+    np.testing.assert_allclose(other.orientations(fresh), one.orientations(fresh), atol=1e-12)
+    for refit in ("base", "none"):
+        assert validate(back, data, refit).model.rms == pytest.approx(found.rms_after, rel=0.05)
+
+
+def test_points_alone_will_do(tmp_path: Path) -> None:
+    """An arm file with sigma_deg, measurements without orientations: as without sigma_deg."""
+    arm, data = five_axes(tmp_path)
+    assert arm.chain is not None
+    points = replace(data, positions=data.positions[:, :3], orientations=None)
+    plain = replace(arm, chain=replace(arm.chain, angle_scale=None))
+    np.testing.assert_array_equal(estimate(Model(arm), points).parameters, estimate(Model(plain), points).parameters)
+    (tmp_path / "data.csv").write_text(measurement_text(data))
+    with pytest.warns(UserWarning, match="orientations are used where the arm file gives measurement.sigma_mm and"):
+        assert load_measurements(tmp_path / "data.csv", plain).dimension == 3
+    (tmp_path / "arm.toml").write_text(TEXT.replace("sigma_mm = 0.05\n", ""))
+    with pytest.warns(UserWarning, match=r"measurement.sigma_deg: found without sigma_mm: orientations are not used"):
+        load_arm(tmp_path / "arm.toml")
+
+
+def test_another_convention_is_said() -> None:
+    generator = np.random.default_rng(9)
+    data = measured(Exponentials(generator), 60, generator)
+    assert data.orientations is not None
+    angles = Rotation.from_matrix(data.orientations).as_euler("xyz")  # about fixed axes
+    fixed = replace(data, orientations=Rotation.from_euler("XYZ", angles).as_matrix())
+    assert "look like angles about fixed axes" in data_warnings(fixed, SIX)[0]
+    inverse = replace(data, orientations=np.swapaxes(data.orientations, 1, 2))
+    assert "look like the instrument in the frame of the tool;" in data_warnings(inverse, SIX)[0]
