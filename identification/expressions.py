@@ -173,8 +173,10 @@ class Expressions:
         return turned(self.position(q, c, p)[0][..., 3:, 0] / chain.angle_scale) @ nominal
 
     def _reference(self, postures: Array, columns: list[Array], orientation: Array | None) -> Array:
-        """(..., m, 10) columns of measured orientations (m, 3, 3), the last zero: they are there; of None those of the arm
-        as best known.  columns : that come before them, the last the marker's where there are several"""
+        """(..., m, 10) columns of measured orientations (m, 3, 3), None: those of the arm as best known.
+
+        columns : that come before them, the last the marker's where there are several
+        """
         found = np.zeros((*postures.shape[:-1], ORIENTATION))
         if orientation is not None:
             found[..., :-1] = np.swapaxes(orientation, -1, -2).reshape(*orientation.shape[:-2], 9)

@@ -18,6 +18,7 @@ from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses,
 from identification.gap.whitening import Rows
 from identification.information import column_space
 from identification.measurements import Conditions, directions_from_order, past_from_order, session_time
+from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 SPARE = 4  # residual degrees of freedom; with fewer an effect of two parameters is found at no size
@@ -109,7 +110,7 @@ def detectability(
     than 4 residual degrees of freedom.
     """
     given = frozenset() if conditions is None or conditions.temperature is None else frozenset({"temperature"})
-    rows = _planned(postures, conditions, arm.dimension)
+    rows = _planned(postures, conditions, Model(arm).dimension)
     library = library or hypotheses(arm, given, rows)
     noise = sigma or arm.sigma or 1.0
     return assess(library, rows, library.base.jacobian(rows.postures, None, rows.conditions), {}, noise)

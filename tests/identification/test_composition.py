@@ -11,6 +11,7 @@ from identification.arm import Arm, EffectSpec, Gravity
 from identification.composition import parts
 from identification.conditions import Conditions
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.orientations import turned
 from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model
 from identification.vectorize import vectorize
@@ -83,3 +84,23 @@ def test_parts_are_made_once() -> None:
     assert first.shared is second.shared
     assert first.shared is parts(CHAIN, GRAVITY, False, ("marker",))
     assert first.shared.of(models[0].effects[3]) is second.shared.of(models[1].effects[1])
+
+
+def test_poses() -> None:
+    """Three coordinates more, which the instrument does not touch, against measured orientations and without."""
+    poses = replace(CHAIN, angle_scale=300.0)
+    model = Model(Arm.of_chain(poses, gravity=GRAVITY, effects=SPECS))
+    generator = np.random.default_rng(6)
+    postures = generator.uniform(-1.0, 1.0, (ROWS, 4)) + np.array([0.0, 0.0, 300.0, 0.0])
+    values = np.maximum(1e-2 * generator.standard_normal(len(model.names)) / model.scales, model.parameters.lower)
+    seen = replace(WARM, orientation=turned(generator.uniform(-1.0, 1.0, (ROWS, 3))))
+    for conditions in (WARM, seen):
+        arguments = postures, model.condition_table(postures, conditions), values[None]
+        whole = vectorize(model.jacobian_function)(*arguments)
+        for one, other in zip(model.expressions.jacobian(*arguments), whole, strict=True):
+            assert one.shape[1] == 6
+            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-9)
+        in_one = replace(model.expressions)
+        vars(in_one)["composed"] = None
+        levers = (expressions.place_levers(*arguments)[0] for expressions in (model.expressions, in_one))
+        np.testing.assert_allclose(*levers, rtol=1e-12, atol=1e-9)
