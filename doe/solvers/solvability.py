@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from doe.design import Design
@@ -14,6 +16,7 @@ from doe.solvers.driver import feasible_value
 from identification.arrays import Array
 from identification.errors import InputError, JobError
 from identification.information import identifiability
+from identification.status import Status
 
 NEUTRAL = "under one payload, temperature, time and approach no posture tells apart"
 
@@ -62,6 +65,16 @@ def check_parameters(problem: DesignProblem) -> None:
 def identifies_all(design: Design) -> bool:
     """True if the plan identifies all parameters."""
     return bool(np.isfinite(design.value))
+
+
+def identified(design: Design, *, throw: bool) -> Design:
+    """The design, with status `not_identifiable` where the plan does not identify all parameters.
+
+    throw : raise `JobError` with the reason instead, and where the plan is not allowed
+    """
+    if throw:
+        require_solved(design)
+    return design if identifies_all(design) else replace(design, status=Status.not_identifiable)
 
 
 def require_solved(design: Design) -> None:

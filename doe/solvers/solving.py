@@ -19,7 +19,7 @@ from doe.solvers.driver import SearchResult, design_of, run_search
 from doe.solvers.fedorov import Fedorov
 from doe.solvers.planar_theory import Analytic, nearly_analytic
 from doe.solvers.registry import SOLVERS, solver_named
-from doe.solvers.solvability import check_solvable, identifies_all, require_solved
+from doe.solvers.solvability import check_solvable, identified
 from doe.solvers.solver import LONG_PLAN, Budget, Offer, Solver, time_limit
 from identification.errors import InputError
 from identification.progress import Progress, silent
@@ -54,8 +54,7 @@ def solve(
     chosen = chosen_solver(problem, solver)
     check_solvable(problem, runs, seed, every_parameter=throw)
     with single_thread():
-        # a bound that takes seconds has no part in the search's time; that of a theorem takes none
-        late = bound is None and climbs(problem) and not applies(problem)
+        late = bound is None and bound_takes_long(problem)
         known = None if late else bound or best_known_bound(problem, runs)
         result = from_theory(problem, runs, known, seed) if solver is None else None
         chosen = chosen if result is None else Analytic()
@@ -67,9 +66,12 @@ def solve(
         design = design_of(problem, result, chosen, known, began, seed)
         if bound is None:
             design = replace(design, bound=bound_that_holds(problem, known, design.plan.postures, design.value))
-    if throw:
-        require_solved(design)
-    return design if identifies_all(design) else replace(design, status=Status.not_identifiable)
+    return identified(design, throw=throw)
+
+
+def bound_takes_long(problem: DesignProblem) -> bool:
+    """True if the bound takes seconds, which are no part of the search's time; that of a theorem takes none."""
+    return climbs(problem) and not applies(problem)
 
 
 def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver:
