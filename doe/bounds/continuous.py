@@ -30,7 +30,7 @@ CLIMBERS = 64
 THOROUGH = 20_000  # random postures of a thorough search
 # heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls, where
 # the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
-BARRIERS = ((1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9))
+BARRIERS = np.array([(1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9)])
 MERGED = 1e-6  # [rad] of postures nearer than this under a barrier, only one climbs on
 SAME = 1e-7  # [rad] postures nearer than this are one
 
@@ -123,60 +123,62 @@ class ContinuousSet:
         """Every posture moved uphill to a local maximum, within limits and constraints."""
         q = self.problem.clip(postures)
         if not self.problem.constraints:
-            return self._ascend(q, gradient, 0.0)
+            return self._ascend(q, gradient, np.zeros(len(q)))
         scale = float(np.abs(self.sensitivities(q, gradient)).max(initial=0.0))
-        ends = []
-        for first, barriers in enumerate(BARRIERS):
-            some = q[first :: len(BARRIERS)]
-            for barrier in barriers:
-                some = self._ascend(some, gradient, barrier * scale)
-                some = some[distinct(self.problem.comparable(some), MERGED)]  # most starts share a maximum
-            ends.append(some)
-        return np.concatenate(ends)
+        kind = np.arange(len(q)) % len(BARRIERS)
+        for barriers in scale * BARRIERS.T:
+            q = self._ascend(q, gradient, barriers[kind])
+            # most starts share a maximum; those that came to it by the other barriers climb on
+            apart = distinct(np.column_stack([self.problem.comparable(q), kind]), MERGED)
+            q, kind = q[apart], kind[apart]
+        return q
 
-    def _ascend(self, q: Array, gradient: Array, barrier: float) -> Array:
-        """Newton steps with a reach per posture, which grows with success and shrinks with failure."""
+    def _ascend(self, q: Array, gradient: Array, barrier: Array) -> Array:
+        """Newton steps with a reach per posture, which grows with success and shrinks with failure.
+
+        barrier : (m,) height for each posture, all 0 without constraints
+        """
         units, q, values = self.problem.joint_units, q.copy(), self._height(q, gradient, barrier)
         reach = np.full(len(q), LONGEST)
         moving = np.flatnonzero(np.isfinite(values))
         for _ in range(STEPS):
             if not len(moving):
                 break
-            slope, hessian = self._slopes(q[moving], gradient, barrier)
+            slope, hessian = self._slopes(q[moving], gradient, barrier[moving])
             step = self._newton_step(q[moving], slope * units, hessian * units[:, None] * units)
             length = np.abs(step).max(axis=1)
             step *= np.minimum(1.0, reach[moving] / np.maximum(length, 1e-300))[:, None]
             trial = self.problem.clip(q[moving] + step * units)
-            heights = self._height(trial, gradient, barrier)
+            heights = self._height(trial, gradient, barrier[moving])
             gain = heights - values[moving]
             better = gain > 0.0
             accepted = moving[better]
             q[accepted], values[accepted] = trial[better], heights[better]
             shorter = 0.25 * np.minimum(reach[moving], length)
             reach[moving] = np.where(better, np.minimum(2.0 * reach[moving], LONGEST), shorter)
-            arrived = better & (gain <= 1e-14 * np.abs(heights) + 1e-3 * barrier)
+            arrived = better & (gain <= 1e-14 * np.abs(heights) + 1e-3 * barrier[moving])
             moving = moving[(reach[moving] > 1e-9) & (length > 1e-10) & ~arrived]
         return q
 
-    def _height(self, q: Array, gradient: Array, barrier: float) -> Array:
+    def _height(self, q: Array, gradient: Array, barrier: Array) -> Array:
         """(m,) tr(G F(q)) + barrier * sum of log margins; -inf outside."""
         values = self.sensitivities(q, gradient)
-        if barrier == 0.0:
+        if not barrier.any():
             return values
         margins = self._margins(q)
         inside = np.all(margins > 0.0, axis=1) & self.problem.feasible(q)
         logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
         return np.where(inside, values + barrier * logarithms, -np.inf)
 
-    def _slopes(self, q: Array, gradient: Array, barrier: float) -> tuple[Array, Array]:
+    def _slopes(self, q: Array, gradient: Array, barrier: Array) -> tuple[Array, Array]:
         slope, hessian = self.slopes(q, gradient)
-        if barrier == 0.0:
+        if not barrier.any():
             return slope, hessian
         margins, first, second = self._walls(q)
         relative = first / margins[..., None]
         bend = second / margins[..., None, None]
-        slope = slope + barrier * relative.sum(axis=1)
-        return slope, hessian + barrier * (bend.sum(axis=1) - np.swapaxes(relative, 1, 2) @ relative)
+        slope = slope + barrier[:, None] * relative.sum(axis=1)
+        return slope, hessian + barrier[:, None, None] * (bend.sum(axis=1) - np.swapaxes(relative, 1, 2) @ relative)
 
     def _newton_step(self, q: Array, slope: Array, hessian: Array) -> Array:
         """(m, n) ascent directions: |eigenvalues| of the Hessian, joints held at a limit left out; in joint units."""
