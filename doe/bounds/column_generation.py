@@ -20,7 +20,8 @@ from doe.bounds.equivalence import largest_sensitivity
 from doe.bounds.pricing import Shortlist, candidate_price, continuous_price
 from doe.bounds.restricted_master import Stage, generate_columns
 from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobian
-from doe.plan.ascent import WIDE, PlanAscent, climbs
+from doe.plan.ascent import WIDE, climbs
+from doe.plan.constrained_ascent import ascent
 from doe.problem.candidates import Candidates, PostureList, spread
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
@@ -102,7 +103,7 @@ def continuous_design(
 def climbed(problem: DesignProblem, runs: int | None) -> Array:
     """(k, n) postures of a long plan that was climbed on gradients: nearly the support of the best weights."""
     postures = random_postures(problem, LONG * problem.parameters, np.random.default_rng(0))
-    return PlanAscent(problem, runs or len(postures))(postures[None])[0]
+    return ascent(problem, runs or len(postures))(postures[None])[0]
 
 
 def ascents(everything: ContinuousSet, tolerance: float) -> list[Stage]:

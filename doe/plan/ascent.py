@@ -5,7 +5,7 @@
 of a plan of k postures that stand for r runs (an exact plan: r = k), with G = dPhi/dM. Each joint is put as
 q = middle + half the range * sin t, which leaves t free; D. C. Liu, J. Nocedal, "On the limited memory BFGS method",
 Mathematical Programming 45 (1989), with a backtracking search. All plans share each pass over numpy arrays, so that
-ten cost little more than one. Constraints are not looked at.
+ten cost little more than one. Constraints: `doe.plan.constrained_ascent`.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ class History:
 
 
 def climbs(problem: DesignProblem) -> bool:
-    """True where climbing on gradients is the best there is: many parameters, joint limits only."""
-    return problem.parameters > WIDE and not problem.constraints
+    """True where climbing on gradients is the best there is: many parameters."""
+    return problem.parameters > WIDE
 
 
 class PlanAscent:

@@ -60,6 +60,42 @@ class JacobianDerivatives:
         return vectorize(ca.Function("bend", [self._q, self._weights], [ca.cse(bend)]))
 
 
+class ConstraintDerivatives:
+    """The symbolic forms c (m, k) of all constraints, kept >= 0, and their slopes by a of the joints."""
+
+    def __init__(self, problem: DesignProblem, joints: Sequence[int]) -> None:
+        self._q, self._values = _constraints(problem)
+        self._active = self._q[list(joints)]
+
+    def values(self, postures: Array) -> Array:
+        """(m, k) c."""
+        return self._level(postures)[0][..., 0]
+
+    def first(self, postures: Array) -> tuple[Array, Array]:
+        """c (m, k) and its derivatives (m, k, a)."""
+        level, slopes = self._first(postures)
+        return level[..., 0], slopes
+
+    def slope(self, postures: Array, weights: Array) -> Array:
+        """(m, a) gradients of <w, c> with weights (m, k)."""
+        return self._slope(postures, weights)[0][..., 0]
+
+    @cached_property
+    def _level(self) -> Callable[..., tuple[Array, ...]]:
+        return vectorize(ca.Function("level", [self._q], [ca.cse(self._values)]))
+
+    @cached_property
+    def _first(self) -> Callable[..., tuple[Array, ...]]:
+        outputs = [self._values, ca.jacobian(self._values, self._active)]
+        return vectorize(ca.Function("first", [self._q], ca.cse(outputs)))
+
+    @cached_property
+    def _slope(self) -> Callable[..., tuple[Array, ...]]:
+        weights = ca.SX.sym("w", self._values.numel())
+        slope = ca.densify(ca.gradient(ca.dot(self._values, weights), self._active))
+        return vectorize(ca.Function("slope", [self._q, weights], [ca.cse(slope)]))
+
+
 def constraint_derivatives(problem: DesignProblem, joints: Sequence[int]) -> Derivatives:
     """Of the symbolic forms of all constraints, which are kept >= 0."""
     q, values = _constraints(problem)

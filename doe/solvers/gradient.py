@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doe.plan.ascent import PlanAscent
+from doe.plan.constrained_ascent import ascent
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.fedorov import ListBatch, initial
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
-from identification.errors import InputError
 
 TOGETHER = 2_000  # runs of all starts of a batch, at most: their arrays stay in the processor's cache
 
@@ -37,10 +36,8 @@ class Gradient:
     def offers(
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
     ) -> Iterator[Offer]:
-        """One offer per start. Raises `InputError` where there are constraints."""
-        if problem.constraints:
-            raise InputError("solver: gradient keeps joint limits only, found constraints, allowed: exchange_ipopt")
-        climb, left, best = PlanAscent(problem), budget.starts, list[Array]()
+        """One offer per start."""
+        climb, left, best = ascent(problem), budget.starts, list[Array]()
         elite = max(2, self.pool // runs)
         while True:
             count = max(1, min(self.batch, left, TOGETHER // runs))
@@ -48,8 +45,9 @@ class Gradient:
             started = random_postures(problem, count * runs, generator).reshape(count, runs, -1)
             yield Offer(started[0])  # something to return if the user stops during the first batch
             first = not best
-            if not first:
-                started = exchanged(problem, np.concatenate([*best, started[0]]), (count, runs), generator, budget)
+            if not first or problem.constraints:  # penalties climb slowly from poor plans
+                pool = np.concatenate([*best, *(started if first else started[:1])])
+                started = exchanged(problem, pool, (count, runs), generator, budget)
             plans = climb(started, stop=lambda: budget.out_of_time)
             for plan in plans:
                 yield Offer(plan, 1, independent=first)
