@@ -21,7 +21,8 @@ TOGETHER = 2_000  # runs of all starts of a batch, at most: their arrays stay in
 class Gradient:
     """L-BFGS from random postures; later batches from exchanges among the postures of the best plans so far.
 
-    count : starts;  batch : starts that climb together;  pool : postures to exchange, of as many plans as have them
+    count : starts;  batch : starts that climb together, half as many under constraints, where each takes longer
+    pool : postures to exchange, of as many plans as have them
     """
 
     count: int = 15
@@ -30,8 +31,11 @@ class Gradient:
     name: str = "gradient"
 
     def starts_for(self, problem: DesignProblem) -> int:
-        """The same for every problem."""
-        return self.count
+        """Fewer under constraints."""
+        return min(self.count, 2 * self._together(problem)) if problem.constraints else self.count
+
+    def _together(self, problem: DesignProblem) -> int:
+        return max(1, self.batch // 2) if problem.constraints else self.batch
 
     def offers(
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
@@ -40,7 +44,7 @@ class Gradient:
         climb, left, best = ascent(problem), budget.starts, list[Array]()
         elite = max(2, self.pool // runs)
         while True:
-            count = max(1, min(self.batch, left, TOGETHER // runs))
+            count = max(1, min(self._together(problem), left, TOGETHER // runs))
             left -= count
             started = random_postures(problem, count * runs, generator).reshape(count, runs, -1)
             yield Offer(started[0])  # something to return if the user stops during the first batch

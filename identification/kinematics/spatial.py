@@ -244,14 +244,15 @@ class SpatialChain(ByValue):
 
     def points(self, postures: Array, values: Array) -> Array:
         """(..., n + 2, 3) the same at postures (..., n)."""
-        return np.swapaxes(_points(self, np.asarray(values, dtype=float).tobytes())(postures)[0], -1, -2)
+        points = _points(self, tuple(np.asarray(values, dtype=float).tolist()))(postures)[0]
+        return np.swapaxes(points, -1, -2)
 
 
-@lru_cache(maxsize=16)
-def _points(chain: SpatialChain, values: bytes) -> Callable[[Array], tuple[Array, ...]]:
-    """Postures -> the points of `symbolic_points` as columns; compiled once for each geometry."""
+@lru_cache(maxsize=32)
+def _points(chain: SpatialChain, values: tuple[float, ...]) -> Callable[..., tuple[Array, ...]]:
+    """Of a chain and the values of its parameters: postures -> (..., 3, n + 2); compiled once, used in every search."""
     q = ca.SX.sym("q", len(chain))
-    points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, np.frombuffer(values))))
+    points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, np.array(values))))
     return vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -95,4 +93,3 @@ def test_where_gradients_are_the_choice() -> None:
     assert not climbs(problem(FOUR))
     walls = DesignProblem.of(six_axis().model, deviations={})  # type: ignore[arg-type]
     assert climbs(walls)
-    assert not climbs(replace(six_axis(), constraints=(object(),)))  # type: ignore[arg-type]

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from doe.bounds.bound import Bound
-from doe.problem.constraints import InsideBox
+from doe.bounds.column_generation import column_generation
+from doe.problem.candidates import PostureList
+from doe.problem.feasible import random_postures
 from doe.solvers import Gradient, solve
 from doe.solvers.gradient import exchanged
 from doe.solvers.solver import Budget
-from identification.errors import InputError
-from tests.doe.six_axis import LIMITED, difference_information, six_axis
+from tests.doe.problem.test_spatial_constraints import BOX, SIGHT
+from tests.doe.six_axis import LIMITED, SIX_AXIS, difference_information, six_axis
 
 NONE = Bound(np.inf, "continuous")
 
@@ -55,8 +57,15 @@ def test_exchanged_plans_are_of_the_pool() -> None:
         assert problem.objective(plan) > problem.objective(pool[:12])
 
 
-def test_constraints_are_refused() -> None:
-    problem = six_axis()
-    walls = (InsideBox(problem.model, (-900.0, -900.0, 0.0), (900.0, 900.0, 1200.0)),)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="keeps joint limits only"):
-        solve(replace(problem, constraints=walls), 20, "gradient", bound=NONE)
+def test_a_feasible_plan_better_than_the_best_list() -> None:
+    """A box and a tracker that must see the reflector: no plan from a list of 1,000 feasible postures is as good."""
+    arm = replace(SIX_AXIS, constraints=(BOX, SIGHT))
+    problem = six_axis(arm)
+    design = solve(problem, 12, starts=4, bound=NONE)
+    assert (design.solver, design.outside) == ("gradient", ())
+    assert problem.feasible(design.plan.postures).all()
+    choices = random_postures(problem, 1000, np.random.default_rng(1))
+    bound = column_generation(problem, PostureList(choices), runs=12).bound
+    assert bound is not None
+    assert bound.rigorous
+    assert problem.criterion.efficiency(design.value, bound.value, problem.parameters) > 0.99
