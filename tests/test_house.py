@@ -35,6 +35,7 @@ LAYERS = {
     "identification.files.arm_spatial": 2,
     "identification.files.arm": 2,  # knows the effects an arm file names
     "identification.files.arm_text": 2,
+    "identification.files.arm_text_spatial": 2,
     "identification.files.measurement": 2,
     "identification.files.target": 2,
     "identification.vectorize": 0,

@@ -18,6 +18,7 @@ from identification.arrays import Array
 
 FLOOR = 1e-9  # losses below this are shown there
 MOST = 10  # failures shown
+TEN = 10.0  # values from which four decimals are enough
 ACROSS = 3  # panels side by side
 Setting = tuple[str, int]  # solver and starts
 Curve = tuple[Array, Array]  # x and y of a step function
@@ -58,7 +59,8 @@ def _row(row: dict[str, Any]) -> list[str]:
     return [
         row["solver"],
         str(row["starts"] or "own"),
-        *(_figure(row[name], ".6f") for name in ("best", "median", "efficiency")),
+        *(_figure(row[name], ".6f" if abs(row[name] or 0.0) < TEN else ".4f") for name in ("best", "median")),
+        _figure(row["efficiency"], ".6f"),
         f"{round(row['hit_rate'] * row['repeats'])}/{row['repeats']}",
         *(_figure(row[name], ".3g") for name in ("seconds", "seconds_to_hit")),
         _figure(row["peak_memory_mb"], ".0f"),

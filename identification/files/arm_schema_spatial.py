@@ -162,7 +162,7 @@ class SpatialArmFile(StrictTable):
 
     kind: Literal["spatial"] = Field(description="spatial, or left out for a planar arm")
     name: str = Field("arm", description="a text")
-    urdf: str | None = Field(None, description="the name of a URDF file beside this one")
+    urdf: str | None = Field(None, description="the name of a URDF file beside this one, or its text")
     base_link: str | None = Field(None, description="the name of a link of the URDF file")
     tip_link: str | None = Field(None, description="the name of a link of the URDF file")
     dh: list[RowTable] | None = Field(None, min_length=1, max_length=MAX_LINKS, description=f"1 to {MAX_LINKS} [[dh]]")

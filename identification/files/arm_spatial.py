@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
-from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -41,7 +40,7 @@ from identification.files.arm_schema_spatial import (
 )
 from identification.files.io import PathLike, read_toml
 from identification.files.schema import require_count
-from identification.files.urdf import Urdf, read_urdf, urdf_text, with_origins
+from identification.files.urdf import Urdf, parse_urdf, read_urdf, urdf_text, with_origins
 from identification.kinematics.corrected import before_errors
 from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
@@ -82,10 +81,12 @@ def spatial_arm(tables: Mapping[str, Any], folder: PathLike) -> Arm:
 
 # -- geometry ----------------------------------------------------------------------------------------------------------
 def urdf_of(tables: Mapping[str, Any], folder: PathLike) -> tuple[Urdf, str, str] | None:
-    """The URDF file that the tables of an arm file name, with base and tip link; None where they name none."""
+    """The URDF file that the tables of an arm file name or contain, with base and tip link; None without one."""
     name = tables.get("urdf")
     if not isinstance(name, str):
         return None
+    if name.lstrip().startswith("<"):
+        return parse_urdf(name, "urdf"), str(tables["base_link"]), str(tables["tip_link"])
     path = Path(folder) / name
     if not path.resolve().is_relative_to(Path(folder).resolve()):
         raise InputError(f"urdf: {name!r} is outside the folder of the arm file, allowed: a file beside it or below")
@@ -96,7 +97,7 @@ def corrected_urdf(path: PathLike, chain: SpatialChain) -> str:
     """The URDF file that an arm file names, with the origins of a corrected chain; a bare one where it names none."""
     tables = read_toml(path)
     if (named := urdf_of(tables, Path(path).parent)) is None:
-        return urdf_text(chain, escape(str(tables.get("name", "arm")), {'"': "&quot;"}))
+        return urdf_text(chain, str(tables.get("name", "arm")))
     return with_origins(*named, [joint.origin for joint in chain.joints])
 
 

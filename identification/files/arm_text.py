@@ -27,15 +27,23 @@ if TYPE_CHECKING:
 
 
 def dump_arm(arm: Arm) -> str:
-    """The text of an arm file for a planar `arm`; `load_arm` reads the same arm from it, to rounding (1e-14)."""
-    if arm.chain is not None:
-        raise InputError(f"arm {arm.name}: is spatial, allowed: a planar arm; copy the arm file it was read from")
-    tables: Plain = {
-        "name": arm.name,
-        "links_mm": arm.lengths.tolist(),
-        **({} if arm.gear_ratios is None else {"gear_ratio": _floats(arm.gear_ratios)}),
-        "joint_limits_deg": {"lower": _degrees(arm.lower), "upper": _degrees(arm.upper)},
-    }
+    """The text of an arm file for `arm`; `load_arm` reads the same arm from it, to rounding (1e-14).
+
+    That of a spatial arm has its drawing in it, as the text of a URDF file.
+    Raises `InputError` for a spatial arm with a chosen set of parameters, which no file can say.
+    """
+    calibration = arm.calibration
+    if arm.chain is None:
+        tables: Plain = {
+            "name": arm.name,
+            "links_mm": arm.lengths.tolist(),
+            "joint_limits_deg": {"lower": _degrees(arm.lower), "upper": _degrees(arm.upper)},
+        }
+    else:
+        from identification.files.arm_text_spatial import chain_tables, placed_calibration
+
+        tables, calibration = chain_tables(arm, arm.chain), placed_calibration(arm.chain, arm.calibration)
+    tables |= {} if arm.gear_ratios is None else {"gear_ratio": _floats(arm.gear_ratios)}
     if arm.sigma is not None:
         tables["measurement"] = {"sigma_mm": float(arm.sigma)}
     if arm.gravity is not None:
@@ -43,7 +51,7 @@ def dump_arm(arm: Arm) -> str:
     if arm.constraints:
         tables["constraints"] = [_constraint_table(constraint) for constraint in arm.constraints]
     text = with_effects(tomlkit.dumps(tables), arm.effects)
-    return text if arm.calibration is None else with_calibration(text, arm.calibration)
+    return text if calibration is None else with_calibration(text, calibration)
 
 
 def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".") -> str:
@@ -78,7 +86,7 @@ def with_calibration(text: str, calibration: Calibration, folder: PathLike = "."
 def urdf_beside(path: PathLike, out: PathLike | None) -> dict[PathLike, bytes]:
     """The URDF file that has to be written for a copy at `out` of the arm file at `path`: none if it is there."""
     name = read_toml(path).get("urdf")
-    if out is None or name is None:
+    if out is None or name is None or name.lstrip().startswith("<"):
         return {}
     here, there = Path(path).parent / name, Path(out).parent / name
     return {} if there.exists() and there.read_bytes() == here.read_bytes() else {there: here.read_bytes()}
@@ -116,19 +124,27 @@ def _gravity_table(gravity: Gravity) -> Plain:
 
 
 def _constraint_table(constraint: Constraint) -> Plain:
+    """`[[constraints]]`, of the plane or of space."""
     if isinstance(constraint, WorkspaceBox):
-        return {"kind": "workspace_box", "x_mm": _floats(constraint.x), "y_mm": _floats(constraint.y)}
+        sides = zip("xyz", (constraint.x, constraint.y, constraint.z), strict=True)
+        return {"kind": "workspace_box"} | {f"{axis}_mm": _floats(side) for axis, side in sides if side is not None}
     if isinstance(constraint, KeepOutCircle):
-        center = _floats(constraint.center)
-        return {"kind": "keep_out_circle", "center_mm": center, "radius_mm": float(constraint.radius)}
+        kind = "keep_out_circle" if len(constraint.center) == 2 else "keep_out_sphere"
+        return {"kind": kind, "center_mm": _floats(constraint.center), "radius_mm": float(constraint.radius)}
     if isinstance(constraint, KeepOutCylinder):
-        raise InputError("constraints: a cylinder in a plane, allowed: keep_out_circle")
-    return {
+        ends = {"start_mm": _floats(constraint.start), "end_mm": _floats(constraint.end)}
+        return {"kind": "keep_out_cylinder", **ends, "radius_mm": float(constraint.radius)}
+    found: Plain = {
         "kind": "line_of_sight",
         "tracker_mm": _floats(constraint.tracker),
         "half_angle_deg": _tidy(math.degrees(constraint.half_angle)),
         "toward_mm": _floats(constraint.toward),
     }
+    if constraint.reach is not None:
+        found["range_mm"] = _floats(constraint.reach)
+    if constraint.facing is not None:
+        found |= {"facing": _floats(constraint.facing), "acceptance_deg": _tidy(math.degrees(constraint.acceptance))}
+    return found
 
 
 def _effect_table(spec: EffectSpec, effect: Effect) -> Plain:

@@ -12,6 +12,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
 from xml.parsers import expat
+from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from identification.kinematics.spatial import Joint, SpatialChain
 METER = 1000.0  # [mm]
 MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
 FIXED = "fixed"
+BASE_LINK, TIP = "base_link", "tip"  # of files written here
 
 
 @dataclass(frozen=True)
@@ -151,10 +153,17 @@ class Urdf:
 def read_urdf(path: PathLike) -> Urdf:
     """Reads a URDF file.
 
-    Raises `InputError` for a missing file, text that is no XML or has a document type, links or joints of equal names,
-    links with two parents.
+    Raises `InputError` for a missing file, and as `parse_urdf` does.
     """
-    text = decode(path, read_bytes(path))
+    return parse_urdf(decode(path, read_bytes(path)), path)
+
+
+def parse_urdf(text: str, path: PathLike) -> Urdf:
+    """The text of a URDF file; `path` is its name in messages.
+
+    Raises `InputError` for text that is no XML or has a document type, links or joints of equal names, links with two
+    parents.
+    """
     if found := re.search(r"<!(DOCTYPE|ENTITY)", text):
         raise InputError(f"{path}: found {found.group()}, allowed: XML without document types and entities")
     try:
@@ -204,17 +213,22 @@ def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> s
 def urdf_text(chain: SpatialChain, name: str) -> str:
     """A URDF file of bare links and joints for a chain that comes from no such file; links `base_link`, `link_1`, ..,
     `tip`."""
-    lines = ['<?xml version="1.0"?>', f'<robot name="{name}">', '  <link name="base_link"/>']
-    before, n = "base_link", len(chain)
+    lines = ['<?xml version="1.0"?>', f'<robot name="{_attribute(name)}">', f'  <link name="{BASE_LINK}"/>']
+    before, n = BASE_LINK, len(chain)
     for j, joint in enumerate(chain.joints, start=1):
         unit = METER if joint.type == PRISMATIC else 1.0
         axis = " ".join(f"{float(x):.17g}" for x in joint.axis)
         limits = f'lower="{joint.lower / unit:.17g}" upper="{joint.upper / unit:.17g}" effort="0" velocity="0"'
         inner = f'{_origin_element(joint.origin, True)}<axis xyz="{axis}"/><limit {limits}/>'
-        lines += _link(f"link_{j}", joint.name, joint.type, before, inner)
+        lines += _link(f"link_{j}", _attribute(joint.name), joint.type, before, inner)
         before = f"link_{j}"
-    lines += _link("tip", f"joint_{n + 1}_fixed", FIXED, before, _origin_element(chain.end, True))
+    lines += _link(TIP, f"joint_{n + 1}_fixed", FIXED, before, _origin_element(chain.end, True))
     return "\n".join([*lines, "</robot>\n"])
+
+
+def _attribute(text: str) -> str:
+    """In double quotes, and in a TOML string between three single ones."""
+    return escape(text, {'"': "&quot;", "'": "&apos;"})
 
 
 def _link(name: str, joint: str, kind: str, parent: str, inner: str) -> list[str]:

@@ -24,6 +24,7 @@ from doe.solvers import Offer, Random
 from doe.studies.comparison import Comparison, compare, evaluated, summary, with_hits
 from identification.arm import Arm
 from identification.errors import InputError
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.model import Model
 
 LIMITS = np.radians([180.0, 120.0, 100.0])
@@ -148,6 +149,20 @@ def test_bad_comparisons() -> None:
         Comparison([ARM], [4], ["exchange"], criteria=["Dstr"])
     with pytest.raises(InputError, match="allowed: each name once"):
         Comparison([ARM], [4], ["random", Random()])
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_solvers_on_a_spatial_arm() -> None:
+    """Each on the problem of the stored file, its measured point included; what does not apply says so."""
+    chain = chain_of([DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)])
+    arm = Arm.of_chain(replace(chain, tools={"1": np.array([40.0, 30.0, 20.0])}), sigma=0.1, name="elbow")
+    solvers = ["random", "analytic"]
+    found = compare(Comparison([arm], [9], solvers, starts=[1], repeats=1, seconds=5.0))
+    rows = {row["solver"]: row for row in found.iter_rows(named=True)}
+    assert [rows[name]["correct"] for name in solvers] == [True, None]
+    assert rows["random"]["value"] < rows["random"]["bound"]
+    assert "analytic has no plan" in rows["analytic"]["error"]
+    assert "elbow, D, 9 runs" in str(comparison_tables(found)[0].title)
 
 
 @dataclass(frozen=True)
