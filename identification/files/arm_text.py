@@ -42,10 +42,10 @@ def dump_arm(arm: Arm) -> str:
     else:
         from identification.files.arm_text_spatial import chain_tables, placed_calibration
 
-        tables, calibration = chain_tables(arm, arm.chain), placed_calibration(arm.chain, arm.calibration)
+        tables, calibration = chain_tables(arm, arm.chain), placed_calibration(arm.chain, calibration)
     tables |= {} if arm.gear_ratios is None else {"gear_ratio": _floats(arm.gear_ratios)}
     if arm.sigma is not None:
-        tables["measurement"] = {"sigma_mm": float(arm.sigma)}
+        tables.setdefault("measurement", {})["sigma_mm"] = float(arm.sigma)
     if arm.gravity is not None:
         tables["gravity"] = _gravity_table(arm.gravity)
     if arm.constraints:

@@ -11,8 +11,8 @@ from identification.arm import Arm, Calibration, Machining
 from identification.errors import InputError
 from identification.files.toml import Plain
 from identification.files.urdf import BASE_LINK, TIP, urdf_text
-from identification.kinematics.corrected import composed_base, composed_tools
-from identification.kinematics.frames import point_table, pose_table
+from identification.kinematics.corrected import standing_in
+from identification.kinematics.frames import pose_table, tool_tables
 from identification.kinematics.parameters import PRISMATIC
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 
@@ -34,7 +34,9 @@ def chain_tables(arm: Arm, chain: SpatialChain) -> Plain:
     if BASE in chain.known:
         tables["base"] = pose_table(chain.base)
     if TOOL in chain.known:
-        tables["tool"] = {name: point_table(place) for name, place in chain.tools.items()}
+        tables["tool"] = tool_tables(chain.tools, chain.tool_axes)
+    if chain.angle_scale is not None and arm.sigma is not None:
+        tables["measurement"] = {"sigma_deg": _tidy(np.degrees(arm.sigma / chain.angle_scale))}
     if arm.machining != Machining():
         rotation = _tidy(np.degrees(arm.machining.rotation))
         tables["machining"] = {"translation_mm": arm.machining.translation, "rotation_deg": rotation}
@@ -48,9 +50,13 @@ def _tidy(value: float) -> float:
 def placed_calibration(chain: SpatialChain, found: Calibration | None) -> Calibration | None:
     """The calibration, with where base and measured points are if they are somewhere without being known."""
     somewhere = BASE not in chain.known and not np.array_equal(chain.base, np.eye(4))
-    named = TOOL not in chain.known and (list(chain.tools) != ["1"] or bool(np.any(chain.tools["1"])))
+    named = TOOL not in chain.known and (
+        list(chain.tools) != ["1"] or bool(np.any(chain.tools["1"])) or bool(chain.tool_axes)
+    )
     if not somewhere and not named:
         return found
     kept = found or Calibration({})
-    base = composed_base(chain, kept.values) if somewhere else kept.base
-    return replace(kept, base=base, tools=composed_tools(chain, kept.values) if named else kept.tools)
+    stands = standing_in(chain, kept.values)
+    if somewhere:
+        kept = replace(kept, base=stands.base)
+    return replace(kept, tools=stands.tools, tool_axes=stands.tool_axes) if named else kept

@@ -55,6 +55,9 @@ ARMS = {
         machining=Machining(0.2, 0.001),
     ),
     "placed": Arm.of_chain(replace(MIXED, base=PLACE, tools=TOOLS)),
+    "of poses": Arm.of_chain(
+        replace(MIXED, base=PLACE, tools=TOOLS, tool_axes={"top": PLACE[:3, :3]}, angle_scale=250.0), sigma=0.05
+    ),
     "calibrated": Arm.of_chain(
         replace(CHAIN, base=PLACE, tools={"1": TOOLS["top"]}), sigma=0.1, calibration=Calibration(VALUES)
     ),
@@ -80,9 +83,10 @@ def test_the_same_arm_comes_back(name: str) -> None:
         assert getattr(found, key) == getattr(arm, key)
     np.testing.assert_array_equal(found.gear_ratios, arm.gear_ratios)  # type: ignore[arg-type]
     assert [spec.key for spec in found.effects] == [spec.key for spec in arm.effects]
+    assert found.chain is not None
+    assert arm.chain.angle_scale is None or found.chain.angle_scale == pytest.approx(arm.chain.angle_scale, rel=1e-14)
     assert found.machining.translation == arm.machining.translation
     assert found.machining.rotation == pytest.approx(arm.machining.rotation, rel=1e-14)
-    assert found.chain is not None
     assert [joint.name for joint in found.chain.joints] == [joint.name for joint in arm.chain.joints]
 
 
