@@ -79,7 +79,7 @@ def _orientations(measurements: Measurements, arm: Arm) -> Iterator[str]:
 
 def _median_angle(measurements: Measurements, arm: Arm, orientations: Array) -> float:
     """[rad] between the nominal arm's orientations and these, base and measured frames found by the closed form."""
-    read = replace(measurements, orientations=orientations)
+    read = replace(measurements, orientations=orientations).rows(measurements.session_rows[0])
     computed = placed_model(Model(arm), read).position(read.postures, conditions=read.conditions)
     chain = arm.chain
     assert chain is not None
@@ -125,7 +125,10 @@ def _rows(chosen: NDArray[np.bool_]) -> str:
 
 
 def _distances(arm: Arm, measurements: Measurements, kept: NDArray[np.bool_]) -> Array:
-    """(m,) from the nominal arm [mm], base and measured points found from the rows kept."""
-    placed = placed_model(Model(arm), measurements.rows(kept))
-    computed = placed.position(measurements.postures, conditions=measurements.conditions)
-    return distances(measurements.positions - computed)
+    """(m,) from the nominal arm [mm], base and measured points found from the rows kept, in each session anew."""
+    found = np.empty(len(kept))
+    for rows in measurements.session_rows:
+        here = measurements.rows(rows)
+        placed = placed_model(Model(arm), here.rows(kept[rows]) if kept[rows].any() else here)
+        found[rows] = distances(here.positions - placed.position(here.postures, conditions=here.conditions))
+    return found

@@ -11,8 +11,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError, nearest
+from identification.kinematics.corrected import standing_in
 from identification.kinematics.orientations import mean_rotation
 from identification.kinematics.placement import placed, placed_tool, registered
 from identification.kinematics.spatial import BASE, DIMENSION, TOOL, SpatialChain
@@ -25,7 +27,7 @@ ENOUGH = 500  # rows: a start is good to far less than the errors of the geometr
 
 def placed_model(model: Model, measurements: Measurements) -> Model:
     """The model with base and measured points from a closed form on the geometry as best known, the points named as in
-    the data; planar arms stay as they are.
+    the data; planar arms stay as they are. Of several sessions the first says where the arm stands.
 
     Raises `InputError` for measured points that the arm does not have.
     """
@@ -35,18 +37,70 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     chain = with_markers(arm.chain, measurements)
     if chain.known >= {BASE, TOOL}:
         return model if chain is arm.chain else replace(model, arm=replace(arm, chain=chain))
-    some = np.unique(np.linspace(0, len(measurements) - 1, ENOUGH).astype(int))
-    rows = measurements.rows(some)
-    markers = np.zeros(len(rows), dtype=np.int64) if rows.marker_numbers is None else rows.marker_numbers
+    rows = some(measurements, measurements.session_rows[0])
     if (calibration := arm.calibration) is not None:
         found_anew = {BASE, TOOL} - chain.known
         kept = {name: v for name, v in calibration.values.items() if re.split(r"[.\[]", name)[0] not in found_anew}
         calibration = replace(calibration, values=kept, base=None, tools={}, tool_axes={})
     values = {} if calibration is None else calibration.values
-    found = placed_chain(chain, rows.postures, rows.positions[:, :3], markers, values)
-    if rows.orientations is not None and TOOL not in chain.known:
-        found = replace(found, tool_axes=tool_axes(found, rows.postures, rows.orientations, markers, values))
-    return replace(model, arm=replace(arm, chain=found, calibration=calibration))
+    return replace(model, arm=replace(arm, chain=standing(chain, rows, values), calibration=calibration))
+
+
+def some(measurements: Measurements, rows: NDArray[np.int64]) -> Measurements:
+    """As many of these rows as a start needs."""
+    return measurements.rows(rows[np.unique(np.linspace(0, len(rows) - 1, ENOUGH).astype(int))])
+
+
+def markers_of(measurements: Measurements) -> NDArray[np.int64]:
+    """(m,) number of each row's measured point, 0 where the data name none."""
+    numbers = measurements.marker_numbers
+    return np.zeros(len(measurements), dtype=np.int64) if numbers is None else numbers
+
+
+def standing(chain: SpatialChain, measurements: Measurements, values: Mapping[str, float]) -> SpatialChain:
+    """The chain where the closed form finds its base and its measured points or frames, as far as they are not known.
+
+    values : best known errors of the geometry
+    """
+    markers = markers_of(measurements)
+    found = placed_chain(chain, measurements.postures, measurements.positions[:, :3], markers, values)
+    if measurements.orientations is None or TOOL in chain.known:
+        return found
+    axes = tool_axes(found, measurements.postures, measurements.orientations, markers, values)
+    return replace(found, tool_axes=axes)
+
+
+def session_bases(arm: Arm, measurements: Measurements) -> tuple[SpatialChain, list[Array]]:
+    """The chain of an arm that stands where the first session finds it, with the points that only later sessions
+    measure, and the pose (4, 4) of the base in each session."""
+    assert arm.chain is not None
+    every = {} if arm.calibration is None else arm.calibration.values
+    values = {name: value for name, value in every.items() if not name.startswith((f"{BASE}.", f"{TOOL}["))}
+    parts = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
+    there, bases = standing_in(arm.chain, every), list[Array]()
+    first = seen = np.full(len(there.tools), TOOL in there.known)
+    for name in measurements.session_names:
+        if name in parts:
+            rows = some(measurements, parts[name])
+            there = _there(there, rows, values, seen) if bases else there
+            seen = seen | np.isin(np.arange(len(seen)), markers_of(rows))
+        first = first if bases else seen
+        bases.append(there.base)
+    later = [name for name, known in zip(there.tools, first.tolist(), strict=True) if not known]
+    tools, axes = ({name: of[name] for name in later if name in of} for of in (there.tools, there.tool_axes))
+    chain = replace(arm.chain, tools={**arm.chain.tools, **tools}, tool_axes={**arm.chain.tool_axes, **axes})
+    return chain, bases
+
+
+def _there(
+    chain: SpatialChain, rows: Measurements, values: Mapping[str, float], seen: NDArray[np.bool_]
+) -> SpatialChain:
+    """The chain where rows of another session find its base, and the points that were not seen before."""
+    old = seen[markers_of(rows)]
+    if not old.any():
+        return standing(replace(chain, known=frozenset()), rows, values)
+    found = standing(replace(chain, known=frozenset({TOOL})), rows.rows(old), values)
+    return found if old.all() else standing(replace(found, known=frozenset({BASE})), rows.rows(~old), values)
 
 
 def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChain:

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
+from identification.kinematics.frames import AXES, own_axes_angles
 from identification.kinematics.parameters import JOINT_OFFSET
-from identification.measurements import Measurements
+from identification.measurements import POINT, Measurements
 from identification.model import Model
+from identification.placed import placed_model, session_bases
 
 BASE = ("base_offset.x0", "base_offset.y0", f"{JOINT_OFFSET}:1")  # position and rotation of the base
 SESSIONS = "session_base"
@@ -30,6 +32,9 @@ def pooled(tables: Mapping[str, Measurements]) -> Measurements:
     different arms.
     """
     parts = [replace(table, session=_labels(name, table), session_names=()) for name, table in tables.items()]
+    if len({part.dimension for part in parts}) > 1 and {part.dimension for part in parts} <= {3, 6}:
+        parts = [replace(part, positions=part.positions[:, POINT], orientations=None) for part in parts]
+        warnings.warn("not in all of the data, and left out: orientations", UserWarning, stacklevel=2)
     first = parts[0]
     for name, part in zip(tables, parts, strict=True):
         if (part.links, part.dimension) != (first.links, first.dimension):
@@ -75,15 +80,16 @@ def of_these_sessions(holdout: Measurements, measurements: Measurements) -> Meas
 def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
     """The arm with a base offset, and a base for each session after the first, where the data name several.
 
-    Best known values of the bases are those that bring the best known arm nearest to each session's positions.
+    Best known values of the bases are those that bring the best known arm nearest to each session's positions. In space
+    reflectors of one name are shared by the sessions, those of other names are not.
     """
     count = len(measurements.session_names)
     if count < 2:
         return arm
-    if arm.chain is not None:
-        raise InputError(f"session: found {count} sessions, allowed of a spatial arm: one; split the file by session")
-    wide = with_base(arm)
     spec = EffectSpec(SESSIONS, values={"sessions": float(count)})
+    if arm.chain is not None:
+        return _in_space(arm, measurements, spec)
+    wide = with_base(arm)
     bases = base_of_each_session(standing(arm), measurements)
     values = Model(wide).best_known | bases[0] | dict(Model(wide).fixed)
     shift = complex(values[BASE[0]], values[BASE[1]])
@@ -95,6 +101,23 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
     provenance = {} if arm.calibration is None else arm.calibration.provenance
     with_bases = wide.with_effects(*wide.effects, spec)
     return replace(with_bases, calibration=Calibration(values, provenance=provenance))
+
+
+def _in_space(arm: Arm, measurements: Measurements, spec: EffectSpec) -> Arm:
+    """The spatial arm where the first session finds it, with the bases of the others beside it.
+
+    Base of session k = that of the first, shifted along the axes of the instrument and turned about its own.
+    """
+    assert arm.chain is not None
+    placed = arm if arm.chain.fixed else placed_model(Model(arm), measurements).arm
+    chain, bases = session_bases(placed, measurements)
+    values = {} if placed.calibration is None else dict(placed.calibration.values)
+    for number, base in enumerate(bases[1:], start=2):
+        shift, turn = base[:3, 3] - bases[0][:3, 3], own_axes_angles(bases[0][:3, :3].T @ base[:3, :3])
+        values |= {f"{SESSIONS}.{axis}{number}": float(x) for axis, x in zip(AXES, shift, strict=True)}
+        values |= {f"{SESSIONS}.w{axis}{number}": float(x) for axis, x in zip(AXES, turn, strict=True)}
+    kept = Calibration(values) if placed.calibration is None else replace(placed.calibration, values=values)
+    return replace(placed.with_effects(*placed.effects, spec), chain=chain, calibration=kept)
 
 
 def base_of_each_session(arm: Arm, measurements: Measurements) -> list[dict[str, float]]:
@@ -123,8 +146,9 @@ def without_sessions(calibration: Calibration) -> Calibration:
 
 
 def with_base(arm: Arm) -> Arm:
-    """The arm with a base offset, its own if it has one."""
-    return arm if any(spec.name == "base_offset" for spec in arm.effects) else standing(arm)
+    """The arm with a base offset, its own if it has one; the base of a spatial arm is part of its geometry."""
+    stands = arm.chain is not None or any(spec.name == "base_offset" for spec in arm.effects)
+    return arm if stands else standing(arm)
 
 
 def standing(arm: Arm) -> Arm:

@@ -144,7 +144,8 @@ class SharedFit:
         its joint, have adapted to them."""
         names = self.found.model.names
         offset = f"{JOINT_OFFSET}:{joint}"
-        free = [j for j, n in enumerate(names) if n in BASE or n == offset or n.startswith(f"{SESSIONS}.")]
+        bases = ("base.", f"{SESSIONS}.")
+        free = [j for j, n in enumerate(names) if n in BASE or n == offset or n.startswith(bases)]
         flat = self.jacobian[rows][:, :, free].reshape(rest.size, -1)
         both = np.concatenate([columns.reshape(rest.size, -1), rest.reshape(-1, 1)], axis=1)
         left = both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]

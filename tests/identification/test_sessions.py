@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm, EffectSpec
+from identification.data_checks import data_warnings
 from identification.errors import InputError
 from identification.estimation import estimate
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.frames import pose, rotation_about
 from identification.measurements import Conditions, Measurements
+from identification.minimal import minimal
 from identification.model import Model
+from identification.placed import placed_model
 from identification.sessions import of_these_sessions, pooled, with_sessions, without_sessions
 
 LENGTHS = np.array([300.0, 200.0, 150.0])
@@ -111,3 +118,63 @@ def test_what_is_not_said_is_session_one() -> None:
     np.testing.assert_allclose(Model(arm).position(q, values), tip(q, 0.0, 0.0), atol=1e-9)
     second = Model(arm).position(q, values, Conditions(session=np.ones(len(q))))
     np.testing.assert_allclose(second, tip(q, 0.3, 5.0 - 7.0j), atol=1e-9)
+
+
+# -- in space ----------------------------------------------------------------------------------------------------------
+QUARTER = np.pi / 2.0
+ROWS = [(0.0, QUARTER, 350.0), (-400.0, 0.0, 0.0), (-350.0, QUARTER, 0.0), (0.0, -QUARTER, 90.0), (0.0, 0.0, 80.0)]
+CHAIN = chain_of([DHRow(*row) for row in ROWS])
+STANDS = [(0.0, 0.0, 0.3), (0.2, -0.1, 2.4), (-0.3, 0.1, -1.9)]  # rotation vectors
+PLACES = np.array([[900.0, -200.0, 50.0], [-1500.0, 400.0, 300.0], [100.0, 1200.0, -80.0]])
+REFLECTORS = {"top": np.array([60.0, 20.0, 50.0]), "side": np.array([-70.0, 10.0, 40.0])}
+SLIPS = {"joint_offset:2": 0.004, "translation_x:3": 0.6, "rotation_x:4": -0.003, "translation_y:5": -0.4}
+
+
+def in_space(number: int, reflector: str, poses: bool = False) -> Measurements:
+    """One session by frames multiplied in numpy, exact."""
+    q = np.random.default_rng(10 + number).uniform(-2.0, 2.0, (30, 5))
+    stands, frames = Rotation.from_rotvec(STANDS[number]).as_matrix(), []
+    for row in q:
+        frame = pose(PLACES[number], stands)
+        for j, ((a, alpha, d), angle) in enumerate(zip(ROWS, row, strict=True), start=1):
+            shift = [SLIPS.get(f"translation_{axis}:{j}", 0.0) for axis in "xyz"]
+            turn = angle + SLIPS.get(f"joint_offset:{j}", 0.0)
+            frame = frame @ pose(shift, rotation_about([1, 0, 0], SLIPS.get(f"rotation_x:{j}", 0.0)))
+            frame = frame @ pose(rotation=rotation_about([0, 0, 1], turn)) @ pose((0.0, 0.0, d)) @ pose((a, 0.0, 0.0))
+            frame = frame @ pose(rotation=rotation_about([1, 0, 0], alpha))
+        frames.append(frame @ pose(REFLECTORS[reflector], rotation_about([0, 1, 0], 0.5)))
+    at = np.array(frames)
+    return Measurements(q, at[:, :3, 3], marker=[reflector] * 30, orientations=at[:, :3, :3] if poses else None)
+
+
+@pytest.mark.parametrize("poses", [False, True], ids=["points", "poses"])
+def test_sessions_of_a_spatial_arm(poses: bool) -> None:
+    """Three set-ups of base and instrument, the third with another reflector: one geometry explains all, and the bases
+    stand to one another as they were put. Without noise all of it is exact but for the prior's pull."""
+    parts = {"a": in_space(0, "top", poses), "b": in_space(1, "top", poses), "c": in_space(2, "side", poses)}
+    data = pooled(parts)
+    arm = Arm.of_chain(replace(CHAIN, angle_scale=300.0 if poses else None), sigma=1e-4)
+    assert data_warnings(data, arm) == []
+    model = placed_model(Model(with_sessions(arm, data)), data)
+    found = estimate(minimal(model), data)
+    assert found.rms_after < 1e-6
+    assert len(found.names) == 4 * 5 + (6 if poses else 3) * 2 + 2 * 6  # axes, two tools, two bases more
+    values = found.model.best_known | found.model.parameters.mapping(found.parameters)
+    for number in (2, 3):
+        shift = [values[f"session_base.{axis}{number}"] for axis in "xyz"]
+        turn = Rotation.from_euler("XYZ", [values[f"session_base.w{axis}{number}"] for axis in "xyz"])
+        assert found.geometry is not None
+        assert found.geometry.base is not None
+        first = pose(found.geometry.base[:3, 3], found.geometry.base[:3, :3])
+        later = pose(first[:3, 3] + shift, first[:3, :3] @ turn.as_matrix())
+        true = [pose(place, Rotation.from_rotvec(v).as_matrix()) for place, v in zip(PLACES, STANDS, strict=True)]
+        # where the base's frame is along and about joint 1's axis is a choice, the same in each session
+        np.testing.assert_allclose(later @ np.linalg.inv(first), true[number - 1] @ np.linalg.inv(true[0]), atol=1e-5)
+    kept = without_sessions(found.calibration())
+    stands = Model(replace(arm, chain=found.model.arm.chain, calibration=kept))
+    there = parts["a"].conditions
+    left = parts["a"].positions - stands.position(parts["a"].postures, conditions=there)
+    assert np.abs(left).max() < 1e-5
+    with pytest.warns(UserWarning, match="left out: orientations") if poses else nullcontext():
+        mixed = pooled({"a": parts["a"], "b": in_space(1, "top")})
+    assert mixed.dimension == 3

@@ -155,6 +155,21 @@ def test_effects_are_left_out_of_the_urdf_file_and_said(spatial: Folder) -> None
     assert "a URDF file has no effects: encoder_eccentricity:3 left out" in done.out
 
 
+def test_two_sessions_share_the_geometry(spatial: Folder) -> None:
+    """Rows of one set-up named as two: the bases agree, the file has the first, and the prediction stays."""
+    rows = spatial.read("data.csv").splitlines()
+    named = [f"{row},{name}" for row, name in zip(rows, ["session", *"ab" * 40], strict=True)]
+    spatial.write("sessions.csv", "\n".join(named) + "\n")
+    one = spatial.armcal("identify", "arm.toml", "data.csv", "--json").data
+    two = spatial.armcal("identify", "arm.toml", "sessions.csv", "--json", "--out", "calibrated.toml").data
+    values = {row["name"]: row for row in two["parameters"]}
+    for axis in "xyz":
+        there = values[f"session_base.{axis}2"]
+        assert abs(there["value"]) < 4.0 * there["std"]
+        assert two["base"][f"{axis}_mm"] == pytest.approx(one["base"][f"{axis}_mm"], abs=0.5)
+    assert "session_base" not in spatial.read("calibrated.toml")
+
+
 def test_another_folder_gets_the_urdf_file_too(spatial: Folder) -> None:
     (spatial.path / "out").mkdir()
     done = spatial.armcal("identify", "arm.toml", "data.csv", "--out", "out/calibrated.toml")
@@ -169,7 +184,6 @@ def test_another_folder_gets_the_urdf_file_too(spatial: Folder) -> None:
         (("identify", "planar.toml", "data.csv", "--urdf", "x.urdf"), "--urdf: found for a planar arm"),
         (("identify", "planar.toml", "data.csv", "--parameters", "all"), "--parameters: found for a planar arm"),
         (("identify", "arm.toml", "few.csv"), "fewer equations than unknowns"),
-        (("identify", "arm.toml", "sessions.csv"), "session: found 2 sessions, allowed of a spatial arm: one"),
         (("identify", "arm.toml", "data.csv", "--method", "linear"), "method: linear for a spatial arm"),
         (("identify", "arm.toml", "plan.csv"), "column 'x_mm' is missing"),
     ],
@@ -179,8 +193,6 @@ def test_bad_input_is_one_line(spatial: Folder, words: tuple[str, ...], sentence
     rows = spatial.read("data.csv").splitlines()
     spatial.write("planar.toml", "links_mm = [300.0, 200.0]")
     spatial.write("few.csv", "\n".join(rows[:4]) + "\n")
-    named = [f"{row},{name}" for row, name in zip(rows, ["session", *"ab" * 40], strict=True)]
-    spatial.write("sessions.csv", "\n".join(named) + "\n")
     done = spatial.armcal(*words)
     assert done.code == 2
     assert sentence in done.err
