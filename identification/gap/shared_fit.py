@@ -146,8 +146,8 @@ class SharedFit:
         offset = f"{JOINT_OFFSET}:{joint}"
         bases = ("base.", f"{SESSIONS}.")
         free = [j for j, n in enumerate(names) if n in BASE or n == offset or n.startswith(bases)]
-        flat = self.jacobian[rows][:, :, free].reshape(rest.size, -1)
-        both = np.concatenate([columns.reshape(rest.size, -1), rest.reshape(-1, 1)], axis=1)
+        flat = self.jacobian[rows][:, :, free].reshape(rest.size, len(free))
+        both = np.concatenate([columns.reshape(rest.size, columns.shape[2]), rest.reshape(-1, 1)], axis=1)
         left = both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]
         return left[:, :-1].reshape(columns.shape), left[:, -1].reshape(rest.shape)
 

@@ -11,6 +11,7 @@ from identification.gap.diagnose import diagnose
 from identification.gap.fit import fit
 from identification.gap.replicate import replications
 from identification.gap.replication import Replication, said
+from identification.gap.shared_fit import Session, SharedFit
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from identification.model import Model
@@ -130,3 +131,18 @@ def test_a_curve_returns_where_both_sessions_have_measured(sign: float, answer: 
         assert curve.p_equal is None
         assert curve.to_json()["sessions"][0]["parameters"] == []
     assert (curve.replicates if curve else False) is answer
+
+
+def test_without_common_angles_nothing_is_said() -> None:
+    """Joint 2 turned to one side only in each session: no row of one is within the angles of the other."""
+    generator = np.random.default_rng(30)
+    q = generator.uniform(-np.pi, np.pi, (60, 2))
+    q[:, 1] = np.where(np.arange(60) < 30, 1.0, -1.0) * generator.uniform(0.1, 1.0, 60)
+    z = (LENGTHS * np.exp(1j * np.cumsum(q, axis=1))).sum(axis=1)
+    data = Measurements(q, np.column_stack([z.real, z.imag]) + generator.normal(0.0, SIGMA, (60, 2)))
+    fitted = fit(Model(Arm(LENGTHS, effects=(EffectSpec("gear_ratio", 2),))), Rows.of(data))
+    sides = [Session(name, np.arange(30) + 30 * k, (np.arange(30) % 8,)) for k, name in enumerate("ab")]
+    shared = SharedFit.of(fitted, tuple(sides))
+    carried = shared.carried(0, shared.columns_of(fitted.model.effects[0]), joint=2)
+    assert carried.unsure
+    assert (len(carried.part), len(carried.gains), carried.explained) == (0, 0, 0.0)
