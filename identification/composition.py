@@ -23,12 +23,20 @@ from identification.arm import Arm, Gravity
 from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect
-from identification.effects.places import ROTATIONS, contributions, in_state, position_and_state, state_size, widths
+from identification.effects.places import (
+    OF_FRAME,
+    ROTATIONS,
+    contributions,
+    in_state,
+    position_and_state,
+    state_size,
+    widths,
+)
 from identification.kinematics.spatial import DIMENSION, SpatialChain
 from identification.vectorize import Evaluate, vectorize
 
 INSTRUMENT = "instrument"
-INSIDE = ("joint_angles", "extensions", "tool", "base_rotation", "base_translation")  # places of a spatial geometry
+INSIDE = ("joint_angles", "extensions", *OF_FRAME, "tool", "base_rotation", "base_translation")  # of the geometry
 POINT = slice(DIMENSION)  # of the position
 ORIENTATION = 10  # columns of a measured orientation: nine, and whether there is none
 LOADED = slice(0, 1 + ROTATIONS[DIMENSION])  # of the state, and of all places

@@ -16,7 +16,7 @@ import numpy as np
 
 from identification.arm import EffectSpec
 from identification.arrays import Array
-from identification.effects import aliases, curve, instrument, joint, link, mounting, noise, rare  # noqa: F401  (they register themselves)
+from identification.effects import aliases, curve, instrument, joint, link, mounting, noise, rare, space  # noqa: F401  (they register themselves)
 from identification.effects.base import _LIBRARY, Effect, register
 from identification.effects.chain import Chain
 from identification.effects.places import measured_position

@@ -131,6 +131,12 @@ class Effect:
         angles[self.joint_index] = angle
         return angles
 
+    def at_frame(self, vector: ca.SX, chain: Chain) -> ca.SX:
+        """(3n,) zeros but for `vector` (3,) at the frame of this effect's joint."""
+        found = ca.SX.zeros(3 * chain.links)
+        found[3 * self.joint_index : 3 * self.joint_index + 3] = vector
+        return found
+
     # -- what a subclass defines ------------------------------------------------------------------------------------
     def define(self) -> tuple[Parameter, ...]:
         """The parameters, in the order in which the hooks receive them."""
@@ -154,6 +160,11 @@ class Effect:
 
     def bending(self, chain: Chain, values: ca.SX) -> tuple[ca.SX | float, ca.SX | float]:
         """(n,) deflection of each link's tip to its left [mm] and (n,) slope there [rad]."""
+        return 0.0, 0.0
+
+    def frame_errors(self, chain: Chain, values: ca.SX) -> tuple[ca.SX | float, ca.SX | float]:
+        """In space (3n,) rotations [rad] and (3n,) shifts [mm] of each joint's frame after it moved, about and along
+        its own x, y, z, joint after joint."""
         return 0.0, 0.0
 
     def tool(self, chain: Chain, values: ca.SX) -> ca.SX | float:

@@ -169,10 +169,17 @@ class SpatialState(Chain):
         """(n,) gravity torques about revolute joints [N m], forces along prismatic ones [N]."""
         found = []
         for j, joint in enumerate(self.chain.joints):
-            frame = self.frames[j + 1]
-            beyond = [(mass, place - frame.origin) for mass, k, place in self.loads if k >= j]
-            weights = [mass * self.acceleration for mass, _ in beyond]
-            if joint.type == REVOLUTE:
-                weights = [ca.cross(at / 1000.0, weight) for (_, at), weight in zip(beyond, weights, strict=True)]
-            found.append(ca.dot(ca.mtimes(frame.axes, ca.DM(joint.axis)), sum(weights, ca.SX.zeros(3))))
+            load = self.moment(j) if joint.type == REVOLUTE else self.weight(j)
+            found.append(ca.dot(ca.DM(joint.axis), load))
         return ca.vertcat(*found)
+
+    def moment(self, joint: int) -> ca.SX:
+        """(3,) moment [N m] of all loads beyond a joint, from 0, about the origin of its frame, in the frame's axes."""
+        frame = self.frames[joint + 1]
+        arms = [mass * (place - frame.origin) / 1000.0 for mass, k, place in self.loads if k >= joint]
+        return ca.mtimes(frame.axes.T, ca.cross(sum(arms, ca.SX.zeros(3)), self.acceleration))
+
+    def weight(self, joint: int) -> ca.SX:
+        """(3,) force [N] of all loads beyond a joint, from 0, in the axes of its frame."""
+        mass = sum((mass for mass, k, _ in self.loads if k >= joint), ca.SX(0))
+        return ca.mtimes(self.frames[joint + 1].axes.T, mass * self.acceleration)

@@ -17,6 +17,7 @@ from identification.effects.base import Effect
 from identification.effects.chain import Chain
 
 OF_JOINT = ("joint_angles", "extensions", "deflections", "slopes")  # one number for each joint
+OF_FRAME = ("joint_turns", "joint_shifts")  # in space three for each joint
 ROTATIONS = {2: 1, 3: 3}  # numbers of a rotation, by the coordinates of a point
 Parts = list[tuple[Effect, ca.SX]]  # effects with the values of their own parameters
 
@@ -28,6 +29,7 @@ def widths(links: int, dimension: int = 2) -> dict[str, int]:
         "payload": 1,
         "gravity_turn": turn,
         **dict.fromkeys(OF_JOINT, links),
+        **dict.fromkeys(OF_FRAME if dimension == 3 else (), 3 * links),
         "tool": dimension,
         "base_rotation": turn,
         "base_translation": dimension,
@@ -84,7 +86,10 @@ def position_and_state(
 def _inside(effect: Effect, chain: Chain, values: ca.SX, lengths: ca.SX) -> dict[str, ca.SX | float]:
     """What an effect adds between the loads and the instrument, in a loaded chain."""
     deflections, slopes = effect.bending(chain, values)
+    turns, shifts = effect.frame_errors(chain, values)
+    of_frame = dict(zip(OF_FRAME, (turns, shifts), strict=True)) if chain.dimension == 3 else {}
     return {
+        **of_frame,
         "joint_angles": effect.joint_angles(chain, values),
         "extensions": effect.extensions(chain, values, lengths),
         "deflections": deflections,

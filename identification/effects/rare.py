@@ -131,6 +131,26 @@ class PayloadError(_Load):
 
 
 @register
+class ToolMass(_Load):
+    """The tool is so much heavier than the payload that the arm file says: + m, m >= 0, for every effect of gravity.
+
+    For tools that nobody weighed: a guessed mass makes a wrong stiffness of it. With one payload in all rows, mass and
+    compliances are told apart by the masses of the links; `diagnose` looks for `payload_error` instead.
+    """
+
+    name = "tool_mass"
+    summary = "mass of a tool that nobody weighed"
+    family = "payload_error"
+    nuisance = True
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("m", "kg", scale=1.0, lower=0.0, typical=2.0),)
+
+    def payload(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return values[0]
+
+
+@register
 class GravityTilt(_Load):
     """The base leans: gravity is turned by an angle, in space by two about x and y, for every effect of gravity."""
 

@@ -34,6 +34,17 @@ def rotation_about(axis: ArrayLike, angle: float) -> Array:
     return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
 
 
+def rotation_to_z(axis: Array) -> Array:
+    """(3, 3) rotation that turns the z axis into a unit vector (3,)."""
+    cross = np.array([-axis[1], axis[0], 0.0])  # z x axis
+    sine = float(np.linalg.norm(cross))
+    return (
+        rotation_about(cross / sine, float(np.arctan2(sine, axis[2])))
+        if sine > 0.0
+        else np.diag([1.0, axis[2], axis[2]])
+    )
+
+
 def from_roll_pitch_yaw(roll: float, pitch: float, yaw: float) -> Array:
     """(3, 3) Rz(yaw) Ry(pitch) Rx(roll)."""
     x, y, z = np.eye(3)

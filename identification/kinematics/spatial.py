@@ -21,7 +21,7 @@ import numpy as np
 
 from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
-from identification.kinematics.frames import AXES, Frame, pose, rotation_about
+from identification.kinematics.frames import AXES, Frame, pose, rotation_to_z
 from identification.kinematics.orientations import rotation_vector
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE, Parameter, ParameterSet
 from identification.vectorize import vectorize
@@ -61,20 +61,12 @@ class Joint(ByValue):
         k = int(np.argmax(np.abs(self.axis)))
         if abs(self.axis[k]) < ALIGNED:
             # turned so that its own z axis is the joint's: one symbolic rotation instead of Rodrigues' formula
-            turned = frame.placed(_to_z(self.axis))
+            to_z = rotation_to_z(self.axis)
+            turned = frame.placed(pose(rotation=to_z))
             turned = turned.turned(2, q) if self.type == REVOLUTE else turned.moved(2, q)
-            return turned.placed(_to_z(self.axis).T)
+            return turned.placed(pose(rotation=to_z.T))
         signed = q if self.axis[k] > 0.0 else -q
         return frame.turned(k, signed) if self.type == REVOLUTE else frame.moved(k, signed)
-
-
-def _to_z(axis: Array) -> Array:
-    """(4, 4) rotation that turns the z axis into a unit vector (3,)."""
-    cross = np.array([-axis[1], axis[0], 0.0])  # z x axis
-    found = np.eye(4)
-    if (sine := float(np.linalg.norm(cross))) > 0.0:
-        found[:3, :3] = rotation_about(cross / sine, float(np.arctan2(sine, axis[2])))
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +170,7 @@ class SpatialChain(ByValue):
         for j, joint in enumerate(self.joints, start=1):
             frame = _corrected(frame.placed(joint.origin), values, j)
             frame = joint.moved(frame, q[j - 1] + values.get(f"joint_offset:{j}", 0.0))
+            frame = _displaced(frame, added, j)
             found.append(frame)
             if "extensions" in added and self._steps[j]:
                 frame = frame.along(self.link_vectors[j - 1] / self._steps[j], added["extensions"][j - 1])
@@ -278,6 +271,16 @@ def _corrected(frame: Frame, values: Values, joint: int) -> Frame:
         if (name := f"translation_{axis}:{joint}") in values:
             frame = frame.moved(k, values[name])
     return _turned(frame, values, "rotation_", f":{joint}")
+
+
+def _displaced(frame: Frame, added: Mapping[str, ca.SX], joint: int) -> Frame:
+    """The frame of a joint, counted from 1, after it moved, with what effects add to it there."""
+    first = 3 * (joint - 1)
+    for k in range(DIMENSION if "joint_shifts" in added else 0):
+        frame = frame.moved(k, added["joint_shifts"][first + k])
+    for k in range(DIMENSION if "joint_turns" in added else 0):
+        frame = frame.turned(k, added["joint_turns"][first + k])
+    return frame
 
 
 def _turned(frame: Frame, values: Values, prefix: str, suffix: str) -> Frame:

@@ -34,6 +34,9 @@ SPECS = (
     EffectSpec("thermal_growth"),
     EffectSpec("base_drift"),
     EffectSpec("base_rotation_drift"),
+    EffectSpec("bearing_compliance", 2),
+    EffectSpec("axis_runout", 4),
+    EffectSpec("tool_mass"),
     EffectSpec("measurement_scale"),  # of the measured point, so of everything else
 )
 ROWS = 9
@@ -65,7 +68,9 @@ def test_the_same_as_one_expression() -> None:
     np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-9)
 
 
-@pytest.mark.parametrize("specs", [SPECS[:1], SPECS[3:4], SPECS[7:], SPECS[4:6]], ids=lambda specs: specs[0].name)
+@pytest.mark.parametrize(
+    "specs", [SPECS[:1], SPECS[3:4], SPECS[7:9], SPECS[10:], SPECS[4:6]], ids=lambda specs: specs[0].name
+)
 def test_few_effects(specs: tuple[EffectSpec, ...]) -> None:
     """Whatever places they act at."""
     model, arguments = model_and_arguments(specs)

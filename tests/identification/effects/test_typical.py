@@ -27,9 +27,8 @@ def in_the_table() -> dict[tuple[str, str], float]:
 def example(cls: type[Effect]) -> Effect:
     """The effect at joint 2 of an arm with two links where it needs a joint, with its smallest settings."""
     settings = {name: Setting.of(allowed).low for name, allowed in cls.settings.items()}
-    return build(
-        EffectSpec(cls.name, 2 if cls.per_joint == "required" else None, settings), 2, np.array([300.0, 200.0])
-    )
+    spec = EffectSpec(cls.name, 2 if cls.per_joint == "required" else None, settings)
+    return build(spec, 2, np.array([300.0, 200.0]), dimension=cls.dimensions[0])
 
 
 @pytest.mark.parametrize("name", OWN)

@@ -1,0 +1,123 @@
+"""The two implementations of arms in space agree: products of exponentials in plain numpy, and frames in CasADi."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doe.studies.blind import spatial_simulator
+from doe.studies.blind.simulator import Session, session
+from doe.studies.blind.spatial_simulator import SpatialTruth
+from identification.arm import Arm, EffectSpec, Gravity
+from identification.conditions import Conditions
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.frames import from_own_axes, pose
+from identification.model import Model
+
+HALF = np.pi / 2
+TABLE = np.array([(120.0, -HALF, 400.0), (500.0, 0.0, 0.0), (90.0, -HALF, 30.0), (0.0, HALF, 450.0), (0.0, 0.2, 90.0)])
+TOOLS = np.array([[30.0, -20.0, 60.0], [-40.0, 10.0, 50.0]])
+MASSES = np.array([20.0, 15.0, 10.0, 5.0, 2.0])
+SIMPLE = ("encoder_eccentricity", "encoder_second_harmonic")
+# ours, theirs, and how well they agree: turns about x, then y, then z against one about a vector are of second order
+VALUES: dict[str, tuple[dict, dict, float]] = {
+    "joint_compliance:3": ({"c": 2e-5}, {"c": 2e-5}, 1e-9),
+    "joint_compliance": ({f"c{j}": 1e-5 * j for j in range(1, 6)}, {"c": 1e-5 * np.arange(1.0, 6.0)}, 1e-9),
+    "bearing_compliance:2": ({"c": 1e-6}, {"c": 1e-6}, 1e-5),
+    "bearing_compliance:4": ({"c": 1e-6}, {"c": 1e-6}, 1e-5),
+    "gravity_backlash:2": ({"b": 1e-3}, {"b": 1e-3}, 1e-9),
+    "axis_runout:3": ({"a": 0.2, "b": -0.1}, {"a": 0.2, "b": -0.1}, 1e-9),
+    "axis_runout:5": ({"a": 0.2, "b": -0.1}, {"a": 0.2, "b": -0.1}, 1e-9),
+    **{f"{name}:4": ({"a": 2e-3, "b": -1e-3}, {"a": 2e-3, "b": -1e-3}, 1e-9) for name in SIMPLE},
+    "transmission_ripple:2": ({"a": 2e-3, "b": -1e-3, "k": 7}, {"a": 2e-3, "b": -1e-3, "k": 7}, 1e-9),
+    "gear_ratio:1": ({"e": 1e-3}, {"e": 1e-3}, 1e-9),
+    "joint_coupling:5": ({"c": 1e-3}, {"c": 1e-3}, 1e-9),
+    "backlash:3": ({"b": 1e-3}, {"b": 1e-3}, 1e-9),
+    "thermal_growth": ({"a": 2e-4}, {"a": 2e-4}, 1e-9),
+    "base_drift": ({"vx": 1.0, "vy": -2.0, "vz": 0.5}, {"v": [1.0, -2.0, 0.5]}, 1e-9),
+    "base_rotation_drift": ({"wx": 1e-4, "wy": -2e-4, "wz": 1e-4}, {"w": [1e-4, -2e-4, 1e-4]}, 1e-4),
+}
+
+
+def truth_and_session(seed: int = 1) -> tuple[SpatialTruth, Session]:
+    """An arm as drawn, 30 postures of it."""
+    generator = np.random.default_rng(seed)
+    base = pose((300.0, -200.0, 900.0), from_own_axes(0.3, -0.2, 2.0))
+    zero, limit = np.zeros(5), np.full(5, 2.0)
+    lines = np.zeros((5, 3))
+    plain = SpatialTruth(TABLE, lines, lines, zero, base, TOOLS, MASSES, 4.0, -limit, limit, 0.05)
+    home = plain.home[:-1]
+    truth = replace(plain, axes=home[:, :3, 2], points=home[:, :3, 3])
+    return truth, session(truth, generator.uniform(-2.0, 2.0, (30, 5)), generator)  # type: ignore[arg-type]
+
+
+def model_of(truth: SpatialTruth, *specs: EffectSpec) -> Model:
+    """The program's model of the same arm, base and tools known."""
+    chain = chain_of([DHRow(a, alpha, d) for a, alpha, d in truth.table.tolist()])
+    tools = dict(zip("12", truth.tools, strict=True))
+    chain = replace(chain, base=truth.base, tools=tools, known=frozenset({"base", "tool"}))
+    gravity = Gravity(truth.gravity, truth.masses, np.full(truth.n, truth.share), truth.payload)
+    return Model(Arm.of_chain(chain, gravity=gravity, effects=specs))
+
+
+def difference(truth: SpatialTruth, run: Session, *specs: EffectSpec) -> float:
+    """Largest distance [mm] of a coordinate, of both measured points."""
+    marker = np.arange(len(run.q)) % 2
+    conditions = Conditions(run.payload, run.warm, run.t, run.s, marker=1.0 * marker)
+    ours = model_of(truth, *specs).position(run.q, conditions=conditions)
+    return float(np.abs(ours - spatial_simulator.position(truth, run, marker)).max())
+
+
+@pytest.mark.parametrize("key", VALUES)
+def test_two_implementations_agree(key: str) -> None:
+    """Every effect moves the tip by more than 0.01 mm; the second order of 1e-4 rad at 1000 mm is 1e-5 mm."""
+    name, _, joint = key.partition(":")
+    number, (ours, theirs, tolerance) = int(joint) if joint else None, VALUES[key]
+    truth, run = truth_and_session()
+    hidden = replace(truth, effects=[(name, number, theirs)])
+    assert difference(hidden, run, EffectSpec(name, number, ours)) < tolerance
+    assert difference(hidden, run) > 0.01
+
+
+def test_loads_that_are_wrong() -> None:
+    """A heavier tool and a leaning base show through every effect of gravity; `tool_mass` is one name of the first."""
+    truth, run = truth_and_session()
+    c = ("joint_compliance", None, {"c": np.full(5, 2e-5)})
+    known = EffectSpec("joint_compliance", None, {f"c{j}": 2e-5 for j in range(1, 6)})
+    heavy = replace(truth, effects=[c, ("payload_error", None, {"d": 3.0})])
+    for name, short in (("payload_error", "d"), ("tool_mass", "m")):
+        assert difference(heavy, run, known, EffectSpec(name, None, {short: 3.0})) < 1e-9
+    assert difference(heavy, run, known) > 0.01
+    lean = replace(truth, effects=[c, ("gravity_tilt", None, {"angle": [2e-3, -3e-3]})])
+    # turns about x, then y, against one about a vector: 3e-6 rad of gravity, which moves the tip by 1 mm
+    assert difference(lean, run, known, EffectSpec("gravity_tilt", None, {"x": 2e-3, "y": -3e-3})) < 1e-5
+    assert difference(lean, run, known) > 1e-3
+
+
+def test_what_the_geometry_can_be_wrong_about() -> None:
+    """The base Jacobian contains the derivative by every parameter of the model's geometry, by finite differences."""
+    truth, run = truth_and_session()
+    chain = replace(
+        chain_of([DHRow(*row) for row in truth.table.tolist()]), base=truth.base, tools={"1": truth.tools[0]}
+    )
+    model = Model(Arm.of_chain(chain))
+    steps = 1e-4 / model.scales
+    columns = [
+        (model.position(run.q, model.values + step) - model.position(run.q, model.values - step)).ravel() / 2e-4
+        for step in np.diag(steps)
+    ]
+    space = spatial_simulator.base_jacobian(replace(truth, tools=truth.tools[:1]), run)
+    for column in columns:
+        left = column - space @ np.linalg.lstsq(space, column, rcond=1e-10)[0]
+        assert np.linalg.norm(left) < 1e-6 * np.linalg.norm(column)  # of differences: (1e-4)^2 and 1e-13 / 1e-4
+
+
+def test_the_simulator_does_not_know_the_model() -> None:
+    code = "import sys, doe.studies.blind.spatial_simulator; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert "casadi" not in loaded
+    assert not [name for name in loaded if name.startswith(("identification.effects", "identification.model"))]
