@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,7 +49,8 @@ def command(session: Session, study: str, replications: int | None, job: JobOpti
     """Simulate, identify and count: what plans, models and noise do to the accuracy.
 
     STUDY is a file, or the name of a study that comes with armcal: paper (every table, figure and number of the paper,
-    with errata), blind (diagnoses of data with hidden effects, compared with the truth afterwards). The folder gets
+    with errata), blind (diagnoses of data with hidden effects, compared with the truth afterwards), blind-spatial (the
+    same for six-axis arms). The folder gets
     cells.parquet (one row per cell and parameter: errors, deviations, coverage), blocks.parquet and plans.parquet;
     notebooks read them with polars.
     """
@@ -92,12 +95,13 @@ def _paper(replications: int | None, folder: Path, workers: Workers, options: Op
     return _tables_answer(found, folder, paper_tables(found))
 
 
-def _blind(replications: int | None, folder: Path, workers: Workers, options: Options) -> Answer:
-    """Diagnoses of data with hidden effects."""
+def _blind(replications: int | None, folder: Path, workers: Workers, options: Options, space: bool = False) -> Answer:
+    """Diagnoses of data with hidden effects, of planar arms or of arms in space."""
     from doe.report.blind import blind_tables, write_pictures
+    from doe.studies.blind.spatial_cells import CELLS
     from doe.studies.blind.study import blind_study
 
-    found = blind_study(None, replications, folder, workers, **options)
+    found = blind_study(list(CELLS) if space else None, replications, folder, workers, **options)
     write_pictures(folder, found)
     return _tables_answer(found, folder, blind_tables(found))
 
@@ -108,4 +112,8 @@ def _tables_answer(found: BlindStudy | PaperStudy, folder: Path, shown: list[Any
     return Answer({"out": folder, "passed": found.passed, **rows}, shown, exit_code=0 if found.passed else 1)
 
 
-BUILT_IN = {"blind": _blind, "paper": _paper}
+BUILT_IN: dict[str, Callable[..., Answer]] = {
+    "blind": _blind,
+    "blind-spatial": partial(_blind, space=True),
+    "paper": _paper,
+}

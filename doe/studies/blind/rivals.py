@@ -15,6 +15,7 @@ from identification.gap.fit import fit
 from identification.gap.hypotheses import hypotheses
 from identification.gap.whitening import Rows
 from identification.measurements import rms_distance
+from identification.minimal import practical
 from identification.model import Model
 
 LENGTHS = (0.5, 8.0)  # of the process's kernel; two postures are at most 2 sqrt(n) apart
@@ -23,7 +24,8 @@ RATIOS = (1e-6, 1e6)  # of the kernel's parts to the mean square residual
 
 def true_arm(data: DataSet) -> Arm:
     """The arm with the true model, fitted to the rows that are not outliers."""
-    model = Model(data.arm.with_effects(*data.arm.effects, *data.specs))
+    arm = practical(data.arm, data.measurements)
+    model = Model(arm.with_effects(*arm.effects, *data.specs))
     kept = np.ones(len(data.measurements), dtype=bool)
     kept[[row - 1 for row in data.wrong_rows]] = False
     found = fit(model, Rows.of(data.measurements).pick(kept))

@@ -113,6 +113,10 @@ def _bars() -> Iterator[Bar]:
     yield Bar("three outliers, lambda 8", "exact", 0.92)
     yield Bar("three outliers, lambda 8", "outliers listed", 1.0)
     yield from (Bar("one, lambda 8, m=20", "next_2 right", 0.75), Bar("one, lambda 8, m=20", "next_8 right", 0.86))
+    for cell in ("m=60", "m=200", "two reflectors"):
+        yield Bar(f"space, none, {cell}", "alarm", 0.07, at_most=True)
+        yield Bar(f"space, lambda 8, {cell}", "exact", 0.8)
+        yield Bar(f"space, lambda 8, {cell}", "in the set", 0.95)
     for cell in ("many effects", "many effects, harmonics"):
         for measure, value in (("error / true", 1.5), ("false names", 0.8), ("false unknown", 0.1)):
             yield Bar(cell, measure, value, at_most=True)

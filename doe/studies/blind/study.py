@@ -23,9 +23,11 @@ from doe.jobs.tasks import Job
 from doe.jobs.workers import Workers
 from doe.problem.problem import DesignProblem
 from doe.studies.blind import cells as simulated
+from doe.studies.blind import spatial_cells as spatial
 from doe.studies.blind.cells import DataSet
 from doe.studies.blind.rivals import error, has_processes, library_gap, process_gap, true_arm, true_gap
 from doe.studies.blind.score import BARS, BlindStudy, score
+from identification.arm import Arm
 from identification.errors import InputError, nearest
 from identification.estimation.intervals import quantile_95
 from identification.gap.diagnose import diagnose
@@ -36,6 +38,7 @@ from identification.progress import Progress, silent
 BATCH = 10  # sets per task
 DRAWS = 499  # of the bootstrap
 NULL_SETS, SETS = 1000, 400  # data sets per cell, without and with a hidden effect
+SPATIAL_SETS = 100  # per cell in space, where a diagnosis takes ten times as long
 AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured further
 MANY_SETS = 1200  # in this cell, of which a third are ambiguous, and where ten sets share an arm and its plan
 NULLS = tuple(bar.cell for bar in BARS if bar.measure == "alarm")
@@ -57,8 +60,10 @@ def blind_study(
 ) -> BlindStudy:
     """Diagnose data sets with hidden effects and compare with the truth afterwards.
 
-    cells : names of the simulator's cells, default those of the full study
-    count : data sets per cell; left out: 1000 without a hidden effect where there is a bar, else 400 or 1200
+    cells : names of the simulators' cells, default those of the full study in the plane; `spatial_cells.CELLS` has
+        those in space
+    count : data sets per cell; left out: 1000 without a hidden effect where there is a bar, else 400 or 1200; in space
+        100
     folder : where plans.parquet, truth.parquet, diagnoses.parquet and the tables of the result go
     draws : of the bootstrap
 
@@ -66,7 +71,7 @@ def blind_study(
     """
     keys = [dict(key) for cell in _checked(cells) for key in _keys(cell, count, seed)]
     job = Job(folder, workers, 0, resume, force, progress)  # the seed is in the keys
-    to_plan = [key for key in keys if simulated.to_be_planned(key["cell"], _number(key)) is not None]
+    to_plan = [key for key in keys if key["cell"] in simulated.CELLS and _to_be_planned(key) is not None]
     made = job.run(plan, to_plan, PLANS)
     plans = {row[KEY]: row.get("postures_deg") for row in made.iter_rows(named=True)}
 
@@ -84,7 +89,7 @@ def blind_study(
 
 def _checked(cells: Sequence[str] | None) -> list[str]:
     """Names of the simulator's cells, default those of the full study."""
-    known = list(simulated.CELLS)
+    known = [*simulated.CELLS, *spatial.CELLS]
     for cell in cells or ():
         if cell not in known:
             raise InputError(f"cell: unknown name {cell!r}, {nearest(cell, known)}")
@@ -96,16 +101,27 @@ def _checked(cells: Sequence[str] | None) -> list[str]:
 
 
 def _keys(cell: str, count: int | None, seed: int) -> Iterator[Key]:
-    many = cell == AMBIGUOUS or simulated.CELLS[cell].designed
-    total = count or (MANY_SETS if many else NULL_SETS if cell in NULLS else SETS)
+    total = count or _usual_count(cell)
     for first in range(0, total, BATCH):
         yield {"cell": cell, "first": first, "sets": min(BATCH, total - first), "seed": seed}
+
+
+def _usual_count(cell: str) -> int:
+    if cell in spatial.CELLS:
+        return SPATIAL_SETS
+    if cell == AMBIGUOUS or simulated.CELLS[cell].designed:
+        return MANY_SETS
+    return NULL_SETS if cell in NULLS else SETS
+
+
+def _to_be_planned(key: Key) -> tuple[Arm, int] | None:
+    return simulated.to_be_planned(key["cell"], _number(key))
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------
 def plan(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
     """The postures that `armcal design --discriminating` gives for the arm of a batch."""
-    planned = simulated.to_be_planned(key["cell"], _number(key))
+    planned = _to_be_planned(key)
     assert planned is not None  # only such cells are tasks
     arm, runs = planned
     found = discrimination_design(DesignProblem.of(Model(arm)), arm, runs)
@@ -214,8 +230,9 @@ def _appended(
 def _data_sets(key: dict[str, Any], planned: list[list[float]] | None) -> Iterator[tuple[int, DataSet]]:
     """Number and data of every set of a batch."""
     postures = None if planned is None else np.radians(planned)
+    drawn = spatial.data_set if key["cell"] in spatial.CELLS else simulated.data_set
     for k in range(key["sets"]):
-        yield key["first"] + k, simulated.data_set(key["cell"], _number(key) + k, postures)
+        yield key["first"] + k, drawn(key["cell"], _number(key) + k, postures)
 
 
 def _number(key: Key) -> int:
