@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from textwrap import fill
-
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from doe.report.pictures import AFTER, BEFORE, LIMIT, draw_residual_arrows, projections, workspace_axes
+from doe.report.pictures import AFTER, BEFORE, LIMIT, draw_residual_arrows, to_scale, workspace_axes
 from identification.arrays import Array
 from identification.estimation.intervals import quantile_95
 from identification.gap.detectability import Detectability
@@ -65,12 +63,14 @@ def workspace_figure(diagnosis: Diagnosis) -> Figure:
     """Residual arrows over the workspace, before and after, on one scale; without outlier rows."""
     shown, kept = diagnosis.residuals, rows_kept(diagnosis)
     dimension = diagnosis.arm.dimension
-    figure = Figure(figsize=(10.0, 4.8 * len(projections(dimension))), layout="constrained")
+    figure = Figure(figsize=(10.0, 4.8), layout="constrained")
     axes = workspace_axes(figure, dimension)
     pairs = ((shown.before, BEFORE, "before"), (shown.after, AFTER, "after"))
     for column, (residuals, color, name) in zip(axes, pairs, strict=True):
         scale = 0.12 * diagnosis.arm.reach / (float(distances(shown.before[kept]).max()) or 1.0)
         draw_residual_arrows(column, shown.positions[kept], residuals[kept], color, name, float(scale))
+    if dimension == 3:
+        to_scale(figure, axes)
     return figure
 
 
@@ -89,7 +89,7 @@ def alias_figure(detectability: Detectability) -> Figure:
 
 def curves_figure(diagnosis: Diagnosis) -> Figure:
     """Error curves with 95 % bands, and residuals that the curve explains, as angles: their mean in groups of rows."""
-    figure = Figure(figsize=(10.0, 2.6 * len(diagnosis.curves)), layout="constrained")
+    figure = Figure(figsize=(10.0, 2.2 * len(diagnosis.curves)), layout="constrained")
     axes = np.atleast_1d(figure.subplots(len(diagnosis.curves), 1))
     seen, half = curve_residuals(diagnosis), quantile_95(min(diagnosis.named.freedom, default=np.inf))
     for axis, curve in zip(axes, diagnosis.curves, strict=True):
@@ -98,7 +98,6 @@ def curves_figure(diagnosis: Diagnosis) -> Figure:
         axis.fill_between(angles, error - band, error + band, color=AFTER, alpha=0.25, lw=0, label="95 %")
         axis.plot(angles, error, color=AFTER, lw=1.4, label="curve")
         axis.set(xlabel=f"$q_{curve.joint}$ [deg]", ylabel="error [deg]")
-        axis.set_title(fill(curve.shape, 120), fontsize=8)
     axes[0].legend(frameon=False, fontsize=8)
     return figure
 

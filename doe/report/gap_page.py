@@ -189,12 +189,14 @@ def curve_sections(diagnosis: Diagnosis) -> list[Section]:
         return []
     from doe.report.gap_figures import curves_figure
 
-    shapes = (f"Joint {curve.joint}: {curve.shape}." for curve in diagnosis.curves)
     text = (
         "Real less commanded angle over the angles measured, with a 95 % band; zero outside. Dots: what groups of rows "
-        f"say, with everything else in the model. {' '.join(shapes)}"
+        "say, with everything else in the model."
     )
-    return [Section("Error curves of joints", text, [curve_sheet(diagnosis)], [curves_figure(diagnosis)])]
+    plain = curve_sheet(diagnosis)
+    rows = [[*row, curve.shape] for row, curve in zip(plain.rows, diagnosis.curves, strict=True)]
+    sheet = Sheet([*plain.headings, "shape"], rows)
+    return [Section("Error curves of joints", text, [sheet], [curves_figure(diagnosis)])]
 
 
 def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:

@@ -187,6 +187,15 @@ def workspace_axes(figure: Figure | SubFigure, dimension: int) -> list[list[Axes
     return [list(column) for column in figure.subplots(views, 2, sharex=True, sharey="row", squeeze=False).T]
 
 
+def to_scale(figure: Figure, columns: Sequence[Sequence[Axes]]) -> None:
+    """Rows of pictures of one scale as high as what they show, and the figure as high as all of them."""
+    boxes = [axis.dataLim for axis in columns[0]]
+    shares = [float(np.clip(box.height / box.width, 0.25, 1.5)) if box.width else 1.0 for box in boxes]
+    if (grid := columns[0][0].get_gridspec()) is not None:
+        grid.set_height_ratios(shares)
+    figure.set_figheight(0.3 + sum(0.5 + figure.get_figwidth() * share / len(columns) for share in shares))
+
+
 def draw_residual_arrows(
     axes: Sequence[Axes], positions: Array, residuals: Array, color: str, name: str, scale: float
 ) -> None:
