@@ -207,8 +207,8 @@ def gap_sections(diagnosis: Diagnosis) -> Sequence[Section]:
     notes = ["Sizes of effects that would have been found, and effects that are hard to distinguish."]
     if diagnosis.outlier_rows:
         notes.append(f"Rows left out as outliers: {', '.join(map(str, diagnosis.outlier_rows))}.")
-    notes += [f"{w}." for w in diagnosis.warnings]
-    notes += [*(f"Scatter: {finding}." for finding in diagnosis.scatter), *(f"{n}." for n in diagnosis.notes)]
+    found = [*diagnosis.warnings, *(f"scatter: {finding}" for finding in diagnosis.scatter), *diagnosis.notes]
+    notes += [f"{text[:1].upper()}{text[1:]}." for text in found]
     estimates = [sheet for _, sheet in estimate_sheets(diagnosis)]
     candidates = [candidate_sheet(diagnosis), *estimates] if diagnosis.effects else []
     return [

@@ -193,7 +193,7 @@ def to_scale(figure: Figure, columns: Sequence[Sequence[Axes]]) -> None:
     shares = [float(np.clip(box.height / box.width, 0.25, 1.5)) if box.width else 1.0 for box in boxes]
     if (grid := columns[0][0].get_gridspec()) is not None:
         grid.set_height_ratios(shares)
-    figure.set_figheight(0.3 + sum(0.5 + figure.get_figwidth() * share / len(columns) for share in shares))
+    figure.set_figheight(0.2 + sum(0.5 + 0.88 * figure.get_figwidth() * share / len(columns) for share in shares))
 
 
 def draw_residual_arrows(
