@@ -12,6 +12,7 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.estimation.estimate import check
+from identification.gap.agreement import overruled
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import trial_list
 from identification.gap.certainty import fit_doubts
@@ -208,7 +209,7 @@ def named_effects(
         shapes=order_ranges(explained.fit, found.fits.rows, named.effects),
         probabilities=explained.likely,
         curves=curves,
-        notes=tuple(order_notes(hidden)),
+        notes=(*overruled(found, explained.likely), *order_notes(hidden)),
         prior=explained.prior,
     )
 

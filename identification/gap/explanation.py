@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.gap.agreement import agreeing
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import candidate, candidate_list
 from identification.gap.curves import Curves, curve_candidate, find_curves
@@ -40,8 +41,9 @@ class Explanation:
 
 def explanation(found: Findings, measurements: Measurements, draws: int, generator: np.random.Generator) -> Explanation:
     """The ambiguity set and the best set, in which error curves take the place of names that they explain better."""
-    chosen = found.unknown.chosen
     likely = probabilities(found)
+    found = agreeing(found, likely)
+    chosen = found.unknown.chosen
     fitted, smooth = found.fits.fit(chosen), find_curves(found, measurements)
     if smooth is None:
         candidates = candidate_list(found, draws, generator)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.gap.search import Choice, HypothesisSearch
-from identification.gap.unmodelled_survey import LEVEL, Sample, Survey, adjusted, survey_all
+from identification.gap.unmodelled_survey import LEVEL, Sample, Survey, adjusted, shapes_beside, survey_all
 
 # reasons: identification/README.md, "Constants"
 # BIC that an unknown shape must gain on k effects that it would replace, 6 (2 - k): one effect is believed, two have no
@@ -44,6 +44,14 @@ def find_unmodelled(search: HypothesisSearch, chosen: Choice, generator: np.rand
     fewer = [(o, len(chosen) - len(o.kept)) for o in options]
     replacing = [o for o, k in fewer if k > 0 and o.bic < best - ODDS * (2 - k)]
     return _best(p, replacing) if replacing else Unknown(p, None, None, chosen, best)
+
+
+def likeliest_shape(search: HypothesisSearch, unknown: Unknown) -> Unknown:
+    """The shape that the library lacks with the lowest BIC, in place of names or beside them, however it compares with
+    the names alone."""
+    sets = [unknown.chosen, *_reduced(unknown.chosen)]
+    surveys = ((kept, shapes_beside(search, kept)) for kept in sets)
+    return _best(unknown.p, [_option(search, kept, shapes) for kept, shapes in surveys if shapes.listed])
 
 
 class _Option(NamedTuple):

@@ -1,0 +1,42 @@
+"""No name that its own probabilities deny: verdict and probabilities agree.
+
+Tests hold false alarms at their level, whatever the effects' sizes; probabilities weigh what is named against nothing
+at all and against shapes outside the library. Where one of these alone makes the credible set, it is the verdict.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from identification.gap.probabilities import Probabilities
+from identification.gap.selection import ALPHA_FIRST, Selection, neighbors
+from identification.gap.unmodelled import Unknown, likeliest_shape
+from identification.gap.workflow import Findings
+
+NOTHING, OUTSIDE = (), None  # as the credible set has them
+
+
+def agreeing(found: Findings, likely: Probabilities) -> Findings:
+    """The findings, or without a name where 90 % say that nothing is missing, or something outside the library."""
+    credible, unknown = list(likely.credible), found.unknown
+    if not unknown.chosen or unknown.place is not None or len(credible) != 1:
+        return found
+    if credible[0] is OUTSIDE:
+        return replace(found, unknown=likeliest_shape(found.search, unknown))
+    if credible[0] == NOTHING:
+        search, before = found.search, found.selection
+        none = Selection((), neighbors(search, ()), before.first, before.first, ((),))
+        return replace(found, selection=none, unknown=Unknown(unknown.p, None, None, (), search.bic(())))
+    return found
+
+
+def overruled(found: Findings, likely: Probabilities) -> list[str]:
+    """What a test says against the verdict that nothing is missing, as a note."""
+    test = found.selection.first.omnibus_test
+    if found.unknown.chosen or found.unknown.place is not None or not test.p.size:
+        return []
+    best = int(test.adjusted.argmin())
+    if test.adjusted[best] > ALPHA_FIRST * found.search.level_factor:
+        return []
+    name = found.selection.first.members[best].label
+    return [f"{name}: p = {test.adjusted[best]:.2g}, yet nothing missing is likelier (probability {likely.none:.2f})"]
