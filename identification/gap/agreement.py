@@ -13,17 +13,15 @@ from identification.gap.selection import ALPHA_FIRST, Selection, neighbors
 from identification.gap.unmodelled import Unknown, likeliest_shape
 from identification.gap.workflow import Findings
 
-NOTHING, OUTSIDE = (), None  # as the credible set has them
-
 
 def agreeing(found: Findings, likely: Probabilities) -> Findings:
     """The findings, or without a name where 90 % say that nothing is missing, or something outside the library."""
     credible, unknown = list(likely.credible), found.unknown
     if not unknown.chosen or unknown.place is not None or len(credible) != 1:
         return found
-    if credible[0] is OUTSIDE:
+    if credible[0] is None:  # something outside the library
         return replace(found, unknown=likeliest_shape(found.search, unknown))
-    if credible[0] == NOTHING:
+    if credible[0] == ():
         search, before = found.search, found.selection
         none = Selection((), neighbors(search, ()), before.first, before.first, ((),))
         return replace(found, selection=none, unknown=Unknown(unknown.p, None, None, (), search.bic(())))
