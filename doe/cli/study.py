@@ -35,6 +35,7 @@ where study.toml has, for instance (names of files are beside it):
     length_errors_mm = [1.5, -0.6, -0.4, 0.7]
     joint_offsets_deg = [0.5, -0.5, 0.7, -0.3]
     effects = [{name = "encoder_eccentricity", joint = 2, a_deg = 0.03, b_deg = -0.01}]
+    # of spatial arms: values = {"translation_x:3" = 0.5, "joint_offset:2" = 0.2}  # instead of the two lists
 \b
     [[models]]                   # what is fitted; left out: the arm's own effects
     name = "base"

@@ -5,7 +5,9 @@ The description of a field is the end of its error message.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,10 +15,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from doe.plan.file import load_plan
+from doe.studies.monte_carlo.spatial import simulated
 from doe.studies.monte_carlo.specification import MOST_BLOCK, MOST_REPLICATIONS, MOST_RUNS, Fitted, Study, Truth
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError, nearest
 from identification.files.arm import arm_from_tables, load_arm
+from identification.files.arm_text import dump_arm
 from identification.files.io import PathLike, read_toml
 
 Positive = Annotated[float, Field(gt=0)]
@@ -34,10 +38,11 @@ class TruthTable(_Table):
     length_errors_mm: list[float] | None = Field(None, description="one number [mm] for each link")
     joint_offsets_deg: list[float] | None = Field(None, description="one angle [deg] for each link")
     effects: list[dict[str, Any]] | None = Field(None, description="tables as [[effects]] of an arm file, with values")
+    values: dict[str, float] | None = Field(None, description="a table of numbers [mm, deg], as calibration.values")
 
 
 class ModelTable(_Table):
-    """`[[models]]`: what the fit estimates besides lengths and offsets."""
+    """`[[models]]`: what the fit estimates besides the geometry."""
 
     name: str = Field(description="a text")
     effects: list[dict[str, Any]] = Field(description="tables as [[effects]] of an arm file")
@@ -132,9 +137,26 @@ def _truths(file: StudyFile, arms: Sequence[Arm]) -> Sequence[Truth]:
             table.length_errors_mm,
             None if table.joint_offsets_deg is None else np.radians(table.joint_offsets_deg).tolist(),
             None if table.effects is None else _effects(f"truths[{k}]", table.effects, arms),
+            None if table.values is None else _values(f"truths[{k}]", table.values, arms),
         )
         for k, table in enumerate(file.truths, start=1)
     ]
+
+
+def _values(place: str, entries: Mapping[str, float], arms: Sequence[Arm]) -> dict[str, float]:
+    """Errors of a spatial arm's geometry, from file to API units, which every arm must have in common."""
+    found: list[dict[str, float]] = []
+    for arm in arms:
+        if arm.chain is None:
+            raise InputError(f"{place}.values: arm {arm.name} is planar, allowed: spatial arms")
+        factors = {p.name: p.to_file for p in arm.chain.parameters()}
+        for name in entries:
+            if name not in factors:
+                raise InputError(f"{place}.values: unknown parameter {name!r}, {nearest(name, factors)}")
+        found.append({name: value / factors[name] for name, value in entries.items()})
+    if any(values != found[0] for values in found):
+        raise InputError(f"{place}.values: turning and sliding joints of these arms differ, allowed: a study for each")
+    return found[0]
 
 
 def _models(file: StudyFile, arms: Sequence[Arm]) -> Sequence[Fitted]:
@@ -147,7 +169,12 @@ def _models(file: StudyFile, arms: Sequence[Arm]) -> Sequence[Fitted]:
 def _effects(place: str, entries: list[dict[str, Any]], arms: Sequence[Arm]) -> tuple[EffectSpec, ...]:
     """Entries as under `[[effects]]` of an arm file, which every arm of the study must be able to have."""
     try:
-        found = [arm_from_tables({"links_mm": arm.lengths.tolist(), "effects": entries}).effects for arm in arms]
+        found = [arm_from_tables({**_tables(arm), "effects": entries}).effects for arm in arms]
     except InputError as error:
         raise InputError(f"{place}.{error}") from None
     return found[0]
+
+
+def _tables(arm: Arm) -> dict[str, Any]:
+    """Of an arm file of the arm without effects."""
+    return tomllib.loads(dump_arm(replace(simulated(arm), effects=(), calibration=None)))

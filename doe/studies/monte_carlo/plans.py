@@ -13,6 +13,7 @@ import polars as pl
 from doe.jobs.row_table import Key, Row, short_hash
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
+from doe.studies.monte_carlo.spatial import in_api_units, in_file_units
 from doe.studies.monte_carlo.specification import DFT, RANDOM, Study
 from identification.arm import Arm
 from identification.files.arm import arm_from_tables
@@ -38,7 +39,8 @@ def make_plan(key: dict[str, Any], seed: np.random.SeedSequence, text: str) -> l
     problem = DesignProblem.of(Model(arm_from_tables(tomllib.loads(text))))
     number = int(seed.generate_state(1)[0])
     design = solve(problem, key["runs"], key["plan"], seed=number, seconds=key["limit_s"])
-    return [{"postures_deg": np.degrees(design.plan.postures).tolist(), "efficiency": design.efficiency}]
+    postures = in_file_units(design.plan.postures, problem.model.joint_types)
+    return [{"postures_deg": postures.tolist(), "efficiency": design.efficiency}]
 
 
 def dft_postures(links: int, runs: int) -> np.ndarray:
@@ -48,6 +50,8 @@ def dft_postures(links: int, runs: int) -> np.ndarray:
 
 
 def _dft(arm: Arm, runs: int) -> np.ndarray | str:
+    if arm.chain is not None:
+        return f"plan dft: arm {arm.name} is spatial, allowed: planar arms"
     postures = dft_postures(arm.links, runs)
     if runs < arm.links:
         return f"plan dft: {runs} runs are too few for {arm.links} links, allowed: at least {arm.links}"
@@ -58,11 +62,14 @@ def _dft(arm: Arm, runs: int) -> np.ndarray | str:
     return f"plan dft: posture {outside[0] + 1} would violate a constraint" if outside.size else postures
 
 
-def made_postures(plans: pl.DataFrame) -> dict[tuple[str, str, int], np.ndarray | str]:
+def made_postures(study: Study, plans: pl.DataFrame) -> dict[tuple[str, str, int], np.ndarray | str]:
     """Arm, plan and runs -> postures (m, n) [rad], or why there are none."""
+    types = {arm.name: arm.joint_types for arm in study.arms}
     return {
         (row["arm"], row["plan"], row["runs"]): (
-            np.radians(row["postures_deg"]) if row["status"] == "done" else f"no plan: {row['error']}"
+            in_api_units(np.array(row["postures_deg"]), types[row["arm"]])
+            if row["status"] == "done"
+            else f"no plan: {row['error']}"
         )
         for row in plans.iter_rows(named=True)
     }

@@ -13,6 +13,7 @@ import numpy as np
 from doe.jobs.row_table import Row
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
+from doe.studies.monte_carlo.spatial import fitted_model, in_api_units, true_values
 from identification.arrays import Array
 from identification.errors import JobError
 from identification.estimation import estimate_batch, estimate_each
@@ -34,7 +35,7 @@ class Cell:
     """What a block of replications needs, in plain types that travel to workers.
 
     arm, truth : texts of arm files: as the fit knows it, and as it really is
-    postures_deg : (m, n) the plan, None: a new random plan for each replication
+    postures_deg : (m, n) the plan, of prismatic joints in mm; None: a new random plan for each replication
     """
 
     arm: str
@@ -46,7 +47,7 @@ class Cell:
     @cached_property
     def model(self) -> Model:
         """What is fitted."""
-        return Model(arm_from_tables(tomllib.loads(self.arm)))
+        return fitted_model(arm_from_tables(tomllib.loads(self.arm)))
 
     @cached_property
     def problem(self) -> DesignProblem:
@@ -62,7 +63,8 @@ class Cell:
     def plan(self) -> Measurements:
         """The plan as measurements without positions: postures and the conditions of their order."""
         assert self.postures_deg is not None
-        return Measurements(np.radians(self.postures_deg), np.zeros((self.runs, self.model.dimension)))
+        postures = in_api_units(np.array(self.postures_deg), self.model.joint_types)
+        return Measurements(postures, np.zeros((self.runs, self.model.dimension)))
 
     @cached_property
     def exact(self) -> Array:
@@ -71,13 +73,17 @@ class Cell:
 
     @cached_property
     def true_values(self) -> Array:
-        """(p,) true values of the fitted parameters, zero for those that the truth does not have."""
-        return self.model.parameters.vector(self.true_model.best_known)
+        """(p,) true values of the fitted parameters."""
+        return true_values(self.model, self.true_model)
 
     @cached_property
     def transform(self) -> Array:
-        """(p + n, p) from the parameters to those that are reported: themselves, and the orientation offsets."""
-        return np.vstack([np.eye(len(self.model.names)), orientation_transform(self.model.parameters)])
+        """(p + n, p) from the parameters to those that are reported: themselves, and in the plane the orientation
+        offsets."""
+        own = np.eye(len(self.model.names))
+        return (
+            own if self.model.arm.chain is not None else np.vstack([own, orientation_transform(self.model.parameters)])
+        )
 
     @cached_property
     def reported(self) -> list[tuple[str, str, float]]:

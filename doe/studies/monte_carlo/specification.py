@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doe.plan.plan import Plan
 from doe.solvers import SOLVERS
+from doe.studies.monte_carlo.spatial import fitted_model, simulated
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import readonly
 from identification.effects import library
 from identification.errors import InputError, nearest
+from identification.kinematics.parameters import GEOMETRY
 from identification.model import Model
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
@@ -25,30 +27,53 @@ MOST_TASKS = 100_000  # of a cell: each is a row of a table
 class Truth:
     """What is really there. None: as in the arm's own calibration and effects.
 
-    length_errors : (n,) [mm];  joint_offsets : (n,) [rad];  effects : with values
+    length_errors : (n,) [mm];  joint_offsets : (n,) [rad], of planar arms
+    values : parameter name -> error [API units], of spatial arms;  effects : with values
     """
 
     name: str = "arm"
     length_errors: Sequence[float] | None = None
     joint_offsets: Sequence[float] | None = None
     effects: tuple[EffectSpec, ...] | None = None
+    values: Mapping[str, float] | None = None
 
     def of(self, arm: Arm) -> Arm:
-        """The true arm. Raises `InputError` if the errors are not one for each link."""
+        """The true arm. Raises `InputError` for errors that the arm does not have, and if they are not one for each
+        link."""
+        calibration = self._planar(arm) if arm.chain is None else self._spatial(arm)
+        if self.effects is None:
+            effects = {} if arm.calibration is None else arm.calibration.effects
+            return replace(arm, calibration=replace(calibration, values={**calibration.values, **effects}))
+        return replace(arm, effects=self.effects, calibration=calibration)
+
+    def _planar(self, arm: Arm) -> Calibration:
+        if self.values is not None:
+            raise InputError("values: found for a planar arm, allowed: length_errors_mm and joint_offsets_deg")
         own = arm.calibration or Calibration.of(np.zeros(arm.links), np.zeros(arm.links))
         lengths = own.length_errors if self.length_errors is None else readonly(self.length_errors)
         offsets = own.joint_offsets if self.joint_offsets is None else readonly(self.joint_offsets)
         for name, values in (("length_errors_mm", lengths), ("joint_offsets_deg", offsets)):
             if values.size != arm.links:
                 raise InputError(f"{name}: found {values.size} values for {arm.links} links, allowed: {arm.links}")
-        if self.effects is None:
-            return replace(arm, calibration=Calibration.of(lengths, offsets, own.effects))
-        return replace(arm, effects=self.effects, calibration=Calibration.of(lengths, offsets))
+        return Calibration.of(lengths, offsets)
+
+    def _spatial(self, arm: Arm) -> Calibration:
+        for name, found in (("length_errors_mm", self.length_errors), ("joint_offsets_deg", self.joint_offsets)):
+            if found is not None:
+                raise InputError(f'{name}: found for a spatial arm, allowed: values = {{"translation_x:2" = 0.5}}')
+        own = {} if arm.calibration is None else arm.calibration.values
+        geometry = {name: value for name, value in own.items() if GEOMETRY.fullmatch(name)}
+        values = geometry if self.values is None else self.values
+        allowed = arm.chain.parameters().names if arm.chain is not None else ()
+        for name in values:
+            if name not in allowed:
+                raise InputError(f"values: unknown parameter {name!r}, {nearest(name, allowed)}")
+        return Calibration(values)
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """What the fit estimates besides lengths and offsets. None: the arm's own effects."""
+    """What the fit estimates besides the geometry. None: the arm's own effects."""
 
     name: str = "arm"
     effects: tuple[EffectSpec, ...] | None = None
@@ -82,6 +107,7 @@ class Study:
     solver_seconds: float = 60.0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "arms", [simulated(arm) for arm in self.arms])
         self._check_plans()
         for what, entries in self._named:
             names = [entry.name for entry in entries]
@@ -121,7 +147,7 @@ class Study:
     def _check_runs(self) -> None:
         """Some cell must have as many equations as unknowns; the others are rows that say why there is nothing."""
         sizes = [size for plan in self.plans for size in (self.runs if isinstance(plan, str) else [len(plan[1])])]
-        fitted = [Model(entry.of(arm)) for arm in self.arms for entry in self.models]
+        fitted = [fitted_model(entry.of(arm)) for arm in self.arms for entry in self.models]
         fewest = min(fitted, key=lambda model: len(model.names) / model.dimension, default=None)
         if sizes and fewest and fewest.dimension * max(sizes) < (unknowns := len(fewest.names)):
             allowed = f"at least {-(-unknowns // fewest.dimension)} for {unknowns} parameters"

@@ -17,6 +17,7 @@ from doe.jobs.tasks import Job
 from doe.jobs.workers import Workers
 from doe.studies.monte_carlo.plans import made_postures, make_plan, plan_keys, plans_of
 from doe.studies.monte_carlo.replications import Cell, replicate
+from doe.studies.monte_carlo.spatial import in_file_units
 from doe.studies.monte_carlo.specification import CELL, RANDOM, Study
 from identification.errors import JobError
 from identification.files.arm_text import dump_arm
@@ -65,7 +66,7 @@ def run_study(
     job = Job(folder, workers, seed, resume, force, progress)
     arms = {short_hash(text): text for text in map(dump_arm, study.arms)}
     plans = job.run(make_plan, list(plan_keys(study)), PLANS, payload=lambda key: arms[key["inputs"]])
-    tasks = dict(_tasks(study, made_postures(plans)))
+    tasks = dict(_tasks(study, made_postures(study, plans)))
     blocks = job.run(replicate, [dict(key) for key in tasks], BLOCKS, payload=lambda key: tasks[_frozen(key)])
     cells = pooled(blocks)
     if folder is not None:
@@ -79,7 +80,7 @@ def _tasks(study: Study, made: Mapping[Any, np.ndarray | str]) -> Iterator[tuple
         for name, runs, postures in plans_of(study, arm, made):
             for sigma, truth, model in product(study.sigma or [arm.sigma or 0.0], study.truths, study.models):
                 texts = dump_arm(model.of(arm)), dump_arm(truth.of(arm))
-                degrees = None if postures is None or isinstance(postures, str) else np.degrees(postures)
+                degrees = in_file_units(postures, arm.joint_types) if isinstance(postures, np.ndarray) else None
                 plan = None if degrees is None else tuple(map(tuple, degrees.tolist()))
                 cell = postures if isinstance(postures, str) else Cell(*texts, plan, runs, float(sigma))
                 key = dict(zip(CELL, (arm.name, name, runs, sigma, truth.name, model.name), strict=True))

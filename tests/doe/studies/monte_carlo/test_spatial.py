@@ -1,0 +1,96 @@
+"""Studies of spatial arms: intervals hold, errors that cannot be told apart count as what they amount to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doe.plan.plan import Plan
+from doe.studies.monte_carlo import Fitted, Study, Truth, load_study, run_study
+from doe.studies.monte_carlo.spatial import fitted_model, in_api_units, in_file_units, true_values
+from identification.arm import Arm, EffectSpec
+from identification.errors import InputError
+from identification.files.arm_text import dump_arm
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.model import Model
+
+ROWS = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)]
+CHAIN = replace(chain_of(ROWS), tools={"1": np.array([40.0, 30.0, 20.0])})
+ARM = Arm.of_chain(CHAIN, sigma=0.05, name="elbow")
+MACHINED = Truth(
+    "machined", values={"translation_x:2": 0.4, "translation_y:3": -0.3, "rotation_y:3": 2e-3, "base.x": 2.0}
+)
+ECCENTRIC = EffectSpec("encoder_eccentricity", 2, {"a": 4e-4, "b": -3e-4})
+PLAN = Plan(np.random.default_rng(2).uniform(-2.5, 2.5, (15, 3)))
+SETS = 400
+FILE = """\
+arms = ["elbow.toml"]
+plans = ["random"]
+runs = [9]
+replications = 5
+
+[[truths]]
+name = "machined"
+values = {"rotation_y:3" = 0.1}
+"""
+
+
+def test_true_values_put_the_point_where_the_truth_does() -> None:
+    """Without noise the fitted set, which is smaller than that of the errors, ends at the positions of all of them."""
+    model, truth = fitted_model(ARM), Model(MACHINED.of(ARM))
+    assert len(model.names) < len(truth.names)
+    postures = np.random.default_rng(5).uniform(-3.0, 3.0, (30, 3))
+    found = model.position(postures, true_values(model, truth))
+    np.testing.assert_allclose(found, truth.position(postures), atol=1e-5)
+
+
+def test_intervals_hold_and_a_missing_effect_is_a_bias() -> None:
+    truths = [MACHINED, replace(MACHINED, name="eccentric", effects=(ECCENTRIC,))]
+    study = Study([ARM], [("plan", PLAN), "dft"], [15], (), truths, [Fitted("geometry", ())], SETS, SETS)
+    cells = run_study(study, seed=3).cells
+    rows = cells.filter(cells["plan"] == "plan", cells["truth"] == "machined")
+    assert rows["failed"].to_list() == [0] * len(fitted_model(ARM).names)
+    spread = 5.0 / np.sqrt(2.0 * SETS)  # five standard errors of a standard deviation
+    np.testing.assert_allclose(rows["std"] / rows["expected_std"], 1.0, atol=spread)
+    assert (rows["mean_error"].abs() < 5.0 * rows["mean_error_se"]).all()
+    assert ((rows["coverage"] - 0.95).abs() < 5.0 * np.sqrt(0.95 * 0.05 / SETS)).all()
+    other = cells.filter(cells["plan"] == "plan", cells["truth"] == "eccentric")
+    assert other["rms_mm"][0] > 1.5 * rows["rms_mm"][0]
+    assert (other["mean_error"] / other["mean_error_se"]).abs().to_numpy().max() > 20.0
+    assert "is spatial, allowed: planar arms" in cells.filter(cells["plan"] == "dft")["error"][0]
+
+
+def test_a_study_file_with_values(tmp_path: Path) -> None:
+    (tmp_path / "elbow.toml").write_text(dump_arm(ARM))
+    (tmp_path / "planar.toml").write_text("links_mm = [300.0, 200.0, 100.0]\n[measurement]\nsigma_mm = 0.1\n")
+    path = tmp_path / "study.toml"
+    path.write_text(FILE)
+    study = load_study(path)
+    assert study.truths[0].values == {"rotation_y:3": pytest.approx(np.radians(0.1))}
+    assert run_study(study).cells["fits"].to_list() == [5] * len(fitted_model(ARM).names)
+    for old, new, sentence in (
+        ("rotation_y:3", "rotation_w:3", "truths[1].values: unknown parameter 'rotation_w:3', did you mean"),
+        ("elbow.toml", "planar.toml", "truths[1].values: arm arm is planar, allowed: spatial arms"),
+        ('values = {"rotation_y:3" = 0.1}', "length_errors_mm = [1.0]", "length_errors_mm: found for a spatial arm"),
+    ):
+        path.write_text(FILE.replace(old, new))
+        with pytest.raises(InputError) as error:
+            load_study(path)
+        assert sentence in str(error.value)
+
+
+def test_what_a_study_cannot_simulate_is_one_line() -> None:
+    with pytest.raises(InputError, match="2 measured points, allowed of a study: one"):
+        Study([Arm.of_chain(replace(CHAIN, tools={"a": np.ones(3), "b": np.zeros(3)}), sigma=0.1)], ["random"], [9])
+    with pytest.raises(InputError, match="measures orientations, allowed of a study: positions"):
+        Study([Arm.of_chain(replace(CHAIN, angle_scale=100.0), sigma=0.1)], ["random"], [9])
+
+
+def test_units_of_sliding_joints() -> None:
+    types = ("revolute", "prismatic")
+    postures = np.array([[np.pi, 250.0]])
+    np.testing.assert_array_equal(in_file_units(postures, types), [[180.0, 250.0]])
+    np.testing.assert_array_equal(in_api_units(in_file_units(postures, types), types), postures)
