@@ -13,6 +13,7 @@ import numpy as np
 from doe.problem.problem import DesignProblem
 from doe.problem.robust import robust_problem, workspace
 from identification.arrays import Array
+from identification.kinematics.parameters import EFFECT
 from identification.model import Model
 
 
@@ -20,8 +21,8 @@ from identification.model import Model
 class TipError:
     """Root mean square distances [mm].
 
-    right : the model lacks nothing, and is fitted by least squares
-    missing : effects of typical size are missing in the model, which is fitted by least squares all the same
+    right : the model lacks nothing, and is fitted by least squares, of a spatial arm with the prior of its machining
+    missing : effects of typical size are missing in the model, which is fitted in the same way
     with_prior : the same arms, fitted with the effects and their prior (`identify --prior`)
     """
 
@@ -46,12 +47,12 @@ def tip_error(problem: DesignProblem, wide: DesignProblem, postures: Array, pose
     needed = workspace(problem) if poses is None else poses
     targets, count = _flat(wide, needed), len(needed)
     noise = float(wide.model.sigma or 0.0) ** 2
-    information = rows[:, :own].T @ rows[:, :own]
-    if np.linalg.matrix_rank(rows[:, :own]) < own:
+    information = rows[:, :own].T @ rows[:, :own] + np.diag(wide.precisions[:own])
+    if np.linalg.matrix_rank(np.vstack([rows[:, :own], np.diag(np.sqrt(wide.precisions[:own]))])) < own:
         return TipError(np.inf, np.inf, _with_prior(wide, rows, targets, count, noise))
     right = noise * np.sum(targets[:, :own].T * np.linalg.solve(information, targets[:, :own].T)) / count
     # the fit takes up of each missing effect what lengths and offsets can, and the tip lacks the rest
-    taken = np.linalg.lstsq(rows[:, :own], rows[:, own:], rcond=None)[0]
+    taken = np.linalg.solve(information, rows[:, :own].T @ rows[:, own:])
     lacking = targets[:, :own] @ taken - targets[:, own:]
     sizes = noise / wide.precisions[own:]  # squared, in scaled parameters
     bias = np.sum(np.square(lacking) @ sizes) / count
@@ -71,7 +72,7 @@ def _flat(wide: DesignProblem, postures: Array) -> Array:
 
 
 def robust_or_none(problem: DesignProblem) -> DesignProblem | None:
-    """`robust_problem`, None where there is no sigma to weigh sizes against, or no library for the model."""
-    if problem.model.sigma is None or not isinstance(problem.model, Model) or problem.deviations:
-        return None
-    return robust_problem(problem)
+    """`robust_problem`, None where there is no sigma to weigh sizes against, no library for the model, or it is one."""
+    model = problem.model
+    robust = any(p.kind == EFFECT and p.name in problem.deviations for p in model.parameters)
+    return None if model.sigma is None or not isinstance(model, Model) or robust else robust_problem(problem)

@@ -105,12 +105,16 @@ def missing_lines(design: Design) -> list[Text]:
     if missing:
         effects = {name.partition(":")[0].partition(".")[0] for name in missing}
         known = f"{len(missing)} parameters of {', '.join(sorted(effects))}"
-        return [*lines, Text(f"may be missing, each of its typical size: {known}; identify the arm with --prior")]
-    if held:
+        lines.append(Text(f"may be missing, each of its typical size: {known}; identify the arm with --prior"))
+        equations = len(design.plan) * problem.model.dimension
+        if equations < problem.parameters:
+            found = f"{equations} equations for {problem.parameters} parameters"
+            lines.append(Text(f"{found}: no plan comes near the bound, which shares a run among many postures"))
         return lines
     if problem.model.sigma is None or any(p.kind == EFFECT for p in problem.model.parameters):
-        return []
-    return [Text("The model has no effects, a real arm has: --robust chooses postures with the library's in mind.")]
+        return lines
+    advice = "The model has no effects, a real arm has: --robust chooses postures with the library's in mind."
+    return [*lines, Text(advice)]
 
 
 def observability_line(indices: Observability) -> Text:

@@ -27,7 +27,8 @@ CHUNK = 20_000  # starts x candidates compared at once: stays in the processor's
 class Fedorov:
     """Exchange with all of `problem.choices` for every run, from random choices; each once unless repeats are allowed.
 
-    count : starts;  batch : starts that advance together
+    count : starts;  batch : starts that advance together, one by one where there is a prior over many effects: a start
+        takes seconds then, and a time limit is to find some at their end
     """
 
     count: int = 30
@@ -35,7 +36,7 @@ class Fedorov:
     name: str = "fedorov"
 
     def starts_for(self, problem: DesignProblem) -> int:
-        """Each start is thorough; one batch of them where there is a prior over many effects."""
+        """Each start is thorough; fewer where there is a prior over many effects."""
         return self.batch if problem.deviations else self.count
 
     def offers(
@@ -43,8 +44,9 @@ class Fedorov:
     ) -> Iterator[Offer]:
         """One offer per start. Raises `InputError` without choices, or with fewer of them than runs."""
         postures, jacobians = allowed_choices(problem, runs)
+        together = 1 if problem.deviations else self.batch
         while True:
-            state = ListBatch(problem, jacobians, initial(problem, len(jacobians), (self.batch, runs), generator))
+            state = ListBatch(problem, jacobians, initial(problem, len(jacobians), (together, runs), generator))
             state.improve(generator, budget)
             for chosen in state.chosen[np.argsort(-state.values, kind="stable")]:
                 yield Offer(postures[chosen], 1, independent=True)

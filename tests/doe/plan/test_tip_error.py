@@ -12,7 +12,9 @@ from doe.problem.bayesian import EnsembleModel
 from doe.problem.problem import DesignProblem
 from doe.problem.robust import average_error, missing_effects, robust_problem, workspace
 from identification.arm import Arm
+from identification.arrays import Array
 from identification.model import Model
+from tests.doe.six_axis import six_axis
 
 ARM = Arm([300.0, 200.0], np.radians([-170, -100]), np.radians([170, 100]), 0.1)
 PLAIN = DesignProblem.of(Model(ARM))
@@ -63,3 +65,26 @@ def test_where_no_sizes_are_known_there_is_none() -> None:
     assert robust_or_none(DesignProblem.of(Model(Arm([300.0, 200.0])))) is None
     assert robust_or_none(replace(PLAIN, model=EnsembleModel(PLAIN.model, np.zeros((1, 4))))) is None
     assert robust_or_none(WIDE) is None
+
+
+def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
+    """The prior as further rows, zero measured with its deviations: least squares of more rows."""
+    case = six_axis()
+    wide = robust_problem(case, missing_effects(case, ["encoder_eccentricity", "gear_ratio"]))
+    postures = np.random.default_rng(5).uniform(case.lower, case.upper, (14, 6))
+    found, poses, own = tip_error(case, wide, postures), workspace(case), case.parameters
+    spatial_i = replace(case, criterion=average_error(case, poses)).objective(postures)
+    assert found.right**2 == pytest.approx(-spatial_i * 0.05**2 / len(postures), rel=1e-9)
+    rows, targets = (wide.scaled_jacobians(q).reshape(-1, wide.parameters) for q in (postures, poses))
+    held = np.diag(0.05 / (case.model.parameters.scales * deviations(case)))
+    sizes = wide.model.parameters.vector(wide.deviations, default=np.inf)[own:] * wide.model.parameters.scales[own:]
+    seen = np.vstack([rows[:, own:] * sizes, np.zeros((own, len(sizes)))])
+    taken = np.linalg.lstsq(np.vstack([rows[:, :own], held]), seen, rcond=None)[0]
+    bias = np.sum((targets[:, :own] @ taken - targets[:, own:] * sizes) ** 2) / len(poses)
+    assert found.missing**2 == pytest.approx(found.right**2 + bias, rel=1e-6)
+    assert found.right < found.with_prior < found.missing
+
+
+def deviations(case: DesignProblem) -> Array:
+    """(p,) of the prior [mm, rad], infinite where nothing is known."""
+    return np.array([case.deviations.get(name, np.inf) for name in case.model.parameters.names])
