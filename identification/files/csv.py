@@ -30,7 +30,9 @@ Test = Callable[[Array], NDArray[np.bool_]]
 
 @dataclass(frozen=True)
 class Table:
-    """A CSV file as text, blank lines left out.
+    """A table of text, blank lines left out: a CSV file, its columns separated by commas, semicolons or tabs.
+
+    With semicolons or tabs a number may have a decimal comma.
 
     frame : the columns, all of them strings; an empty cell is null
     lines : (m,) line number of every row in the file, from 1; the header is line 1
@@ -41,6 +43,7 @@ class Table:
     frame: pl.DataFrame
     lines: NDArray[np.int64]
     sha256: str
+    decimal_commas: bool = False
 
     def __len__(self) -> int:
         return self.frame.height
@@ -80,7 +83,7 @@ class Table:
         """
         self.require([column])
         text = self.frame[column]
-        values = _numbers(text)
+        values = _numbers(text.str.replace(",", ".", literal=True) if self.decimal_commas else text)
         good = np.isfinite(values)
         if test is not None:
             good &= test(values)
@@ -109,35 +112,38 @@ def _numbers(text: pl.Series) -> Array:
 
 
 def read_table(path: PathLike) -> Table:
-    """Reads a comma-separated file with one header line.
+    """Reads a file of columns with one header line.
 
-    Raises `InputError` for a missing or empty file, no data rows, other separators, a header that is missing, repeats a
-    name or does not fit the rows (ragged rows), and bytes that are not UTF-8.
+    Columns are separated by commas, or as European spreadsheets write them by semicolons or tabs, then with decimal
+    points or commas.
+
+    Raises `InputError` for a missing or empty file, no data rows, a header that is missing, repeats a name or does not
+    fit the rows (ragged rows), and bytes that are not UTF-8.
     """
     content = read_bytes(path)
-    header = _header(path, content)
-    frame = _frame(path, content, header)
+    separator, header = _header(path, content)
+    frame = _frame(path, content, header, separator)
     lines = pl.arange(2, frame.height + 2, eager=True, dtype=pl.Int64)
     filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
     frame, lines = frame.filter(filled), lines.filter(filled)
     if frame.height == 0:
         raise InputError(f"{path}: there are no rows below the header, allowed: at least 1 row")
     frame = _without_unnamed(path, frame)
-    return Table(str(path), frame, lines.to_numpy(), hashlib.sha256(content).hexdigest())
+    sha256 = hashlib.sha256(content).hexdigest()
+    return Table(str(path), frame, lines.to_numpy(), sha256, decimal_commas=separator != ",")
 
 
-def _header(path: PathLike, content: bytes) -> list[str]:
+def _header(path: PathLike, content: bytes) -> tuple[str, list[str]]:
+    """What separates columns, and their names."""
     first = decode(path, content.split(b"\n", 1)[0]).rstrip("\r")
     if "\r" in first:
         raise InputError(f"{path}: lines end with a bare carriage return, allowed: line feeds (LF or CRLF)")
     if not first.strip():
         raise InputError(f"{path}: line 1 is blank, allowed: the names of the columns")
-    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
-        if separator in first and "," not in first:
-            raise InputError(f"{path}: columns are separated by {name}, allowed: commas (and points in the numbers)")
-    header = [cell.strip() for cell in next(csv.reader([first]))]
+    separator = next((s for s in ("\t", ";") if s in first and "," not in first), ",")
+    header = [cell.strip() for cell in next(csv.reader([first], delimiter=separator))]
     _check_names(path, header)
-    return header
+    return separator, header
 
 
 def _check_names(path: PathLike, header: list[str]) -> None:
@@ -157,22 +163,22 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _frame(path: PathLike, content: bytes, header: list[str]) -> pl.DataFrame:
+def _frame(path: PathLike, content: bytes, header: list[str], separator: str) -> pl.DataFrame:
     """All rows as strings. Polars fills short rows up with nulls: a null in the last column asks for a closer look."""
     try:
-        frame = pl.read_csv(io.BytesIO(content), infer_schema=False)
+        frame = pl.read_csv(io.BytesIO(content), infer_schema=False, separator=separator)
     except pl.exceptions.PolarsError as error:
-        _raise_for_ragged_row(path, content, len(header))
+        _raise_for_ragged_row(path, content, len(header), separator)
         raise InputError(f"{path}: not a valid CSV file: {str(error).splitlines()[0]}") from None
     if frame.width != len(header) or (frame.width > 1 and frame.to_series(-1).null_count()):
-        _raise_for_ragged_row(path, content, len(header))
+        _raise_for_ragged_row(path, content, len(header), separator)
     # an unnamed column gets a name that no header can have
     frame.columns = [name or f"\n{k}" for k, name in enumerate(header)]
     return frame
 
 
-def _raise_for_ragged_row(path: PathLike, content: bytes, columns: int) -> None:
-    reader = csv.reader(io.StringIO(decode(path, content), newline=""))
+def _raise_for_ragged_row(path: PathLike, content: bytes, columns: int, separator: str) -> None:
+    reader = csv.reader(io.StringIO(decode(path, content), newline=""), delimiter=separator)
     row = -1  # the header
     with contextlib.suppress(csv.Error):  # a quote that never ends: the caller says so
         for cells in reader:

@@ -48,7 +48,7 @@ def test_unknown_columns_are_named_once(tmp_path: Path) -> None:
         ("q1_deg,weight\n1,1.5\n2,-0.5\n", ["row 2 (line 3), column weight", "found '-0.5'", "allowed: a number >= 0"]),
         ("q1_deg,weight\n1,0.5\n2,0.4\n", ["column weight", "found a sum of 0.9", "allowed: 1 (within 1e-06)"]),
         ("q1_deg,weight\n1,0.5\n2,0.500002\n", ["column weight", "found a sum of 1.000002", "allowed: 1"]),
-        ("q1_deg;weight\n1;1\n", ["semicolons", "allowed: commas"]),
+        ("q1_deg;weight\n1,5;0,5\n2;0,4\n", ["column weight", "found a sum of 0.9"]),
     ],
 )
 def test_bad_input_gets_one_line(tmp_path: Path, text: str, parts: list[str]) -> None:
