@@ -150,8 +150,9 @@ class Design:
     def __str__(self) -> str:
         efficiency = "no bound known" if self.efficiency is None else f"efficiency {self.efficiency:.6f}"
         optimal = ", certified optimal" if self.certified_optimal else ""
+        value = round(self.value, 12) + 0.0  # no -1e-16
         return (
-            f"{len(self.plan)} runs of a {self.plan.links}-link arm, {self.problem.criterion.name} = {self.value:.8g} "
+            f"{len(self.plan)} runs of a {self.plan.links}-link arm, {self.problem.criterion.name} = {value:.8g} "
             f"({efficiency}{optimal})\n  bound {self.bound or 'none'}\n  {self.status.name}: {self.status.value}"
         )
 

@@ -24,4 +24,4 @@ class Bound:
         return {"value": self.value, "source": self.source, "rigorous": self.rigorous}
 
     def __str__(self) -> str:
-        return f"{self.value:.10g} ({self.source}, {'rigorous' if self.rigorous else 'numerical'})"
+        return f"{round(self.value, 12) + 0.0:.10g} ({self.source}, {'rigorous' if self.rigorous else 'numerical'})"

@@ -32,7 +32,7 @@ def comparison_tables(rows: pl.DataFrame) -> list[Any]:
         arm, criterion, runs = (part[name][0] for name in ("arm", "criterion", "runs"))
         same = with_hits(rows).filter(arm_hash=part["arm_hash"][0], criterion=criterion, runs=runs)
         bounds = same["bound"].drop_nulls().to_list()
-        title = f"{arm}, {criterion}, {runs} runs" + (f", bound {min(bounds):.7f}" if bounds else "")
+        title = f"{arm}, {criterion}, {runs} runs" + (f", bound {min(bounds):z.7f}" if bounds else "")
         shown.append(_table(title, part))
     return [*shown, *_failures(rows)]
 
@@ -59,7 +59,7 @@ def _row(row: dict[str, Any]) -> list[str]:
     return [
         row["solver"],
         str(row["starts"] or "own"),
-        *(_figure(row[name], ".6f" if abs(row[name] or 0.0) < TEN else ".4f") for name in ("best", "median")),
+        *(_figure(row[name], "z.6f" if abs(row[name] or 0.0) < TEN else ".4f") for name in ("best", "median")),
         _figure(row["efficiency"], ".6f"),
         f"{round(row['hit_rate'] * row['repeats'])}/{row['repeats']}",
         *(_figure(row[name], ".3g") for name in ("seconds", "seconds_to_hit")),

@@ -16,7 +16,7 @@ NARROW: dict[str, Any] = {"box": SIMPLE_HEAD, "padding": (0, 0, 0, 1)}  # style 
 
 def number(value: float | None, digits: int = 4) -> str:
     """A figure for a table; a dash for what cannot be given."""
-    return "-" if value is None or not np.isfinite(value) else f"{value:.{digits}f}"
+    return "-" if value is None or not np.isfinite(value) else f"{value:z.{digits}f}"  # no -0.0000
 
 
 def significant(value: float | None, std: float | None) -> str:
@@ -26,7 +26,7 @@ def significant(value: float | None, std: float | None) -> str:
     if not std:
         return f"{value:.5g}"
     digits = int(np.clip(2 - np.floor(np.log10(abs(std))), 0, 12))
-    return f"{value:.{digits}f}" if abs(value) < 1e6 else f"{value:.5g}"
+    return f"{value:z.{digits}f}" if abs(value) < 1e6 else f"{value:.5g}"
 
 
 def table(

@@ -20,7 +20,9 @@ def shown(renderable: Table, width: int = 80) -> str:
     return capture.get()
 
 
-@pytest.mark.parametrize(("value", "text"), [(None, "-"), (math.nan, "-"), (math.inf, "-"), (1.23456, "1.2346")])
+@pytest.mark.parametrize(
+    ("value", "text"), [(None, "-"), (math.nan, "-"), (math.inf, "-"), (1.23456, "1.2346"), (-1e-9, "0.0000")]
+)
 def test_number(value: float | None, text: str) -> None:
     assert number(value) == text
 
@@ -33,6 +35,7 @@ def test_number(value: float | None, text: str) -> None:
         (None, 1.0, "-"),
         (2e7, 1.0, "2e+07"),
         (0.5, None, "0.5"),
+        (-1e-5, 0.1, "0.000"),
     ],
 )
 def test_significant_digits_are_three_of_the_standard_deviation(
