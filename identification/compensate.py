@@ -1,5 +1,7 @@
 """Compensation: joint commands that bring the tip of the real arm to where the nominal arm would have been.
 
+Targets are positions, or poses of a spatial arm's tool, where an angle counts as the distance that it is at full reach.
+
 The real arm is the calibrated model. Its inverse kinematics are solved by Levenberg-Marquardt on exact derivatives, all
 targets at once; steps are the shortest that close the gap, so a redundant arm stays near where it started.
 The arm file's `[[constraints]]` do not enter: commands stay near the nominal postures, which should satisfy them.
@@ -20,11 +22,12 @@ from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, Linearize, levenberg_marquardt
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.parameters import REVOLUTE
-from identification.measurements import Conditions, directions_from_order, past_from_order
+from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
+from identification.servo import servo_shift
 from identification.vectorize import vectorize
 
-TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close
+TOLERANCE, TURNED = 1e-6, 1e-8  # [mm, rad] a target is reached if the model comes this close
 SEEDS = 32  # random postures per target where none is given, or where the nominal one leads nowhere
 MAX_ITERATIONS = 60
 CHUNK = 1_000  # targets at a time, times SEEDS starts
@@ -35,10 +38,11 @@ POLISHED = 12  # of the seeds, for a target out of reach: there damped least squ
 class Compensation:
     """Joint commands for k targets.
 
-    targets : (k, d) [mm]
+    targets : (k, d) [mm];  orientations : (k, 3, 3) of the tool for the instrument, None: any will do
     nominal : (k, n) postures [rad] that would reach them on the nominal arm
     commands : (k, n) postures [rad] for the real arm, within the joint limits; the nearest found where unreachable
     errors : (k,) distance of the real arm's tip from the target [mm], by the calibrated model
+    angles : (k,) between the orientation wanted and that of the tool [rad], None: any will do
     joint_types : (n) of the arm, empty: all revolute
     """
 
@@ -47,6 +51,8 @@ class Compensation:
     commands: Array
     errors: Array
     joint_types: tuple[str, ...] = ()
+    orientations: Array | None = None
+    angles: Array | None = None
 
     def __post_init__(self) -> None:
         for name in ("targets", "nominal", "commands", "errors"):
@@ -54,8 +60,9 @@ class Compensation:
 
     @property
     def reached(self) -> NDArray[np.bool_]:
-        """(k,) True where the error is at most `TOLERANCE`."""
-        return self.errors <= TOLERANCE
+        """(k,) True where the error is at most `TOLERANCE`, and the angle at most `TURNED`."""
+        near = self.errors <= TOLERANCE
+        return near if self.angles is None else near & (self.angles <= TURNED)
 
     def to_json(self) -> dict[str, Any]:
         """Counts, largest error over targets reached, unreached rows (identification/files/README.md, "JSON keys")."""
@@ -64,12 +71,19 @@ class Compensation:
             "targets": len(self.targets),
             "reached": int(np.count_nonzero(reached)),
             "max_error_mm": float(np.max(self.errors[reached])) if reached.any() else None,
+            **({} if self.angles is None else {"max_error_deg": self._largest_angle}),
             "unreachable": [int(row) + 1 for row in np.flatnonzero(~reached)],
             "commands_deg": [
                 row if near else None
                 for row, near in zip(self.commands_in_file_units.tolist(), reached.tolist(), strict=True)
             ],
         }
+
+    @property
+    def _largest_angle(self) -> float | None:
+        """[deg] over targets reached."""
+        angles = () if self.angles is None else np.degrees(self.angles[self.reached])
+        return float(np.max(angles)) if len(angles) else None
 
     @property
     def commands_in_file_units(self) -> Array:
@@ -86,6 +100,7 @@ def compensate(
     targets: ArrayLike | None = None,
     postures: ArrayLike | None = None,
     conditions: Conditions | None = None,
+    orientations: ArrayLike | None = None,
 ) -> Compensation:
     """Joint commands within the limits whose tip, on the calibrated arm, is at the targets.
 
@@ -93,20 +108,57 @@ def compensate(
     targets : (k, d) tip positions [mm]; left out: where the nominal arm has its tip at `postures`
     postures : (k, n) nominal joint commands [rad]; left out: found, the nearest to the middle of the limits
     conditions : payload, temperature and the like of every row; directions follow from the order of the rows
+    orientations : (k, 3, 3) axes of a spatial arm's tool for the instrument at the targets; left out: any will do, but
+        that where targets are left out, too, an arm that measures orientations keeps those of its nominal postures
+
+    Where the arm has servo errors they are taken off the commands: the joints are to be read where the tip is right.
 
     Raises `InputError` for an arm without calibration and for shapes or values that do not fit.
     """
     if arm.calibration is None and not any(spec.values for spec in arm.effects):
         raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
-    nominal_arm = Model(as_drawn(arm))
     given = None if postures is None else _checked("postures", postures, arm.links)
+    turned = _orientations(arm, orientations, targets is None)
+    arm = _aiming(arm, poses=turned is not None)
+    nominal_arm = Model(as_drawn(arm))
     goals = _goals(nominal_arm, targets, given)
-    nominal = given if given is not None else _nominal_postures(nominal_arm, goals)
-    where = conditions or Conditions()
+    if turned is not None and targets is None and given is not None:
+        turned = nominal_arm.orientations(given)
+    if turned is not None and len(turned) != len(goals):
+        raise InputError(f"orientations: {len(turned)} rows for {len(goals)} targets, allowed: as many")
+    where = replace(conditions or Conditions(), orientation=turned)
+    nominal = given if given is not None else _nominal_postures(nominal_arm, goals, where)
     if where.directions is None and len(nominal):
         where = replace(where, directions=directions_from_order(nominal), past=past_from_order(nominal))
-    commands, errors = _solve(Model(arm), goals, nominal, where)
-    return Compensation(goals, nominal, commands, errors, arm.joint_types)
+    return _compensation(arm, goals, nominal, where)
+
+
+def _compensation(arm: Arm, goals: Array, nominal: Array, where: Conditions) -> Compensation:
+    """From nominal postures (k, n), under conditions with directions."""
+    model = Model(arm)
+    commands = _solve(model, goals, nominal, where)
+    left = goals - model.position(commands, conditions=where) if len(goals) else goals
+    angles = None if where.orientation is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach
+    if where.directions is not None:
+        commands = commands - servo_shift(arm, where.directions)
+    figures = commands, distances(left), arm.joint_types, where.orientation, angles
+    return Compensation(goals[:, POINT], nominal, *figures)
+
+
+def _orientations(arm: Arm, given: ArrayLike | None, as_nominal: bool) -> Array | None:
+    """(k, 3, 3) wanted, (0, 3, 3) where they follow from nominal postures, None where any will do."""
+    if given is not None:
+        if arm.chain is None:
+            raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
+        return np.asarray(given, dtype=float).reshape(-1, 3, 3)
+    poses = as_nominal and arm.chain is not None and arm.chain.angle_scale is not None
+    return np.zeros((0, 3, 3)) if poses else None
+
+
+def _aiming(arm: Arm, poses: bool) -> Arm:
+    """The arm as if its tool were measured by points, or by poses of which an angle counts times the reach."""
+    scale = arm.reach if poses else None
+    return arm if arm.chain is None else replace(arm, chain=replace(arm.chain, angle_scale=scale))
 
 
 def as_drawn(arm: Arm) -> Arm:
@@ -118,12 +170,14 @@ def as_drawn(arm: Arm) -> Arm:
 
 
 def _goals(nominal: Model, targets: ArrayLike | None, postures: Array | None) -> Array:
-    """(k, d) targets [mm], or where the nominal arm has its tip at the postures."""
+    """(k, d) targets [mm], or where the nominal arm has its tip at the postures; of poses three zeros more."""
     if targets is None:
         if postures is None:
-            raise InputError(f"targets: none given, allowed: positions (k, {nominal.dimension}) or postures (k, n)")
-        return nominal.position(postures)
-    goals = _checked("targets", targets, nominal.dimension)
+            raise InputError(f"targets: none given, allowed: positions (k, {nominal.arm.dimension}) or postures (k, n)")
+        points = nominal.position(postures)[:, POINT]
+    else:
+        points = _checked("targets", targets, nominal.arm.dimension)
+    goals = np.pad(points, ((0, 0), (0, nominal.dimension - nominal.arm.dimension)))
     if postures is not None and len(postures) != len(goals):
         raise InputError(f"postures: {len(postures)} rows for {len(goals)} targets, allowed: as many")
     return goals
@@ -137,21 +191,21 @@ def _checked(name: str, values: ArrayLike, columns: int) -> Array:
 
 
 # -- inverse kinematics --------------------------------------------------------------------------------------------
-def _nominal_postures(model: Model, goals: Array) -> Array:
+def _nominal_postures(model: Model, goals: Array, conditions: Conditions) -> Array:
     """(k, n) nominal inverse kinematics nearest to the middle of the limits; where none exists, the best found."""
     middle = np.tile((model.arm.lower + model.arm.upper) / 2.0, (len(goals), 1))
-    return _best_of_seeds(model, goals, middle, Conditions())[0]
+    return _best_of_seeds(model, goals, middle, Conditions(orientation=conditions.orientation))[0]
 
 
-def _solve(model: Model, goals: Array, nominal: Array, conditions: Conditions) -> tuple[Array, Array]:
-    """From the nominal postures; from many seeds where that ends short of the target."""
+def _solve(model: Model, goals: Array, nominal: Array, conditions: Conditions) -> Array:
+    """(k, n) postures from the nominal postures; from many seeds where that ends short of the target."""
     commands, errors = inverse_kinematics(model, goals, nominal, conditions)
     short = np.flatnonzero(errors > TOLERANCE)
     if short.size:
         again, left = _best_of_seeds(model, goals[short], nominal[short], conditions.rows(short))
         better = left < errors[short]
-        commands[short[better]], errors[short[better]] = again[better], left[better]
-    return commands, errors
+        commands[short[better]] = again[better]
+    return commands
 
 
 def _best_of_seeds(model: Model, goals: Array, near: Array, conditions: Conditions) -> tuple[Array, Array]:

@@ -53,7 +53,7 @@ def joint_range(postures: Array) -> list[list[float]]:
 
 _Test = Callable[[Array], NDArray[np.bool_]]
 DIMENSIONS = (2, 3, 6)  # coordinates that an instrument may measure
-_OPTIONAL = ("order", "payload", "temperature", "directions", "sigma", "repeats", "orientations")
+_OPTIONAL = ("order", "payload", "temperature", "directions", "sigma", "repeats", "orientations", "commanded")
 
 
 def _is_rotation(matrices: Array) -> NDArray[np.bool_]:
@@ -73,6 +73,7 @@ _VALUES: dict[str, tuple[str, str, _Test]] = {
     "directions": ("joints", "+1 or -1", lambda v: np.abs(v) == 1.0),
     "sigma": ("one", "numbers > 0 [mm]", lambda v: v > 0.0),
     "repeats": ("one", "whole numbers", lambda v: v == np.round(v)),
+    "commanded": ("joints", "finite angles [rad]", np.isfinite),
     "orientations": ("axes", "rotation matrices", _is_rotation),
 }
 
@@ -111,7 +112,7 @@ def _check_values(name: str, array: NDArray[Any], good: NDArray[np.bool_], allow
 class Measurements(ByValue):
     """m measured postures of an n-link arm, in the order of the file.
 
-    postures : (m, n) commanded joint angles [rad]
+    postures : (m, n) joint angles [rad], as read, or else as commanded
     positions : (m, d) measured tip positions [mm], in a plane or in space; of poses d = 6: the last three are rotation
         vectors that `orientations` are turned by, times `angle_scale` [mm], zero where they are left out
     order : (m,) order or time stamps; rows in order if the file has none
@@ -121,6 +122,7 @@ class Measurements(ByValue):
     session_names : the sessions in the order of their numbers, also where only some of them are among these rows
     marker : (m,) name of the measured point of each row, where several are measured; None: one
     marker_names : the points in the order of their numbers
+    commanded : (m, n) what was asked for where `postures` are as read; None: not given
     orientations : (m, 3, 3) measured axes of the tool in space, by columns; None: not measured
     past : (m, n, 12) what each joint remembers of the rows before; None: it follows from the order
 
@@ -141,6 +143,7 @@ class Measurements(ByValue):
     marker_names: tuple[str, ...] = ()
     past: Array | None = None
     orientations: Array | None = None
+    commanded: Array | None = None
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:

@@ -53,8 +53,8 @@ class Model:
     # -- parameters ------------------------------------------------------------------------------------------------
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
-        """The arm's effects on the mean, ready for the chain; those on the scatter are handled by `simulate`."""
-        return tuple(effect for effect, _ in self._built if not effect.scatter)
+        """The arm's effects on the mean, ready for the chain; `simulate` handles those on scatter and commands."""
+        return tuple(effect for effect, _ in self._built if not (effect.scatter or effect.of_commands))
 
     @cached_property
     def _built(self) -> tuple[tuple[Effect, EffectSpec], ...]:
@@ -82,7 +82,7 @@ class Model:
         fixed = () if self.arm.chain is None else self.arm.chain.fixed
         values = {name: self._calibrated().get(name, 0.0) for name in fixed} | dict(self.known or {})
         for effect, spec in self._built:
-            if not effect.scatter:
+            if not (effect.scatter or effect.of_commands):
                 values |= {p.name: float(spec.values[p.short]) for p in effect.parameters if p.short in spec.values}
         return values
 

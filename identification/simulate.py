@@ -14,6 +14,7 @@ from identification.errors import InputError
 from identification.kinematics.orientations import turned
 from identification.measurements import Conditions, Measurements, directions_from_order
 from identification.model import Model
+from identification.servo import servo_shift
 
 
 def simulate(
@@ -47,9 +48,11 @@ def simulate(
         raise InputError("temperature_C: an effect of the truth needs a temperature per row, none is given")
     approach = directions_from_order(q) if directions is None else directions
     session = Measurements(q, np.zeros((len(q), model.dimension)), order, payload, temperature, approach)
+    if (shift := servo_shift(truth, approach)).any():  # the joints come to rest, and are read, beside their commands
+        session = replace(session, postures=q + shift, commanded=q)
     if truth.chain is not None and len(truth.chain.tools) > 1:
         session = _of_each_point(session, tuple(truth.chain.tools))
-        q = session.postures
+    q = session.postures
     exact = model.position(q, conditions=session.conditions)
     errors = noise * generator.standard_normal(exact.shape)
     session = replace(session, positions=exact)

@@ -43,6 +43,7 @@ LAYERS = {
     "identification.expressions": 3,
     "identification.model": 3,
     "identification.information": 4,
+    "identification.servo": 3,
     "identification.simulate": 4,
     "identification.placed": 4,
     "identification.minimal": 5,

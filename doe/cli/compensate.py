@@ -19,7 +19,10 @@ from identification.errors import InputError
 @click.argument("targets", type=FILE)
 @output_options(out="Write the joint commands (CSV).")
 def command(session: Session, calibrated: Path, targets: Path, output: Output) -> Answer:
-    """Joint commands that reach TARGETS (x_mm,y_mm or nominal q1_deg..) on the CALIBRATED arm; in space z_mm, too."""
+    """Joint commands that reach TARGETS (x_mm,y_mm or nominal q1_deg..) on the CALIBRATED arm.
+
+    In space with z_mm, and rx_deg, ry_deg, rz_deg or a quaternion where the tool's orientation matters.
+    """
     from doe.report.identification_tables import compensation_tables
     from identification.compensate import compensate
     from identification.files.arm import load_arm
@@ -29,6 +32,7 @@ def command(session: Session, calibrated: Path, targets: Path, output: Output) -
     if arm.calibration is None and not any(effect.values for effect in arm.effects):
         raise InputError(f"{calibrated}: has no [calibration], allowed: an arm file written by `armcal identify --out`")
     wanted = load_targets(targets, arm)
-    found = compensate(arm, wanted.positions, wanted.postures)
-    written = output.write(commands_text(found.commands, found.targets, found.errors, arm.joint_types), "commands")
+    found = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations)
+    columns = found.targets, found.errors, arm.joint_types, found.orientations, found.angles
+    written = output.write(commands_text(found.commands, *columns), "commands")
     return Answer(found.to_json(), [*compensation_tables(found), *written])

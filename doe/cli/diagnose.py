@@ -56,9 +56,11 @@ def command(
     from doe.report.gap_page import diagnosis_tables
     from identification.files.arm import load_arm
     from identification.gap.diagnose import diagnose
+    from identification.servo import with_servo_errors
 
     loaded = load_arm(arm)
     measurements, held_out = parts(data, holdout, loaded, session.seed)
+    loaded = with_servo_errors(loaded, measurements)
     with session.progress("diagnose") as progress:
         more = (session.seed, draws, progress)
         found = diagnose(loaded, measurements, held_out, *more, prior=prior.held, missing=prior.names)

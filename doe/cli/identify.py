@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from identification.gap.library_prior import LibraryPrior
     from identification.measurements import Measurements
     from identification.model import Model
+    from identification.servo import ServoError
 
 
 @verb("armcal identify arm.toml data.csv --out calibrated.toml", "Estimate the arm's parameters from measurements.")
@@ -56,6 +57,7 @@ def command(
     from identification.files.arm import load_arm
     from identification.gap.library_prior import given_by, library_prior
     from identification.model import Model
+    from identification.servo import servo_errors, with_servo_errors
     from identification.sessions import with_sessions
 
     loaded = load_arm(arm)
@@ -63,20 +65,31 @@ def command(
         if value is not None and loaded.chain is None:
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
     measurements = read_measurements(data, loaded)
+    loaded, errors = with_servo_errors(loaded, measurements), servo_errors(measurements, loaded.joint_types)
     wide = with_sessions(loaded, measurements)
     if not prior.held:
         model = Model(wide)
         if parameters == "minimal":
             model = minimal_model(model, measurements)
         found = estimate(model, measurements, method=method, sigma=sigma)
-        return answer(found, arm, output, urdf)
+        return with_commands(answer(found, arm, output, urdf), errors)
     if parameters == "minimal":
         raise InputError("--parameters: minimal with --prior, allowed: all")
     if method not in (None, "gauss_newton"):
         raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
     library = library_prior(wide, given_by(measurements), prior.names)
     found = estimate_with_prior(library.model, measurements, library.prior, sigma=sigma)
-    return answer(found, arm, output, urdf, library)
+    return with_commands(answer(found, arm, output, urdf, library), errors)
+
+
+def with_commands(said: Answer, errors: tuple[ServoError, ...]) -> Answer:
+    """An answer with what the controller leaves between commands and readings, where the data have both."""
+    from doe.report.identification_tables import servo_table
+
+    if errors:
+        said.data["servo_error"] = [error.to_json() for error in errors]
+        said.shown.append(servo_table(errors))
+    return said
 
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:

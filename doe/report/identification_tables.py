@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from rich.table import Table
@@ -12,6 +13,7 @@ from identification.compensate import Compensation
 from identification.estimation import Identification
 from identification.estimation.result import in_words
 from identification.kinematics.corrected_geometry import CorrectedGeometry
+from identification.servo import ServoError
 
 
 def identification_tables(found: Identification, hidden: frozenset[str] = frozenset()) -> list[Any]:
@@ -67,25 +69,43 @@ def geometry_tables(found: CorrectedGeometry) -> list[Any]:
     ]
 
 
-def residual_text(error: float, reached: bool = True) -> str:
+def servo_table(errors: Sequence[ServoError]) -> Table:
+    """What is read beyond a command, of each joint."""
+    keys = ("offset", "reversal", "rms", "largest", "rest")
+    rows = []
+    for data in (error.to_json() for error in errors):
+        rows.append([str(data["joint"]), *(f"{data[key]:.5f}" for key in keys), data["unit"]])
+    said = "read less commanded: offset + reversal s + rest, s = +1 or -1 the sign of the last motion"
+    return table(("joint", *keys, "unit"), rows, "Servo error", caption=said, left=("unit",))
+
+
+def residual_text(error: float) -> str:
     """Distance of the calibrated model's tip from its target [mm], not to be read as the robot's accuracy."""
-    text = "< 1e-6" if error < 1e-6 else number(error)
-    return text if reached else f"not reached, {error:.0f}"
+    return "< 1e-6" if error < 1e-6 else number(error) if error < 100.0 else f"{error:.0f}"
 
 
 def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     """Joint commands for the first targets, and how many are reached."""
     types = found.joint_types or ("revolute",) * found.commands.shape[1]
     joints = (f"q{j} [{'deg' if kind == 'revolute' else 'mm'}]" for j, kind in enumerate(types, start=1))
-    found_rows = zip(found.targets, found.commands_in_file_units, found.errors, strict=True)
+    found_rows = zip(found.targets, found.commands_in_file_units, found.errors, found.reached, strict=True)
     rows = (
-        [str(row), *(f"{v:.1f}" for v in target), *(f"{v:.3f}" for v in command), residual_text(error, reached)]
-        for row, ((target, command, error), reached) in enumerate(zip(found_rows, found.reached, strict=True), start=1)
+        [
+            f"{row}{'' if reached else ' !'}",
+            *(f"{v:.1f}" for v in target),
+            *(f"{v:.3f}" for v in command),
+            residual_text(error),
+        ]
+        for row, (target, command, error, reached) in enumerate(found_rows, start=1)
     )
     caption = f"first {most} of {len(found.targets)} targets; --out writes all"
     axes = (f"{axis} [mm]" for axis in "xyz"[: found.targets.shape[1]])
-    headings = ("target", *axes, *joints, "residual [mm]")
+    headings = ("target", *axes, *joints, "left [mm]")
     data = found.to_json()
-    unreachable = f"; rows out of reach: {', '.join(map(str, data['unreachable'][:20]))}" if data["unreachable"] else ""
+    unreachable = (
+        f"; rows out of reach (!): {', '.join(map(str, data['unreachable'][:20]))}" if data["unreachable"] else ""
+    )
     reached = f"{data['reached']} of {data['targets']} targets reached by the calibrated model{unreachable}"
+    if found.angles is not None:
+        reached += f"; orientations are those wanted to {residual_text(data['max_error_deg'] or 0.0)} deg there"
     return [reached, table(headings, rows, "Commands", most=most, caption=caption, **NARROW)]

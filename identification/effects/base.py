@@ -39,6 +39,8 @@ class Effect:
     prior : how likely the effect is beside the common ones of the library, which have 1
     alias : why no measurement of the tip can tell this effect from the base parameters, or None
     nuisance : True for what is no fault of the arm, which `diagnose` does not look for
+    of_commands : True for what stands between a command and the joint as read, which models of what is read ignore
+        (identification/servo.py)
     scatter : True for an effect on the noise, which the model of the mean ignores (`identification.effects.noise`)
     once : True for what happened in the session of the identification: in another one it is as it was at the end
     tabulated : True for an effect that is a table of values (`EffectSpec.curve`) and has no parameters
@@ -61,6 +63,7 @@ class Effect:
     prior: ClassVar[float] = 1.0
     alias: ClassVar[str | None] = None
     nuisance: ClassVar[bool] = False
+    of_commands: ClassVar[bool] = False
     scatter: ClassVar[bool] = False
     once: ClassVar[bool] = False
     tabulated: ClassVar[bool] = False

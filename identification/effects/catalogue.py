@@ -38,7 +38,7 @@ class Entry:
     arms : `planar`, `spatial` or both;  needs : as of `Effect.needs`, sorted
     parameters : of an arm of three joints;  settings : name -> what an arm file may say
     kind : `looked for` by diagnose, `scatter`, `alias` of base parameters, `table` of values, `sessions`,
-        `on request` of the arm file only
+        `commands`, `on request` of the arm file only
     """
 
     name: str
@@ -117,4 +117,5 @@ def _place(cls: type[Effect]) -> str:
 def _kind(cls: type[Effect]) -> str:
     told = {"table": cls.tabulated, "scatter": cls.scatter, "alias": cls.alias is not None}
     told |= {"sessions": "session" in cls.needs, "on request": cls.nuisance}
+    told["commands"] = cls.of_commands
     return next((kind for kind, true in told.items() if true), "looked for")

@@ -164,3 +164,17 @@ class GravityBacklash(JointAngle):
 
     def shape(self, chain: Chain) -> ca.SX:
         return ca.sign(chain.torques[self.joint_index])
+
+
+@register
+class ServoError(Effect):
+    """The joint comes to rest, and is read, beside its command by b + h s_j. Positions follow what is read."""
+
+    name = "servo_error"
+    summary = "controller leaves the joint beside its command"
+    per_joint = "required"
+    family = "servo_error"
+    of_commands = True
+
+    def define(self) -> tuple[Parameter, ...]:
+        return tuple(self.parameter(short, "rad", scale=self.link_length, typical=5e-5) for short in ("b", "h"))

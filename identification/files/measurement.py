@@ -24,6 +24,7 @@ from identification.measurements import Measurements
 _JOINT = re.compile(r"q([1-9]\d*)_(deg|rad|mm|m)")
 _UNITS = {REVOLUTE: ("deg", "rad"), PRISMATIC: ("mm", "m")}  # of a joint's column, the one to write first
 JointTypes = int | Sequence[str] | None  # of each joint; a number: so many that turn; None: as many as the table has
+_COMMANDED = re.compile(r"commanded[1-9]")
 _DIRECTION = re.compile(r"direction([1-9]\d*)")
 _OPTIONAL = ("order", "time_s", "temperature_C", "payload_kg", "posture", "session", "sigma_mm")
 _OF_PLANS = ("run",)  # a plan with the positions added is a measurement file
@@ -56,11 +57,13 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
         session=table.texts("session") if "session" in table else None,
         marker=table.texts("marker") if spatial and "marker" in table else None,
         orientations=read_orientations(table) if poses else None,
+        commanded=_commanded(table, types, n),
         provenance=MappingProxyType({"file": table.file_name, "sha256": table.sha256}),
     )
     lengths = [f"{name}_{unit}" for name in (*axes, "sigma") for unit in ("mm", "m")]
     optional = [*_OPTIONAL, *(["marker"] if spatial else []), *_OF_PLANS, *(f"direction{j}" for j in range(1, n + 1))]
     optional += orientation_columns(table) if poses else []
+    optional += [column for column in table.columns if _COMMANDED.match(column)]
     wanted = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
     hint = wanted if spatial and not poses and orientation_columns(table) else ""
     warn_unknown(table, [*joint_columns(table, types), *lengths, *optional], hint)
@@ -71,6 +74,9 @@ def measurement_text(measurements: Measurements, joint_types: JointTypes = None)
     """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad)."""
     columns = posture_columns(measurements.postures, joint_types)
     columns |= {f"{axis}_mm": column for axis, column in zip("xyz", measurements.positions.T, strict=False)}
+    if measurements.commanded is not None:
+        asked = posture_columns(measurements.commanded, joint_types)
+        columns |= {name.replace("q", "commanded", 1): column for name, column in asked.items()}
     columns |= {} if measurements.orientations is None else angle_columns(measurements.orientations)
     if measurements.order is not None:
         whole = bool(np.all(measurements.order == np.round(measurements.order)))
@@ -243,6 +249,15 @@ def _directions(table: Table, n: int) -> Array | None:
             raise InputError(f"{table.path}: found column {column}, but there are {n} joints, allowed: {allowed}")
     signs = [table.floats(f"direction{j}", "+1 or -1", lambda v: np.abs(v) == 1.0) for j in range(1, n + 1)]
     return np.column_stack(signs)
+
+
+def _commanded(table: Table, types: JointTypes, n: int) -> Array | None:
+    """(m, n) [rad, mm] of `commanded1_deg..`, for all joints or for none."""
+    if not any(_COMMANDED.match(column) for column in table.columns):
+        return None
+    pairs = [[f"commanded{joint}_{unit}" for unit in _units(types, joint)] for joint in range(1, n + 1)]
+    table.require(first for first, other in pairs if other not in table)
+    return np.column_stack([_joint_positions(table, other if other in table else first) for first, other in pairs])
 
 
 def _repeats(table: Table) -> NDArray[np.int64] | None:

@@ -19,20 +19,25 @@ from identification.files.measurement import (
     read_postures,
     warn_unknown,
 )
+from identification.files.orientation import angle_columns, orientation_columns, read_orientations
 
 
 @dataclass(frozen=True)
 class Targets:
-    """What the tip is to reach: positions (k, d) [mm], or the nominal tips of postures (k, n) [rad]; one is None."""
+    """What the tip is to reach: positions (k, d) [mm], or the nominal tips of postures (k, n) [rad]; one is None.
+
+    orientations : (k, 3, 3) of the tool beside positions, None: any will do
+    """
 
     positions: Array | None
     postures: Array | None
+    orientations: Array | None = None
 
 
 def load_targets(path: PathLike, links: int | Arm) -> Targets:
     """The targets of a CSV file with `x_mm, y_mm`, or with `q1_deg..qn_deg` of nominal postures.
 
-    links : how many the planar arm has, or the arm; targets of a spatial one have `z_mm` too
+    links : how many the planar arm has, or the arm; targets of a spatial one have `z_mm` too, and may have orientations
 
     With both, positions are the targets and postures say which of the many solutions to stay near.
     Raises `InputError` with file, row and column.
@@ -47,11 +52,24 @@ def load_targets(path: PathLike, links: int | Arm) -> Targets:
         raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
     positions = np.column_stack([table.floats(name) for name in columns]) if has_positions else None
     postures = read_postures(table, types) if joints else None
-    warn_unknown(table, ["run", *columns, *joints])
-    return Targets(positions, postures)
+    spatial = has_positions and dimension == 3
+    warn_unknown(table, ["run", *columns, *joints, *(orientation_columns(table) if spatial else ())])
+    return Targets(positions, postures, read_orientations(table) if spatial else None)
 
 
-def commands_text(commands: Array, targets: Array, errors: Array, joint_types: JointTypes = None) -> str:
-    """CSV `q1_deg..qn_deg, x_mm, y_mm, error_mm`: joint commands, the targets, and what is left between [mm]."""
-    positions = {f"{axis}_mm": column for axis, column in zip("xyz", targets.T, strict=False)}
-    return csv_text({**posture_columns(commands, joint_types), **positions, "error_mm": errors})
+def commands_text(
+    commands: Array,
+    targets: Array,
+    errors: Array,
+    joint_types: JointTypes = None,
+    orientations: Array | None = None,
+    angles: Array | None = None,
+) -> str:
+    """CSV `q1_deg..qn_deg, x_mm, y_mm, error_mm`: joint commands, the targets, and what is left between [mm].
+
+    orientations, angles : of poses (k, 3, 3) that are wanted, and (k,) what is left [rad]: `rx_deg..`, `error_deg`
+    """
+    wanted = {f"{axis}_mm": column for axis, column in zip("xyz", targets.T, strict=False)}
+    wanted |= {} if orientations is None else angle_columns(orientations)
+    left = {"error_mm": errors} | ({} if angles is None else {"error_deg": np.degrees(angles)})
+    return csv_text({**posture_columns(commands, joint_types), **wanted, **left})

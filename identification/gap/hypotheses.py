@@ -189,7 +189,9 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
     available = {"time", "directions", "past"} | (given & {"temperature"})
     available |= set() if arm.gravity is None else {"gravity"}
     known = of_dimension(arm.dimension)
-    shown = {name: cls for name, cls in known.items() if not (cls.alias or cls.scatter or cls.nuisance)}
+    shown = {
+        name: cls for name, cls in known.items() if not (cls.alias or cls.scatter or cls.nuisance or cls.of_commands)
+    }
     shown = {name: cls for name, cls in shown.items() if not cls.tabulated}
     own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths, arm.dimension)}
     unseen = frozenset[int]() if rows is None else unseen_joints(Model(arm), rows)

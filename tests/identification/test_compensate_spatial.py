@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pytest
 
+from doe.report.identification_tables import compensation_tables
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.compensate import TOLERANCE, compensate
+from identification.errors import InputError
+from identification.files.target import commands_text, load_targets
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, rotation_about
 from identification.kinematics.spatial import SpatialChain
@@ -17,6 +22,7 @@ QUARTER = np.pi / 2.0
 SIX = [(0.0, QUARTER, 350.0), (-400.0, 0.0, 0.0), (-350.0, 0.0, 0.0), (0.0, QUARTER, 110.0), (0.0, -QUARTER, 90.0)]
 SLIDE = DHRow(0.0, QUARTER, 0.0, type="prismatic", limits=(-300.0, 300.0))
 BASE, TOOL = pose((1500.0, -700.0, 300.0), from_own_axes(0.1, -0.4, 2.0)), np.array([30.0, 20.0, 60.0])
+TURN = from_own_axes(0.4, -0.2, 1.1)
 NAMES = ("translation_x:3", "rotation_y:4", "joint_offset:2", "joint_offset:5")
 VALUES = dict(zip(NAMES, (0.8, 0.002, 0.004, -0.003), strict=True))
 
@@ -39,6 +45,12 @@ def tip(chain: SpatialChain, q: Array, values: dict[str, float]) -> Array:
         revolute = joint.type == "revolute"
         found = found @ (pose(rotation=rotation_about(joint.axis, turn)) if revolute else pose(joint.axis * turn))
     return np.asarray((found @ chain.end @ np.r_[TOOL, 1.0])[:3])
+
+
+def axes(chain: SpatialChain, q: Array, values: dict[str, float]) -> Array:
+    """(3, 3) axes of the measured frame, which is turned by `TURN` in the tip's."""
+    ends = [tip(replace(chain, end=chain.end @ pose(TURN @ axis)), q, values) for axis in np.eye(3)]
+    return np.column_stack(ends) - tip(chain, q, values)[:, None]
 
 
 def test_commands_reach_where_the_nominal_arm_would_be() -> None:
@@ -72,3 +84,57 @@ def test_positions_alone_and_what_is_out_of_reach() -> None:
     assert data["commands_deg"][1] is None
     np.testing.assert_allclose(data["commands_deg"][0], np.degrees(found.commands[0]))
     assert found.errors[1] > 3000.0
+
+
+def test_poses() -> None:
+    """Point and orientation, from nominal postures (the branch stays) and from nothing; and out of reach."""
+    for slide in (False, True):
+        given = arm(slide)
+        chain = given.chain
+        assert chain is not None
+        given = replace(given, chain=replace(chain, tool_axes={"1": TURN}))
+        nominal = np.random.default_rng(5).uniform(0.9 * given.lower, 0.9 * given.upper, (8, given.links))
+        nominal[:, -4] = np.linspace(0.6, 2.0, 8)  # the elbow: stretched, the arm's own errors decide what it reaches
+        points = np.array([tip(chain, q, {}) for q in nominal])
+        turned = np.array([axes(chain, q, {}) for q in nominal])
+        found = compensate(given, points, nominal, orientations=turned)
+        assert found.reached.all()
+        assert found.angles is not None
+        assert found.to_json()["max_error_deg"] < 1e-6
+        for q, point, wanted in zip(found.commands, points, turned, strict=True):
+            assert np.linalg.norm(tip(chain, q, VALUES) - point) < 2.0 * TOLERANCE
+            np.testing.assert_allclose(axes(chain, q, VALUES), wanted, atol=1e-8)
+        assert np.all((given.lower <= found.commands) & (found.commands <= given.upper))
+        turning = np.array(given.joint_types) == "revolute"
+        assert np.median(np.abs(found.commands - nominal)[:, turning].max(axis=1)) < np.radians(1.0)
+    again = compensate(given, points[:2] + np.array([[0.0, 0.0, 0.0], [4000.0, 0.0, 0.0]]), orientations=turned[:2])
+    assert again.reached.tolist() == [True, False]
+
+
+def test_an_arm_that_measures_poses_keeps_those_of_its_nominal_postures() -> None:
+    given = arm(slide=False)
+    chain = given.chain
+    assert chain is not None
+    nominal = np.random.default_rng(6).uniform(-1.5, 1.5, (4, 6))
+    measures = replace(given, chain=replace(chain, tool_axes={"1": TURN}, angle_scale=300.0))
+    found = compensate(measures, postures=nominal)
+    for q, start in zip(found.commands, nominal, strict=True):
+        np.testing.assert_allclose(axes(chain, q, VALUES), axes(chain, start, {}), atol=1e-8)
+    assert compensate(given, postures=nominal).angles is None
+    planar = replace(Arm([300.0, 200.0]), calibration=Calibration.of([0.1, 0.1], [0.0, 0.0]))
+    with pytest.raises(InputError, match="orientations: found for a planar arm, allowed: for a spatial one"):
+        compensate(planar, np.ones((1, 2)), orientations=np.eye(3)[None])
+    with pytest.raises(InputError, match="orientations: 1 rows for 4 targets, allowed: as many"):
+        compensate(given, found.targets, orientations=np.eye(3)[None])
+
+
+def test_target_files(tmp_path: Path) -> None:
+    given = arm(slide=False)
+    (tmp_path / "targets.csv").write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n1500,-200,900,10,20,30\n")
+    wanted = load_targets(tmp_path / "targets.csv", given)
+    assert wanted.orientations is not None
+    np.testing.assert_allclose(wanted.orientations[0], from_own_axes(*np.radians([10.0, 20.0, 30.0])), atol=1e-14)
+    found = compensate(given, wanted.positions, orientations=wanted.orientations)
+    text = commands_text(found.commands, found.targets, found.errors, (), found.orientations, found.angles)
+    assert text.splitlines()[0].endswith("q6_deg,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg,error_mm,error_deg")
+    assert "orientations are those wanted to < 1e-6 deg there" in compensation_tables(found)[0]

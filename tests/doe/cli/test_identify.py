@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 
 import numpy as np
 import pytest
@@ -79,3 +80,24 @@ def test_without_any_sigma_none_can_be_relied_upon(folder: Folder) -> None:
     refused = folder.armcal("identify", "arm.toml", "data.csv", "--sigma", "given")
     assert refused.code == 2
     assert "none is given" in refused.err
+
+
+def test_commands_beside_readings(folder: Folder) -> None:
+    """A controller that leaves a joint 0.02 deg beside its command: said, kept in the file, taken off the commands."""
+    folder.write("truth.toml", ARM + CALIBRATION + '[[effects]]\nname = "servo_error"\njoint = 2\nb_deg = 0.02\n')
+    folder.simulated()
+    assert "commanded4_deg" in folder.read("data.csv").splitlines()[0]
+    done = folder.armcal("identify", "arm.toml", "data.csv", "--json", "--out", "calibrated.toml")
+    assert done.code == 0, done.err
+    offsets = [error["offset"] for error in done.data["servo_error"]]
+    assert offsets == pytest.approx([0.0, 0.02, 0.0, 0.0], abs=1e-9)
+    assert "Servo error" in folder.armcal("identify", "arm.toml", "data.csv").out
+    folder.write("targets.csv", "x_mm,y_mm\n300,150\n")
+    commands = folder.armcal("compensate", "calibrated.toml", "targets.csv", "--json").data["commands_deg"]
+    text, count = re.subn(
+        r"^b_deg = 0.01999\d*|^b_deg = 0.02\d*", "b_deg = 0.05", folder.read("calibrated.toml"), flags=re.M
+    )
+    assert (count, text.count("servo_error")) == (1, 1)
+    folder.write("calibrated.toml", text)
+    others = folder.armcal("compensate", "calibrated.toml", "targets.csv", "--json").data["commands_deg"]
+    np.testing.assert_allclose(np.subtract(others, commands), [[0.0, -0.03, 0.0, 0.0]], atol=1e-6)
