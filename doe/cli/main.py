@@ -74,13 +74,24 @@ class Verbs(click.Group):
         return super().resolve_command(ctx, args)
 
 
+def versions(context: click.Context, _: click.Parameter, wanted: bool) -> None:
+    """Show the version of armcal, and those of the solvers that its numbers come from."""
+    if not wanted or context.resilient_parsing:
+        return
+    from importlib.metadata import version
+
+    solvers = ", ".join(f"{name} {version(name)}" for name in ("casadi", "cvxpy", "clarabel", "numpy", "scipy"))
+    click.echo(f"armcal {version('armcal')} ({solvers})")
+    context.exit()
+
+
 @click.group(
     cls=Verbs,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     epilog="Every verb takes --json, --seed and --quiet, and `armcal VERB --help` shows an example. "
     "A calibration starts with `armcal init`; file formats: `armcal help formats`.",
 )
-@click.version_option(package_name="armcal", prog_name="armcal")
+@click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=versions, help="Show versions.")
 def main() -> None:
     """Certified experiment design and calibration for robot arms.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.metadata import version
+
 from tests.doe.cli.conftest import Folder
 
 
@@ -20,3 +22,10 @@ def test_an_unknown_topic_is_one_line(folder: Folder) -> None:
     assert done.code == 2
     assert "did you mean 'design'" in done.err
     assert len(done.err.strip().splitlines()) == 1
+
+
+def test_versions_of_armcal_and_of_the_solvers(folder: Folder) -> None:
+    shown = folder.armcal("--version")
+    assert shown.code == 0
+    for name in ("armcal", "casadi", "clarabel"):
+        assert f"{name} {version(name)}" in shown.out
