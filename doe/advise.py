@@ -24,7 +24,7 @@ class Advice:
     """The best plan found for every number of runs asked for.
 
     designs : in the order of `runs`
-    target : wanted standard deviation of the link lengths [mm], or None
+    target : wanted accuracy [mm], see `accuracy`, or None
     tip_errors : of every design, if the model is right and if effects are missing; empty where no sizes are known
     """
 
@@ -37,8 +37,16 @@ class Advice:
         """The numbers of runs."""
         return tuple(len(design.plan) for design in self.designs)
 
+    @property
+    def of_tip(self) -> bool:
+        """True where accuracy is that of the tip: a geometry with a prior has deviations of that prior's size."""
+        return bool(self.tip_errors) and bool(self.designs[0].problem.deviations)
+
     def accuracy(self, design: Design) -> float | None:
-        """Largest expected standard deviation of a length of the arm's geometry [mm]; None without sigma."""
+        """Of one of the designs the largest expected standard deviation of a length of the arm's geometry [mm], or the
+        expected error of the tip if the model is right (`of_tip`); None without sigma."""
+        if self.of_tip:
+            return next(e.right for d, e in zip(self.designs, self.tip_errors, strict=True) if d is design)
         return None if design.deviations is None else design.deviations.largest_length
 
     @property
@@ -46,7 +54,7 @@ class Advice:
         """The plan with the fewest runs that reaches the target; None if none does (or there is no target)."""
         if self.target is None:
             return None
-        reached = (d for d in self.designs if (std := self.accuracy(d)) is not None and std <= self.target)
+        reached = (d for d in self.designs if (found := self.accuracy(d)) is not None and found <= self.target)
         return min(reached, key=lambda d: len(d.plan), default=None)
 
     def efficient_runs(self, efficiency: float = 0.999) -> tuple[int, ...]:
@@ -66,10 +74,9 @@ class Advice:
         data = self.designs[k].to_json()
         keys = ("runs", "log_det", "bound", "efficiency", "certified_optimal", "std", "status")
         tip = self.tip_errors[k].to_json() if self.tip_errors else None
-        return {key: data[key] for key in keys} | {
-            "largest_length_std_mm": self.accuracy(self.designs[k]),
-            "tip_error_mm": tip,
-        }
+        known = self.designs[k].deviations
+        largest = None if known is None else known.largest_length
+        return {key: data[key] for key in keys} | {"largest_length_std_mm": largest, "tip_error_mm": tip}
 
 
 def advise(
@@ -83,7 +90,7 @@ def advise(
 ) -> Advice:
     """Design a plan for every number of runs; stop early only by Ctrl-C, which keeps what is there.
 
-    target : wanted largest standard deviation of a link length [mm]; needs the arm's sigma
+    target : wanted accuracy [mm], see `Advice.accuracy`; needs the arm's sigma
     Raises `InputError` for numbers of runs below the fewest possible, or a target without sigma.
     """
     fewest = problem.fewest_runs

@@ -14,7 +14,7 @@ from identification.errors import InputError
 @verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png", "How many measurements are needed?")
 @click.argument("arm", type=FILE)
 @click.option("--runs", default="4:40", show_default=True, metavar="A:B", help="Numbers of runs, A to B.")
-@click.option("--target-mm", type=float, help="Wanted largest standard deviation of a link length [mm].")
+@click.option("--target-mm", type=float, help="Wanted largest std of a link length; in space error of the tip [mm].")
 @click.option("--seconds", type=Seconds(), default=2.0, show_default=True, help="Time budget per number of runs [s].")
 @output_options(picture="Write the curve as .png, .svg or .pdf.")
 def command(session: Session, arm: Path, runs: str, target_mm: float | None, seconds: float, output: Output) -> Answer:

@@ -16,6 +16,8 @@ from identification.arrays import Array
 from identification.kinematics.parameters import EFFECT
 from identification.model import Model
 
+SPACE = 3  # coordinates of a point
+
 
 @dataclass(frozen=True)
 class TipError:
@@ -24,51 +26,63 @@ class TipError:
     right : the model lacks nothing, and is fitted by least squares, of a spatial arm with the prior of its machining
     missing : effects of typical size are missing in the model, which is fitted in the same way
     with_prior : the same arms, fitted with the effects and their prior (`identify --prior`)
+    worst : as `right`, at that of the test poses where it is largest
     """
 
     right: float
     missing: float
     with_prior: float
+    worst: float = np.inf
 
     def to_json(self) -> dict[str, float | None]:
         """Key `tip_error_mm` (identification/files/README.md, "JSON keys"); None where a plan is not enough."""
         found = {"model_right": self.right, "effects_missing": self.missing, "effects_missing_prior": self.with_prior}
+        found |= {"model_right_worst": self.worst}
         return {name: value if np.isfinite(value) else None for name, value in found.items()}
 
 
 def tip_error(problem: DesignProblem, wide: DesignProblem, postures: Array, poses: Array | None = None) -> TipError:
     """Of a plan (m, n), postures measured already included; infinite where it does not identify the model.
 
-    problem : of the model as it is;  wide : `robust_problem` of it, whose added parameters come last
+    problem : of the model as it is, whose parameters may have a prior, as a spatial arm's geometry has
+    wide : `robust_problem` of it, whose added parameters come last
     poses : (k, n) where the tip is needed, None: the `workspace`
     """
-    own = problem.parameters
-    rows = _flat(wide, np.concatenate([postures, problem.kept]))
-    needed = workspace(problem) if poses is None else poses
-    targets, count = _flat(wide, needed), len(needed)
+    own, kept = problem.parameters, problem.kept
+    rows = _of_measurements(wide, np.concatenate([postures, kept]))
+    # (k, d, P) of the tip's position; an orientation that is measured too is no distance
+    targets = wide.scaled_jacobians(workspace(problem) if poses is None else poses)[:, :SPACE]
     noise = float(wide.model.sigma or 0.0) ** 2
-    information = rows[:, :own].T @ rows[:, :own] + np.diag(wide.precisions[:own])
-    if np.linalg.matrix_rank(np.vstack([rows[:, :own], np.diag(np.sqrt(wide.precisions[:own]))])) < own:
-        return TipError(np.inf, np.inf, _with_prior(wide, rows, targets, count, noise))
-    right = noise * np.sum(targets[:, :own].T * np.linalg.solve(information, targets[:, :own].T)) / count
-    # the fit takes up of each missing effect what lengths and offsets can, and the tip lacks the rest
-    taken = np.linalg.solve(information, rows[:, :own].T @ rows[:, own:])
-    lacking = targets[:, :own] @ taken - targets[:, own:]
-    sizes = noise / wide.precisions[own:]  # squared, in scaled parameters
-    bias = np.sum(np.square(lacking) @ sizes) / count
-    return TipError(float(np.sqrt(right)), float(np.sqrt(right + bias)), _with_prior(wide, rows, targets, count, noise))
+    least = np.concatenate([rows[: -wide.parameters, :own], np.diag(np.sqrt(wide.precisions[:own]))])
+    all_known = _spread(rows, targets, noise)
+    if np.linalg.matrix_rank(least) < own:
+        return TipError(np.inf, np.inf, _mean(all_known))
+    right = _spread(least, targets[..., :own], noise)
+    # the fit takes up of each missing effect what the geometry can, and the tip lacks the rest
+    unseen = np.concatenate([rows[: -wide.parameters, own:], np.zeros((own, wide.parameters - own))])
+    taken = np.linalg.lstsq(least, unseen, rcond=None)[0]
+    lacking = targets[..., :own] @ taken - targets[..., own:]
+    bias = np.sum(lacking**2 @ (noise / wide.precisions[own:]), axis=1)  # sizes squared, in scaled parameters
+    return TipError(_mean(right), _mean(right + bias), _mean(all_known), float(np.sqrt(right.max())))
 
 
-def _with_prior(wide: DesignProblem, rows: Array, targets: Array, count: int, noise: float) -> float:
-    posterior = rows.T @ rows + np.diag(wide.precisions)
-    if np.linalg.matrix_rank(posterior, hermitian=True) < len(posterior):
-        return np.inf
-    return float(np.sqrt(noise * np.sum(targets.T * np.linalg.solve(posterior, targets.T)) / count))
+def _of_measurements(wide: DesignProblem, postures: Array) -> Array:
+    """(m d + P, P) scaled Jacobian, and the prior as rows of its own."""
+    measured = wide.scaled_jacobians(postures).reshape(-1, wide.parameters)
+    return np.concatenate([measured, np.diag(np.sqrt(wide.precisions))])
 
 
-def _flat(wide: DesignProblem, postures: Array) -> Array:
-    """(m d, p) scaled Jacobian."""
-    return wide.scaled_jacobians(postures).reshape(-1, wide.parameters)
+def _spread(rows: Array, targets: Array, noise: float) -> Array:
+    """(k,) mean square of the tip's distance, from (N, p) rows that were fitted and (k, d, p) of the tip."""
+    information = rows.T @ rows
+    if np.linalg.matrix_rank(information, hermitian=True) < len(information):
+        return np.full(len(targets), np.inf)
+    solved = np.linalg.solve(information, targets.reshape(-1, len(information)).T).T.reshape(targets.shape)
+    return noise * np.einsum("kdp,kdp->k", targets, solved)
+
+
+def _mean(squares: Array) -> float:
+    return float(np.sqrt(np.mean(squares)))
 
 
 def robust_or_none(problem: DesignProblem) -> DesignProblem | None:

@@ -14,6 +14,8 @@ from doe.design import Design
 from doe.report.pictures import AFTER, BEFORE
 from doe.report.terminal import number, table
 
+NONE = "None of these plans is within 0.1 % of the bound."
+
 
 def advice_figure(advice: Advice) -> Figure:
     """Efficiency and expected accuracy against the number of runs."""
@@ -26,7 +28,8 @@ def advice_figure(advice: Advice) -> Figure:
         axes[1].plot(advice.runs, accuracies, "o-", color=AFTER, ms=4, lw=1)
         if advice.target is not None:
             axes[1].axhline(advice.target, color=BEFORE, ls="--", lw=1)
-        axes[1].set(xlabel="runs m", ylabel="largest std of a length [mm]", ylim=(0, None))
+        what = "expected error of the tip, model right [mm]" if advice.of_tip else "largest std of a length [mm]"
+        axes[1].set(xlabel="runs m", ylabel=what, ylim=(0, None))
     return figure
 
 
@@ -44,11 +47,13 @@ def advice_tables(advice: Advice) -> list[Any]:
     good = set(advice.efficient_runs())
 
     def row(design: Design) -> list[str]:
-        angle = None if design.deviations is None else float(np.degrees(design.deviations.largest_angle))
-        m, figures = len(design.plan), (advice.accuracy(design), angle)
+        known = design.deviations
+        largest = (None, None) if known is None else (known.largest_length, float(np.degrees(known.largest_angle)))
+        m, figures = len(design.plan), () if advice.of_tip else largest
         return [str(m), number(design.efficiency, 5), "yes" if m in good else "", *(number(v, 5) for v in figures)]
 
-    headings = ("runs", "efficiency", "within 0.1 % of the bound", "largest std of a length [mm]", "of an angle [deg]")
+    figures = () if advice.of_tip else ("largest std of a length [mm]", "of an angle [deg]")
+    headings = ("runs", "efficiency", "within 0.1 % of the bound", *figures)
     shown = [Text(sentence(advice), style="bold"), table(headings, map(row, advice.designs))]
     return [*shown, *tip_error_table(advice)]
 
@@ -57,9 +62,9 @@ def tip_error_table(advice: Advice) -> list[Any]:
     """Expected error of the tip where nothing was measured, and what to do about effects that may be missing."""
     if not advice.tip_errors:
         return []
-    headings = ("runs", "model right [mm]", "effects missing [mm]", "missing, identify --prior [mm]")
+    headings = ("runs", "model right [mm]", "worst pose [mm]", "effects missing [mm]", "missing, identify --prior [mm]")
     pairs = zip(advice.runs, advice.tip_errors, strict=True)
-    rows = ([str(m), *(number(v, 4) for v in (e.right, e.missing, e.with_prior))] for m, e in pairs)
+    rows = ([str(m), *(number(v, 4) for v in (e.right, e.worst, e.missing, e.with_prior))] for m, e in pairs)
     title = "Expected error of the tip (RMS over the workspace; effects of typical size missing in the model)"
     advised = "Where effects may be missing, choose the postures with armcal design --robust."
     return [table(headings, rows, title), Text(advised)]
@@ -67,8 +72,8 @@ def tip_error_table(advice: Advice) -> list[Any]:
 
 def sentence(advice: Advice) -> str:
     """What to do, in one line."""
-    good = ", ".join(map(str, advice.efficient_runs())) or "none of these numbers"
-    efficient = f"Plans within 0.1 % of the bound exist for m = {good}."
+    good = ", ".join(map(str, advice.efficient_runs()))
+    efficient = f"Plans within 0.1 % of the bound exist for m = {good}." if good else NONE
     if advice.target is None:
         return efficient
     smallest = advice.smallest

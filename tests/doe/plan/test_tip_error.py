@@ -83,6 +83,10 @@ def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
     bias = np.sum((targets[:, :own] @ taken - targets[:, own:] * sizes) ** 2) / len(poses)
     assert found.missing**2 == pytest.approx(found.right**2 + bias, rel=1e-6)
     assert found.right < found.with_prior < found.missing
+    own_rows = np.vstack([rows[:, :own], held])
+    at = targets[:, :own].reshape(len(poses), 3, own)
+    squares = 0.05**2 * np.trace(at @ np.linalg.inv(own_rows.T @ own_rows) @ np.swapaxes(at, 1, 2), axis1=1, axis2=2)
+    assert found.worst**2 == pytest.approx(squares.max(), rel=1e-6)
 
 
 def deviations(case: DesignProblem) -> Array:
