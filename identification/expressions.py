@@ -121,6 +121,14 @@ class Expressions:
         return ca.Function("jacobian", [q, c, p], outputs, ["q", "c", "p"], ["position", "jacobian"])
 
     @cached_property
+    def residual_gradient(self) -> Evaluate:
+        """Of arrays (q, c, p, measured y): J^T (y - position) (p) by reverse mode, and |y - position|^2."""
+        q, c, p, position = self.symbols
+        y = ca.SX.sym("y", position.numel())
+        outputs = ca.cse([ca.jtimes(position, p, y - position, True), ca.sumsqr(y - position)])
+        return vectorize(ca.Function("gradient", [q, c, p, y], outputs))
+
+    @cached_property
     def position(self) -> Evaluate:
         """Of arrays (q, c, p): the position."""
         return self.composed.position if self.composed else vectorize(self.position_function)

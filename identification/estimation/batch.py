@@ -20,6 +20,7 @@ from identification.estimation.chord import Chord
 from identification.estimation.estimate import check, weighting
 from identification.estimation.levenberg_marquardt import levenberg_marquardt, outcomes
 from identification.estimation.methods import gauss_newton, linear, starts
+from identification.estimation.prior import Prior
 from identification.estimation.problem import Problem
 from identification.information import full_rank, identifiability_of, spectrum
 from identification.kinematics.planar_linear import PlanarClosedForm
@@ -85,10 +86,14 @@ def estimate_batch(
     positions : (K, m, d) measured [mm]
     weights : (m,) relative weights of the rows; left out: 1/sigma^2 with the plan's sigma per row where it has one
 
+    A spatial arm stands where its file has it. Its geometry is held by the prior of its machining (`Model.prior`),
+    weighed against the plan's sigma, else the arm's, as by `estimate` with sigma="given".
+
     Raises `InputError` for shapes that do not fit, `JobError` naming what the plan does not identify.
     """
     problem = _problem(model, plan, np.asarray(positions, dtype=float), weights)
-    decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance)
+    rows = np.concatenate([problem.jacobian(problem.start), problem.prior_rows])
+    decomposed = spectrum(rows, model.scales, problem.tolerance)
     undetermined = identifiability_of(decomposed, model.names, model.scales).combinations
     if undetermined:
         raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
@@ -102,9 +107,11 @@ def _problem(model: Model, plan: Measurements | ArrayLike, measured: Array, weig
     m, d = len(plan), model.dimension
     if measured.ndim != 3 or measured.shape[1:] != (m, d):
         raise InputError(f"positions: shape {measured.shape}, allowed: (K, {m}, {d})")
+    prior = Prior(model.prior) if model.prior else None
     check(model, replace(plan, positions=np.zeros((m, d))))
-    noise = weighting(model, plan, "estimated" if plan.sigma is None else plan.sigma, weights)  # never the arm's sigma
-    return Problem(model, plan.postures, plan.conditions, measured, noise.weights)
+    own = "estimated" if plan.sigma is None else plan.sigma  # never the arm's sigma, but to weigh a prior against
+    noise = weighting(model, plan, own if prior is None else "given", weights)
+    return Problem(model, plan.postures, plan.conditions, measured, noise.weights, prior=prior)
 
 
 def _closed_form(problem: Problem, form: PlanarClosedForm) -> BatchFit:
@@ -133,7 +140,7 @@ def _iterated(problem: Problem) -> BatchFit:
         some = rest[part]
         found = levenberg_marquardt(problem.rows(some).least_squares, parameters[some])
         parameters[some], rss[some], status[some] = found.parameters, found.squares, found.status
-    return BatchFit(parameters, rss, status)
+    return BatchFit(parameters, rss - np.sum((parameters @ problem.prior_rows.T) ** 2, axis=1), status)
 
 
 # -- plans of their own --------------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ physical bound, is left to `levenberg_marquardt`.
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,8 +16,6 @@ from identification.arrays import Array
 from identification.estimation.levenberg_marquardt import GRADIENT_TOLERANCE
 from identification.estimation.problem import Problem
 from identification.information import information_matrix
-from identification.model import Model
-from identification.vectorize import vectorize
 
 STEPS = 12
 CONTRACTION = 0.3  # a step that shrinks the gradient by less hands the data set over
@@ -28,21 +25,26 @@ class Chord:
     """The inverse normal matrix of a problem at one point, and exact gradients anywhere."""
 
     def __init__(self, problem: Problem, center: Array) -> None:
-        jacobian = problem.jacobian(center)
+        rows = problem.prior_rows
+        jacobian = np.concatenate([problem.jacobian(center), rows])
+        self._known = rows.T @ rows
         self._lengths = np.linalg.norm(jacobian, axis=0)
         scaled = jacobian / self._lengths
         self._inverse = np.linalg.inv(information_matrix(scaled[:, None, :])) / self._lengths  # for scaled gradients
         model = problem.model
         self._table = model.condition_table(problem.postures, problem.conditions)
-        self._compiled = vectorize(gradient_function(model))
+        self._compiled = model.expressions.residual_gradient
 
     def gradient(self, problem: Problem, measured: Array, parameters: Array) -> tuple[Array, Array]:
-        """(k, p) J^T W r / column lengths, and (k,) weighted sums of squares, for components-first (d, k, m) data."""
+        """(k, p) J^T W r / column lengths, and (k,) weighted sums of squares, for components-first (d, k, m) data; both
+        with the rows of the prior."""
         arguments = problem.postures, self._table, parameters[:, None, :], np.moveaxis(measured, 0, -1)
         gradient, squares = self._compiled(*arguments)
         # components come first in memory, so these sums over rows are products with contiguous memory
         sums = np.moveaxis(gradient[..., 0], -1, 0) @ problem.weights
-        return sums.T / self._lengths, squares[..., 0, 0] @ problem.weights
+        prior = parameters @ self._known
+        cost = squares[..., 0, 0] @ problem.weights + np.einsum("kp,kp->k", prior, parameters)
+        return (sums.T - prior) / self._lengths, cost
 
     def solve(self, problem: Problem, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Parameters (k, p), weighted sums of squares (k,) and stationary (k,); for data sets
@@ -65,11 +67,3 @@ class Chord:
             index, last, rounding = index[going], size[going], rounding[going]
             data = data if going.all() else np.ascontiguousarray(data[:, going])
         return parameters, squares, stationary
-
-
-def gradient_function(model: Model) -> ca.Function:
-    """CasADi (q, c, p, measured y) -> J^T (y - position) (p) by reverse mode, and |y - position|^2."""
-    q, c, p, position = model.symbols
-    y = ca.SX.sym("y", model.dimension)
-    outputs = ca.cse([ca.jtimes(position, p, y - position, True), ca.sumsqr(y - position)])
-    return ca.Function("gradient", [q, c, p, y], outputs, ["q", "c", "p", "y"], ["gradient", "squares"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,9 @@ from identification.arm import EffectSpec
 from identification.errors import InputError, JobError
 from identification.estimation import estimate, estimate_batch
 from identification.measurements import Measurements
+from identification.minimal import minimal
 from identification.model import Model
+from tests.doe.six_axis import CHAIN, SIX_AXIS
 from tests.identification.estimation.cases import SIGMA, arm, plan, scipy_fit, truth
 
 EFFECTS = {
@@ -48,6 +52,30 @@ def test_equals_single_fits_and_scipy(name: str, spread: float) -> None:
     for k in range(3):
         other = scipy_fit(model, Measurements(postures, positions[k]))
         np.testing.assert_allclose(fits.parameters[k] * model.scales, other.x * model.scales, rtol=0, atol=3e-6)
+
+
+@pytest.mark.parametrize("held", [True, False], ids=["prior", "minimal"])
+def test_spatial_arms_equal_single_fits(held: bool) -> None:
+    """Held by the prior of its machining, or a minimal set; where the arm stands is known roughly."""
+    chain = replace(CHAIN, known=frozenset({"base", "tool"}))
+    model = Model(replace(SIX_AXIS, chain=chain)) if held else minimal(Model(replace(SIX_AXIS, chain=chain)))
+    generator = np.random.default_rng(4)
+    postures = generator.uniform(SIX_AXIS.lower, SIX_AXIS.upper, (20, 6))
+    varied = 0.3 * generator.standard_normal((30, len(model.names))) / model.scales
+    exact = model.position(postures, varied)
+    positions = exact + 0.05 * generator.standard_normal(exact.shape)
+    fits = estimate_batch(model, postures, positions)
+    assert fits.converged.all()
+    for k in range(2):
+        data = Measurements(postures, positions[k])
+        single = estimate(model, data, sigma="given")
+        found, expected = fits.parameters[k] * model.scales, single.parameters * single.model.scales
+        if single.model == model:
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)  # mm
+        at = model.position(postures, fits.parameters[k])
+        np.testing.assert_allclose(at, positions[k] - single.residuals_after, rtol=0, atol=1e-7)
+        weights = 1.0 if not held else 0.05**-2
+        assert fits.rss[k] == pytest.approx(weights * np.sum(single.residuals_after**2), rel=1e-9)
 
 
 @pytest.mark.parametrize("name", EFFECTS)
