@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -25,7 +24,6 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.servo import servo_shift
-from identification.vectorize import vectorize
 
 TOLERANCE, TURNED = 1e-6, 1e-8  # [mm, rad] a target is reached if the model comes this close
 SEEDS = 32  # random postures per target where none is given, or where the nominal one leads nowhere
@@ -280,9 +278,7 @@ def _metric(model: Model) -> Array:
 
 def _linearization(model: Model, conditions: Conditions) -> Linearize:
     """Postures (k, n) and row numbers -> positions (k, d) and derivatives with respect to the posture (k, d, n)."""
-    q, c, p, position = model.symbols
-    outputs = ca.cse([position, ca.jacobian(position, q)])
-    evaluate = vectorize(ca.Function("kinematics", [q, c, p], outputs))
+    evaluate = model.expressions.posture_jacobian
 
     def linearize(postures: Array, rows: Index) -> tuple[Array, Array]:
         table = model.condition_table(postures, conditions.rows(rows))

@@ -59,20 +59,20 @@ def _orientations(measurements: Measurements, arm: Arm) -> Iterator[str]:
     """Another convention of the orientations, where those that are measured are far from the nominal arm's."""
     if measurements.orientations is None:
         return
+    limit = FAR * arm.machining.rotation
+    if (missed := _median_angle(measurements, arm, measurements.orientations)) <= limit:
+        return
     fixed_axes = np.swapaxes(from_angles(-to_angles(measurements.orientations)), -1, -2)
     readings = {
-        "": measurements.orientations,
         "angles about fixed axes": fixed_axes,
         "the instrument in the frame of the tool": np.swapaxes(measurements.orientations, -1, -2),
         "the instrument in the frame of the tool, by angles about fixed axes": np.swapaxes(fixed_axes, -1, -2),
     }
-    missed = {name: _median_angle(measurements, arm, read) for name, read in readings.items()}
-    if missed[""] <= FAR * arm.machining.rotation:
-        return
-    best = min(missed, key=missed.__getitem__)
-    looks = f"; they look like {best}" if CLEARLY * missed[best] < missed[""] else ""
+    others = {name: _median_angle(measurements, arm, read) for name, read in readings.items()}
+    best = min(others, key=others.__getitem__)
+    looks = f"; they look like {best}" if CLEARLY * others[best] < missed else ""
     yield (
-        f"the orientations are {np.degrees(missed['']):.3g} deg from the nominal arm's in the median{looks}; rx_deg, "
+        f"the orientations are {np.degrees(missed):.3g} deg from the nominal arm's in the median{looks}; rx_deg, "
         "ry_deg and rz_deg turn the tool about its own x, then y, then z axis, from the frame of the instrument"
     )
 

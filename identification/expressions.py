@@ -139,6 +139,12 @@ class Expressions:
         return self.composed.jacobian if self.composed else vectorize(self.jacobian_function)
 
     @cached_property
+    def posture_jacobian(self) -> Evaluate:
+        """Of arrays (q, c, p): position and its derivative with respect to the posture, (d, n)."""
+        q, c, p, position = self.symbols
+        return vectorize(ca.Function("kinematics", [q, c, p], ca.cse([position, ca.jacobian(position, q)])))
+
+    @cached_property
     def joint_levers(self) -> Evaluate:
         """Of arrays (q, c, p): the derivative with respect to an angle added at each joint, (d, n)."""
         if self.composed:

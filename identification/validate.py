@@ -20,7 +20,7 @@ from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.information import spectrum
 from identification.kinematics.parameters import REVOLUTE
-from identification.measurements import Conditions, Measurements, distances
+from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.refit import placed_values, refit_model, refit_parameters
 
@@ -103,6 +103,14 @@ class Validation:
         return Figures.of(distances(self.nominal_residuals))
 
     @property
+    def rms_angles(self) -> tuple[float, ...]:
+        """RMS of the angles between orientations measured and computed [deg], by the model and by the drawing; empty
+        where none are measured."""
+        scale = None if self.arm.chain is None else self.arm.chain.angle_scale
+        angles = [residuals[:, POINT.stop :] for residuals in (self.residuals, self.nominal_residuals)]
+        return tuple(float(np.degrees(rms_distance(a) / scale)) for a in angles if scale and a.size)
+
+    @property
     def blocks(self) -> tuple[Block, ...]:
         """The rows by session, time, workspace, and range of the identification."""
         return tuple(self._block(*group) for group in _groups(self.arm, self.measurements))
@@ -118,6 +126,7 @@ class Validation:
             "refit": self.refit,
             **self.model.to_json(),
             **{f"{name}_nominal_mm": value for name, value in vars(self.nominal).items()},
+            **dict(zip(("rms_deg", "rms_nominal_deg"), self.rms_angles, strict=False)),
             "blocks": [block.to_json() for block in self.blocks],
             "refitted": self._refitted_parameters(),
             "notes": list(self.notes),
@@ -176,9 +185,10 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
         nominal[rows] = _refitted(drawing, session, conditions, refit)[1]
         refitted.append(values)
         free += len(values) - determined
-    return Validation(
-        arm, measurements, refit, tuple(refitted), residuals, nominal, tuple(_notes(arm, measurements, free))
-    )
+    found = Validation(arm, measurements, refit, tuple(refitted), residuals, nominal)
+    angles = found.rms_angles
+    said = [f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"] if angles else []
+    return replace(found, notes=(*said, *_notes(arm, measurements, free)))
 
 
 def check(model: Model, measurements: Measurements) -> None:

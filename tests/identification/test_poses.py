@@ -209,7 +209,11 @@ def test_files_round_trip(tmp_path: Path) -> None:
     np.testing.assert_allclose(other.position(fresh), one.position(fresh), atol=1e-9)
     np.testing.assert_allclose(other.orientations(fresh), one.orientations(fresh), atol=1e-12)
     for refit in ("base", "none"):
-        assert validate(back, data, refit).model.rms == pytest.approx(found.rms_after, rel=0.05)
+        there = validate(back, data, refit)
+        assert there.model.rms == pytest.approx(found.rms_after, rel=0.05)
+        assert there.to_json()["rms_deg"] == pytest.approx(found.to_json()["rms_after_deg"], rel=0.05)
+        assert there.to_json()["rms_nominal_deg"] > 0.02
+    assert there.notes[0].startswith("orientations: RMS 0.01")
 
 
 def test_points_alone_will_do(tmp_path: Path) -> None:
