@@ -124,14 +124,14 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_solvers_run_in_their_own_processes_and_failures_are_rows(
     tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    comparison = Comparison([ARM], [4], ["exchange", "random"], [2], repeats=2, seconds=20.0)
+    comparison = Comparison([ARM], [4], ["random"], [2], repeats=2, seconds=20.0)
     path = tmp_path / "rows.parquet"
     with RowTable.open(path) as table:
         rows = compare(comparison, table)
-    assert rows["status"].to_list() == ["done"] * 4
+    assert rows["status"].to_list() == ["done"] * 2
     assert rows["correct"].all()
     assert (rows["peak_memory_mb"] > 20.0).all()
-    assert len(set(rows.filter(solver="random")["value"])) == 2
+    assert len(set(rows["value"])) == 2
     with RowTable.open(path, resume=True) as table:
         assert compare(comparison, table).equals(rows)
     few = compare(Comparison([ARM], [2], ["random"], repeats=1))  # two runs cannot tell six parameters
