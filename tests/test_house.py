@@ -228,6 +228,12 @@ def test_help_imports_no_solver() -> None:
     assert "demo" in done.stdout
 
 
+def test_a_model_starts_without_scipy() -> None:
+    """Loading it takes longer than all the rest that every command, worker and notebook starts with."""
+    code = "import sys, identification.model\nsys.exit('scipy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
+
+
 @pytest.mark.parametrize("tool", [["ruff", "check"], ["ruff", "format", "--check"], ["mypy"]], ids=" ".join)
 def test_code_is_clean(tool: list[str]) -> None:
     targets = [] if tool[0] == "mypy" else ["doe", "identification", "tests"]

@@ -12,7 +12,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize_scalar
 
 from identification.arrays import Array
 from identification.estimation.checks import Noise, check, weighting
@@ -198,6 +197,8 @@ class Restricted:
 
     def likeliest_noise(self, least: float, largest: float, size: float = 1.0) -> float:
         """Between two values, for a factor on the deviations of the effects."""
+        from scipy.optimize import minimize_scalar
+
         limits = (float(np.log(least)), float(np.log(largest)))
         found = minimize_scalar(lambda log: self.minus_log(float(np.exp(log)), size), bounds=limits, method="bounded")
         return least if self.minus_log(least, size) <= found.fun else float(np.exp(found.x))

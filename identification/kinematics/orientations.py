@@ -6,19 +6,23 @@ angle [rad]. A fit counts it in millimetres, `SpatialChain.angle_scale` [mm/rad]
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import casadi as ca
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from identification.arrays import Array
 from identification.kinematics.frames import own_axes_angles
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 SERIES = 1e-3  # squared tangent of half an angle below which five terms of the arc tangent's series are exact: 1e-3^5
 
 
 def from_angles(angles: Array) -> Array:
     """(m, 3, 3) rotation matrices of angles (m, 3) [rad] about own axes, x, then y, then z."""
-    return np.asarray(Rotation.from_euler("XYZ", angles).as_matrix())
+    return np.asarray(_scipy().from_euler("XYZ", angles).as_matrix())
 
 
 def to_angles(rotations: Array) -> Array:
@@ -28,17 +32,17 @@ def to_angles(rotations: Array) -> Array:
 
 def from_quaternions(quaternions: Array) -> Array:
     """(m, 3, 3) rotation matrices of quaternions (m, 4), the real part first, of any length."""
-    return np.asarray(Rotation.from_quat(quaternions[:, [1, 2, 3, 0]]).as_matrix())
+    return np.asarray(_scipy().from_quat(quaternions[:, [1, 2, 3, 0]]).as_matrix())
 
 
 def turned(vectors: Array) -> Array:
     """(m, 3, 3) rotation matrices of rotation vectors (m, 3) [rad]."""
-    return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
+    return np.asarray(_scipy().from_rotvec(vectors).as_matrix())
 
 
 def angles_between(rotations: Array, others: Array) -> Array:
     """(m,) angles [rad] of the rotations that turn some (m, 3, 3) into others (m, 3, 3), or into one (3, 3)."""
-    return np.asarray(Rotation.from_matrix(np.swapaxes(rotations, -1, -2) @ others).magnitude())
+    return np.asarray(_scipy().from_matrix(np.swapaxes(rotations, -1, -2) @ others).magnitude())
 
 
 def mean_rotation(rotations: Array) -> Array:
@@ -58,3 +62,10 @@ def rotation_vector(rotation: ca.SX) -> ca.SX:
     root = ca.sqrt(ca.fmax(squared, SERIES))
     series = 1.0 - squared * (1.0 / 3.0 - squared * (1.0 / 5.0 - squared * (1.0 / 7.0 - squared / 9.0)))
     return 2.0 * half * ca.if_else(squared < SERIES, series, ca.atan(root) / root)
+
+
+def _scipy() -> type[Rotation]:
+    """SciPy's rotations: to load them takes as long as to load all that a planar arm needs."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation
