@@ -122,12 +122,13 @@ def _remember(kept: list[float], angle: float) -> None:
     """Add an angle to turning points, in place: those on the way and swings inside larger ones are forgotten."""
     kept.append(angle)
     while len(kept) > 2:
-        swings = [abs(b - a) for a, b in pairwise(kept)]
-        if (kept[-1] - kept[-2]) * (kept[-2] - kept[-3]) >= 0.0:
+        last, before = kept[-1] - kept[-2], kept[-2] - kept[-3]
+        if last * before >= 0.0:
             del kept[-2]
-        elif len(kept) > 3 and swings[-2] <= min(swings[-1], swings[-3]):
+        elif len(kept) > 3 and abs(before) <= min(abs(last), abs(kept[-3] - kept[-4])):
             del kept[-3:-1]
         elif len(kept) > REMEMBERED:
+            swings = [abs(b - a) for a, b in pairwise(kept)]
             least = 1 + min(range(len(swings) - 2), key=swings[1:-1].__getitem__)
             del kept[least : least + 2]
         else:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 
+TINY = 1e-15  # leverages below it are rounding
 ALONE = 1e-8  # a group whose leverage is nearer to one than this determines a combination by itself
 
 
@@ -35,34 +36,39 @@ def sandwich(jacobian: Array, residual: Array, root: Array, groups: NDArray[np.i
     jacobian : (m, d, p) and residual : (m, d), whitened;  root : (p, rank), root @ root.T = (J^T J)^-1
     groups : (m,) number of the group of each row, 0, 1, ...
     """
-    grams, scores = grouped(jacobian @ root, residual, groups)
-    leverages, vectors = np.linalg.eigh(grams)
+    leverages, vectors, scores = decomposed(jacobian @ root, residual, groups)
     if leverages.max() > 1.0 - ALONE:
         return None
-    across = np.swapaxes(vectors, 1, 2)
     factors = 1.0 / np.sqrt(1.0 - np.maximum(leverages, 0.0))
-    turned = factors * (across @ scores[:, :, None])[:, :, 0]
-    corrected = root @ (vectors @ turned[:, :, None])[:, :, 0].T  # (p, G): what each group adds to the estimates
+    corrected = (
+        root @ (vectors @ (factors * scores)[:, :, None])[:, :, 0].T
+    )  # (p, G): what each group adds to the estimates
     freedom = np.array([_freedom(row @ vectors, leverages, factors, vectors) for row in root])
     return Sandwich(corrected @ corrected.T, freedom)
 
 
-def grouped(columns: Array, residual: Array, groups: NDArray[np.int64]) -> tuple[Array, Array]:
-    """(G, r, r) Q_g^T Q_g and (G, r) Q_g^T r_g of columns Q (m, d, r);  groups as large as each other at a time."""
+def decomposed(columns: Array, residual: Array, groups: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: (G, k) l, (G, r, k) V and (G, k) V^T Q_g^T r_g, zero where a
+    group has fewer than k directions;  groups as large as each other at a time, small ones by Q_g Q_g^T."""
+    d, r = columns.shape[1:]
     order, counts = np.argsort(groups, kind="stable"), np.bincount(groups)
-    starts = np.cumsum(counts) - counts
-    grams, scores = (
-        np.empty((len(counts), columns.shape[2], columns.shape[2])),
-        np.empty((len(counts), columns.shape[2])),
-    )
+    starts, most = np.cumsum(counts) - counts, min(r, d * int(counts.max()))
+    values, vectors = np.zeros((len(counts), most)), np.zeros((len(counts), r, most))
+    scores = np.zeros((len(counts), most))
     for size in np.unique(counts):
-        of_size = np.flatnonzero(counts == size)
+        of_size, own = np.flatnonzero(counts == size), slice(min(r, d * int(size)))
         rows = order[starts[of_size, None] + np.arange(size)]
-        q = columns[rows].reshape(len(of_size), -1, columns.shape[2])
+        q = columns[rows].reshape(len(of_size), -1, r)
         across = np.swapaxes(q, 1, 2)
-        grams[of_size] = across @ q
-        scores[of_size] = (across @ residual[rows].reshape(len(of_size), -1, 1))[:, :, 0]
-    return grams, scores
+        if q.shape[1] < r:
+            found, left = np.linalg.eigh(q @ across)
+            directions = across @ left / np.sqrt(np.where(found > TINY, found, np.inf))[:, None, :]
+        else:
+            found, directions = np.linalg.eigh(across @ q)
+        values[of_size, own], vectors[of_size, :, own] = found, directions
+        there = np.swapaxes(directions, 1, 2) @ (across @ residual[rows].reshape(len(of_size), -1, 1))
+        scores[of_size, own] = there[:, :, 0]
+    return values, vectors, scores
 
 
 def _freedom(turned: Array, leverages: Array, factors: Array, vectors: Array) -> float:
