@@ -160,7 +160,10 @@ class Dictionary:
         if len(self) == 0:
             return np.zeros((0, scores.shape[1]))
         squares = np.square(scores)
-        reductions = np.add.reduceat(squares, self.starts, axis=0) if self.sizes.max() > 1 else squares[self.starts]
+        reductions = squares[self.starts]
+        for further in range(1, int(self.sizes.max())):
+            longer = np.flatnonzero(self.sizes > further)
+            reductions[longer] += squares[self.starts[longer] + further]
         first = scores[self.starts[self.one_sided]]
         reductions[self.one_sided] = np.where(first > 0.0, reductions[self.one_sided], 0.0)
         return reductions

@@ -12,6 +12,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
@@ -85,12 +86,10 @@ class Hypothesis:
         return self.size == 1 and self.effect.parameters[0].lower == 0.0
 
 
-def projected(
-    model_basis: Array, members: Sequence[Hypothesis], columns: Columns, inside: Array | None = None
-) -> Dictionary:
+def projected(model_basis: Array, members: Sequence[Hypothesis], columns: Columns) -> Dictionary:
     """Hypotheses with their whitened columns, projected off a fitted model: see `f_tests.dictionary`."""
     one_sided = np.array([h.one_sided for h in members], dtype=bool)
-    return dictionary(model_basis, columns, one_sided, np.array([h.weight for h in members]), inside)
+    return dictionary(model_basis, columns, one_sided, np.array([h.weight for h in members]))
 
 
 @dataclass(frozen=True)
@@ -113,6 +112,31 @@ class HypothesisSet:
     def place(self, hypothesis: Hypothesis) -> int:
         """Place of a hypothesis among the members, the order in which effects stand in models, results and files."""
         return self._places.get(hypothesis.label, len(self.members))
+
+    @cached_property
+    def sizes(self) -> NDArray[np.int64]:
+        """(H,) parameters of each member."""
+        return np.array([h.size for h in self.members], dtype=np.int64)
+
+    @cached_property
+    def _signs_and_weights(self) -> tuple[NDArray[np.bool_], Array]:
+        return np.array([h.one_sided for h in self.members], dtype=bool), np.array([h.weight for h in self.members])
+
+    @cached_property
+    def _with_label(self) -> dict[str, list[int]]:
+        """Label of an effect -> its members: one, or free and tied."""
+        found: dict[str, list[int]] = {}
+        for k, h in enumerate(self.members):
+            found.setdefault(h.effect.label, []).append(k)
+        return found
+
+    def places_of(self, chosen: Sequence[Hypothesis]) -> list[int]:
+        """Members with the effects of some hypotheses."""
+        return [k for h in chosen for k in self._with_label.get(h.effect.label, ())]
+
+    def projected(self, model_basis: Array, columns: Columns, inside: Array | None = None) -> Dictionary:
+        """All members with their whitened columns, projected off a fitted model: see `f_tests.dictionary`."""
+        return dictionary(model_basis, columns, *self._signs_and_weights, inside)
 
     @cached_property
     def total_weight(self) -> float:
@@ -152,13 +176,12 @@ class HypothesisSet:
         self, rows: Rows, values: Mapping[str, float], slopes: Slopes | None = None, model: Model | None = None
     ) -> Columns:
         """`columns` of all members side by side, whitened; of many rows built a few at a time."""
-        sizes = np.array([h.size for h in self.members], dtype=np.int64)
-        stacked = np.empty((len(rows), rows.dimension, int(sizes.sum())))
+        stacked = np.empty((len(rows), rows.dimension, int(self.sizes.sum())))
         step = max(CHUNK // max(stacked[0].size, 1), 1)
         for part in (slice(k, k + step) for k in range(0, len(rows), step)):
             known = None if slopes is None else [None if s is None else s[part] for s in slopes]
             stacked[part] = np.concatenate(self.columns(rows.pick(part), values, known, model), axis=2)
-        return Columns(rows.whiten(stacked), sizes)
+        return Columns(rows.whiten(stacked), self.sizes)
 
     def columns(
         self, rows: Rows, values: Mapping[str, float], slopes: Slopes | None = None, model: Model | None = None

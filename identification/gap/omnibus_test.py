@@ -68,15 +68,14 @@ def wild_draws(corrected: Array, hypotheses: Dictionary, draws: int, generator: 
     """
     parts, inside = contributions(corrected, hypotheses)
     total, rank = np.sum(corrected**2), inside.shape[1]
+    of_each = hypotheses.scores(parts.T, inside.T)  # (D, m) what each posture contributes to the scores
     if len(corrected) < MANY or len(hypotheses.index) > draws:  # normal draws take the root of a larger matrix
         signs = generator.integers(0, 2, (len(corrected), draws))
         for part in _parts(hypotheses, draws):
             drawn = signs[:, part] * 2.0 - 1.0
-            model_scores = inside.T @ drawn
-            scores = hypotheses.scores(parts.T @ drawn, model_scores)
-            yield Draws(scores, total - np.square(model_scores).sum(axis=0))
+            yield Draws(of_each @ drawn, total - np.square(inside.T @ drawn).sum(axis=0))
         return
-    together = np.concatenate([hypotheses.scores(parts.T, inside.T), inside.T])
+    together = np.concatenate([of_each, inside.T])
     normal, root = generator.standard_normal((len(together), draws)), square_root(together @ together.T)
     for part in _parts(hypotheses, draws):
         drawn = root @ normal[:, part]
@@ -85,13 +84,12 @@ def wild_draws(corrected: Array, hypotheses: Dictionary, draws: int, generator: 
 
 def white_draws(hypotheses: Dictionary, draws: int, generator: np.random.Generator) -> Iterator[Draws]:
     """Draws of white Gaussian noise, off the model, a part at a time."""
-    basis, matrix = hypotheses.model_basis, hypotheses.columns.matrix
+    basis = hypotheses.model_basis
     normal = generator.standard_normal((len(basis), draws))
+    of_each = hypotheses.scores(hypotheses.columns.matrix.T, basis.T)  # (D, N)
     for part in _parts(hypotheses, draws):
         drawn = normal[:, part]
-        model_scores = basis.T @ drawn
-        scores = hypotheses.scores(matrix.T @ drawn, model_scores)
-        yield Draws(scores, np.square(drawn).sum(axis=0) - np.square(model_scores).sum(axis=0))
+        yield Draws(of_each @ drawn, np.square(drawn).sum(axis=0) - np.square(basis.T @ drawn).sum(axis=0))
 
 
 def _parts(hypotheses: Dictionary, draws: int) -> Iterator[slice]:

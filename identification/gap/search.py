@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.gap.f_tests import Columns, Dictionary
 from identification.gap.fit import Fit, fit
-from identification.gap.hypotheses import Hypothesis, HypothesisSet, Slopes, projected
+from identification.gap.hypotheses import Hypothesis, HypothesisSet, Slopes
 from identification.gap.noise import homoscedastic
 from identification.gap.omnibus_test import OmnibusTest, Scatter, omnibus_test
 from identification.gap.order_range import order_of
@@ -222,9 +222,14 @@ class HypothesisSearch:
         return np.asarray(self.base_columns.starts[k] + np.arange(self.base_columns.sizes[k]))
 
     @cached_property
+    def _base_jacobian(self) -> Array:
+        """(N, p) of the base fit."""
+        return self.fit(()).jacobian
+
+    @cached_property
     def _base_cross(self) -> Array:
         """(p, C) products of the base fit's Jacobian with all columns."""
-        return np.asarray(self.fit(()).jacobian.T @ self.base_columns.matrix)
+        return np.asarray(self._base_jacobian.T @ self.base_columns.matrix)
 
     def _cross(self, member: Hypothesis) -> Array:
         """(size, C) products of a hypothesis's columns with all columns."""
@@ -249,7 +254,7 @@ class HypothesisSearch:
         places = np.concatenate([np.zeros(0, dtype=np.int64), *(self._places(h) for h in chosen)])
         base = self.fit(())
         scales = np.concatenate([base.model.scales, [p.scale for h in chosen for p in h.effect.parameters]])
-        columns = np.hstack([base.jacobian, self.base_columns.matrix[:, places]])
+        columns = np.hstack([self._base_jacobian, self.base_columns.matrix[:, places]])
         basis, turn = column_space_of(columns, scales)
         inside = turn.T @ np.concatenate([self._base_cross, *(self._cross(h) for h in chosen)])
         explained = basis.T @ residual
@@ -265,15 +270,19 @@ class HypothesisSearch:
         inside: Array | None = None,
         moments: Array | None = None,
     ) -> State:
-        used, freedom = {h.effect.label for h in chosen}, len(residual) - basis.shape[1]
         members = self.hypotheses.members
-        full = projected(basis, members, columns, inside)
-        full_up = series_joints(chosen)
-        usable = [
-            h.effect.label not in used
-            and h.size < freedom
-            and not (h.spec.joint in full_up and order_of(h.effect) is not None)
-            for h in members
-        ]
-        keep = np.flatnonzero((full.sizes > 0) & np.array(usable, dtype=bool))  # of the others nothing can be told
+        full = self.hypotheses.projected(basis, columns, inside)
+        usable = (full.sizes > 0) & (
+            self.hypotheses.sizes < len(residual) - basis.shape[1]
+        )  # of others nothing is told
+        usable[self.hypotheses.places_of(chosen)] = False
+        for joint in series_joints(chosen):
+            usable[self._waves == joint] = False
+        keep = np.flatnonzero(usable)
         return State(residual, [members[k] for k in keep], full.subset(keep), moments)
+
+    @cached_property
+    def _waves(self) -> NDArray[np.int64]:
+        """(H,) joint of the members that are waves of its angle, else 0."""
+        waves = (h.spec.joint if order_of(h.effect) is not None else 0 for h in self.hypotheses.members)
+        return np.array([joint or 0 for joint in waves])
