@@ -14,8 +14,11 @@ from doe.studies.blind.simulator import Session, session
 from doe.studies.blind.spatial_simulator import SpatialTruth
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.conditions import Conditions
+from identification.gap.fit import fit
+from identification.gap.whitening import Rows
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
+from identification.measurements import Measurements
 from identification.model import Model
 
 HALF = np.pi / 2
@@ -121,3 +124,22 @@ def test_the_simulator_does_not_know_the_model() -> None:
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert "casadi" not in loaded
     assert not [name for name in loaded if name.startswith(("identification.effects", "identification.model"))]
+
+
+def test_the_mass_of_a_tool_that_nobody_weighed() -> None:
+    """Estimated with the compliances from data without noise; a guessed mass makes other stiffnesses of it."""
+    truth, run = truth_and_session()
+    truth = replace(truth, payload=0.0)
+    c = 1e-5 * np.array([0.0, 2.0, 1.0, 3.0, 4.0])
+    heavy = replace(truth, effects=[("joint_compliance", None, {"c": c}), ("payload_error", None, {"d": 3.0})])
+    run = replace(run, payload=np.zeros(len(run.q)))
+    rows = Rows.of(Measurements(run.q, spatial_simulator.position(heavy, run)))
+    compliances = [EffectSpec("joint_compliance", j) for j in range(2, 6)]
+    found = fit(model_of(truth, *compliances, EffectSpec("tool_mass")), rows).by_name
+    assert found["tool_mass.m"] == pytest.approx(3.0, abs=1e-6)
+    for j in range(2, 6):
+        assert found[f"joint_compliance:{j}.c"] == pytest.approx(c[j - 1], rel=1e-6)
+    guessed = fit(
+        model_of(replace(truth, payload=1.0), *compliances), rows.pick(np.ones(len(run.q), dtype=bool))
+    ).by_name
+    assert guessed["joint_compliance:5.c"] > 1.5 * c[4]  # at the wrist nearly all of the torque is the tool's
