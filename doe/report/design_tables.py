@@ -13,6 +13,7 @@ from doe.plan.expected_accuracy import ExpectedDeviations, over_draws
 from doe.plan.observability import Observability
 from doe.plan.order import Ordered
 from doe.plan.replicate_spacing import distance_to_keep
+from doe.problem.problem import DesignProblem
 from doe.report.terminal import facts, number, table
 from identification.arrays import Array
 from identification.kinematics.parameters import EFFECT
@@ -39,9 +40,10 @@ def accuracy_table(design: Design) -> Table | str:
     found = [deviation_columns(one) for one in ([mean] if each is None else [mean, over_draws(each, np.max)])]
     headings = [*found[0], *(f"worst {heading}" for columns in found[1:] for heading in columns)]
     values = zip(*(column for columns in found for column in columns.values()), strict=True)
-    each_parameter = (f"{p.name} [{p.file_unit}]" for p in mean.parameters)
+    may_be_missing = set(missing_parameters(design.problem))
+    each_parameter = ("" if p.name in may_be_missing else f"{p.name} [{p.file_unit}]" for p in mean.parameters)
     names = map(str, range(1, mean.length.size + 1)) if mean.planar else each_parameter
-    rows = ([name, *(number(v, 5) for v in figures)] for name, figures in zip(names, values, strict=True))
+    rows = ([name, *(number(v, 5) for v in figures)] for name, figures in zip(names, values, strict=True) if name)
     first = "link" if mean.planar else "parameter"
     return table([first, *headings], rows, f"Expected standard deviations (sigma = {sigma:g} mm{over})")
 
@@ -99,7 +101,7 @@ def not_estimable_line(design: Design, most: int = 4) -> list[Text]:
 def missing_lines(design: Design) -> list[Text]:
     """What a plan is for where effects may be missing; or, where the model has none, that they may be."""
     problem = design.problem
-    missing = [p.name for p in problem.model.parameters if p.kind == EFFECT and p.name in problem.deviations]
+    missing = missing_parameters(problem)
     held = len(problem.deviations) - len(missing)
     lines = [Text(f"{held} corrections of the geometry are held by the prior of its machining")] if held else []
     if missing:
@@ -115,6 +117,11 @@ def missing_lines(design: Design) -> list[Text]:
         return lines
     advice = "The model has no effects, a real arm has: --robust chooses postures with the library's in mind."
     return [*lines, Text(advice)]
+
+
+def missing_parameters(problem: DesignProblem) -> list[str]:
+    """Names of the parameters of effects that may be missing."""
+    return [p.name for p in problem.model.parameters if p.kind == EFFECT and p.name in problem.deviations]
 
 
 def observability_line(indices: Observability) -> Text:

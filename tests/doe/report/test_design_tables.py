@@ -1,0 +1,29 @@
+"""What a plan's tables show, and leave out."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from doe.design import score
+from doe.problem.robust import missing_effects, robust_problem
+from doe.report.design_tables import accuracy_table, missing_lines
+from tests.doe.six_axis import six_axis
+
+
+def test_effects_that_may_be_missing_are_counted_not_listed() -> None:
+    plain = six_axis()
+    wide = robust_problem(plain, missing_effects(plain, ["gear_ratio"]))
+    design = score(wide, np.random.default_rng(3).uniform(-2.0, 2.0, (16, 6)))
+    found = accuracy_table(design)
+    assert isinstance(found, Table)
+    assert found.row_count == len(plain.model.parameters)
+    console = Console(width=100, file=io.StringIO())
+    with console.capture() as capture:
+        console.print(found)
+    assert "rotation_x:2 [deg]" in capture.get()
+    assert "gear_ratio" not in capture.get()
+    assert any("6 parameters of gear_ratio" in line.plain for line in missing_lines(design))
