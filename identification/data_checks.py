@@ -1,8 +1,7 @@
-"""What a spatial arm's measurements say against their own columns: units, conventions of orientations, swapped markers,
-rows where a beam was lost.
+"""What measurements say against their own columns: units, conventions of orientations, swapped markers, lost beams.
 
-Base and measured points are found by the closed form, so that what is left of the nominal arm is its errors, some
-millimetres; another unit or another point is off by far more.
+In space base and measured points are found by the closed form, so that what is left of the nominal arm is its errors,
+some millimetres; another unit or another point is off by far more. A planar arm is taken to stand at the origin.
 """
 
 from __future__ import annotations
@@ -15,8 +14,10 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
+from identification.errors import InputError
 from identification.kinematics.orientations import from_angles, to_angles
 from identification.kinematics.parameters import REVOLUTE
+from identification.kinematics.planar import joint_points
 from identification.measurements import POINT, Measurements, distances
 from identification.model import Model
 from identification.placed import placed_model
@@ -29,8 +30,15 @@ SHOWN = 5  # rows named in a sentence
 
 
 def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
-    """Sentences about units that the numbers contradict, swapped markers and rows far from all others."""
+    """Sentences about units that the numbers contradict, swapped markers and rows far from all others.
+
+    Raises `InputError` if the numbers of joints differ.
+    """
+    if measurements.links != arm.links:
+        raise InputError(f"measurements: found {measurements.links} joints, allowed: {arm.links}, as the arm has")
     bare = replace(arm, effects=(), calibration=None)
+    if arm.chain is None:
+        return _units(measurements, bare)
     if measurements.positions.size < 4 * len(Model(bare).parameters):
         return []
     said = _units(measurements, bare)
@@ -38,10 +46,14 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
 
 
 def _units(measurements: Measurements, arm: Arm) -> list[str]:
-    """Radians in `_deg` columns, metres in `_mm` columns, where that fits the arm clearly better."""
+    """Radians in `_deg` columns, metres in `_mm` columns, where that fits the arm clearly better.
+
+    Suspected only where all angles are below 7 deg, or all positions within 1/50 of the reach.
+    """
     turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
     small = bool(turning.any() and np.all(np.abs(measurements.postures[:, turning]) < SMALL_ANGLE))
-    near = bool(np.all(distances(measurements.positions - measurements.positions.mean(axis=0)) < NEAR * arm.reach))
+    middle = 0.0 if arm.chain is None else measurements.positions.mean(axis=0)
+    near = bool(np.all(distances(measurements.positions - middle) < NEAR * arm.reach))
     if not small and not near:
         return []
     readings = [(q, p) for q in (False, True)[: 1 + small] for p in (False, True)[: 1 + near]]
@@ -51,8 +63,9 @@ def _units(measurements: Measurements, arm: Arm) -> list[str]:
         return []
     radians, metres = readings[best]
     said = ["the joint angles look like radians: name the columns q1_rad.. instead of q1_deg.."] if radians else []
-    named = "name the columns x_m, y_m, z_m instead of x_mm, y_mm, z_mm"
-    return said + ([f"the positions look like metres: {named}"] if metres else [])
+    axes = "xyz"[: arm.dimension]
+    named = " instead of ".join(", ".join(f"{axis}_{unit}" for axis in axes) for unit in ("m", "mm"))
+    return said + ([f"the positions look like metres: name the columns {named}"] if metres else [])
 
 
 def _orientations(measurements: Measurements, arm: Arm) -> Iterator[str]:
@@ -90,6 +103,8 @@ def _misfit(measurements: Measurements, arm: Arm, radians: NDArray[np.bool_], un
     """Median distance [mm] from the nominal arm, with angles of joints (n,) read as `radians`, positions as `unit`."""
     postures = np.where(radians, np.degrees(measurements.postures), measurements.postures)
     read = replace(measurements, postures=postures, positions=measurements.positions * unit)
+    if arm.chain is None:
+        return float(np.median(distances(read.positions - joint_points(arm.lengths, postures)[:, -1])))
     return float(np.median(_distances(arm, read, np.ones(len(read), dtype=bool))))
 
 

@@ -12,7 +12,6 @@ from identification.arrays import Array
 from identification.data_checks import data_warnings
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.files.measurement import unit_warnings
 from identification.gap.repeats import NoiseFloor, noise_floor
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
@@ -178,7 +177,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     if measurements.links != arm.links:
         raise InputError(f"measurements: {measurements.links} joints for an arm of {arm.links} links")
     fit = _fit(arm, measurements)
-    units = (unit_warnings if arm.chain is None else data_warnings)(measurements, arm)
+    units = data_warnings(measurements, arm)
     residual = np.zeros_like(measurements.positions) if fit is None else fit.residuals_after
     floor = noise_floor(residual, measurements, np.ones(len(measurements), dtype=bool), None)
     return Inspection(

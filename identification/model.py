@@ -180,7 +180,8 @@ class Model:
     def expressions(self) -> Expressions:
         """The model in CasADi symbols."""
         curved = any(effect.curve is not None for effect in self.effects)
-        extra = ("marker",) * self._markers + ("orientation",) * (self.dimension > 3) + ("errors",) * curved
+        several = self.arm.chain is not None and len(self.arm.chain.tools) > 1  # points of the tool are measured
+        extra = ("marker",) * several + ("orientation",) * (self.dimension > 3) + ("errors",) * curved
         parts = (self.effects, self.all_parameters, self.parameters, self.fixed, self.remembers)
         return Expressions(self.arm, *parts, extra, self.best_known)
 
@@ -207,11 +208,6 @@ class Model:
     def _geometry_values(self) -> Array:
         """Best known values of `geometry_parameters`."""
         return self.geometry_parameters.vector(self.best_known)
-
-    @property
-    def _markers(self) -> bool:
-        """True if several points of the tool are measured."""
-        return self.arm.chain is not None and len(self.arm.chain.tools) > 1
 
     @property
     def dimensions(self) -> tuple[int, ...]:

@@ -19,15 +19,12 @@ from identification.errors import InputError, nearest
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.information import spectrum
-from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.refit import placed_values, refit_model, refit_parameters
+from identification.row_groups import identified, outside, row_groups
 
 REFITS = ("base", "offsets", "none")
-QUARTERS = 4  # blocks of time; the quadrants of the workspace are as many
-FEWEST = 3 * QUARTERS  # rows from which blocks are formed
-
 END = 0.5  # time at the end of a session, -0.5 to 0.5
 
 
@@ -113,7 +110,7 @@ class Validation:
     @property
     def blocks(self) -> tuple[Block, ...]:
         """The rows by session, time, workspace, and range of the identification."""
-        return tuple(self._block(*group) for group in _groups(self.arm, self.measurements))
+        return tuple(self._block(*group) for group in row_groups(self.arm, self.measurements))
 
     def _block(self, kind: str, name: str, rows: NDArray[np.int64]) -> Block:
         figures = (Figures.of(distances(r[rows])) for r in (self.residuals, self.nominal_residuals))
@@ -236,51 +233,6 @@ def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Condition
     if measurements.temperature is None or mean is None:
         return conditions
     return replace(conditions, temperature=measurements.temperature - float(mean))
-
-
-def identified(arm: Arm) -> Mapping[str, Any]:
-    """What the arm's calibration says of the data it comes from."""
-    return {} if arm.calibration is None else arm.calibration.provenance
-
-
-# -- blocks and notes --------------------------------------------------------------------------------------------------
-def outside(arm: Arm, measurements: Measurements) -> NDArray[np.bool_] | None:
-    """(m, n) True where a joint is outside the angles of the identification, whole turns aside; None where they are not
-    known."""
-    limits = np.array(identified(arm).get("joint_range_deg", ()), dtype=float)
-    if limits.shape != (arm.links, 2):
-        return None
-    degrees = np.round(np.degrees(measurements.postures), 6)
-    turned = limits[:, 0] - 1e-6 + np.mod(degrees - limits[:, 0] + 1e-6, 360.0)
-    revolute = np.array([kind == REVOLUTE for kind in Model(arm).joint_types])
-    degrees = np.where(revolute & (turned <= limits[:, 1] + 1e-6), turned, degrees)
-    return (degrees < limits[:, 0] - 1e-6) | (degrees > limits[:, 1] + 1e-6)
-
-
-def _groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str, NDArray[np.int64]]]:
-    """Kind, name and row numbers of every block; none of them is empty."""
-    m = len(measurements)
-    for name, rows in zip(measurements.sessions, measurements.session_rows, strict=False):
-        yield "session", name, rows
-    if m < FEWEST:
-        return
-    if not measurements.sessions:
-        for k, rows in enumerate(np.array_split(measurements.sequence, QUARTERS), start=1):
-            yield "time", f"quarter {k}", rows
-    x, y = np.median(measurements.positions[:, :2], axis=0)
-    right, above = (measurements.positions[:, :2] > [x, y]).T
-    for name, there in (
-        (f"x > {x:.0f}, y > {y:.0f}", right & above),
-        (f"x < {x:.0f}, y > {y:.0f}", ~right & above),
-        (f"x < {x:.0f}, y < {y:.0f}", ~right & ~above),
-        (f"x > {x:.0f}, y < {y:.0f}", right & ~above),
-    ):
-        if there.any():
-            yield "workspace", name, np.flatnonzero(there)
-    out = outside(arm, measurements)
-    if out is not None and 0 < int(out.any(axis=1).sum()) < m:
-        yield "range", "inside", np.flatnonzero(~out.any(axis=1))
-        yield "range", "outside", np.flatnonzero(out.any(axis=1))
 
 
 def _notes(arm: Arm, measurements: Measurements, undetermined: int) -> Iterator[str]:

@@ -50,6 +50,7 @@ LAYERS = {
     "identification.estimation": 5,
     "identification.data_checks": 5,
     "identification.refit": 6,
+    "identification.row_groups": 5,
     "identification.compensate": 6,
     "identification.sessions": 5,
     "identification.validate": 6,

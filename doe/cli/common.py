@@ -76,12 +76,11 @@ class Session:
 
 def read_measurements(path: Path, arm: Arm) -> Measurements:
     """The measurements of an arm; warns where the units look wrong."""
-    from identification.files.measurement import load_measurements, unit_warnings
+    from identification.data_checks import data_warnings
+    from identification.files.measurement import load_measurements
 
-    measurements, doubtful = load_measurements(path, arm), unit_warnings
-    if arm.chain is not None:
-        from identification.data_checks import data_warnings as doubtful
-    for sentence in doubtful(measurements, arm):
+    measurements = load_measurements(path, arm)
+    for sentence in data_warnings(measurements, arm):
         warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
     return measurements
 

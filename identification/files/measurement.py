@@ -266,38 +266,3 @@ def _repeats(table: Table) -> NDArray[np.int64] | None:
         return None
     whole = table.floats("posture", "a whole number", lambda v: (v == np.round(v)) & (np.abs(v) < _WHOLE))
     return whole.astype(np.int64)
-
-
-# -- units that the numbers contradict --------------------------------------------------------------------------------
-def unit_warnings(measurements: Measurements, arm: Arm) -> list[str]:
-    """Sentences about columns whose numbers fit the arm clearly better (3 times) in another unit, each with what to do.
-
-    Radians in a `_deg` column are suspected only where all angles are below 7 deg, metres in a `_mm` column only where
-    all positions are within 1/50 of the arm's reach. Raises `InputError` if the numbers of links differ.
-    """
-    if measurements.links != arm.links:
-        raise InputError(f"measurements: found {measurements.links} joints, allowed: {arm.links}, as the arm has")
-    small_angles = bool(np.all(np.abs(measurements.postures) < np.radians(7.0)))
-    near = bool(np.all(np.linalg.norm(measurements.positions, axis=1) < np.sum(arm.lengths) / 50.0))
-    readings = [(q, p) for q in (False, True)[: 1 + small_angles] for p in (False, True)[: 1 + near]]
-    misfits = [_misfit(measurements, arm, *reading) for reading in readings]
-    best = int(np.argmin(misfits))
-    if 3.0 * misfits[best] >= misfits[0]:
-        return []
-    radians, metres = readings[best]
-    sentences = []
-    if radians:
-        sentences.append("the joint angles look like radians: name the columns q1_rad.. instead of q1_deg..")
-    if metres:
-        sentences.append("the positions look like metres: name the columns x_m, y_m instead of x_mm, y_mm")
-    return sentences
-
-
-def _misfit(measurements: Measurements, arm: Arm, radians: bool, metres: bool) -> float:
-    """Median distance [mm] from the nominal arm's tip, with the numbers of the file read in the other unit."""
-    from identification.kinematics.planar import joint_points  # imports CasADi, which reading alone does not need
-
-    postures = np.degrees(measurements.postures) if radians else measurements.postures
-    positions = measurements.positions * (1000.0 if metres else 1.0)
-    tip = joint_points(arm.lengths, postures)[:, -1]
-    return float(np.median(np.linalg.norm(positions - tip, axis=1)))

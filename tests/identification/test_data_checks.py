@@ -1,13 +1,15 @@
-"""Units, markers and lost beams of spatial measurements, on a small arm with errors of a millimetre."""
+"""Units, markers and lost beams of measurements, on small arms with errors of a millimetre."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from identification.arm import Arm
 from identification.data_checks import data_warnings
+from identification.errors import InputError
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
 from identification.measurements import Measurements
@@ -56,3 +58,40 @@ def test_swapped_markers_and_lost_beams_are_named() -> None:
     first, second = data_warnings(replace(data, marker=markers, positions=positions), ARM)
     assert first.startswith("markers look swapped in rows 11, 12: ")
     assert second.startswith("a lost beam or another posture in row 21: up to ")
+
+
+# -- units of planar measurements --------------------------------------------------------------------------------------
+PLANAR = Arm(lengths=[260.0, 180.0])
+
+
+def simulated(span: float, *, angles: float = 1.0, lengths: float = 1.0) -> Measurements:
+    """Measurements of `PLANAR` whose numbers were multiplied by factors, as a wrong unit does."""
+    generator = np.random.default_rng(2)
+    q = generator.uniform(-span, span, (30, 2))
+    theta = np.cumsum(q, axis=1)
+    tip = np.column_stack([np.cos(theta) @ PLANAR.lengths, np.sin(theta) @ PLANAR.lengths])
+    return Measurements(q * angles, (tip + generator.normal(0.0, 1.0, tip.shape)) * lengths)
+
+
+def test_right_units_do_not_warn() -> None:
+    for span in (3.0, 0.1):
+        assert data_warnings(simulated(span), PLANAR) == []
+
+
+def test_radians_in_a_column_of_degrees() -> None:
+    (sentence,) = data_warnings(simulated(3.0, angles=np.pi / 180.0), PLANAR)
+    assert "look like radians: name the columns q1_rad" in sentence
+
+
+def test_metres_in_a_column_of_millimetres() -> None:
+    (sentence,) = data_warnings(simulated(3.0, lengths=1e-3), PLANAR)
+    assert "look like metres: name the columns x_m, y_m" in sentence
+
+
+def test_both_units_wrong() -> None:
+    assert len(data_warnings(simulated(3.0, angles=np.pi / 180.0, lengths=1e-3), PLANAR)) == 2
+
+
+def test_another_number_of_links() -> None:
+    with pytest.raises(InputError, match="found 2 joints, allowed: 3"):
+        data_warnings(simulated(1.0), Arm(lengths=[1.0, 1.0, 1.0]))

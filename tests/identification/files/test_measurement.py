@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from identification.arm import Arm
+from identification.data_checks import data_warnings
 from identification.errors import InputError
-from identification.files.measurement import load_measurements, measurement_text, unit_warnings
+from identification.files.measurement import load_measurements, measurement_text
 from identification.measurements import Measurements
 
 UR10 = Path(__file__).parents[4] / "shared/data/ur10_planar/measurements.csv"
@@ -203,41 +204,4 @@ def test_real_measurements() -> None:
     data = load_measurements(UR10, 3)
     assert len(data) == 2773
     assert data.given == {"order", "temperature"}
-    assert unit_warnings(data, Arm(lengths=[612.0, 572.3, 115.7])) == []
-
-
-# -- units that the numbers contradict ---------------------------------------------------------------------------------
-ARM = Arm(lengths=[260.0, 180.0])
-
-
-def simulated(span: float, *, angles: float = 1.0, lengths: float = 1.0) -> Measurements:
-    """Measurements of `ARM` whose numbers were multiplied by factors, as a wrong unit does."""
-    generator = np.random.default_rng(2)
-    q = generator.uniform(-span, span, (30, 2))
-    theta = np.cumsum(q, axis=1)
-    tip = np.column_stack([np.cos(theta) @ ARM.lengths, np.sin(theta) @ ARM.lengths])
-    return Measurements(q * angles, (tip + generator.normal(0.0, 1.0, tip.shape)) * lengths)
-
-
-def test_right_units_do_not_warn() -> None:
-    for span in (3.0, 0.1):
-        assert unit_warnings(simulated(span), ARM) == []
-
-
-def test_radians_in_a_column_of_degrees() -> None:
-    (sentence,) = unit_warnings(simulated(3.0, angles=np.pi / 180.0), ARM)
-    assert "look like radians: name the columns q1_rad" in sentence
-
-
-def test_metres_in_a_column_of_millimetres() -> None:
-    (sentence,) = unit_warnings(simulated(3.0, lengths=1e-3), ARM)
-    assert "look like metres: name the columns x_m, y_m" in sentence
-
-
-def test_both_units_wrong() -> None:
-    assert len(unit_warnings(simulated(3.0, angles=np.pi / 180.0, lengths=1e-3), ARM)) == 2
-
-
-def test_another_number_of_links() -> None:
-    with pytest.raises(InputError, match="found 2 joints, allowed: 3"):
-        unit_warnings(simulated(1.0), Arm(lengths=[1.0, 1.0, 1.0]))
+    assert data_warnings(data, Arm(lengths=[612.0, 572.3, 115.7])) == []

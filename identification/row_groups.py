@@ -1,0 +1,61 @@
+"""Rows of a validation in groups: by session, time and workspace, and inside or outside the angles identified on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arm import Arm
+from identification.kinematics.parameters import REVOLUTE
+from identification.measurements import Measurements
+from identification.model import Model
+
+QUARTERS = 4  # groups by time; the quadrants of the workspace are as many
+FEWEST = 3 * QUARTERS  # rows from which groups are formed
+
+
+def identified(arm: Arm) -> Mapping[str, Any]:
+    """What the arm's calibration says of the data it comes from."""
+    return {} if arm.calibration is None else arm.calibration.provenance
+
+
+def outside(arm: Arm, measurements: Measurements) -> NDArray[np.bool_] | None:
+    """(m, n) True where a joint is outside the angles of the identification, whole turns aside; None where they are not
+    known."""
+    limits = np.array(identified(arm).get("joint_range_deg", ()), dtype=float)
+    if limits.shape != (arm.links, 2):
+        return None
+    degrees = np.round(np.degrees(measurements.postures), 6)
+    turned = limits[:, 0] - 1e-6 + np.mod(degrees - limits[:, 0] + 1e-6, 360.0)
+    revolute = np.array([kind == REVOLUTE for kind in Model(arm).joint_types])
+    degrees = np.where(revolute & (turned <= limits[:, 1] + 1e-6), turned, degrees)
+    return (degrees < limits[:, 0] - 1e-6) | (degrees > limits[:, 1] + 1e-6)
+
+
+def row_groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str, NDArray[np.int64]]]:
+    """Kind, name and row numbers of every block; none of them is empty."""
+    m = len(measurements)
+    for name, rows in zip(measurements.sessions, measurements.session_rows, strict=False):
+        yield "session", name, rows
+    if m < FEWEST:
+        return
+    if not measurements.sessions:
+        for k, rows in enumerate(np.array_split(measurements.sequence, QUARTERS), start=1):
+            yield "time", f"quarter {k}", rows
+    x, y = np.median(measurements.positions[:, :2], axis=0)
+    right, above = (measurements.positions[:, :2] > [x, y]).T
+    for name, there in (
+        (f"x > {x:.0f}, y > {y:.0f}", right & above),
+        (f"x < {x:.0f}, y > {y:.0f}", ~right & above),
+        (f"x < {x:.0f}, y < {y:.0f}", ~right & ~above),
+        (f"x > {x:.0f}, y < {y:.0f}", right & ~above),
+    ):
+        if there.any():
+            yield "workspace", name, np.flatnonzero(there)
+    out = outside(arm, measurements)
+    if out is not None and 0 < int(out.any(axis=1).sum()) < m:
+        yield "range", "inside", np.flatnonzero(~out.any(axis=1))
+        yield "range", "outside", np.flatnonzero(out.any(axis=1))
