@@ -135,7 +135,8 @@ class ToolMass(_Load):
     """The tool is so much heavier than the payload that the arm file says: + m, m >= 0, for every effect of gravity.
 
     For tools that nobody weighed: a guessed mass makes a wrong stiffness of it. With one payload in all rows, mass and
-    compliances are told apart by the masses of the links; `diagnose` looks for `payload_error` instead.
+    compliances are told apart by the masses of the links; `diagnose` looks for `payload_error` instead. Where nothing
+    tells it, m is what tools usually weigh, so that what shows under the tool's weight alone is looked for.
     """
 
     name = "tool_mass"
@@ -144,7 +145,7 @@ class ToolMass(_Load):
     nuisance = True
 
     def define(self) -> tuple[Parameter, ...]:
-        return (self.parameter("m", "kg", scale=1.0, lower=0.0, typical=2.0),)
+        return (self.parameter("m", "kg", scale=1.0, lower=0.0, typical=2.0, start=2.0),)
 
     def payload(self, chain: Chain, values: ca.SX) -> ca.SX:
         return values[0]
