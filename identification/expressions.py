@@ -91,12 +91,16 @@ class Expressions:
         if "orientation" in self.extra:
             found.append(self._reference(postures, found, conditions.orientation))
         if "errors" in self.extra:  # tables are looked up here: as formulas they would be thousands of terms
-            curves = {effect.joint_index: effect.curve for effect in self.effects if effect.curve is not None}
-            errors = np.zeros(postures.shape)
-            for joint, curve in curves.items():
-                errors[..., joint] = curve.at(postures[..., joint])
-            found.append(errors)
+            found.append(self._curve_errors(postures))
         return np.concatenate(found, axis=-1)
+
+    def _curve_errors(self, postures: Array) -> Array:
+        """(..., m, n) errors of the joints [rad] by their curves."""
+        errors = np.zeros(postures.shape)
+        for effect in self.effects:
+            if effect.curve is not None:
+                errors[..., effect.joint_index] = effect.curve.at(postures[..., effect.joint_index])
+        return errors
 
     @property
     def neutral(self) -> Array:

@@ -39,11 +39,7 @@ def simulate(
     directions : (m, n) of approach, +1 or -1; left out: they follow from the order
     """
     q = np.atleast_2d(np.asarray(postures, dtype=float))
-    noise = truth.sigma if sigma is None else sigma
-    if noise is None or not 0.0 <= noise < np.inf:
-        raise InputError(f"sigma: found {noise}, allowed: a number >= 0 [mm], given here or with the arm")
-    _check_scatter(truth)
-    model, order = Model(truth), np.arange(len(q), dtype=float)
+    noise, model, order = _noise(truth, sigma), Model(truth), np.arange(len(q), dtype=float)
     if "temperature" in model.needs and temperature is None:
         raise InputError("temperature_C: an effect of the truth needs a temperature per row, none is given")
     approach = directions_from_order(q) if directions is None else directions
@@ -61,6 +57,16 @@ def simulate(
         return replace(session, positions=exact + errors)
     seen = turned(errors[:, 3:] / scale) @ model.orientations(q, session.conditions)
     return replace(session, positions=(exact + errors)[:, :3], orientations=seen)
+
+
+def _noise(truth: Arm, sigma: float | None) -> float:
+    """Standard deviation per axis [mm]. Raises `InputError` without one, and where an effect on the scatter lacks its
+    values."""
+    noise = truth.sigma if sigma is None else sigma
+    if noise is None or not 0.0 <= noise < np.inf:
+        raise InputError(f"sigma: found {noise}, allowed: a number >= 0 [mm], given here or with the arm")
+    _check_scatter(truth)
+    return noise
 
 
 def _of_each_point(session: Measurements, names: tuple[str, ...]) -> Measurements:

@@ -73,13 +73,18 @@ def command(
             model = minimal_model(model, measurements)
         found = estimate(model, measurements, method=method, sigma=sigma)
         return with_commands(answer(found, arm, output, urdf), errors)
+    check_with_prior(parameters, method)
+    library = library_prior(wide, given_by(measurements), prior.names)
+    found = estimate_with_prior(library.model, measurements, library.prior, sigma=sigma)
+    return with_commands(answer(found, arm, output, urdf, library), errors)
+
+
+def check_with_prior(parameters: str | None, method: str | None) -> None:
+    """Raise `InputError` for options that a fit with the rest of the library does not have."""
     if parameters == "minimal":
         raise InputError("--parameters: minimal with --prior, allowed: all")
     if method not in (None, "gauss_newton"):
         raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
-    library = library_prior(wide, given_by(measurements), prior.names)
-    found = estimate_with_prior(library.model, measurements, library.prior, sigma=sigma)
-    return with_commands(answer(found, arm, output, urdf, library), errors)
 
 
 def with_commands(said: Answer, errors: tuple[ServoError, ...]) -> Answer:

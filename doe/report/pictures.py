@@ -167,13 +167,18 @@ def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, 
         size = float(distances(residuals).max()) or 1.0
         scale = 0.12 * arm.reach / size  # the largest arrow is an eighth of the reach
         draw_residual_arrows(column, positions, residuals, color, name, scale)
-    strips = np.atleast_1d(bottom.subplots(1, arm.links, sharey=True))
+    draw_against_joints(bottom, postures, before, after)
+    return figure
+
+
+def draw_against_joints(figure: SubFigure, postures: Array, before: Array, after: Array) -> None:
+    """Distances (m, d) [mm] before and after against each angle of postures (m, n)."""
+    (strips,) = figure.subplots(1, postures.shape[1], sharey=True, squeeze=False)
     for j, axis in enumerate(strips):
         for residuals, color in ((before, BEFORE), (after, AFTER)):
             axis.plot(np.degrees(postures[:, j]), distances(residuals), ".", color=color, ms=4, alpha=0.7)
         axis.set(xlabel=f"$q_{j + 1}$ [deg]", yscale="log")
     strips[0].set_ylabel("residual [mm]")
-    return figure
 
 
 def projections(dimension: int) -> list[tuple[int, int]]:

@@ -65,10 +65,7 @@ def outlines(arm: Arm) -> list[tuple[Array, str]]:
             center, axes = np.array(constraint.center), np.eye(3)
             found += [(center + constraint.radius * _ring(axis), FORBIDDEN) for axis in axes]
         elif isinstance(constraint, KeepOutCylinder):
-            ends = np.array([constraint.start, constraint.end])
-            rings = [end + constraint.radius * _ring(ends[1] - ends[0]) for end in ends]
-            found += [(ring, FORBIDDEN) for ring in rings]
-            found += [(np.array(pair), FORBIDDEN) for pair in zip(rings[0][::12], rings[1][::12], strict=True)]
+            found += [(line, FORBIDDEN) for line in _cylinder(constraint)]
         elif isinstance(constraint, LineOfSight):
             found += [(line, SEEN) for line in _cone(constraint)]
     return found
@@ -78,6 +75,13 @@ def _ring(axis: Array) -> Array:
     """(49, 3) unit circle around an axis."""
     one, other = circle_across(axis)
     return np.asarray(np.cos(RING)[:, None] * one + np.sin(RING)[:, None] * other)
+
+
+def _cylinder(cylinder: KeepOutCylinder) -> list[Array]:
+    """Both ends, and lines from one to the other."""
+    ends = np.array([cylinder.start, cylinder.end])
+    rings = [end + cylinder.radius * _ring(ends[1] - ends[0]) for end in ends]
+    return [*rings, *(np.array(pair) for pair in zip(rings[0][::12], rings[1][::12], strict=True))]
 
 
 def _box(box: WorkspaceBox) -> list[Array]:

@@ -21,6 +21,8 @@ from identification.measurements import Conditions, Measurements, rms_distance
 from identification.model import Model
 from identification.status import Status
 
+Linearization = Callable[[Array], tuple[Array, Array]]  # (p,) parameters -> positions (m, d), Jacobian (m, d, p)
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -137,14 +139,7 @@ def fit(
     """
     weights = np.ones(len(rows))
     plain = Problem(model, rows.postures, rows.conditions, rows.positions[None], weights, prior=prior, noise=noise)
-
-    last: dict[bytes, tuple[Array, Array]] = {}  # starts and ends of fits are asked for twice
-
-    def at(values: Array) -> tuple[Array, Array]:
-        if (key := values.tobytes()) not in last:
-            last.clear()
-            last[key] = model.linearize(rows.postures, values, rows.conditions)
-        return last[key]
+    at = _linearization(model, rows)
 
     def linearize(values: Array, _: Index) -> tuple[Array, Array]:
         position, jacobian = at(values[0])
@@ -168,7 +163,20 @@ def fit(
     return Fit(model, rows, values, residual[0], triangle, free, spread.shape[1], found.status[0], prior_rows)
 
 
-def _better_start(problem: Problem, values: Array, at: Callable[[Array], tuple[Array, Array]]) -> Array:
+def _linearization(model: Model, rows: Rows) -> Linearization:
+    """Positions and Jacobian at parameters (p,); the last are kept, for starts and ends of fits are asked for twice."""
+    last: dict[bytes, tuple[Array, Array]] = {}
+
+    def at(values: Array) -> tuple[Array, Array]:
+        if (key := values.tobytes()) not in last:
+            last.clear()
+            last[key] = model.linearize(rows.postures, values, rows.conditions)
+        return last[key]
+
+    return at
+
+
+def _better_start(problem: Problem, values: Array, at: Linearization) -> Array:
     """(p,) the start, or the closed form's where that is better by far: with a base offset it is in any frame.
 
     at : positions and Jacobian, which the fit needs anyway: to compile another function takes longer

@@ -109,6 +109,13 @@ def prepared(cell: Cell) -> Cell:
     return cell
 
 
+def check_equations(cell: Cell) -> None:
+    """Raise `JobError` where the runs are too few for the unknowns."""
+    unknowns = len(cell.model.names)
+    if (equations := cell.model.dimension * cell.runs) < unknowns:
+        raise JobError(f"{cell.runs} runs are {equations} equations, allowed: at least {unknowns}, one per unknown")
+
+
 def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | str) -> list[Row]:
     """Rows of one block: per reported parameter the number of fits, mean error, sum of squares about it, coverage.
 
@@ -116,10 +123,7 @@ def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | st
     """
     if isinstance(cell, str):
         raise JobError(cell)
-    cell = prepared(cell)
-    unknowns = len(cell.model.names)
-    if (equations := cell.model.dimension * cell.runs) < unknowns:
-        raise JobError(f"{cell.runs} runs are {equations} equations, allowed: at least {unknowns}, one per unknown")
+    check_equations(cell := prepared(cell))
     generator = np.random.default_rng(seed)
     shared = cell.postures_deg is not None
     fit, count = _one_plan if shared else _new_plans, key["replications"]
