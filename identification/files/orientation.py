@@ -27,10 +27,7 @@ def read_orientations(table: Table) -> Array | None:
     `_rad`) or from a quaternion `qw, qx, qy, qz`; None if the table has none of these columns."""
     if not (found := orientation_columns(table)):
         return None
-    from identification.kinematics.orientations import (
-        from_angles,
-        from_quaternions,
-    )  # CasADi, that planar arms do without
+    from identification.kinematics.orientations import from_angles, from_quaternions  # CasADi, which few files need
 
     kinds = {column[0] + column[2:] if column[0] == "r" else "q" for column in found}
     if len(kinds) > 1:
@@ -41,12 +38,9 @@ def read_orientations(table: Table) -> Array | None:
     unit = kinds.pop().removeprefix("r_")
     table.require(f"r{axis}_{unit}" for axis in "xyz")
     most = LARGEST_ANGLE if unit == "deg" else float(np.radians(LARGEST_ANGLE))
-    angles = np.column_stack(
-        [
-            table.floats(f"r{axis}_{unit}", f"a finite angle, up to {most:g}", lambda values: np.abs(values) <= most)
-            for axis in "xyz"
-        ]
-    )
+    allowed = f"a finite angle, up to {most:g}, in every row"
+    columns = [table.floats(f"r{axis}_{unit}", allowed, lambda values: np.abs(values) <= most) for axis in "xyz"]
+    angles = np.column_stack(columns)
     return from_angles(np.radians(angles) if unit == "deg" else angles)
 
 

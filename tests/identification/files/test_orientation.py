@@ -52,7 +52,11 @@ def test_none(tmp_path: Path) -> None:
         ("rx_deg,ry_deg,rz_deg,qw", "1,2,3,1", "allowed: three angles of one unit, or a quaternion"),
         ("qw,qx,qy", "1,0,0", "column 'qz' is missing"),
         ("qw,qx,qy,qz", "2,0,0,0", "row 1 (line 2), column qw..qz: found a quaternion of length 2, allowed: length 1"),
-        ("rx_deg,ry_deg,rz_deg", "1,,3", "row 1 (line 2), column ry_deg: found an empty cell"),
+        (
+            "rx_deg,ry_deg,rz_deg",
+            "1,,3",
+            "row 1 (line 2), column ry_deg: found an empty cell, allowed: a finite angle, up to 1e+06, in every row",
+        ),
     ],
 )
 def test_bad_input_is_one_line(tmp_path: Path, header: str, row: str, message: str) -> None:
