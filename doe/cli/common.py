@@ -74,6 +74,11 @@ class Session:
             yield report
 
 
+def tables_on_terminal() -> bool:
+    """True where a person reads the tables, in which warnings stand too: standard error need not repeat them."""
+    return not click.get_current_context().params["as_json"] and sys.stdout.isatty()
+
+
 def read_measurements(path: Path, arm: Arm) -> Measurements:
     """The measurements of an arm; warns where the units look wrong."""
     from identification.data_checks import data_warnings

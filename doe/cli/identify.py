@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from doe.cli.common import Answer, Session, read_measurements, verb
+from doe.cli.common import Answer, Session, read_measurements, tables_on_terminal, verb
 from doe.cli.options import FILE, LibraryEffects, Output, output_options, prior_options
 from identification.errors import InputError
 from identification.status import Status
@@ -116,7 +116,7 @@ def answer(
     """What is said of a fit, and the files with it where they are asked for and the fit is worth it."""
     from doe.report.identification_tables import identification_tables
 
-    for sentence in found.warnings:
+    for sentence in () if tables_on_terminal() else found.warnings:
         warnings.warn(sentence, UserWarning, stacklevel=2)
     hidden, data = frozenset(library.prior.deviations if library else ()), found.to_json()
     shown = identification_tables(found, hidden)

@@ -47,6 +47,7 @@ class NextPostures:
     payload : (K,) [kg], None if there was no choice;  directions : (K, n) of approach, None if they do not matter
     chance : upper bound on the predicted probability that only the right candidate is left
     pairs : (candidate, rival) -> expected lambda between them
+    joint_types : (n) of the arm, empty: all revolute
     """
 
     plan: Plan
@@ -54,6 +55,7 @@ class NextPostures:
     directions: Array | None
     chance: float
     pairs: dict[tuple[str, str], float]
+    joint_types: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{len(self.plan)} postures; probability of resolving the ambiguity: at most {100.0 * self.chance:.0f} %"
@@ -243,4 +245,5 @@ def _result(
         readonly(conditions.directions) if "directions" in needs and conditions.directions is not None else None,
         rivals.right * float(rivals.weights @ chance.min(axis=1)),
         pairs,
+        diagnosis.arm.joint_types,
     )

@@ -64,6 +64,7 @@ def summary_table(data: dict[str, Any], sentence: str) -> Table:
     bound, kind = data["bound"], data["criterion"]
     known = bound and not data["outside_limits"]  # no bound applies to a plan outside the limits
     searched = f"{data['starts']} start{'s' * (data['starts'] != 1)}"
+    table_1 = data["table_1_max_residual"]
     rows = {
         "criterion": f"{kind}, {data['runs']} runs, {data['links']} links",
         f"value of {kind}": None if kind == "D" else number(data["value"], 7),
@@ -71,7 +72,7 @@ def summary_table(data: dict[str, Any], sentence: str) -> Table:
         "upper bound": f"{number(bound['value'], 7)} ({bound['source']})" if known else "-",
         "efficiency": number(data["efficiency"] if known else None, 6),
         "certified optimal": certified(data),
-        "deviation from orthogonality (Table I)": number(data["table_1_max_residual"], 6),
+        "deviation from orthogonality (Table I)": None if table_1 is None else number(table_1, 6),
         "solver": f"{data['solver']}, {searched}, {data['seconds']:.2f} s" if data["solver"] else None,
         "status": sentence,
     }

@@ -19,7 +19,7 @@ from identification.measurements import Measurements
 def next_columns(found: NextPostures) -> dict[str, NDArray[np.generic]]:
     """Columns of the plan file: run, angles, and payload and directions where they matter."""
     columns: dict[str, NDArray[np.generic]] = {"run": np.arange(1, len(found.plan) + 1)}
-    columns |= posture_columns(found.plan.postures)
+    columns |= posture_columns(found.plan.postures, found.joint_types or None)
     if found.payload is not None:
         columns["payload_kg"] = found.payload
     if found.directions is not None:
@@ -44,7 +44,7 @@ def next_data(diagnosis: Diagnosis, found: NextPostures) -> dict[str, Any]:
     return {
         "verdict": diagnosis.verdict,
         "candidates": [list(candidate.effects) for candidate in diagnosis.candidates],
-        "postures_deg": np.degrees(found.plan.postures),
+        "postures_deg": np.column_stack(list(posture_columns(found.plan.postures, found.joint_types or None).values())),
         "payload_kg": found.payload,
         "directions": found.directions,
         "chance": found.chance,
