@@ -1,0 +1,123 @@
+"""Every figure that README.md and identification/README.md quote of two sessions of a real robot, a UR10.
+
+Run it with -s; the planar part takes a few minutes of one core, the diagnoses in space (`-k space`) a few more. Series
+A and C, whole, are looked for in ../shared/data beside the checkout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm, EffectSpec
+from identification.estimation import estimate
+from identification.files.arm import load_arm
+from identification.files.measurement import load_measurements
+from identification.gap.diagnose import diagnose
+from identification.gap.holdout import split
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.validate import validate
+
+SHARED = Path(__file__).parents[3] / "shared/data"
+PLANAR = {"A": SHARED / "ur10_planar/series_A.csv", "C": SHARED / "ur10_planar/measurements.csv"}
+SPATIAL = {name: SHARED / f"ur10/series_{name}.csv" for name in "AC"}
+LENGTHS = np.array([612.0, 572.3, 115.7])
+ARM = Arm(LENGTHS, effects=(EffectSpec("base_offset"),), name="ur10")
+SPACE = Path(__file__).parents[1] / "data/ur10/ur10.toml"
+BOTH = pytest.mark.parametrize("series", ["A", "C"])
+ACROSS = pytest.mark.parametrize(("series", "other"), [("A", "C"), ("C", "A")])
+
+pytestmark = [
+    pytest.mark.benchmark,
+    pytest.mark.filterwarnings("ignore"),  # columns that are not used
+    pytest.mark.skipif(not PLANAR["A"].exists(), reason="the UR10 measurements are not in ../shared/data"),
+]
+
+
+def rms(model: Model, parameters: np.ndarray, rows: Measurements) -> float:
+    """RMS distance [mm] between positions measured and computed."""
+    missed = rows.positions - model.position(rows.postures, parameters, rows.conditions)
+    return float(np.sqrt(np.mean(np.sum(missed**2, axis=1))))
+
+
+def halves(data: Measurements) -> tuple[Measurements, Measurements]:
+    """Random halves of the postures, each with all rows of its postures."""
+    return split(data, 0.5, np.random.default_rng(0))
+
+
+def first_half(data: Measurements) -> tuple[Measurements, Measurements]:
+    """By the order of measurement."""
+    early = np.zeros(len(data), dtype=bool)
+    early[data.sequence[: len(data) // 2]] = True
+    return data.rows(early), data.rows(~early)
+
+
+def shown_diagnosis(name: str, arm: Arm, parts: tuple[Measurements, Measurements]) -> float:
+    """RMS [mm] on the second part of what `diagnose` finds in the first."""
+    found = diagnose(arm, parts[0], parts[1])
+    gap, names = found.gap, ", ".join(found.effects) or "none"
+    assert gap.held_out_after is not None
+    assert gap.predicted is not None
+    print(f"\n{name}: {gap.held_out_before:.3f} -> {gap.held_out_after:.3f} mm, predicted {gap.predicted:.3f}", end="")
+    print(f", confirmed: {found.confirmed}; verdict {found.verdict}, named {names}, curves {len(found.curves)}")
+    return gap.held_out_after
+
+
+@BOTH
+@pytest.mark.parametrize("parted", [halves, first_half])
+def test_plane_held_out(series: str, parted: Callable[[Measurements], tuple[Measurements, Measurements]]) -> None:
+    """Geometry with and without base offset, and with what `diagnose` finds."""
+    parts = parted(load_measurements(PLANAR[series], 3))
+    for arm in (Arm(LENGTHS), ARM):
+        fit = estimate(Model(arm), parts[0])
+        left = rms(fit.model, fit.parameters, parts[1])
+        print(f"\nplane, {series}, {parted.__name__}, {len(arm.effects)} base offset: {left:.3f} mm", end="")
+    assert shown_diagnosis(f"plane, {series}, {parted.__name__}, diagnose", ARM, parts) < left
+
+
+@ACROSS
+def test_plane_to_the_other_session(series: str, other: str) -> None:
+    """As `armcal diagnose --out` and `armcal validate --refit base`."""
+    data, there = (load_measurements(PLANAR[name], 3) for name in (series, other))
+    geometry = validate(estimate(Model(ARM), data).calibrated_arm(), there)
+    with_effects = validate(diagnose(ARM, data).extended_arm(), there)
+    own = estimate(Model(ARM), there)
+    print(
+        f"\nplane, {series} -> {other}: drawing {geometry.nominal.rms:.3f}, geometry {geometry.model.rms:.3f}", end=""
+    )
+    fitted = rms(own.model, own.parameters, there)
+    print(f", with what diagnose found {with_effects.model.rms:.3f}; geometry fitted there {fitted:.3f} mm")
+    assert with_effects.model.rms < with_effects.nominal.rms
+
+
+@BOTH
+def test_space_held_out(series: str) -> None:
+    """Geometry held by the prior of its machining; the drawing with base and reflector alone."""
+    arm = load_arm(SPACE)
+    data, rest = halves(load_measurements(SPATIAL[series], arm))
+    fit = estimate(Model(arm), data)
+    drawing = validate(fit.calibrated_arm(), rest).nominal.rms
+    left = rms(fit.model, fit.parameters, rest)
+    print(f"\nspace, {series}, halves: geometry {left:.3f}, drawing with base and reflector {drawing:.3f} mm", end="")
+    assert left < 0.6 * drawing
+
+
+@ACROSS
+def test_space_to_the_other_session(series: str, other: str) -> None:
+    """As `armcal identify --out` and `armcal validate`: only base and reflector are found anew."""
+    arm = load_arm(SPACE)
+    data, there = (load_measurements(SPATIAL[name], arm) for name in (series, other))
+    found = validate(estimate(Model(arm), data).calibrated_arm(), there)
+    print(f"\nspace, {series} -> {other}: geometry {found.model.rms:.3f}, drawing {found.nominal.rms:.3f} mm", end="")
+    assert found.model.rms < found.nominal.rms
+
+
+@BOTH
+def test_space_held_out_with_diagnose(series: str) -> None:
+    arm = load_arm(SPACE)
+    parts = halves(load_measurements(SPATIAL[series], arm))
+    assert shown_diagnosis(f"space, {series}, halves, diagnose", arm, parts) < 0.2
