@@ -106,6 +106,22 @@ def test_space_held_out(series: str) -> None:
     assert left < 0.6 * drawing
 
 
+@BOTH
+def test_space_poses_held_out(series: str, tmp_path: Path) -> None:
+    """Orientations beside points: RMS angle of the geometry, and of the drawing with base and reflector's frame."""
+    file = tmp_path / "poses.toml"
+    file.write_text(SPACE.read_text() + "\n[measurement]\nsigma_mm = 0.05\nsigma_deg = 0.01\n")
+    arm = load_arm(file)
+    assert arm.chain is not None
+    assert arm.chain.angle_scale is not None
+    data, rest = halves(load_measurements(SPATIAL[series], arm))
+    found = validate(estimate(Model(arm), data).calibrated_arm(), rest)
+    for name, residuals in (("geometry", found.residuals), ("drawing", found.nominal_residuals)):
+        points, turns = np.sqrt(np.mean(np.sum(residuals.reshape(-1, 2, 3) ** 2, axis=2), axis=0))
+        degrees = np.degrees(turns / arm.chain.angle_scale)
+        print(f"\nspace, {series}, poses, {name}: {points:.3f} mm, {degrees:.3f} deg", end="")
+
+
 @ACROSS
 def test_space_to_the_other_session(series: str, other: str) -> None:
     """As `armcal identify --out` and `armcal validate`: only base and reflector are found anew."""
