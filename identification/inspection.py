@@ -12,6 +12,7 @@ from identification.arrays import Array
 from identification.data_checks import data_warnings
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
+from identification.estimation.plausibility import copied_rows
 from identification.gap.repeats import NoiseFloor, noise_floor
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
@@ -63,7 +64,7 @@ class Inspection:
     readings : the columns as they are, and a better way to read them if there is one
     fit : the geometry fitted, None with too few rows;  reach : of the arm [mm]
     base : (2,) where the base of a planar arm stands [mm]
-    units : sentences about units, swapped markers and rows that are far off
+    units : sentences about units, swapped markers and rows that are far off;  copies : about copied rows
     """
 
     arm: Arm
@@ -78,6 +79,7 @@ class Inspection:
     fit: Identification | None
     base: Array | None
     units: tuple[str, ...]
+    copies: tuple[str, ...] = ()
 
     @property
     def drawing(self) -> float:
@@ -91,6 +93,7 @@ class Inspection:
         rough = self.drawing > ROUGH * self.arm.reach
         if rough and not said:
             said.append(f"the drawing is {self.drawing:.4g} mm off wherever the arm stands: check lengths and columns")
+        said += self.copies
         for joint in self.joints:
             if joint.outside:
                 low, high = (joint.in_file_units(x) for x in (joint.limit_low, joint.limit_high))
@@ -193,6 +196,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         fit=fit,
         base=planar_base(arm, measurements) if arm.chain is None else None,
         units=tuple(units),
+        copies=tuple(copied_rows(measurements)),
     )
 
 

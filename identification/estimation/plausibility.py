@@ -104,3 +104,16 @@ def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
     count = int(outside.any(axis=1).sum())
     first = f"row {row + 1}: joint {joint + 1} at {place:.5g} {unit[1:]}, allowed {low:g} to {high:g}"
     return [f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}"]
+
+
+def copied_rows(measurements: Measurements) -> list[str]:
+    """Rows that repeat posture and position of another to the last digit: no instrument does that."""
+    _, first, numbers = np.unique(
+        np.column_stack([measurements.postures, measurements.positions]), axis=0, return_index=True, return_inverse=True
+    )
+    rows = np.flatnonzero(first[numbers.ravel()] != np.arange(len(measurements)))
+    if not rows.size:
+        return []
+    copy, original = int(rows[0]) + 1, int(first[numbers.ravel()[rows[0]]]) + 1
+    seen = f"{rows.size} of {len(measurements)} rows are exact copies of others, the first row {copy} of row {original}"
+    return [f"{seen}: they are no measurements of their own, and make everything look surer than it is"]

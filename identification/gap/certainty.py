@@ -6,7 +6,7 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.estimation.plausibility import another_frame, far_off, flipped, outside_limits
+from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, outside_limits
 from identification.estimation.uncertainty import FittedRows, Uncertainty, uncertainty
 from identification.gap.fit import Fit
 from identification.gap.selection import HypothesisSearch
@@ -39,4 +39,5 @@ def fit_doubts(arm: Arm, measurements: Measurements, found: Fit, left: Array) ->
     """What is doubtful about the data and about a model fitted to them, in sentences;  left : (m, d) residuals [mm]."""
     told = np.ones(len(found.values), dtype=bool)
     bad = [*far_off(left, found.model.reach), *flipped(found.model, found.values, told)]
-    return (*bad, *another_frame(arm, measurements), *outside_limits(arm, measurements))
+    place = (*another_frame(arm, measurements), *outside_limits(arm, measurements))
+    return (*bad, *place, *copied_rows(measurements))

@@ -48,6 +48,8 @@ def test_each_fault_has_its_sentence() -> None:
     assert limits.startswith("joint 2 is beyond its limits, -114.592 to 143.239 deg, in ")
     (units,) = inspect(ARM, replace(good, postures=np.radians(good.postures))).problems
     assert "look like radians" in units
+    (copied,) = inspect(ARM, good.rows([*range(40), 5])).problems
+    assert copied.startswith("1 of 41 rows are exact copies of others, the first row 41 of row 6")
     (wrong,) = inspect(replace(ARM, lengths=np.array([500.0, 100.0, 200.0])), good).problems
     assert wrong.startswith("the drawing is")
 
