@@ -87,7 +87,7 @@ class InsideBox:
     def margin(self, postures: Array) -> Array:
         """(m, 2 d) distances to the sides [mm]."""
         tip = self.chain.points(postures)[:, -1]
-        return np.stack([tip - self.lower, self.upper - tip], axis=2).reshape(len(tip), -1)
+        return np.stack([tip - self.lower, self.upper - tip], axis=2).reshape(len(tip), 2 * tip.shape[1])
 
     def symbolic(self, q: ca.SX) -> ca.SX:
         """(2 d,) the same."""
