@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from rich.table import Table
 from rich.text import Text
 
@@ -168,7 +169,9 @@ def reliability_figure(rows: pl.DataFrame) -> Figure:
     axes.legend(loc="lower right", frameon=False)
     low, high = rows["from"].to_numpy(), rows["to"].to_numpy()
     below.bar(low, count, high - low, align="edge", edgecolor="white")
-    below.set(yscale="log", ylabel="data sets", xlabel="probability that was said", xlim=(0.0, 1.02))
+    below.set(yscale="log", ylim=(10.0 ** np.floor(np.log10(max(count.min(), 1))), None))
+    below.set(ylabel="data sets", xlabel="probability that was said", xlim=(0.0, 1.02))
+    below.yaxis.set_minor_formatter(NullFormatter())
     return figure
 
 
