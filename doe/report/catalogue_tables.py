@@ -15,6 +15,8 @@ TITLES = {
     "table": "Found by diagnose where no name fits",
     "scatter": "Effects on the scatter: simulated, screened for, not estimated",
     "alias": "Cannot be told from the geometry: listed, never named",
+    "on request": "Estimated where the arm file asks for it",
+    "commands": "From columns of commands beside the angles read",
     "sessions": "Set by armcal where there are several sessions",
 }
 HEADINGS = ("name", "what is wrong", "needs")

@@ -26,6 +26,7 @@ SUPPLY = {
     "directions": "columns direction1, direction2 .. (+1 or -1) in the measurements; left out: from the order",
     "temperature": "the column temperature_C in the measurements",
     "session": "the column session in the measurements, or one file for each session",
+    "commands": "columns commanded1_deg, commanded2_deg .. in the measurements, beside the angles that were read",
 }
 SPATIAL, PLANAR = 3, 2
 
@@ -56,7 +57,8 @@ class Entry:
     @property
     def supply(self) -> tuple[str, ...]:
         """How to give what the effect needs, a sentence for each."""
-        return tuple(dict.fromkeys(SUPPLY.get(need, need) for need in self.needs))
+        wanted = (*self.needs, *(["commands"] if self.kind == "commands" else []))
+        return tuple(dict.fromkeys(SUPPLY.get(need, need) for need in wanted))
 
     @property
     def example(self) -> str:

@@ -50,6 +50,7 @@ def test_what_is_needed_says_how_to_give_it() -> None:
     for found in entries():
         assert set(found.needs) <= set(SUPPLY), found.name
     assert entry("thermal_growth").supply == ("the column temperature_C in the measurements",)
+    assert entry("servo_error").supply == (SUPPLY["commands"],)
     assert entry("joint_hysteresis").kind == "looked for"
     assert entry("measurement_scale").alias is not None
 
