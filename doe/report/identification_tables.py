@@ -55,9 +55,9 @@ def geometry_tables(found: CorrectedGeometry) -> list[Any]:
     poses = [("base", data["base"])] if data["base"] else []
     poses += [(f"tool {name}", place) for name, place in data["tools"].items()]
     keys, angles = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"), ("roll_deg", "pitch_deg", "yaw_deg")
-    placed = [[name, *(f"{place[key]:.4f}" if key in place else "" for key in keys)] for name, place in poses]
+    placed = [[name, *(f"{place[key]:z.4f}" if key in place else "" for key in keys)] for name, place in poses]
     rows = [
-        [row["name"], *(f"{row[key]:.4f}" for key in (*keys[:3], *angles)), f"{offset['value']:.5f} {offset['unit']}"]
+        [row["name"], *(f"{row[key]:z.4f}" for key in (*keys[:3], *angles)), f"{offset['value']:z.5f} {offset['unit']}"]
         for row, offset in zip(data["geometry"], data["joint_offsets"], strict=True)
     ]
     headings = [[f"{key.replace('_', ' [')}]" for key in some] for some in (keys, (*keys[:3], *angles))]
@@ -74,7 +74,7 @@ def servo_table(errors: Sequence[ServoError]) -> Table:
     keys = ("offset", "reversal", "rms", "largest", "rest")
     rows = []
     for data in (error.to_json() for error in errors):
-        rows.append([str(data["joint"]), *(f"{data[key]:.5f}" for key in keys), data["unit"]])
+        rows.append([str(data["joint"]), *(f"{data[key]:z.5f}" for key in keys), data["unit"]])
     said = "read less commanded: offset + reversal s + rest, s = +1 or -1 the sign of the last motion"
     return table(("joint", *keys, "unit"), rows, "Servo error", caption=said, left=("unit",))
 
