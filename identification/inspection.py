@@ -12,18 +12,16 @@ from identification.arrays import Array
 from identification.data_checks import data_warnings
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.estimation.plausibility import copied_rows
+from identification.estimation.plausibility import another_frame, beyond_limits, copied_rows, outside_limits
 from identification.gap.repeats import NoiseFloor, noise_floor
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
-from identification.readings import Reading, Readings, planar_base, read_differently
+from identification.readings import Reading, Readings, read_differently
 from identification.sessions import with_sessions
 
-BEYOND = np.radians(0.01)  # [rad, mm] past a limit: how far a joint that stands at it is read
 STILL = np.radians(5.0)  # [rad] of a joint's range, below which its own errors are hardly seen
 FAR_ZERO = np.radians(5.0)  # [rad] an offset that is no machining error
-MOVED = 10.0  # times what the drawing leaves: a base that is not at the origin
 ROUGH = 0.02  # of the reach: more than a drawing is off by
 
 
@@ -63,8 +61,8 @@ class Inspection:
     given : optional columns;  floor : what repeats scatter by
     readings : the columns as they are, and a better way to read them if there is one
     fit : the geometry fitted, None with too few rows;  reach : of the arm [mm]
-    base : (2,) where the base of a planar arm stands [mm]
-    units : sentences about units, swapped markers and rows that are far off;  copies : about copied rows
+    units : sentences about units, swapped markers and rows that are far off;  frame : about a base elsewhere
+    rest : about copied rows and postures outside the limits
     """
 
     arm: Arm
@@ -77,9 +75,9 @@ class Inspection:
     floor: NoiseFloor
     readings: Readings
     fit: Identification | None
-    base: Array | None
     units: tuple[str, ...]
-    copies: tuple[str, ...] = ()
+    frame: tuple[str, ...]
+    rest: tuple[str, ...]
 
     @property
     def drawing(self) -> float:
@@ -89,17 +87,10 @@ class Inspection:
     @property
     def problems(self) -> tuple[str, ...]:
         """What should be put right before anything is fitted, in sentences."""
-        said = [*self.units] or self._reading() or self._base() or self._offsets()  # a later one may follow from it
-        rough = self.drawing > ROUGH * self.arm.reach
-        if rough and not said:
+        said = [*self.units] or self._reading() or [*self.frame] or self._offsets()  # a later one may follow from it
+        if self.drawing > ROUGH * self.arm.reach and not said:
             said.append(f"the drawing is {self.drawing:.4g} mm off wherever the arm stands: check lengths and columns")
-        said += self.copies
-        for joint in self.joints:
-            if joint.outside:
-                low, high = (joint.in_file_units(x) for x in (joint.limit_low, joint.limit_high))
-                limits = f"{low:.6g} to {high:.6g} {joint.unit}"
-                said.append(f"joint {joint.joint} is beyond its limits, {limits}, in {joint.outside} rows")
-        return tuple(said)
+        return (*said, *self.rest)
 
     def _reading(self) -> list[str]:
         better: Reading | None = self.readings.better
@@ -115,15 +106,6 @@ class Inspection:
         offsets = enumerate((self.fit.joint_offsets + np.pi) % (2.0 * np.pi) - np.pi, start=1)
         far = [f"{np.degrees(x):.1f} deg at joint {j}" for j, x in offsets if j > 1 and abs(x) > FAR_ZERO]
         return [f"zeros differ from the drawing's: {', '.join(far)}"] if far else []
-
-    def _base(self) -> list[str]:
-        """Where the base of a planar arm stands, if that is far from the origin and not in the model."""
-        known = self.arm.chain is not None or any(spec.name == "base_offset" for spec in self.arm.effects)
-        away = 0.0 if self.base is None else float(np.linalg.norm(self.base))
-        if known or self.base is None or self.readings.better is not None or away < MOVED * self.drawing:
-            return []
-        x, y = self.base
-        return [f"the base stands about ({x:.4g}, {y:.4g}) mm from the origin of the frame: add the effect base_offset"]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -194,9 +176,9 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         floor=floor,
         readings=read_differently(arm, measurements),
         fit=fit,
-        base=planar_base(arm, measurements) if arm.chain is None else None,
         units=tuple(units),
-        copies=tuple(copied_rows(measurements)),
+        frame=tuple(another_frame(arm, measurements)),
+        rest=(*copied_rows(measurements), *outside_limits(arm, measurements)),
     )
 
 
@@ -209,9 +191,8 @@ def _fit(arm: Arm, measurements: Measurements) -> Identification | None:
 
 
 def _ranges(arm: Arm, postures: Array) -> tuple[JointRange, ...]:
-    found = []
-    for j, kind in enumerate(arm.joint_types):
-        q, low, high = postures[:, j], float(arm.lower[j]), float(arm.upper[j])
-        outside = int(np.sum((q < low - BEYOND) | (q > high + BEYOND)))
-        found.append(JointRange(j + 1, kind, float(q.min()), float(q.max()), low, high, outside))
-    return tuple(found)
+    columns = zip(arm.joint_types, postures.T, arm.lower, arm.upper, beyond_limits(arm, postures).T, strict=True)
+    return tuple(
+        JointRange(j, kind, float(q.min()), float(q.max()), float(low), float(high), int(beyond.sum()))
+        for j, (kind, q, low, high, beyond) in enumerate(columns, start=1)
+    )

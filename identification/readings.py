@@ -14,13 +14,13 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
+from identification.data_checks import CLEARLY
 from identification.kinematics.parameters import PRISMATIC
 from identification.kinematics.placement import placed
 from identification.measurements import Measurements
 from identification.placed import frames_of_tip
 
 ENOUGH = 200  # rows that are looked at: a wrong sign is seen in far fewer
-CLEARLY = 3.0  # times less is left: the columns mean something else
 ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
 EQUATIONS = 4  # for each fitted number, below which anything may fit
 KEPT = 4  # effort: readings from which the next kind of change starts
@@ -180,12 +180,3 @@ def _distance(arm: Arm, rows: Measurements) -> Callable[[Reading], float]:
         return float(np.sqrt(max(squares, 0.0) / len(tip)))
 
     return in_plane
-
-
-def planar_base(arm: Arm, measurements: Measurements) -> Array:
-    """(2,) where the base of a planar arm stands by its drawing [mm]."""
-    tip = np.exp(1j * np.cumsum(measurements.postures, axis=1)) @ arm.lengths
-    measured = measurements.positions @ np.array([1.0, 1.0j])
-    crossed = np.vdot(tip - tip.mean(), measured - measured.mean())
-    base = measured.mean() - tip.mean() * np.exp(1j * np.angle(crossed))
-    return np.array([base.real, base.imag])

@@ -90,11 +90,16 @@ def _left(arm: Arm, measurements: Measurements, offset: bool) -> float:
     return float(solve(measurements.positions[None])[1][0])
 
 
-def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
-    """How many postures lie outside the joint limits, and the first of them; limits left out do not count."""
+def beyond_limits(arm: Arm, postures: Array) -> NDArray[np.bool_]:
+    """(m, n) True where a joint lies outside its limits; limits left out do not count."""
     given = (np.abs(arm.lower + np.pi) > OVERSHOOT) | (np.abs(arm.upper - np.pi) > OVERSHOOT)
+    return given & ((postures < arm.lower - OVERSHOOT) | (postures > arm.upper + OVERSHOOT))
+
+
+def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
+    """How many postures lie outside the joint limits, and the first of them."""
     q = measurements.postures
-    outside = given & ((q < arm.lower - OVERSHOOT) | (q > arm.upper + OVERSHOOT))
+    outside = beyond_limits(arm, q)
     if not outside.any():
         return []
     row = int(np.argmax(outside.any(axis=1)))

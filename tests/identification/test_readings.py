@@ -13,7 +13,7 @@ import pytest
 from identification import load_arm, load_measurements
 from identification.arm import Arm
 from identification.measurements import Measurements
-from identification.readings import planar_base, read_differently
+from identification.readings import read_differently
 
 DATA = Path(__file__).parents[1] / "data"
 PLANAR = Arm(np.array([612.0, 572.3, 115.7]))
@@ -91,10 +91,3 @@ def test_nothing_is_said_of_arms_with_errors_as_they_are_built() -> None:
 def test_few_rows_are_not_read_in_other_ways(planar: Measurements) -> None:
     five = replace(planar.rows(slice(0, 5)), postures=planar.postures[:5] * [1.0, -1.0, 1.0])
     assert read_differently(PLANAR, five).better is None
-
-
-def test_where_the_base_stands() -> None:
-    generator = np.random.default_rng(12)
-    q = generator.uniform(-2.0, 2.0, (20, 3))
-    z = np.exp(1j * np.cumsum(q, axis=1)) @ PLANAR.lengths * np.exp(0.3j) + (120.0 - 45.0j)
-    assert planar_base(PLANAR, Measurements(q, np.column_stack([z.real, z.imag]))) == pytest.approx([120.0, -45.0])

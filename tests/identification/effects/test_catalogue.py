@@ -55,8 +55,7 @@ def test_what_is_needed_says_how_to_give_it() -> None:
     assert entry("measurement_scale").alias is not None
 
 
-def test_a_users_own_effect_is_in_the_list(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("identification.effects._LIBRARY", _LIBRARY)
+def test_a_users_own_effect_is_in_the_list() -> None:
     own = type(
         "Own", (Backlash,), {"name": "own_play", "summary": "my own play", "__module__": "mine", "__doc__": "Mine."}
     )
