@@ -11,13 +11,15 @@ from rich.text import Text
 from doe.report.terminal import NARROW, facts, number, significant, table
 from identification.compensate import Compensation
 from identification.estimation import Identification
+from identification.estimation.corrected_values import CorrectedValue
 from identification.estimation.result import in_words
-from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.servo import ServoError
+
+FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
 
 
 def identification_tables(found: Identification, hidden: frozenset[str] = frozenset()) -> list[Any]:
-    """Everything about a fit: what must be read first, the summary, the parameters but for those `hidden`."""
+    """Everything about a fit: what must be read first, the summary, the corrected values but for those `hidden`."""
     data = found.to_json()
     given = "given" if found.sigma_known else "from the residuals"
     summary = [
@@ -31,42 +33,46 @@ def identification_tables(found: Identification, hidden: frozenset[str] = frozen
         summary.append(("chi2", f"{data['chi2']:.2f}, {in_words(data['p_value'])}: {scatter}"))
     summary.append(("95 % intervals", found.uncertainty.sentence))
     warned = [Text(warning, style="bold") for warning in found.warnings]
-    shown: list[Any] = [*warned, facts(summary), parameter_table(found, hidden)]
+    rows = [row for row in found.corrected_values if row.parameter not in hidden]
+    shown: list[Any] = [*warned, facts(summary), corrected_table(rows), *conventions(rows, found.geometry is not None)]
     if found.geometry is not None:
-        shown += geometry_tables(found.geometry)
+        shown += [Text(sentence) for sentence in found.geometry.strict_table]
     if data["not_identifiable"]:
         shown.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         shown.extend(Text(f"  {combination}") for combination in data["not_identifiable"])
     return shown
 
 
-def parameter_table(found: Identification, hidden: frozenset[str] = frozenset()) -> Table:
-    """Parameters with 95 % intervals, in file units, but for those `hidden`."""
-    keys = ("value", "std", "low_95", "high_95")
-    named = zip(found.shown_names, found.to_json()["parameters"], strict=True)
-    seen = ((name, p) for name, p in named if p["name"] not in hidden)
-    rows = ([name, *(significant(p[key], p["std"]) for key in keys), p["unit"]] for name, p in seen)
-    return table(("name", "value", "std", "low 95 %", "high 95 %", "unit"), rows, "Parameters", left=("name", "unit"))
+def corrected_table(rows: Sequence[CorrectedValue]) -> Table:
+    """What to type in: nominal and corrected values with their intervals, at most 80 columns wide."""
+    keys = ("nominal", "corrected", "std", "low_95", "high_95")
+    cells = ([row.name, *(_cell(getattr(row, key), row) for key in keys), row.unit] for row in rows)
+    headings = ("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit")
+    style = NARROW | {"padding": 0}  # 80 columns
+    return table(headings, cells, "Corrected values", left=("", "unit"), no_wrap=headings[1:], **style)
 
 
-def geometry_tables(found: CorrectedGeometry) -> list[Any]:
-    """Where base, measured points and joints of a spatial arm are, and what a controller needs."""
-    data = found.to_json()
-    poses = [("base", data["base"])] if data["base"] else []
-    poses += [(f"tool {name}", place) for name, place in data["tools"].items()]
-    keys, angles = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"), ("roll_deg", "pitch_deg", "yaw_deg")
-    placed = [[name, *(f"{place[key]:z.4f}" if key in place else "" for key in keys)] for name, place in poses]
-    rows = [
-        [row["name"], *(f"{row[key]:z.4f}" for key in (*keys[:3], *angles)), f"{offset['value']:z.5f} {offset['unit']}"]
-        for row, offset in zip(data["geometry"], data["joint_offsets"], strict=True)
-    ]
-    headings = [[f"{key.replace('_', ' [')}]" for key in some] for some in (keys, (*keys[:3], *angles))]
-    return [
-        *([table(("", *headings[0]), placed, "Identified poses")] if placed else []),
-        table(("joint", *headings[1], "offset"), rows, "Frame of each joint in that of the joint before"),
-        "A controller that takes offsets adds minus the offset to each command; the corrected URDF has them in it.",
-        *(Text(sentence) for sentence in data["strict_table"]),
-    ]
+def _cell(value: float | None, row: CorrectedValue) -> str:
+    """Three significant digits of the standard deviation, five decimals at most."""
+    if value == 0.0:
+        return "0"
+    if row.std is None:
+        return number(value)
+    if row.std < FINEST and row.unit not in ("mm", "deg"):
+        return "-" if value is None else f"{value:.3g}"
+    return significant(value, max(row.std, FINEST))
+
+
+def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
+    """What the rows mean to a controller, in lines."""
+    said = ["Zeros: add to the zero of the joint (real = reading + this), or take off every command."]
+    said = said if any(row.name.startswith("zero of") for row in rows) else []
+    if spatial:
+        said += [
+            "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.",
+            "These values belong together: enter all of them.",
+        ]
+    return said
 
 
 def servo_table(errors: Sequence[ServoError]) -> Table:

@@ -14,6 +14,7 @@ from scipy.special import chdtrc
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
+from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.estimation.intervals import limits_95
 from identification.estimation.uncertainty import LEVEL, Uncertainty
 from identification.kinematics.corrected_geometry import CorrectedGeometry
@@ -184,7 +185,7 @@ class Identification:
     def calibration(self) -> Calibration:
         """What an arm file keeps of this: all of `parameters`, and the known values."""
         cov = self.covariance if np.all(np.isfinite(self.covariance)) else None
-        figures = {k: v for k, v in self.to_json().items() if v is not None and k not in _NOT_KEPT}
+        figures = {k: v for k, v in self._summary().items() if v is not None and k not in _NOT_KEPT}
         provenance = MappingProxyType({**self.provenance, **figures})
         calibration = Calibration(self._everything, self.names, cov, provenance)
         if (geometry := self.geometry) is None:
@@ -203,6 +204,9 @@ class Identification:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` (identification/files/README.md, "JSON keys"): file units, null for unknown values."""
+        return {**self._summary(), "corrected_values": [row.to_json() for row in self.corrected_values]}
+
+    def _summary(self) -> dict[str, Any]:
         return {
             "parameters": self._rows(),
             "not_identifiable": list(self.not_identifiable),
@@ -224,6 +228,15 @@ class Identification:
             and {"kind": self.uncertainty.clusters, "count": self.uncertainty.count},
             **({} if self.geometry is None else self.geometry.to_json()),
         }
+
+    @cached_property
+    def corrected_values(self) -> tuple[CorrectedValue, ...]:
+        """What to type in: nominal and corrected values of lengths, zeros, frames, effects; empty without an arm."""
+        if not isinstance(getattr(self.model, "arm", None), Arm):
+            return ()
+        found = Calibration(self._everything, self.names, self.covariance)
+        unknown = [name for name, known in zip(self.names, self.identifiable, strict=True) if not known]
+        return corrected_values(self.model.arm, found, self.uncertainty.freedom, unknown)
 
     def _rows(self) -> list[dict[str, Any]]:
         """One entry for each parameter, in file units."""

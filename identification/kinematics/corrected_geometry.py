@@ -92,11 +92,17 @@ class CorrectedGeometry:
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` for spatial arms (identification/files/README.md, "JSON keys")."""
         return {
+            **self.tables(),
+            "joint_offsets": [self._offset(j) for j in range(1, len(self.chain) + 1)],
+            "strict_table": self.strict_table,
+        }
+
+    def tables(self) -> dict[str, Any]:
+        """The keys `base`, `tools` and `geometry` of these."""
+        return {
             "base": None if self.base is None else pose_table(self.base),
             "tools": tool_tables(self.tools, self.tool_axes),
             "geometry": [self._row(j) for j in range(1, len(self.chain) + 1)],
-            "joint_offsets": [self._offset(j) for j in range(1, len(self.chain) + 1)],
-            "strict_table": self.strict_table,
         }
 
     def _row(self, j: int) -> dict[str, Any]:

@@ -75,7 +75,8 @@ def test_not_identifiable_is_named_and_exits_1(folder: Folder) -> None:
 def test_tables_for_people(folder: Folder) -> None:
     folder.simulated()
     done = folder.armcal("identify", "arm.toml", "data.csv")
-    assert "length_error:1" in done.out
+    assert "length of link 1" in done.out
+    assert "260.0" in done.out
     assert "RMS" in done.out
     shown = folder.armcal("score", "arm.toml", "plan.csv")
     assert "efficiency" in shown.out

@@ -1,0 +1,182 @@
+"""The result to type in: nominal and corrected value of every length, zero of a joint, frame and effect.
+
+Values are those that a controller or a kinematic table has, not errors. In space they are functions of several
+parameters; their standard deviations follow from the covariance by first derivatives (delta method).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from identification.arm import Arm, Calibration
+from identification.arrays import Array
+from identification.estimation.intervals import quantile_95
+from identification.kinematics.corrected_geometry import CorrectedGeometry
+from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE, Parameter
+from identification.kinematics.spatial import SpatialChain
+from identification.model import Model
+
+STEP = {"mm": 1e-3, "rad": 1e-6}  # of central differences: exact for shifts, to 1e-12 for angles
+UPRIGHT = 89.0  # [deg] of pitch, from which roll and yaw turn about nearly one axis and only their sum is told
+LINK = "length of the link"
+ZERO = "add to the zero of joint {j}: real position = reading + this; or take it off every command"
+FRAME = "frame of joint {j} in that of {before}, as a URDF joint's origin: x, y, z, then roll, pitch, yaw"
+TOGETHER = ("roll_deg", "yaw_deg")
+BASE = "pose of the base for the instrument, turned about its own x, y and z axis"
+TOOL = "measured point in the frame of the tip"
+EFFECT = "no value of a controller: armcal compensate takes it off the commands"
+
+
+@dataclass(frozen=True)
+class CorrectedValue:
+    """One row, in file units.
+
+    name : in words;  parameter : that it is made of, None: of several
+    nominal : None where nothing is drawn;  corrected : None where it is not estimable
+    std, low_95, high_95 : None where the value is held, or nothing can be said
+    convention : what the value means, and what to do with it
+    """
+
+    name: str
+    parameter: str | None
+    nominal: float | None
+    corrected: float | None
+    std: float | None
+    low_95: float | None
+    high_95: float | None
+    unit: str
+    convention: str
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `corrected_values` (identification/files/README.md, "JSON keys")."""
+        return dict(vars(self))
+
+
+Values = Mapping[str, float]  # parameter name -> value [API unit]
+
+
+class _Quantity(NamedTuple):
+    """A value, and its derivatives by parameters, in file units per API unit."""
+
+    name: str
+    parameter: str | None
+    nominal: float | None
+    value: float
+    derivatives: Mapping[str, float]
+    unit: str
+    convention: str
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    told: bool = True  # its standard deviation means something
+
+
+def corrected_values(
+    arm: Arm,
+    found: Calibration | None = None,
+    freedom: Collection[float] = (),
+    unknown: Collection[str] = (),
+) -> tuple[CorrectedValue, ...]:
+    """What was estimated or differs from the drawing: geometry, then effects.
+
+    found : None: the arm's own calibration
+    freedom : degrees of freedom of the variances of `found.parameter_names`; empty: infinite, these are known
+    unknown : names of parameters that are not estimable
+    """
+    model, found = Model(arm), found or arm.calibration or Calibration({})
+    values = {**model.fixed, **found.values}
+    names = {*found.parameter_names, *unknown}
+    geometry = _planar(arm, values) if arm.chain is None else _spatial(arm.chain, values, names)
+    spread = np.full(len(found.parameter_names), np.inf) if len(freedom) == 0 else np.array([*freedom])
+    rows = (_row(quantity, found, spread, unknown) for quantity in (*geometry, *_effects(model, values)))
+    return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
+
+
+def _row(quantity: _Quantity, found: Calibration, freedom: Array, unknown: Collection[str]) -> CorrectedValue:
+    slope = np.array([quantity.derivatives.get(name, 0.0) for name in found.parameter_names])
+    lost, deviation = any(quantity.derivatives.get(name) for name in unknown), np.nan
+    if found.covariance is not None and slope.any() and not lost and quantity.told:
+        deviation = float(np.sqrt(max(slope @ found.covariance @ slope, 0.0)))
+    half = float(quantile_95(freedom[slope != 0.0].min(initial=np.inf))) * deviation
+    limits = np.clip([quantity.value - half, quantity.value + half], *quantity.bounds)
+    figures = [np.nan if lost else quantity.value, deviation, *limits]
+    value, std, low, high = (float(figure) if np.isfinite(figure) else None for figure in figures)
+    own = quantity.name, quantity.parameter, quantity.nominal
+    return CorrectedValue(*own, value, std, low, high, quantity.unit, quantity.convention)
+
+
+# -- what there is -----------------------------------------------------------------------------------------------------
+def _planar(arm: Arm, values: Values) -> Iterator[_Quantity]:
+    """Lengths and zeros."""
+    for j, length in enumerate(arm.lengths.tolist(), start=1):
+        name = f"{LENGTH_ERROR}:{j}"
+        value = length + values.get(name, 0.0)
+        yield _Quantity(f"length of link {j}", name, length, value, {name: 1.0}, "mm", LINK)
+    yield from (_zero(j, REVOLUTE, values) for j in range(1, arm.links + 1))
+
+
+def _zero(j: int, kind: str, values: Values) -> _Quantity:
+    """What joint j, counted from 1, adds to what is read."""
+    p, said = Parameter(f"{JOINT_OFFSET}:{j}", JOINT_UNITS[kind]), ZERO.format(j=j)
+    value = values.get(p.name, 0.0) * p.to_file
+    return _Quantity(f"zero of joint {j}", p.name, 0.0, value, {p.name: p.to_file}, p.file_unit, said)
+
+
+def _effects(model: Model, values: Values) -> Iterator[_Quantity]:
+    """Parameters of effects, their names with the settings."""
+    for effect in model.effects:
+        for p in effect.parameters:
+            name, value = f"{effect.label}.{p.short}", values.get(p.name, 0.0) * p.to_file
+            bounds = p.lower * p.to_file, p.upper * p.to_file
+            yield _Quantity(name, p.name, 0.0, value, {p.name: p.to_file}, p.file_unit, EFFECT, bounds)
+
+
+# -- in space ----------------------------------------------------------------------------------------------------------
+def _spatial(chain: SpatialChain, values: Values, names: Collection[str]) -> Iterator[_Quantity]:
+    """Zeros of the joints, their frames, base and measured points; derivatives by the parameters `names`."""
+    yield from (_zero(j, kind, values) for j, kind in enumerate(chain.joint_types, start=1))
+    drawn, there = _tables(chain, {}), _tables(chain, values)
+    steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in names}
+    ends = {
+        name: [_tables(chain, {**values, name: values.get(name, 0.0) + sign * step}) for sign in (1.0, -1.0)]
+        for name, step in steps.items()
+    }
+    for place, table in there.items():
+        framed = place.startswith("joint ")
+        upright = framed and abs(table["pitch_deg"]) > UPRIGHT
+        for key, value in table.items():
+            slopes = {
+                name: _nearest(up[place][key] - down[place][key], 0.0, key) / (2.0 * steps[name])
+                for name, (up, down) in ends.items()
+                if up[place][key] != down[place][key]
+            }
+            nominal = drawn[place][key] + 0.0 if framed else None  # no -0
+            said = _convention(place, upright and key in TOGETHER)
+            axis, _, unit = key.rpartition("_")
+            value = value if nominal is None else _nearest(value, nominal, key)
+            told = not (upright and key in TOGETHER)
+            yield _Quantity(f"{place} {axis}", None, nominal, value, slopes, unit, said, told=told)
+
+
+def _tables(chain: SpatialChain, values: Values) -> dict[str, dict[str, float]]:
+    """Place -> its numbers in file units: frame of each joint, base, measured points."""
+    found = CorrectedGeometry(chain, values).tables()
+    rows = {f"joint {row.pop('joint')}": row for row in found["geometry"]}
+    base = {} if found["base"] is None else {"base": found["base"]}
+    tools = {f"tool {name}": place for name, place in found["tools"].items()}
+    return {place: {k: v for k, v in row.items() if k != "name"} for place, row in (rows | base | tools).items()}
+
+
+def _nearest(value: float, to: float, key: str) -> float:
+    """Of an angle [deg] the equal one that is nearest to another."""
+    return value - 360.0 * round((value - to) / 360.0) if key.endswith("_deg") else value
+
+
+def _convention(place: str, together: bool) -> str:
+    if not place.startswith("joint "):
+        return BASE if place == "base" else TOOL
+    j = int(place.removeprefix("joint "))
+    said = FRAME.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
+    return f"{said}; pitch is upright, so that roll and yaw are told together only" if together else said

@@ -1,0 +1,117 @@
+"""Values to type in: planar ones against the parameters that they are made of, frames against scipy's rotations."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.console import Console
+from scipy.spatial.transform import Rotation
+
+from doe.report.identification_tables import corrected_table
+from identification.arm import Arm, Calibration, EffectSpec
+from identification.estimation import estimate
+from identification.estimation.corrected_values import CorrectedValue, corrected_values
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.model import Model
+from tests.identification.estimation.cases import LENGTHS, arm, data, plan
+
+HALF = np.pi / 2.0
+CHAIN = chain_of([DHRow(0.0, HALF, 127.3), DHRow(-612.0, 0.0, 0.0), DHRow(0.0, -HALF, 90.0, offset=np.pi)])
+FREE = ("translation_x:2", "translation_y:2", "translation_z:2", "rotation_x:2", "rotation_y:2")
+
+
+def by_name(rows: tuple[CorrectedValue, ...]) -> dict[str, CorrectedValue]:
+    return {row.name: row for row in rows}
+
+
+def test_planar_values_are_the_drawing_with_its_errors() -> None:
+    model = Model(arm(EffectSpec("encoder_eccentricity", 2)))
+    found = estimate(model, data(model, plan(30)))
+    rows, errors = by_name(found.corrected_values), dict(zip(found.names, found.parameters, strict=True))
+    for j, length in enumerate(LENGTHS, start=1):
+        row = rows[f"length of link {j}"]
+        assert (row.nominal, row.unit, row.parameter) == (length, "mm", f"length_error:{j}")
+        assert row.corrected == pytest.approx(length + errors[f"length_error:{j}"], abs=1e-12)
+        assert rows[f"zero of joint {j}"].corrected == pytest.approx(np.degrees(errors[f"joint_offset:{j}"]))
+        assert f"add to the zero of joint {j}" in rows[f"zero of joint {j}"].convention
+    for row, listed in zip(found.corrected_values, found.to_json()["parameters"], strict=True):
+        assert row.parameter == listed["name"]
+        assert row.corrected is not None
+        assert row.low_95 == pytest.approx(listed["low_95"] + row.corrected - listed["value"])
+        assert row.high_95 == pytest.approx(listed["high_95"] + row.corrected - listed["value"])
+
+
+def test_the_zero_is_what_a_reading_lacks() -> None:
+    """An arm of which joint 1 stands 0.5 deg beyond its reading is found where it stands."""
+    model = Model(Arm([300.0]))
+    q = np.radians(np.arange(0.0, 360.0, 40.0))
+    there = 300.0 * np.column_stack([np.cos(q + np.radians(0.5)), np.sin(q + np.radians(0.5))])
+    measured = replace(data(Model(arm()), plan(9)), postures=q[:, None], positions=there)
+    row = by_name(estimate(model, measured, sigma=0.1).corrected_values)["zero of joint 1"]
+    assert row.corrected == pytest.approx(0.5)
+
+
+def test_what_is_not_estimable_has_no_value_and_what_is_held_no_interval() -> None:
+    model = Model(arm(), {"length_error:1": 1.5, "length_error:2": 0.0})
+    at_zero = replace(data(Model(arm()), plan(30)), postures=np.zeros((30, 4)))
+    rows = by_name(estimate(model, at_zero).corrected_values)
+    held, lost = rows["length of link 1"], rows["length of link 3"]
+    assert (held.corrected, held.std, held.low_95) == (LENGTHS[0] + 1.5, None, None)
+    assert (lost.corrected, lost.std, lost.high_95) == (None, None, None)
+    assert "length of link 2" not in rows  # as drawn
+
+
+def test_frames_in_space_by_scipy() -> None:
+    """Place and angles of a frame, and their standard deviations by finite differences, with scipy's rotations."""
+    generator, factors = np.random.default_rng(3), np.array([1.0, 1.0, 1.0, 0.01, 0.01])
+    root = generator.standard_normal((5, 5)) * factors[:, None]
+    values = generator.standard_normal(5) * factors
+    found = Calibration(dict(zip(FREE, values.tolist(), strict=True)), FREE, root @ root.T)
+    rows = by_name(corrected_values(Arm.of_chain(CHAIN), found))
+    origin = CHAIN.joints[1].origin
+    drawn = Rotation.from_matrix(origin[:3, :3])
+
+    def numbers(x: np.ndarray) -> np.ndarray:
+        turn = drawn * Rotation.from_euler("XYZ", [x[3], x[4], 0.0])
+        return np.r_[origin[:3, 3] + drawn.apply(x[:3]), turn.as_euler("xyz", degrees=True)]
+
+    slopes = np.column_stack([(numbers(values + h) - numbers(values - h)) / 2e-5 for h in 1e-5 * np.eye(5)])
+    deviations = np.sqrt(np.diag(slopes @ root @ root.T @ slopes.T))
+    keys = [f"joint 2 {axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw")]
+    assert [rows[key].corrected for key in keys] == pytest.approx(numbers(values), abs=1e-9)
+    assert [rows[key].nominal for key in keys] == pytest.approx(numbers(np.zeros(5)), abs=1e-9)
+    assert [rows[key].std for key in keys] == pytest.approx(deviations, rel=1e-6)
+    assert [rows[key].high_95 - rows[key].corrected for key in keys] == pytest.approx(1.959963985 * deviations)  # type: ignore[operator]
+
+
+def test_angles_stay_near_the_drawing() -> None:
+    """A frame drawn at a yaw of 180 deg that turns by 0.1 deg is at 180.1, not at -179.9."""
+    found = Calibration({"rotation_z:3": np.radians(0.1)}, ("rotation_z:3",), np.array([[1e-6]]))
+    chain = chain_of([DHRow(10.0, 0.0, 5.0), DHRow(10.0, 0.0, 5.0), DHRow(10.0, 0.0, 5.0, offset=np.pi)])
+    row = by_name(corrected_values(Arm.of_chain(chain), found))["joint 3 yaw"]
+    assert (row.nominal, row.corrected) == (pytest.approx(180.0), pytest.approx(180.1))
+    assert row.std == pytest.approx(np.degrees(1e-3))
+
+
+def test_where_pitch_is_upright_roll_and_yaw_have_no_interval() -> None:
+    turned = CHAIN.joints[1].origin.copy()
+    turned[:3, :3] = Rotation.from_euler("xyz", [0.0, HALF, 0.0]).as_matrix()
+    joints = (CHAIN.joints[0], replace(CHAIN.joints[1], origin=turned), CHAIN.joints[2])
+    found = Calibration({"rotation_x:2": 1e-3, "rotation_y:2": 2e-3}, FREE[3:], np.diag([1e-8, 1e-8]))
+    rows = by_name(corrected_values(Arm.of_chain(replace(CHAIN, joints=joints)), found))
+    assert rows["joint 2 yaw"].std is None
+    assert "together" in rows["joint 2 yaw"].convention
+    assert rows["joint 2 pitch"].std == pytest.approx(np.degrees(1e-4), rel=0.1)
+
+
+def test_the_table_fits_80_columns() -> None:
+    model = Model(arm(EffectSpec("encoder_eccentricity", 2)))
+    rows = estimate(model, data(model, plan(30))).corrected_values
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(corrected_table(rows))
+    lines = console.export_text().splitlines()
+    assert len([line for line in lines if line.strip()]) == len(rows) + 3  # title, headings, rule: no row is broken
+    assert "encoder_eccentricity:2.a" in "".join(lines)
