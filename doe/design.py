@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from doe.bounds.best_known import best_known_bound
 from doe.bounds.bound import Bound
@@ -28,9 +28,12 @@ from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import identifiability
+from identification.kinematics.parameters import PRISMATIC
 from identification.status import Status
 
 FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
+SAME = 1e-9  # relative difference of Jacobians that counts as none
+TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,9 @@ class Design:
     def outside(self) -> tuple[int, ...]:
         """Runs (from 1) beyond a joint limit or a constraint by more than rounding: no bound holds for such a plan."""
         q = self.plan.postures
-        breaks = np.any((q < self.problem.lower - FITS) | (q > self.problem.upper + FITS), axis=1)
+        breaks = beyond_limits(self.problem, q)
+        if breaks.any():
+            breaks = beyond_limits(self.problem, whole_turns_aside(self.problem, q))
         for constraint in self.problem.constraints:
             breaks |= np.any(constraint.margin(q) < -FITS, axis=1)
         return tuple((np.flatnonzero(breaks) + 1).tolist())
@@ -210,3 +215,17 @@ def _deviations_json(deviations: ExpectedDeviations | None) -> dict[str, Any]:
         "orientation_deg": np.degrees(deviations.orientation).tolist(),
         "joint_offset_deg": np.degrees(deviations.joint_offset).tolist(),
     }
+
+
+def beyond_limits(problem: DesignProblem, postures: Array) -> NDArray[np.bool_]:
+    """(m,) True where a joint lies beyond its limits by more than rounding."""
+    return np.any((postures < problem.lower - FITS) | (postures > problem.upper + FITS), axis=1)
+
+
+def whole_turns_aside(problem: DesignProblem, postures: Array) -> Array:
+    """(m, n) joints that may take every angle moved into their limits by whole turns, unless the model sees it."""
+    full = (np.array(problem.model.joint_types) != PRISMATIC) & (problem.upper - problem.lower >= TURN - FITS)
+    turns = np.round((postures - 0.5 * (problem.lower + problem.upper)) / TURN)
+    moved = np.where(full, postures - TURN * turns, postures)
+    same = np.abs(problem.scaled_jacobians(moved) - problem.scaled_jacobians(postures)).max() < SAME
+    return moved if same else postures

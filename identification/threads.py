@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
-def single_thread() -> AbstractContextManager[object]:
-    """`with single_thread():` BLAS uses one thread inside, and as many as before afterwards."""
+@contextmanager
+def single_thread() -> Iterator[None]:
+    """`with single_thread():`, or `@single_thread()` of a function: BLAS uses one thread inside, and as many as before
+    afterwards."""
     from threadpoolctl import threadpool_limits
 
-    return threadpool_limits(1, user_api="blas")
+    with threadpool_limits(1, user_api="blas"):
+        yield

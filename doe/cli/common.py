@@ -1,4 +1,4 @@
-"""What is common to all verbs: the common options, one-line errors, JSON or tables, progress on standard error."""
+"""What is common to all verbs: the common options, one-line errors, JSON or tables."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import json
 import math
 import os
 import sys
-import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
@@ -18,9 +17,10 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from doe.cli.options import FILE, OUTPUTS
+from doe.cli.progress import shown_progress
 from identification.errors import ArmcalError, InputError, JobError
 from identification.files.io import check_writable
-from identification.progress import Progress, silent
+from identification.progress import Progress
 
 if TYPE_CHECKING:
     from identification.arm import Arm
@@ -47,31 +47,9 @@ class Session:
     quiet: bool
     seed: int
 
-    @contextmanager
-    def progress(self, title: str) -> Iterator[Progress]:
-        """A progress bar on standard error, shown when the work takes longer than half a second."""
-        if self.quiet or sys.stderr is None or not sys.stderr.isatty():  # None: closed, as by 2>&-
-            yield silent
-            return
-        from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-        from rich.progress import Progress as Bar
-
-        columns = (
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-        )
-        with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(title, total=None, visible=False)
-            started = time.monotonic()
-
-            def report(done: float, total: float | None, message: str) -> None:
-                visible = time.monotonic() - started > 0.5
-                bar.update(task, completed=done, total=total, description=f"{title}: {message}", visible=visible)
-
-            yield report
+    def progress(self, title: str) -> AbstractContextManager[Progress]:
+        """A bar or, where standard error is no terminal, a line every ten seconds."""
+        return shown_progress(title, self.quiet)
 
 
 def tables_on_terminal() -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from doe.cli.common import Answer, Session, verb
-from doe.cli.jobs import JobOptions, interruptible, job_options, one_thread_each
+from doe.cli.jobs import JobOptions, interruptible, job_options
 from doe.cli.options import FILE, Seconds, grouped
 from identification.errors import InputError
 
@@ -96,7 +96,6 @@ def command(session: Session, arms: tuple[Path, ...], compared: ComparisonOption
     Every plan is evaluated on the stored problem, independently of its solver. Hit rate: fraction of the runs that
     found the best known value; with --repeats 10 --starts 1, the fraction of good starts.
     """
-    one_thread_each()
     from doe.jobs.row_table import RowTable
     from doe.report.comparison import comparison_tables
     from doe.studies.comparison import compare, summary

@@ -89,6 +89,8 @@ def command(
         design = _ordered(design, search.order, session.seed, data, extra)
     extra += output.write(plan_text(design.plan, loaded.joint_types), "plan")
     output.draw_plan(loaded, design.plan.postures)
+    first = "--out plan.csv writes this plan; " if output.out is None else ""
+    extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA")
     return Answer(design.to_json() | data, [*design_tables(design), *extra])
 
 

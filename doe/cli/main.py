@@ -29,6 +29,7 @@ from doe.cli import (
     validate,
 )
 from doe.cli.common import no_output
+from doe.cli.jobs import one_thread_each
 from identification.errors import nearest
 
 
@@ -97,6 +98,7 @@ def main() -> None:
 
     Which postures to measure, what the measurements say about the arm, and which physical effect is missing.
     """
+    one_thread_each()
 
 
 VERBS = (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from doe.cli.common import Answer, Session, verb
-from doe.cli.jobs import JobOptions, interruptible, job_options, one_thread_each
+from doe.cli.jobs import JobOptions, interruptible, job_options
 from identification.errors import InputError, nearest
 
 if TYPE_CHECKING:
@@ -55,8 +55,6 @@ def command(session: Session, study: str, replications: int | None, job: JobOpti
     cells.parquet (one row per cell and parameter: errors, deviations, coverage), blocks.parquet and plans.parquet;
     notebooks read them with polars.
     """
-    one_thread_each()
-
     if study not in BUILT_IN and not study.endswith(".toml"):
         raise InputError(f"study: unknown name {study!r}, {nearest(study, BUILT_IN)}, or a file NAME.toml")
     folder = job.out or Path(study).with_suffix(".results")

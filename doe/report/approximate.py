@@ -9,7 +9,7 @@ from rich.table import Table
 
 from doe.bounds.approximate_design import ApproximateDesign
 from doe.cross_check import CrossCheck
-from doe.report.terminal import facts, number, table
+from doe.report.terminal import NARROW, facts, number, table
 
 MOST = 24
 
@@ -43,4 +43,5 @@ def cross_check_table(compared: CrossCheck) -> Table:
     digits = {"value": 9, "bound": 9, "table_1_max_residual": 6}
     rows = ([row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared.rows())
     headings = ("method", "over", "value", "upper bound", "deviation from orthogonality (Table I)")
-    return table(headings, rows, "Cross-check: independent answers", left=("method", "over"))
+    left = ("method", "over")
+    return table(headings, rows, "Cross-check: independent answers", left=left, no_wrap=headings[:4], **NARROW)

@@ -68,7 +68,7 @@ def summary_table(data: dict[str, Any], sentence: str) -> Table:
     rows = {
         "criterion": f"{kind}, {data['runs']} runs, {data['links']} links",
         f"value of {kind}": None if kind == "D" else number(data["value"], 7),
-        "log det M'": number(data["log_det"], 7),
+        "information (log det M')": number(data["log_det"], 7),
         "upper bound": f"{number(bound['value'], 7)} ({bound['source']})" if known else "-",
         "efficiency": number(data["efficiency"] if known else None, 6),
         "certified optimal": certified(data),

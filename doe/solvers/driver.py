@@ -52,7 +52,7 @@ def run_search(
                 agreeing = 0 if offered > value + AGREES else agreeing
                 best, value = postures, offered
             agreeing += offer.independent and abs(offered - value) <= AGREES
-            progress(starts, budget.starts, f"best {value:.7g}")
+            progress(budget.used(starts), budget.starts, f"best {value:.7g}")
             status = reason_to_stop(problem, value, bound, starts, agreeing, budget)
             if status is not None:
                 break

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Protocol
 
@@ -40,16 +40,23 @@ class Budget:
     starts: int
     deadline: float | None = None
     may_agree: bool = True
+    began: float = field(default_factory=perf_counter)
 
     @classmethod
     def of(cls, starts: int | None, usual: int, limit: float | None, began: float) -> Budget:
         """So many starts, or the `usual` number, fewer if they agree; `limit` [s] from `began` on, None: no limit."""
-        return cls(starts or usual, None if limit is None else began + limit, may_agree=starts is None)
+        return cls(starts or usual, None if limit is None else began + limit, may_agree=starts is None, began=began)
 
     @property
     def remaining(self) -> float:
         """Seconds left; infinite without a time limit."""
         return float("inf") if self.deadline is None else self.deadline - perf_counter()
+
+    def used(self, starts: int) -> float:
+        """Starts used, or the share of them that the time used stands for where that is more."""
+        if self.deadline is None:
+            return starts
+        return max(starts, self.starts * min(1.0, (perf_counter() - self.began) / (self.deadline - self.began)))
 
     @property
     def out_of_time(self) -> bool:

@@ -50,12 +50,13 @@ from identification.minimal import practical
 from identification.model import Model
 from identification.progress import Progress, silent
 from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
+from identification.threads import single_thread
 
-STEPS = 8  # of the progress bar
 # the strictest level must be within reach: p >= 1 / (draws + 1) (identification/README.md, "Constants")
 FEWEST_DRAWS = round(1.0 / (ALPHA_NEXT * LEVEL_FACTOR)) - 1
 
 
+@single_thread()
 def diagnose(
     arm: Arm,
     measurements: Measurements,
@@ -92,7 +93,7 @@ def diagnose(
     found = findings_of(arm, measurements, holdout, draws, generator, progress)
     explained, fits = explained_fits(found, measurements, draws, generator, prior, missing)
     result = diagnosis_of(measurements, holdout, explained, fits, generator)
-    progress(STEPS, STEPS, result.sentence)
+    progress(1, 1, result.sentence)
     return result if arm is given else of_first_session(result, given)
 
 
@@ -111,9 +112,9 @@ def findings_of(
     require_spare(first.freedom, len(rows))
     if holdout is not None:
         check_same_arm(first, measurements, holdout)
-    progress(1, STEPS, "base model fitted")
-    found = Workflow(library, draws, generator, lambda message: progress(2, STEPS, message)).findings(rows)
-    progress(6, STEPS, "assessing the plan, the sizes excluded, and the held-out data")
+    progress(1, None, "base model fitted")
+    found = Workflow(library, draws, generator, lambda message: progress(2, None, message)).findings(rows)
+    progress(6, None, "assessing the plan, the sizes excluded, and the held-out data")
     return found
 
 

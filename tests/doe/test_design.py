@@ -127,3 +127,13 @@ def test_what_the_plan_does_not_tell_is_said() -> None:
     told = score(problem(FOUR), some_plan())
     assert told.to_json()["not_identifiable"] == []
     assert not_estimable_line(told) == []
+
+
+def test_whole_turns_are_no_violation_where_a_joint_may_take_every_angle_and_the_model_sees_none() -> None:
+    free = Arm(FOUR.lengths)
+    plan = some_plan()
+    turned = plan + 2 * np.pi * np.random.default_rng(1).integers(-1, 2, plan.shape)
+    assert score_plan(problem(free), turned).outside == ()
+    assert score_plan(problem(free), turned).value == pytest.approx(score_plan(problem(free), plan).value, abs=1e-9)
+    assert len(score_plan(problem(FOUR), turned).outside) == len(plan)
+    assert len(score_plan(problem(free, EffectSpec("gear_ratio", 1)), turned).outside) > 0  # it sees the turns

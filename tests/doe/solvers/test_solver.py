@@ -30,3 +30,11 @@ def test_long_plans_alone_have_a_limit_of_their_own(
     runs: int, starts: int | None, seconds: float | None, expected: float | None
 ) -> None:
     assert time_limit(runs, starts, seconds) == expected
+
+
+def test_what_is_used_up_is_the_time_where_it_ends_the_search_first() -> None:
+    now = perf_counter()
+    assert Budget(10).used(3) == 3
+    assert Budget(10, now + 1000.0, began=now - 1000.0).used(3) == pytest.approx(5.0, abs=0.1)  # half of the time
+    assert Budget(10, now + 1000.0, began=now - 1000.0).used(8) == 8
+    assert Budget(10, now - 1.0, began=now - 2.0).used(8) == 10

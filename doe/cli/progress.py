@@ -1,0 +1,95 @@
+"""Progress of a verb on standard error: a bar on a terminal, a line now and then where it is none."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import click
+
+from identification.progress import Progress, silent
+
+INTERVAL = 10.0  # seconds between lines in a log
+
+
+@contextmanager
+def shown_progress(title: str, quiet: bool) -> Iterator[Progress]:
+    """What a job is to call: see `identification.progress`. Nothing is shown in the first half second."""
+    if quiet or sys.stderr is None:  # None: closed, as by 2>&-
+        yield silent
+    elif sys.stderr.isatty():
+        with bar(title) as report:
+            yield report
+    else:
+        with lines(title) as report:
+            yield report
+
+
+@contextmanager
+def bar(title: str) -> Iterator[Progress]:
+    """A bar with the time used and, where the size of the whole job is known, the time left."""
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Bar(*columns, console=Console(stderr=True), transient=True) as shown:
+        task = shown.add_task(title, total=None, visible=False)
+        started = time.monotonic()
+
+        def report(done: float, total: float | None, message: str) -> None:
+            visible = time.monotonic() - started > 0.5
+            shown.update(task, completed=done, total=total, description=f"{title}: {message}", visible=visible)
+
+        yield report
+
+
+@dataclass
+class Lines:
+    """The last that a job told, as a line for a log."""
+
+    title: str
+    started: float = field(default_factory=time.monotonic)
+    done: float = 0.0
+    total: float | None = None
+    message: str = ""
+
+    def tell(self, done: float, total: float | None, message: str) -> None:
+        """Keeps what the job tells."""
+        self.done, self.total, self.message = done, total, message
+
+    def text(self) -> str:
+        """'armcal design: 20 s, best -1.35, 40 % done, at most 30 s left'."""
+        used = time.monotonic() - self.started
+        parts = [f"armcal {self.title}: {used:.0f} s", *filter(None, [self.message])]
+        if self.total and 0 < self.done < self.total:
+            left = used * (self.total / self.done - 1.0)
+            parts.append(f"{self.done / self.total:.0%} done, about {left:.0f} s left".replace("%", " %"))
+        return ", ".join(parts)
+
+
+@contextmanager
+def lines(title: str, interval: float = INTERVAL) -> Iterator[Progress]:
+    """A line every `interval` seconds, also while the job is silent."""
+    told, ended = Lines(title), threading.Event()
+
+    def speak() -> None:
+        while not ended.wait(interval):
+            click.echo(told.text(), err=True)
+
+    speaker = threading.Thread(target=speak, daemon=True)
+    speaker.start()
+    try:
+        yield told.tell
+    finally:
+        ended.set()
+        speaker.join()
