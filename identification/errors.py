@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
+
+LONGEST_WORD, LONGEST_LINE = 400, 2000  # characters of a message; what is in the middle of a longer one is left out
 
 
 class ArmcalError(Exception):
@@ -22,6 +25,27 @@ class JobError(ArmcalError):
     """The input was fine, the job itself could not be done (solver failed, parameters not identifiable)."""
 
     exit_code = 1
+
+
+def in_one_line(text: str) -> str:
+    """A message as one line of printable characters, whatever names and cells of files it repeats.
+
+    Control characters are written as in Python; of a very long word or line the middle is left out.
+
+    >>> in_one_line("arm\\nfile.toml: no such file")
+    'arm\\\\nfile.toml: no such file'
+    """
+    words = re.sub(rf"\S{{{LONGEST_WORD + 1},}}", lambda word: _shortened(word.group(), LONGEST_WORD), printable(text))
+    return _shortened(words, LONGEST_LINE)
+
+
+def printable(text: str) -> str:
+    """`text` with control characters, line breaks, and what no output can encode written as in Python."""
+    return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
+
+
+def _shortened(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[: most * 2 // 3]} .. {text[-most // 4 :]}"
 
 
 def nearest(word: str, allowed: Iterable[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import click
@@ -37,8 +38,8 @@ def command(session: Session, arm: Path, runs: str, target_mm: float | None, sec
 def run_range(text: str, fewest: int) -> range:
     """`A:B` or `A`, both ends included. The part below the fewest possible runs is left out if B is possible."""
     parts = text.split(":")
-    if not 1 <= len(parts) <= 2 or not all(part.strip().isdigit() for part in parts):
-        raise InputError(f"--runs: {text!r}, allowed: A:B or A with whole numbers, such as 4:40")
+    if not 1 <= len(parts) <= 2 or not all(re.fullmatch(r"\s*\d{1,6}\s*", part) for part in parts):
+        raise InputError(f"--runs: {text!r}, allowed: A:B or A with whole numbers up to 999999, such as 4:40")
     low, high = int(parts[0]), int(parts[-1])
     if low > high or high < fewest:
         raise InputError(f"--runs: {text!r}, allowed: A <= B, and B >= {fewest} for this arm")

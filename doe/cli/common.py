@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from doe.cli.options import FILE, OUTPUTS
+from doe.cli.options import FILE, OUTPUTS, PICTURES
 from doe.cli.progress import shown_progress
-from identification.errors import ArmcalError, InputError, JobError
+from identification.errors import ArmcalError, InputError, JobError, in_one_line
 from identification.files.io import check_writable
 from identification.progress import Progress
 
@@ -109,6 +109,11 @@ def verb(example: str, summary: str) -> Callable[[Callable[..., Answer]], click.
     return decorate
 
 
+def say(sentence: str) -> None:
+    """One line on standard error."""
+    click.echo(f"armcal: {in_one_line(sentence)}", err=True)
+
+
 def check_outputs(context: click.Context) -> None:
     """Raises `InputError`, before any work, for an output file that cannot be written, or that is also an input or
     another output: one would overwrite the other."""
@@ -119,6 +124,10 @@ def check_outputs(context: click.Context) -> None:
             raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
         if kind is FILE:
             check_writable(path, context.params["force"])
+        if name.removeprefix("--") in PICTURES:
+            from doe.report.page import check_picture
+
+            check_picture(path)
 
 
 def _paths(context: click.Context, *, written: bool) -> Iterator[tuple[str, click.ParamType, Path]]:
@@ -138,10 +147,10 @@ def _guarded(function: Callable[..., Answer], session: Session, options: dict[st
         check_outputs(click.get_current_context())
         return function(session, **options)
     except ArmcalError as error:
-        click.echo(f"armcal: {error}", err=True)
+        say(str(error))
         sys.exit(error.exit_code)
     except (KeyboardInterrupt, click.Abort):
-        click.echo("armcal: stopped by Ctrl-C, nothing was written", err=True)
+        say("stopped by Ctrl-C, nothing was written")
         sys.exit(1)
 
 
@@ -153,7 +162,7 @@ def _warnings_as_lines(quiet: bool) -> Iterator[None]:
     def show(message: Warning | str, *_: Any, **__: Any) -> None:
         text = str(message)
         if text not in seen and not quiet:
-            click.echo(f"armcal: warning: {text}", err=True)
+            say(f"warning: {text}")
         seen.add(text)
 
     with warnings.catch_warnings():
@@ -176,7 +185,7 @@ def _deliver(answer: Answer, as_json: bool) -> None:
 
 def no_output(error: OSError) -> NoReturn:
     """Ends with one line because standard output cannot be written."""
-    click.echo(f"armcal: standard output cannot be written ({error.strerror})", err=True)
+    say(f"standard output cannot be written ({error.strerror})")
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries again when it ends
     sys.exit(1)
 
@@ -186,11 +195,17 @@ def _print(answer: Answer, as_json: bool) -> None:
         click.echo(json.dumps(plain(answer.data), allow_nan=False))
         return
     from rich.console import Console
+    from rich.segment import Segment, Segments
 
     width = None if sys.stdout.isatty() else 110  # a pipe or a file is not 80 characters wide
     console = Console(width=width, highlight=False, markup=False)  # brackets of effects are no markup
-    for part in answer.shown:
-        console.print(part)
+    for part in answer.shown:  # names in files may have control characters, which a terminal would obey
+        console.print(Segments(Segment(shown(s.text), s.style) for s in console.render(part)), end="")
+
+
+def shown(text: str) -> str:
+    """`text` with a question mark for every character that is not printable, line feeds aside."""
+    return "".join(char if char.isprintable() or char == "\n" else "?" for char in text)
 
 
 def plain(value: Any) -> Any:

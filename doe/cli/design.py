@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from doe.cli.common import Answer, Session, verb
-from doe.cli.options import FILE, Output, Seconds, grouped, output_options
+from doe.cli.options import FILE, Output, Seconds, grouped, output_options, plan_drawing
 from doe.cli.problems import CriterionOptions, PostureOptions, criterion_options, design_problem, posture_options
 from identification.errors import InputError
 
@@ -87,8 +87,11 @@ def command(
     extra += missing_lines(design) if not search.discriminating else []
     if search.order is not None:
         design = _ordered(design, search.order, session.seed, data, extra)
-    extra += output.write(plan_text(design.plan, loaded.joint_types), "plan")
-    output.draw_plan(loaded, design.plan.postures)
+    extra += output.write_all(
+        plan_text(design.plan, loaded.joint_types),
+        "plan",
+        {output.picture: lambda: plan_drawing(loaded, design.plan.postures)},
+    )
     first = "--out plan.csv writes this plan; " if output.out is None else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA")
     return Answer(design.to_json() | data, [*design_tables(design), *extra])

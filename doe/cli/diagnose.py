@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.common import Answer, Session, read_measurements, read_sessions, verb
+from doe.cli.common import Answer, Session, read_measurements, read_sessions, say, verb
 from doe.cli.options import FILE, FileOrShare, LibraryEffects, Output, output_options, prior_options
 from identification.errors import InputError
 
@@ -32,7 +32,7 @@ HOLDOUT = FileOrShare(path_type=Path)
     metavar="FILE|SHARE",
     help="Measurements used for nothing but the confirmation; or a share of DATA (0.3): random postures are held out.",
 )
-@click.option("--draws", type=click.IntRange(min=399), default=999, show_default=True, help="Bootstrap draws.")
+@click.option("--draws", type=click.IntRange(399, 1_000_000), default=999, show_default=True, help="Bootstrap draws.")
 @click.option("--report", type=FILE, metavar="FILE", help="Write an HTML page with pictures.")
 @click.option("--curves", type=FILE, metavar="FILE", help="Write the error curves of joints as a table (CSV).")
 @prior_options
@@ -72,7 +72,7 @@ def command(
     try:
         answer.shown += write(found, arm, output, report, curves)
     except InputError as error:  # the diagnosis is shown all the same
-        click.echo(f"armcal: {error}", err=True)
+        say(str(error))
         answer.exit_code = error.exit_code
     return answer
 

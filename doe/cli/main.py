@@ -30,7 +30,7 @@ from doe.cli import (
 )
 from doe.cli.common import no_output
 from doe.cli.jobs import one_thread_each
-from identification.errors import nearest
+from identification.errors import in_one_line, nearest
 
 
 @contextmanager
@@ -41,8 +41,7 @@ def one_line_errors() -> Iterator[None]:
     except click.exceptions.NoArgsIsHelpError:  # the whole help, on purpose
         raise
     except click.UsageError as error:
-        error.ctx = None
-        raise
+        raise click.UsageError(in_one_line(error.format_message())) from None
     except OSError as error:
         if error.errno != ENOSPC or error.filename is not None:
             raise

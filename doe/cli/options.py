@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from identification.errors import InputError
-from identification.files.io import write_whole
+from identification.files.io import PathLike, write_together
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,6 +24,7 @@ Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 FILE, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path)  # `check_outputs` looks at files only
 # options that write a file; every other one is read
 OUTPUTS = frozenset({"out", "picture", "aliases", "report", "curves", "urdf"})
+PICTURES = frozenset({"picture", "aliases"})  # of them
 
 
 class Seconds(click.FloatRange):
@@ -84,27 +85,32 @@ class Output:
 
     def write(self, text: str, what: str) -> list[str]:
         """Writes `out` if it is asked for; the lines that say so."""
-        if self.out is None:
-            return []
-        write_whole(self.out, text, force=self.force)
-        return [f"{what} written to {self.out}"]
+        return self.write_all(text, what, {})
 
     def draw(self, figure: Callable[[], Figure]) -> None:
         """Saves the figure if a picture is asked for."""
-        if self.picture is not None:
-            from doe.report.pictures import save
+        self.write_all("", "", {self.picture: figure})
 
-            save(figure(), self.picture, self.force)
+    def write_all(self, text: str, what: str, figures: Mapping[Path | None, Callable[[], Figure]]) -> list[str]:
+        """Writes `out` and pictures (file -> figure), those that are asked for, all or none; the lines that say so.
 
-    def draw_plan(self, arm: Arm, postures: Array) -> None:
-        """Saves the arm at the postures (m, n) [rad] if a picture is asked for."""
+        what : `out` has; nothing: it is not of this call
+        """
+        files: dict[PathLike, str | bytes] = {self.out: text} if what and self.out is not None else {}
+        for path, figure in figures.items():
+            if path is not None:
+                from doe.report.pictures import picture
 
-        def figure() -> Figure:
-            from doe.report.pictures import plan_figure
+                files[path] = picture(figure(), path)
+        write_together(files, force=self.force)
+        return [f"{what} written to {self.out}"] if what and self.out is not None else []
 
-            return plan_figure(arm, postures)
 
-        self.draw(figure)
+def plan_drawing(arm: Arm, postures: Array) -> Figure:
+    """An arm at the postures (m, n) [rad]."""
+    from doe.report.pictures import plan_figure  # deferred: matplotlib takes longer to load than a small design
+
+    return plan_figure(arm, postures)
 
 
 @dataclass(frozen=True)

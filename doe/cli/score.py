@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from doe.cli.common import Answer, Session, verb
-from doe.cli.options import FILE, Output, output_options
+from doe.cli.options import FILE, Output, output_options, plan_drawing
 from doe.cli.problems import CriterionOptions, design_problem, robust_options
 from identification.errors import InputError
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from doe.design import Design
     from doe.plan.plan import Plan
     from identification.arm import Arm
+    from identification.gap.detectability import Detectability
 
 
 @verb(
@@ -42,11 +46,21 @@ def command(
     loaded = load_arm(arm)
     given = load_plan(plan, loaded.joint_types)
     design = _scored(loaded, given, plan, criterion)
-    preflight, tables = _preflight(loaded, given, plan, aliases, output.force)
-    output.draw_plan(loaded, given.postures)
+    sees, tables = _preflight(loaded, given, plan, aliases)
+    pictures: dict[Path | None, Callable[[], Figure]] = {output.picture: lambda: plan_drawing(loaded, given.postures)}
+    output.write_all("", "", pictures if sees is None else pictures | {aliases: lambda: _alias_drawing(sees)})
     indices = observability(DesignProblem.of(Model(loaded)), given.postures)
-    data = design.to_json() | {"observability": indices.to_json(), "preflight": preflight}
+    data = design.to_json() | {
+        "observability": indices.to_json(),
+        "preflight": None if sees is None else sees.to_json(),
+    }
     return Answer(data, [*design_tables(design), observability_line(indices), *tables])
+
+
+def _alias_drawing(sees: Detectability) -> Figure:
+    from doe.report.gap_figures import alias_figure  # deferred: matplotlib takes longer to load than a score
+
+    return alias_figure(sees)
 
 
 def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions) -> Design:
@@ -67,10 +81,8 @@ def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions) -> D
     return design
 
 
-def _preflight(
-    arm: Arm, given: Plan, path: Path, aliases: Path | None, force: bool
-) -> tuple[dict[str, Any] | None, list[Any]]:
-    """Which effects the plan could show, as JSON and as tables; draws those that are hard to distinguish if asked."""
+def _preflight(arm: Arm, given: Plan, path: Path, aliases: Path | None) -> tuple[Detectability | None, list[Any]]:
+    """Which effects the plan could show, also as tables; None where it has too few runs, if no picture is asked for."""
     from doe.problem.spatial import without_prior
     from doe.report.detectability_tables import preflight_tables
     from identification.gap.detectability import detectability
@@ -81,9 +93,4 @@ def _preflight(
         if aliases is not None:
             raise InputError(f"--aliases: {path}: {error}") from error
         return None, [f"missing effects: {error}"]
-    if aliases is not None:
-        from doe.report.gap_figures import alias_figure
-        from doe.report.pictures import save
-
-        save(alias_figure(sees), aliases, force)
-    return sees.to_json(), preflight_tables(sees)
+    return sees, preflight_tables(sees)

@@ -11,7 +11,7 @@ import click
 
 from doe.cli.common import Answer, Session, verb
 from doe.cli.jobs import JobOptions, interruptible, job_options
-from identification.errors import InputError, nearest
+from identification.errors import InputError, JobError, nearest
 
 if TYPE_CHECKING:
     from doe.jobs.workers import Workers
@@ -72,13 +72,19 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
 
     from doe.report.monte_carlo import study_tables
     from doe.studies.monte_carlo import load_study, run_study
-    from doe.studies.monte_carlo.study import CELLS, require_some
+    from doe.studies.monte_carlo.study import CELLS, discard, require_some
 
     study = load_study(path)
     if replications is not None:
         study = replace(study, replications=replications)
+    new = not folder.exists()
     result = run_study(study, folder, workers, **options)
-    require_some(result)
+    try:
+        require_some(result)
+    except JobError:
+        if not options["resume"]:
+            discard(folder, new)
+        raise
     failed = result.cells.filter(result.cells["status"] != "done")
     data = {"out": folder, "cells": result.cells.to_dicts(), "failed": len(failed)}
     return Answer(data, [*study_tables(result), f"{len(result.cells)} rows written to {folder / CELLS}"])

@@ -53,7 +53,7 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> Outco
         task = pickle.dumps((str(result), seconds, sys.path, pickle.dumps((function, arguments))))
         started = time.monotonic()
         process = subprocess.Popen(
-            [sys.executable, "-c", COMMAND],
+            [sys.executable, "-P", "-c", COMMAND],  # -P: no module of the working directory comes first
             env={**os.environ, **SINGLE_THREAD, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,  # solvers print banners there

@@ -95,8 +95,9 @@ def choose(workers: int | None = None, address: str | None = None) -> Workers:
 
 @contextmanager
 def _process_pool(number: int) -> Iterator[Executor]:
-    before = {name: os.environ.get(name) for name in SINGLE_THREAD}
-    os.environ.update(SINGLE_THREAD)  # read by the linear algebra of the workers when they start
+    settings = {**SINGLE_THREAD, "PYTHONSAFEPATH": "1"}  # no module of the working directory comes first
+    before = {name: os.environ.get(name) for name in settings}
+    os.environ.update(settings)  # read when the workers start
     pool = ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=_end_with_the_parent)
     try:
         yield pool

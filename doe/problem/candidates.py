@@ -19,6 +19,7 @@ from identification.errors import InputError
 
 Index = NDArray[np.int64]
 CHUNK = 8192  # postures; the Jacobians of a chunk stay in the processor's cache, which is fastest
+MOST = 100_000_000  # candidates of a grid: a number for each fits into memory
 OUTSIDE = 1e-9  # [rad] a listed posture may exceed a joint limit by this much, from rounding in a file in degrees
 
 
@@ -125,6 +126,10 @@ def grid(problem: DesignProblem, levels: int) -> Grid:
     """
     if levels < 2:
         raise InputError(f"grid: {levels} levels per joint, allowed: at least 2 (the joint limits)")
+    gridded = len(problem.searched_joints)
+    if levels**gridded > MOST:
+        found, most = f"{levels} levels for each of {gridded} joints", int(MOST ** (1.0 / gridded) + 1e-9)
+        raise InputError(f"grid: {found}, allowed: 2 to {most}, which are {MOST:,} candidates at most")
     everything = Grid(_axes(problem, levels))
     if not problem.constraints:
         return everything

@@ -6,10 +6,19 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from identification.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+def check_picture(path: Path) -> None:
+    """Raises `InputError` for the name of a picture file whose ending is no format."""
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise InputError(f"{path}: ending {path.suffix!r}, allowed: .png, .svg, .pdf")
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Circle, Rectangle
 
 from doe.problem.problem import DesignProblem
+from doe.report.page import check_picture
 from doe.report.spatial_pictures import draw_spatial_plan
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.errors import InputError
 from identification.files.io import write_whole
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE
 from identification.measurements import distances, rms_distance
@@ -30,12 +30,15 @@ BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 
 def save(figure: Figure, path: Path, force: bool = False) -> None:
     """Write a figure whole or not at all; the ending says the format (.png, .svg, .pdf). Raises `InputError`."""
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in ("png", "svg", "pdf"):
-        raise InputError(f"{path}: ending {path.suffix!r}, allowed: .png, .svg, .pdf")
+    write_whole(path, picture(figure, path), force=force)
+
+
+def picture(figure: Figure, path: Path) -> bytes:
+    """The content of a picture file. Raises `InputError` for an ending that is no format."""
+    check_picture(path)
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=kind, dpi=150)
-    write_whole(path, buffer.getvalue(), force=force)
+    figure.savefig(buffer, format=path.suffix.lower().removeprefix("."), dpi=150)
+    return buffer.getvalue()
 
 
 def plan_figure(arm: Arm, postures: Array) -> Figure:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import hashlib
 import io
@@ -20,6 +19,7 @@ from identification.errors import InputError, nearest
 from identification.files.io import PathLike, decode, read_bytes
 
 FINITE = "a finite number"
+QUOTED = "cells without quotation marks, or in a pair of them"
 # columns that mean something by themselves: none of them is a misspelling of another
 KNOWN = re.compile(
     r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
@@ -141,7 +141,10 @@ def _header(path: PathLike, content: bytes) -> tuple[str, list[str]]:
     if not first.strip():
         raise InputError(f"{path}: line 1 is blank, allowed: the names of the columns")
     separator = next((s for s in ("\t", ";") if s in first and "," not in first), ",")
-    header = [cell.strip() for cell in next(csv.reader([first], delimiter=separator))]
+    try:
+        header = [cell.strip() for cell in next(csv.reader([first], delimiter=separator, strict=True))]
+    except csv.Error as error:  # a quotation mark that never ends, a name of 131,072 characters
+        raise InputError(f"{path}: line 1: {error}, allowed: the names of the columns, {QUOTED}") from None
     _check_names(path, header)
     return separator, header
 
@@ -169,7 +172,7 @@ def _frame(path: PathLike, content: bytes, header: list[str], separator: str) ->
         frame = pl.read_csv(io.BytesIO(content), infer_schema=False, separator=separator)
     except pl.exceptions.PolarsError as error:
         _raise_for_ragged_row(path, content, len(header), separator)
-        raise InputError(f"{path}: not a valid CSV file: {str(error).splitlines()[0]}") from None
+        raise InputError(f"{path}: not a valid CSV file: {str(error).splitlines()[0]}, allowed: {QUOTED}") from None
     if frame.width != len(header) or (frame.width > 1 and frame.to_series(-1).null_count()):
         _raise_for_ragged_row(path, content, len(header), separator)
     # an unnamed column gets a name that no header can have
@@ -178,16 +181,19 @@ def _frame(path: PathLike, content: bytes, header: list[str], separator: str) ->
 
 
 def _raise_for_ragged_row(path: PathLike, content: bytes, columns: int, separator: str) -> None:
-    reader = csv.reader(io.StringIO(decode(path, content), newline=""), delimiter=separator)
-    row = -1  # the header
-    with contextlib.suppress(csv.Error):  # a quote that never ends: the caller says so
+    """Also for a row with quotation marks that do not stand around a whole cell."""
+    reader = csv.reader(io.StringIO(decode(path, content), newline=""), delimiter=separator, strict=True)
+    row, line = -1, 0  # the header
+    try:
         for cells in reader:
             if not any(cell.strip() for cell in cells):
                 continue
-            row += 1
+            row, line = row + 1, reader.line_num
             if len(cells) != columns:
-                place = f"{path}: row {row} (line {reader.line_num})"
+                place = f"{path}: row {row} (line {line})"
                 raise InputError(f"{place}: found {len(cells)} cells, allowed: {columns}, as in the header")
+    except csv.Error as error:
+        raise InputError(f"{path}: row {row + 1} (from line {line + 1}): {error}, allowed: {QUOTED}") from None
 
 
 def _without_unnamed(path: PathLike, frame: pl.DataFrame) -> pl.DataFrame:

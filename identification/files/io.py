@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import stat
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,6 +19,9 @@ PathLike = str | os.PathLike[str]
 def read_bytes(path: PathLike) -> bytes:
     """The whole file. Raises `InputError` for a missing file, a directory, an unreadable or an empty file."""
     try:
+        mode = os.stat(path).st_mode
+        if stat.S_ISBLK(mode) or (stat.S_ISCHR(mode) and not _is_terminal(path)):  # /dev/zero never ends
+            raise InputError(f"{path}: is a device, allowed: a file")
         content = Path(path).read_bytes()
     except FileNotFoundError:
         raise InputError(f"{path}: no such file, allowed: the name of an existing file") from None
@@ -25,9 +29,16 @@ def read_bytes(path: PathLike) -> bytes:
         raise InputError(f"{path}: is a directory, allowed: a file") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}), allowed: a readable file") from None
+    except ValueError:  # a null character
+        raise InputError(f"{path}: is no name of a file, allowed: the name of an existing file") from None
     if not content.strip():
         raise InputError(f"{path}: the file is empty")
     return content
+
+
+def _is_terminal(path: PathLike) -> bool:
+    with open(path, "rb") as stream:
+        return stream.isatty()
 
 
 def decode(path: PathLike, content: bytes) -> str:
@@ -94,7 +105,15 @@ def check_writable(path: PathLike | None, force: bool = False) -> None:
 
 
 def _checked_target(path: PathLike, force: bool) -> Path:
-    target = Path(path).resolve()  # a link stays a link: its target is replaced
+    target = Path(os.path.realpath(path))  # a link stays a link: its target is replaced
+    try:
+        os.stat(target)
+    except FileNotFoundError:
+        pass
+    except NotADirectoryError:
+        raise InputError(f"{path}: {str(Path(path).parent)!r} is no folder, allowed: a file in a folder") from None
+    except OSError as error:  # a name that is too long, links that lead in a circle
+        raise InputError(f"{path}: cannot be written ({error.strerror}), allowed: another file name") from None
     if not target.parent.is_dir():
         raise InputError(
             f"{path}: there is no folder {str(Path(path).parent)!r}, allowed: a file in an existing folder"

@@ -8,7 +8,7 @@ for leverage first (HC2: MacKinnon & White 1985; wild bootstrap: Wu 1986, Davids
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from identification.gap.f_tests import CHUNK, Dictionary
 
 # reasons: identification/README.md, "Constants"
 MANY = 1000  # postures from which sums over them count as normally distributed
+BLOCK = 10_000  # draws whose random numbers are held at once
 RIDGE = 1e-12  # of the mean variance: keeps the root of a singular covariance alive
 Scatter = tuple[Array, Array]  # residual (N,) and basis (N, p) of the fit that left it
 
@@ -70,32 +71,36 @@ def wild_draws(corrected: Array, hypotheses: Dictionary, draws: int, generator: 
     total, rank = np.sum(corrected**2), inside.shape[1]
     of_each = hypotheses.scores(parts.T, inside.T)  # (D, m) what each posture contributes to the scores
     if len(corrected) < MANY or len(hypotheses.index) > draws:  # normal draws take the root of a larger matrix
-        signs = generator.integers(0, 2, (len(corrected), draws))
-        for part in _parts(hypotheses, draws):
-            drawn = signs[:, part] * 2.0 - 1.0
+        for signs in _in_parts(
+            lambda count: generator.integers(0, 2, (len(corrected), count)).astype(float), hypotheses, draws
+        ):
+            drawn = signs * 2.0 - 1.0
             yield Draws(of_each @ drawn, total - np.square(inside.T @ drawn).sum(axis=0))
         return
     together = np.concatenate([of_each, inside.T])
-    normal, root = generator.standard_normal((len(together), draws)), square_root(together @ together.T)
-    for part in _parts(hypotheses, draws):
-        drawn = root @ normal[:, part]
+    root = square_root(together @ together.T)
+    for normal in _in_parts(lambda count: generator.standard_normal((len(together), count)), hypotheses, draws):
+        drawn = root @ normal
         yield Draws(drawn[:-rank], total - np.square(drawn[-rank:]).sum(axis=0))
 
 
 def white_draws(hypotheses: Dictionary, draws: int, generator: np.random.Generator) -> Iterator[Draws]:
     """Draws of white Gaussian noise, off the model, a part at a time."""
     basis = hypotheses.model_basis
-    normal = generator.standard_normal((len(basis), draws))
     of_each = hypotheses.scores(hypotheses.columns.matrix.T, basis.T)  # (D, N)
-    for part in _parts(hypotheses, draws):
-        drawn = normal[:, part]
+    for drawn in _in_parts(lambda count: generator.standard_normal((len(basis), count)), hypotheses, draws):
         yield Draws(of_each @ drawn, np.square(drawn).sum(axis=0) - np.square(basis.T @ drawn).sum(axis=0))
 
 
-def _parts(hypotheses: Dictionary, draws: int) -> Iterator[slice]:
-    """Of the draws, so many at a time that their scores are `CHUNK` numbers."""
+def _in_parts(drawn: Callable[[int], Array], hypotheses: Dictionary, draws: int) -> Iterator[Array]:
+    """Random numbers (rows, draws), so many at a time that their scores are `CHUNK` numbers.
+
+    drawn : a number of draws -> (rows, that number); `BLOCK` at most at once
+    """
     step = max(CHUNK // max(len(hypotheses.index), 1), 1)
-    return (slice(k, k + step) for k in range(0, draws, step))
+    for start in range(0, draws, BLOCK):
+        numbers = drawn(min(BLOCK, draws - start))
+        yield from (numbers[:, k : k + step] for k in range(0, numbers.shape[1], step))
 
 
 def smallest_drawn(hypotheses: Dictionary, drawn: Iterable[Draws]) -> Array:

@@ -108,6 +108,14 @@ def require_some(result: StudyResult) -> None:
         raise JobError(f"no cell could be done: {reason}")
 
 
+def discard(folder: Path, new: bool) -> None:
+    """Removes the tables of a study without a result, and the folder where it was made for them."""
+    for name in (PLANS, BLOCKS, CELLS):
+        (folder / name).unlink(missing_ok=True)
+    if new:
+        folder.rmdir()
+
+
 def pooled(blocks: pl.DataFrame) -> pl.DataFrame:
     """One row per cell and parameter: blocks pooled.
 

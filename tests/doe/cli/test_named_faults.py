@@ -1,0 +1,166 @@
+"""Every fault that a fuzz of the commands has found, by its name: each must end as the contract says."""
+
+from __future__ import annotations
+
+import os
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.errors import LONGEST_LINE, InputError, in_one_line
+from identification.files.csv import read_table
+from identification.gap.omnibus_test import BLOCK, white_draws
+from tests.doe.cli.conftest import Folder
+from tests.doe.cli.test_bad_input import HEADER, refused
+
+LONG = "a" * 300
+
+
+def test_runs_of_a_digit_that_is_none(folder: Folder) -> None:
+    for text in ("²:5", "4:²", "9" * 5000, "4:" + "9" * 12):
+        refused(folder, ["advise", "arm.toml", "--runs", text], "--runs", "allowed: A:B or A")
+
+
+def test_an_output_that_is_a_circle_of_links(folder: Folder) -> None:
+    (folder.path / "one").symlink_to("two")
+    (folder.path / "two").symlink_to("one")
+    refused(folder, ["design", "arm.toml", "--runs", "8", "--out", "one"], "one: cannot be written", "allowed: another")
+    refused(folder, ["design", "one", "--runs", "8"], "one: cannot be read")
+
+
+def test_an_output_with_too_long_a_name(folder: Folder) -> None:
+    refused(folder, ["design", "arm.toml", "--runs", "8", "--out", LONG], "cannot be written", "allowed: another")
+    refused(folder, ["design", LONG, "--runs", "8"], "cannot be read")
+    refused(folder, ["design", "arm.toml", "--runs", "8", "--out", "arm.toml/plan.csv"], "'arm.toml' is no folder")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such devices here")
+@pytest.mark.parametrize("device", ["/dev/full", "/dev/zero", "/dev/null"])
+def test_a_device_that_never_ends(folder: Folder, device: str) -> None:
+    words = ["simulate", "arm.toml", "plan.csv", "--truth", device, "--out", "out.file"]
+    refused(folder, words, f"{device}: is a device, allowed: a file")
+
+
+def test_a_pipe_is_read_as_a_file(folder: Folder) -> None:
+    """As `<(zcat plan.csv.gz)` of a shell: a device is refused, a pipe is not."""
+    reading, writing = os.pipe()
+    os.write(writing, folder.read("plan.csv").encode())
+    os.close(writing)
+    assert len(read_table(f"/dev/fd/{reading}")) == 12
+    os.close(reading)
+
+
+@pytest.mark.parametrize("levels", ["465", "9999999", "99999999999999999999"])
+def test_a_grid_larger_than_memory(folder: Folder, levels: str) -> None:
+    refused(folder, ["relax", "arm.toml", "--grid", levels], "grid", levels, "allowed: 2 to 464")
+
+
+def test_more_draws_than_memory(folder: Folder) -> None:
+    folder.simulated()
+    refused(folder, ["diagnose", "arm.toml", "data.csv", "--draws", "1000000000"], "--draws", "1000000000")
+
+
+class Few:
+    """What `white_draws` asks of hypotheses."""
+
+    index = np.arange(2)
+    model_basis = np.eye(100, 1)
+    columns = type("Columns", (), {"matrix": np.ones((100, 1))})
+
+    def scores(self, columns: np.ndarray, inside: np.ndarray) -> np.ndarray:
+        return np.ones((2, 100))
+
+
+def test_draws_are_held_a_block_at_a_time() -> None:
+    """And up to a block they are those of one call, to the last bit."""
+    generator, whole = np.random.default_rng(3), np.random.default_rng(3)
+    drawn = np.concatenate([part.squares for part in white_draws(Few(), BLOCK, generator)])  # type: ignore[arg-type]
+    all_at_once = whole.standard_normal((100, BLOCK))
+    assert np.array_equal(drawn, np.square(all_at_once).sum(axis=0) - np.square(Few.model_basis.T @ all_at_once)[0])
+    tracemalloc.start()
+    assert sum(part.squares.size for part in white_draws(Few(), 5 * BLOCK, generator)) == 5 * BLOCK  # type: ignore[arg-type]
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 4 * 8 * 100 * BLOCK
+
+
+STUDY = 'arms = ["arm.toml"]\nplans = ["same.csv"]\nreplications = 4\n'
+SAME = "run,q1_deg,q2_deg,q3_deg,q4_deg\n" + "1,0,1,2,3\n" * 4
+
+
+def test_a_study_without_a_result_leaves_nothing(folder: Folder) -> None:
+    folder.write("same.csv", SAME)
+    folder.write("study.toml", STUDY)
+    before = sorted(folder.path.iterdir())
+    done = folder.armcal("study", "study.toml", "--workers", "1")
+    assert done.code == 1
+    assert done.err.startswith("armcal: no cell could be done: the plan does not identify: ")
+    assert sorted(folder.path.iterdir()) == before
+    (folder.path / "there").mkdir()
+    assert folder.armcal("study", "study.toml", "--workers", "1", "--out", "there").code == 1
+    assert list((folder.path / "there").iterdir()) == []
+
+
+def test_a_picture_that_is_refused_leaves_no_plan(folder: Folder) -> None:
+    before = sorted(folder.path.iterdir())
+    words = ["--picture", "p.gif", "--out", "out.file"]
+    refused(folder, ["design", "arm.toml", "--runs", "8", *words], "p.gif: ending '.gif', allowed: .png, .svg, .pdf")
+    refused(folder, ["score", "arm.toml", "plan.csv", "--picture", "p.png", "--aliases", "a"], "a: ending '', allowed")
+    assert sorted(folder.path.iterdir()) == before
+
+
+@pytest.mark.parametrize("char", ["\n", "\r", "\x1b[31m", "\x07", "\u2028", "\u202e"])
+def test_control_characters_are_not_repeated(folder: Folder, char: str) -> None:
+    for words in (["score", f"arm{char}.toml", "plan.csv"], [f"sco{char}re"], ["score", "arm.toml", f"--{char}"]):
+        done = folder.armcal(*words)
+        assert done.code == 2
+        assert done.err.count("\n") == 1
+        assert done.err.strip().isprintable()
+
+
+def test_names_in_files_do_not_reach_the_terminal_as_they_are(folder: Folder) -> None:
+    arm = folder.read("arm.toml").replace("paper-4-link", "\\u001b[31mred\\u0007")
+    folder.write("arm.toml", arm)
+    data = HEADER.replace("q1_deg", '"\x1b]0;title\x07",q1_deg') + "x,0,0,0,0,660,0\n" * 4
+    folder.write("data.csv", data)
+    for words in (["score", "arm.toml", "plan.csv"], ["check", "arm.toml", "data.csv"]):
+        done = folder.armcal(*words)
+        assert "\x1b" not in done.out + done.err
+        assert "\x07" not in done.out + done.err
+
+
+def test_a_very_long_name_is_cut(folder: Folder) -> None:
+    name = "a" * 100_000
+    for words in ([name], ["score", name, "plan.csv"], ["design", "arm.toml", "--runs", "8", "--solver", name]):
+        done = folder.armcal(*words)
+        assert done.code == 2
+        assert len(done.err) < LONGEST_LINE + 100
+    assert in_one_line(f"{name}: no such file, allowed: an existing one").endswith(
+        "no such file, allowed: an existing one"
+    )
+
+
+@pytest.mark.parametrize(
+    ("row", "found"),
+    [
+        ('1,2,3,4,5,"6\n1,2,3,4,5,6\n', "row 1 (from line 2): unexpected end of data"),
+        ('1,2,3,4,5,6\n1,2,3,4,5,"6"x\n', "row 2 (from line 3): ',' expected after '\"'"),
+        (f'1,2,3,4,5,"{"6" * 200_000}\n', "row 1 (from line 2): field larger"),
+    ],
+)
+def test_quotation_marks_that_do_not_match(folder: Folder, row: str, found: str) -> None:
+    folder.write("data.csv", HEADER + row)
+    refused(
+        folder, ["identify", "arm.toml", "data.csv"], f"data.csv: {found}", "allowed: cells without quotation marks"
+    )
+
+
+def test_a_header_that_is_no_header(folder: Folder) -> None:
+    for line in ('"q1_deg,q2_deg\n', f"{'q' * 200_000}\n"):
+        folder.write("data.csv", line + "1,2\n")
+        with pytest.raises(
+            InputError, match=r"data.csv: (line 1: .*allowed: the names of the columns|column 'q1_deg')"
+        ):
+            read_table("data.csv").require(["q1_deg"])
