@@ -124,10 +124,11 @@ def check_outputs(context: click.Context) -> None:
             raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
         if kind is FILE:
             check_writable(path, context.params["force"])
-        if name.removeprefix("--") in PICTURES:
+    for name in PICTURES:
+        if isinstance(picture := context.params.get(name), Path):
             from doe.report.page import check_picture
 
-            check_picture(path)
+            check_picture(picture)
 
 
 def _paths(context: click.Context, *, written: bool) -> Iterator[tuple[str, click.ParamType, Path]]:

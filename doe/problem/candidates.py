@@ -19,7 +19,7 @@ from identification.errors import InputError
 
 Index = NDArray[np.int64]
 CHUNK = 8192  # postures; the Jacobians of a chunk stay in the processor's cache, which is fastest
-MOST = 100_000_000  # candidates of a grid: a number for each fits into memory
+MOST = 2**27  # candidates of a grid: a number for each fits into memory
 OUTSIDE = 1e-9  # [rad] a listed posture may exceed a joint limit by this much, from rounding in a file in degrees
 
 

@@ -68,8 +68,9 @@ def test_score_of_fewer_runs_than_links(folder: Folder) -> None:
 def test_aliases_of_too_few_runs(folder: Folder) -> None:
     rows = "".join(f"{k},{10 * k},{7 * k * k},{-9 * k},{5 * k}\n" for k in range(1, 6))
     folder.write("few.csv", "run,q1_deg,q2_deg,q3_deg,q4_deg\n" + rows)  # 10 coordinates, 8 parameters
-    words = ["score", "arm.toml", "few.csv", "--aliases", "out.file"]
+    words = ["score", "arm.toml", "few.csv", "--aliases", "aliases.png", "--picture", "plan.png"]
     refused(folder, words, "--aliases", "few.csv", "degrees of freedom")
+    assert not list(folder.path.glob("*.png"))
 
 
 @pytest.mark.parametrize(

@@ -52,9 +52,9 @@ def test_a_pipe_is_read_as_a_file(folder: Folder) -> None:
     os.close(reading)
 
 
-@pytest.mark.parametrize("levels", ["465", "9999999", "99999999999999999999"])
+@pytest.mark.parametrize("levels", ["513", "9999999", "99999999999999999999"])
 def test_a_grid_larger_than_memory(folder: Folder, levels: str) -> None:
-    refused(folder, ["relax", "arm.toml", "--grid", levels], "grid", levels, "allowed: 2 to 464")
+    refused(folder, ["relax", "arm.toml", "--grid", levels], "grid", levels, "allowed: 2 to 512")
 
 
 def test_more_draws_than_memory(folder: Folder) -> None:

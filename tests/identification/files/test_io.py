@@ -176,7 +176,7 @@ def test_commas_separate_where_the_header_has_them(tmp_path: Path) -> None:
         ("a,b\r1,2\r", ["carriage return", "allowed"]),
         (b"a,b\n1,\xff\n", ["UTF-8", "line 2"]),
         (b"\xff\xfea\x00,\x00b\x00\n\x00", ["UTF-8", "line 1"]),
-        ('a,b\n1,"2\n3,4\n', ["not a valid CSV file"]),
+        ('a,b\n1,"2\n3,4\n', ["row 1 (from line 2)", "unexpected end", "allowed: cells without quotation marks"]),
     ],
 )
 def test_bad_csv(tmp_path: Path, content: str | bytes, parts: list[str]) -> None:
