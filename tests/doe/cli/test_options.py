@@ -67,7 +67,7 @@ WRITTEN = [
 
 @pytest.mark.parametrize(("verb", "name"), WRITTEN, ids=lambda value: getattr(value, "name", value))
 def test_every_output_file_is_checked_before_the_work(verb: click.Command, name: str, tmp_path: Path) -> None:
-    there = tmp_path / "there"
+    there = tmp_path / "there.png"
     there.write_text("mine")
     for force, path, found in ((False, there, "exists"), (True, tmp_path, "directory"), (True, there, None)):
         context = click.Context(verb)
