@@ -1,5 +1,16 @@
-"""`python -m doe`: the command `armcal`, where it is not installed as a script."""
+"""The command `armcal`, and `python -m doe` where it is not installed as a script."""
 
-from doe.cli import main
+import signal
 
-main(prog_name="armcal")
+
+def run() -> None:
+    """The command. Ctrl-C before a verb begins, and after it, ends the process without a word."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from doe.cli import main
+
+    main(prog_name="armcal")
+
+
+if __name__ == "__main__":
+    run()

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import math
 import os
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
@@ -143,16 +145,41 @@ def _paths(context: click.Context, *, written: bool) -> Iterator[tuple[str, clic
 
 def _guarded(function: Callable[..., Answer], session: Session, options: dict[str, Any]) -> Answer:
     try:
-        if sys.stdout is None:
-            raise JobError("standard output is closed; send it to a file or to /dev/null")
-        check_outputs(click.get_current_context())
-        return function(session, **options)
+        with stoppable():
+            if sys.stdout is None:
+                raise JobError("standard output is closed; send it to a file or to /dev/null")
+            check_outputs(click.get_current_context())
+            return function(session, **options)
     except ArmcalError as error:
         say(str(error))
         sys.exit(error.exit_code)
-    except (KeyboardInterrupt, click.Abort):
-        say("stopped by Ctrl-C, nothing was written")
+    except (KeyboardInterrupt, click.Abort) as error:
+        say(f"{stopped_by(error)}, nothing was written")
         sys.exit(1)
+    except MemoryError:
+        say("there is not enough memory for this, allowed: less of it at once, or more memory")
+        sys.exit(1)
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """SIGTERM ends a verb as Ctrl-C does: finished rows stay, no process and no half-written file does."""
+
+    def stop(number: int, _: object) -> NoReturn:
+        raise KeyboardInterrupt(signal.Signals(number).name)
+
+    with ExitStack() as stack:
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in ((signal.SIGTERM, stop), (signal.SIGINT, signal.default_int_handler)):
+                if signal.getsignal(number) is signal.SIG_DFL:
+                    stack.callback(signal.signal, number, signal.SIG_DFL)
+                    signal.signal(number, handler)
+        yield
+
+
+def stopped_by(error: BaseException) -> str:
+    """What ended the work: the user or a signal."""
+    return f"stopped by {next(iter(error.args), 'Ctrl-C')}"
 
 
 @contextmanager

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import chain, count
 from pathlib import Path
 
 import click
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, Session, stopped_by, verb
 from doe.cli.options import FOLDER, force_option
 from identification.errors import InputError, JobError
 from identification.files.io import write_whole
@@ -30,20 +31,28 @@ def command(session: Session, spatial: bool, out: Path | None, force: bool) -> A
     make_directory(directory, force)
     try:
         with session.progress("demo") as progress:
-            demo = run_demo(directory, six_axes() if spatial else planar(), session.seed, progress)
+            demo = run_demo(directory, six_axes() if spatial else planar(), session.seed, progress, force)
             write_whole(directory / "report.html", demo_page(demo), force=True)
             save(overview_figure(demo), directory / "overview.png", force=True)
-    except KeyboardInterrupt:
-        raise JobError(f"stopped by Ctrl-C; the files in {directory} are whole, but not all there") from None
+    except KeyboardInterrupt as error:
+        raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None
     return Answer(demo_data(demo, directory), demo_tables(demo, directory))
 
 
 def next_free(path: Path) -> Path:
-    """`path`, or `path-2`, `path-3`, ... : the first that does not exist."""
-    number, free = 2, path
-    while free.exists():
-        free, number = path.with_name(f"{path.name}-{number}"), number + 1
-    return free
+    """`path`, or `path-2`, `path-3`, ... : the first that does not exist, made, so that nobody else gets it."""
+    others = (path.with_name(f"{path.name}-{number}") for number in count(2))
+    return next(free for free in chain([path], others) if _claimed(free))
+
+
+def _claimed(directory: Path) -> bool:
+    try:
+        directory.mkdir()
+    except FileExistsError:
+        return False
+    except OSError:  # said by `make_directory`
+        pass
+    return True
 
 
 def make_directory(directory: Path, force: bool) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from doe.cli.common import stopped_by
 from doe.cli.options import FOLDER, Decorator, force_option, grouped
 from identification.errors import JobError
 
@@ -63,9 +64,9 @@ def one_thread_each() -> None:
 
 @contextmanager
 def interruptible(out: Path | None) -> Iterator[None]:
-    """Ctrl-C as a sentence that says what is kept, and how to go on."""
+    """Ctrl-C or SIGTERM as a sentence that says what is kept, and how to go on."""
     try:
         yield
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         kept = f"finished rows are kept in {out}, go on with --resume" if out else "without --out nothing is kept"
-        raise JobError(f"stopped by Ctrl-C; {kept}") from None
+        raise JobError(f"{stopped_by(error)}; {kept}") from None

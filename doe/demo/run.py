@@ -116,9 +116,11 @@ class Demo:
         return found.model.position(self.fresh.postures, found.parameters, self.fresh.conditions)
 
 
-def run_demo(directory: Path, scenario: Scenario, seed: int = 0, progress: Progress = silent) -> Demo:
-    """Make the files and results of the demo in a directory that exists."""
-    return Run(directory, scenario, seed, progress).demo()
+def run_demo(
+    directory: Path, scenario: Scenario, seed: int = 0, progress: Progress = silent, force: bool = True
+) -> Demo:
+    """Make the files and results of the demo in a directory that exists; files there are replaced with `force`."""
+    return Run(directory, scenario, seed, progress, force).demo()
 
 
 STEPS = ("arm files", "plan", "measurements", "identification", "diagnosis", "identification again", "commands", "page")
@@ -132,6 +134,7 @@ class Run:
     scenario: Scenario
     seed: int
     progress: Progress
+    force: bool
     files: list[str] = field(default_factory=list)
 
     def demo(self) -> Demo:
@@ -167,7 +170,7 @@ class Run:
 
     def write(self, name: str, text: str) -> None:
         """A file of the demo."""
-        write_whole(self.directory / name, text, force=True)
+        write_whole(self.directory / name, text, force=self.force)
         self.files.append(name)
 
     def measured(self, name: str, arm: Arm, postures: Array, generator: np.random.Generator) -> Measurements:

@@ -13,7 +13,7 @@ import os
 import pickle
 import subprocess
 import sys
-import tempfile
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -48,30 +48,28 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> Outco
 
     function : importable by name there;  arguments : picklable
     """
-    with tempfile.TemporaryDirectory() as folder:
-        result = Path(folder) / "result"
-        task = pickle.dumps((str(result), seconds, sys.path, pickle.dumps((function, arguments))))
-        started = time.monotonic()
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-c", COMMAND],  # -P: no module of the working directory comes first
-            env={**os.environ, **SINGLE_THREAD, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,  # solvers print banners there
-            stderr=subprocess.PIPE,
-        )
-        try:
-            _, errors = process.communicate(task, timeout=seconds + GRACE)
-        except subprocess.TimeoutExpired:
-            return Outcome(None, "timeout", f"killed after {seconds:g} s", seconds, None)
-        finally:
-            process.kill()
-            process.communicate()
-        return _outcome(process.returncode, result, errors, seconds, time.monotonic() - started)
+    task = pickle.dumps((os.getpid(), seconds, sys.path, pickle.dumps((function, arguments))))
+    started = time.monotonic()
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-c", COMMAND],  # -P: nothing is imported from the folder it starts in
+        env={**os.environ, **SINGLE_THREAD, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    try:
+        result, errors = process.communicate(task, timeout=seconds + GRACE)
+    except subprocess.TimeoutExpired:
+        return Outcome(None, "timeout", f"killed after {seconds:g} s", seconds, None)
+    finally:
+        process.kill()
+        process.communicate()
+    return _outcome(process.returncode, result, errors, seconds, time.monotonic() - started)
 
 
-def _outcome(code: int, result: Path, errors: bytes, limit: float, wall: float) -> Outcome:
-    if code == 0 and result.exists():
-        return Outcome(*pickle.loads(result.read_bytes()))
+def _outcome(code: int, result: bytes, errors: bytes, limit: float, wall: float) -> Outcome:
+    if code == 0 and result:
+        return Outcome(*pickle.loads(result))
     if b"Timeout (" in errors:  # the watchdog's first word
         return Outcome(None, "timeout", f"killed after {limit:g} s", limit, None)
     lines = errors.decode(errors="replace").strip().splitlines()
@@ -80,8 +78,11 @@ def _outcome(code: int, result: Path, errors: bytes, limit: float, wall: float) 
 
 
 def answer() -> None:
-    """What runs in the new process: the task from standard input, the outcome into its file."""
-    path, limit, search, task = pickle.load(sys.stdin.buffer)
+    """What runs in the new process: the task from standard input, the outcome to what was standard output."""
+    channel = os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # solvers print banners there
+    parent, limit, search, task = pickle.load(sys.stdin.buffer)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     sys.path[:] = search
     try:
         function, arguments = pickle.loads(task)
@@ -93,7 +94,15 @@ def answer() -> None:
         value, status, error = None, "failed", one_line(raised)
         seconds = time.perf_counter() - started if "started" in locals() else 0.0
     faulthandler.cancel_dump_traceback_later()
-    Path(path).write_bytes(pickle.dumps((value, status, error, seconds, peak_memory_mb())))
+    with channel:
+        channel.write(pickle.dumps((value, status, error, seconds, peak_memory_mb())))
+
+
+def _end_with(parent: int) -> None:
+    """Ends this process when the one that asked is gone: killed, it could not say so."""
+    while os.getppid() == parent:
+        time.sleep(0.2)
+    os._exit(1)
 
 
 def one_line(error: BaseException) -> str:

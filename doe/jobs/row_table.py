@@ -10,20 +10,24 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from io import FileIO
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
-from identification.errors import InputError
-from identification.files.io import PathLike, write_whole
+from identification.errors import InputError, JobError
+from identification.files.io import PathLike, sync_folder, write_whole
 
 if TYPE_CHECKING:
     import polars
 
 Key = Mapping[str, Any]  # JSON types only; says everything that the rows depend on
 Row = dict[str, Any]
+SYNC = 1.0  # [s] of finished rows that a power failure may cost; the death of the process costs none
 KEY = "key"  # column with the key's canonical text
 
 
@@ -42,7 +46,8 @@ class RowTable:
 
     path: Path
     rows: dict[str, list[Row]] = field(default_factory=dict)
-    _journal: IO[bytes] | None = None
+    _journal: FileIO | None = None
+    _synced: float = 0.0
 
     @classmethod
     @contextmanager
@@ -56,22 +61,13 @@ class RowTable:
         if path is None:
             yield cls(Path())
             return
-        target = _target(path, resume, force)
-        table = cls(target)
-        journal = _locked(journal_of(target))
-        try:
-            if resume:
-                table.rows = {**_from_parquet(target), **_from_journal(journal)}
-            else:
-                journal.truncate(0)
-            journal.seek(0, io.SEEK_END)
-            table._journal = journal
+        target = _target(path)
+        with _locked(journal_of(target)) as journal:
+            table = cls(target, _first_rows(target, journal, resume, force), journal)
             try:
                 yield table
             finally:
                 table._finish()
-        finally:
-            journal.close()
 
     @classmethod
     @contextmanager
@@ -84,12 +80,23 @@ class RowTable:
             yield table
 
     def add(self, key: Key, rows: Sequence[Row]) -> None:
-        """The rows of one key, on the disk before this returns."""
+        """The rows of one key, in the journal before this returns. Raises `JobError` if that cannot be written."""
         text = canonical(key)
         self.rows[text] = [{KEY: text, **row} for row in rows]
-        if self._journal is not None:
-            self._journal.write(json.dumps([text, list(rows)]).encode() + b"\n")
-            self._journal.flush()
+        if self._journal is None:
+            return
+        try:
+            self._append(json.dumps([text, list(rows)]).encode() + b"\n", self._journal)
+        except OSError as error:
+            reason = f"cannot be written ({error.strerror}); finished rows are kept, go on with --resume"
+            raise JobError(f"{journal_of(self.path)}: {reason}") from None
+
+    def _append(self, line: bytes, journal: FileIO) -> None:
+        while line:
+            line = line[journal.write(line) :]
+        if time.monotonic() > self._synced + SYNC:
+            os.fsync(journal.fileno())
+            self._synced = time.monotonic()
 
     def forget(self, keys: Iterable[str]) -> None:
         """Drops the rows of these keys (canonical text), to do them again."""
@@ -110,9 +117,9 @@ class RowTable:
         return frame_of([row for text in wanted for row in self.rows[text]])
 
     def _finish(self) -> None:
-        assert self._journal is not None
         if self.rows:
             write_whole(self.path, parquet(self.frame()), force=True)
+            sync_folder(self.path.parent)  # before the journal goes
         journal_of(self.path).unlink(missing_ok=True)
 
 
@@ -175,32 +182,63 @@ def journal_of(path: Path) -> Path:
     return path.with_name(path.name + ".journal")
 
 
-def _target(path: PathLike, resume: bool, force: bool) -> Path:
+def _target(path: PathLike) -> Path:
     target = Path(path).resolve()
     if not target.parent.is_dir():
         raise InputError(f"{path}: there is no folder {str(target.parent)!r}, allowed: a file in an existing folder")
     if target.is_dir():
         raise InputError(f"{path}: is a directory, allowed: a file name")
-    if not (resume or force):
-        for there in (target, journal_of(target)):
-            if there.exists():
-                raise InputError(f"{there}: exists, allowed: a new name, --resume to go on, or --force to replace it")
     return target
 
 
-def _locked(journal: Path) -> IO[bytes]:
-    """The journal, open for this process only."""
+@contextmanager
+def _locked(path: Path) -> Iterator[FileIO]:
+    """The journal, open for this process only. An empty one is not left behind."""
+    stream = _opened(path)
+    while not _is_named(stream, path):  # another run ended, and took its journal away, while this one waited
+        stream.close()
+        stream = _opened(path)
+    with stream:
+        try:
+            yield stream
+        finally:
+            if _is_named(stream, path) and path.stat().st_size == 0:
+                path.unlink()
+
+
+def _opened(path: Path) -> FileIO:
     import portalocker
 
     try:
-        stream = open(journal, "a+b")  # noqa: SIM115 - closed by the caller
+        stream = FileIO(path, "a+b")
         portalocker.lock(stream, portalocker.LockFlags.EXCLUSIVE | portalocker.LockFlags.NON_BLOCKING)
     except portalocker.AlreadyLocked:
         stream.close()
-        raise InputError(f"{journal}: another run is writing this table, allowed: one at a time") from None
+        raise InputError(f"{path}: another run is writing this table, allowed: one at a time") from None
     except OSError as error:
-        raise InputError(f"{journal}: cannot be written ({error.strerror})") from None
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
     return stream
+
+
+def _is_named(stream: FileIO, path: Path) -> bool:
+    """Whether the open file is still the one of this name."""
+    return path.exists() and os.path.samestat(os.fstat(stream.fileno()), path.stat())
+
+
+def _first_rows(target: Path, journal: FileIO, resume: bool, force: bool) -> dict[str, list[Row]]:
+    """What an earlier run left. What is to be replaced goes at once: what is resumed later is of one run.
+
+    Raises `InputError` if there is something, and neither `resume` nor `force` is given.
+    """
+    if resume:
+        return {**_from_parquet(target), **_from_journal(journal)}
+    if not force:
+        for there, found in ((target, target.exists()), (journal_of(target), journal.seek(0, io.SEEK_END) > 0)):
+            if found:
+                raise InputError(f"{there}: exists, allowed: a new name, --resume to go on, or --force to replace it")
+    target.unlink(missing_ok=True)
+    journal.truncate(0)
+    return {}
 
 
 def _from_parquet(path: Path) -> dict[str, list[Row]]:
@@ -217,7 +255,7 @@ def _from_parquet(path: Path) -> dict[str, list[Row]]:
     return dict(frame.rows_by_key(KEY, named=True, include_key=True))
 
 
-def _from_journal(stream: IO[bytes]) -> dict[str, list[Row]]:
+def _from_journal(stream: FileIO) -> dict[str, list[Row]]:
     """The journal's rows; the torn end of a crashed run is cut off."""
     stream.seek(0)
     rows, size = _parse(stream.read())
@@ -230,7 +268,7 @@ def _parse(content: bytes) -> tuple[dict[str, list[Row]], int]:
     for line in content.splitlines(keepends=True):
         try:
             text, found = json.loads(line)
-        except ValueError:
+        except (ValueError, TypeError):
             break
         if not line.endswith(b"\n"):
             break

@@ -10,8 +10,9 @@ from __future__ import annotations
 import hashlib
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from itertools import count
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ import numpy as np
 from doe.jobs.isolated import one_line
 from doe.jobs.row_table import Key, Row, RowTable, canonical
 from doe.jobs.workers import Workers, serial
-from identification.errors import JobError
+from identification.errors import InputError, JobError
 from identification.files.io import PathLike
 from identification.progress import Progress, silent
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     import polars
 
 Function = Callable[..., list[Row]]  # (key, seed sequence), and the key's payload where there is one
+SEED = "seed"  # column; a key with an entry of this name brings its own
 AHEAD = 3  # tasks handed out per worker, so that none waits; a million tasks are never in flight at once
 TRIES = 2  # a task whose worker died this often runs once more alone: if that worker dies too, the task is at fault
 
@@ -55,8 +57,10 @@ def run(
     payload : what a task needs besides its key, sent along as a third argument; it must follow from the key
     A task that raises becomes a row with `status` "failed" and `error`; every row has its key's entries, `status` and
     `seconds`. Rows are in the table as soon as they are finished: Ctrl-C or a crash loses only what was being computed.
-    Raises `JobError` if all workers are lost and cannot be opened again.
+    Raises `JobError` if all workers are lost and cannot be opened again, `InputError` if the table's rows are those of
+    another seed.
     """
+    _check_seeds(keys, table, seed)
     todo = {canonical(key): key for key in keys if key not in table}
     done = len(keys) - len(todo)
     state = _Dispatcher(function, payload, table, seed, deque(todo.values()), progress, done, len(keys))
@@ -69,26 +73,49 @@ def run(
     return table.frame(keys)
 
 
+def _check_seeds(keys: Sequence[Key], table: RowTable, seed: int) -> None:
+    for key in keys:
+        for row in table.rows.get(canonical(key), ()):
+            if (made := row.get(SEED)) not in (None, key.get(SEED, seed)):
+                allowed = f"--seed {made} to go on, or --force to replace them"
+                raise InputError(f"{table.path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
+
+
 @dataclass(frozen=True)
 class Job:
-    """Several tables of rows that belong together: where they go, who fills them, whether to resume or replace.
+    """Several tables of rows that belong together, and who fills them."""
 
-    folder : for the tables, created if missing; None: kept in memory only
-    """
-
-    folder: PathLike | None
+    tables: Mapping[str, RowTable]
     workers: Workers | None
     seed: int
-    resume: bool
-    force: bool
     progress: Progress
+
+    @classmethod
+    @contextmanager
+    def open(
+        cls,
+        folder: PathLike | None,
+        names: Sequence[str],
+        workers: Workers | None = None,
+        *,
+        seed: int = 0,
+        resume: bool = False,
+        force: bool = False,
+        progress: Progress = silent,
+    ) -> Iterator[Job]:
+        """The tables NAME in a folder, which is made (None: in memory), all of them closed to other runs."""
+        with ExitStack() as stack:
+            tables = {
+                name: stack.enter_context(RowTable.within(folder, name, resume=resume, force=force)) for name in names
+            }
+            yield cls(tables, workers, seed, progress)
 
     def run(
         self, function: Function, keys: Sequence[Key], name: str, payload: Callable[[Key], Any] | None = None
     ) -> polars.DataFrame:
-        """The rows of all keys, as `run` gives them, kept in the table NAME.parquet."""
-        with RowTable.within(self.folder, name, resume=self.resume, force=self.force) as table:
-            return run(function, keys, table, self.workers, seed=self.seed, payload=payload, progress=self.progress)
+        """The rows of all keys, as `run` gives them, kept in the table of this name."""
+        options: dict[str, Any] = {"seed": self.seed, "payload": payload, "progress": self.progress}
+        return run(function, keys, self.tables[name], self.workers, **options)
 
 
 def _work(state: _Dispatcher, workers: Workers, ahead: int) -> None:
@@ -163,7 +190,7 @@ class _Dispatcher:
                 return key
             error = RuntimeError("the worker process died each time it ran this task")
         # an error here is the executor's own: a dask worker killed several times over, rows that cannot travel
-        rows = future.result() if error is None else [_failure(key, error, 0.0)]
+        rows = future.result() if error is None else [_failure(key, self.seed, error, 0.0)]
         self.table.add(key, rows)
         self.done += 1
         self.failed += rows[0]["status"] != "done"
@@ -184,10 +211,10 @@ def perform(function: Function, key: dict[str, Any], seed: int, *payload: Any) -
     try:
         rows = function(key, seed_of(key, seed), *payload)
     except Exception as error:  # noqa: BLE001 - failures are rows; the study goes on
-        return [_failure(key, error, time.perf_counter() - started)]
+        return [_failure(key, seed, error, time.perf_counter() - started)]
     seconds = time.perf_counter() - started
-    return [{**key, "status": "done", "error": None, "seconds": seconds, **row} for row in rows or [{}]]
+    return [{SEED: seed, **key, "status": "done", "error": None, "seconds": seconds, **row} for row in rows or [{}]]
 
 
-def _failure(key: Key, error: BaseException, seconds: float) -> Row:
-    return {**key, "status": "failed", "error": one_line(error), "seconds": seconds}
+def _failure(key: Key, seed: int, error: BaseException, seconds: float) -> Row:
+    return {SEED: seed, **key, "status": "failed", "error": one_line(error), "seconds": seconds}

@@ -99,8 +99,14 @@ def _process_pool(number: int) -> Iterator[Executor]:
     before = {name: os.environ.get(name) for name in settings}
     os.environ.update(settings)  # read when the workers start
     pool = ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=_end_with_the_parent)
+    others = multiprocessing.active_children()
     try:
         yield pool
+    except BaseException:  # Ctrl-C, a full disk: nobody waits for what is not finished
+        for process in multiprocessing.active_children():
+            if process not in others:
+                process.terminate()
+        raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
         for name, value in before.items():

@@ -24,7 +24,7 @@ class Watch(Protocol):
 
 @contextmanager
 def interrupts_noted(watch: Watch) -> Iterator[None]:
-    """Ctrl-C sets `watch.interrupted` instead of raising: CasADi would swallow the exception and go on."""
+    """Ctrl-C, and SIGTERM where it raises, set `watch.interrupted` instead: CasADi would swallow the exception."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -32,11 +32,15 @@ def interrupts_noted(watch: Watch) -> Iterator[None]:
     def note(*_: object) -> None:
         watch.interrupted = True
 
-    before = signal.signal(signal.SIGINT, note)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    raising = {number: handler for number, handler in before.items() if callable(handler)}
     try:
+        for number in raising:
+            signal.signal(number, note)
         yield
     finally:
-        signal.signal(signal.SIGINT, before or signal.SIG_DFL)
+        for number, handler in raising.items():
+            signal.signal(number, handler)
 
 
 class Guarded(ca.Callback):

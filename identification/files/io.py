@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import secrets
+import shutil
 import stat
 import tomllib
 from collections.abc import Mapping
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 from identification.errors import InputError
 
 PathLike = str | os.PathLike[str]
+DESCRIPTORS = "/proc/self/fd"
+EXISTS = "the file exists, allowed: a new file name, or --force to replace it"
 
 
 def read_bytes(path: PathLike) -> bytes:
@@ -77,25 +80,28 @@ def write_whole(path: PathLike, content: str | bytes, force: bool = False) -> No
 
 
 def write_together(contents: Mapping[PathLike, str | bytes], force: bool = False) -> None:
-    """Writes all files or none: every one is complete beside its target before the first target is touched.
+    """Writes all files or none: every one is complete beside its target before the first target is touched, and if a
+    later one cannot take its place the earlier ones are put back.
 
     Raises `InputError` as `write_whole` does.
     """
     targets = {_checked_target(path, force): content for path, content in contents.items()}
-    staged: list[tuple[Path, Path]] = []
+    backup = len(targets) > 1
     try:
-        for target, content in targets.items():
-            temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
-            staged.append((temporary, target))
-            _write_new(temporary, content, mode_of=target)
-        for temporary, target in staged:
-            os.replace(temporary, target)
+        with ExitStack() as temporary, ExitStack() as undo:
+            staged = {}
+            for target, content in targets.items():
+                staged[target] = _beside(target, temporary)
+                _write_new(staged[target], content, mode_of=target)
+            for target, new in staged.items():
+                before = _copied(target, temporary) if backup and target.exists() else None
+                _place(new, target, fresh=not force)
+                undo.callback(target.unlink) if before is None else undo.callback(os.replace, before, target)
+            undo.pop_all()
+    except FileExistsError:
+        raise InputError(f"{target}: {EXISTS}") from None
     except OSError as error:
-        raise InputError(f"{staged[-1][1]}: cannot be written ({error.strerror})") from None
-    finally:
-        for temporary, _ in staged:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
+        raise InputError(f"{target}: cannot be written ({error.strerror})") from None
 
 
 def check_writable(path: PathLike | None, force: bool = False) -> None:
@@ -125,15 +131,61 @@ def _checked_target(path: PathLike, force: bool) -> Path:
     if not os.access(target.parent, os.W_OK):
         raise InputError(f"{path}: the folder cannot be written to, allowed: a file in a writable folder")
     if target.exists() and not force:
-        raise InputError(f"{path}: the file exists, allowed: a new file name, or --force to replace it")
+        raise InputError(f"{path}: {EXISTS}")
     return target
+
+
+def _beside(target: Path, stack: ExitStack) -> Path:
+    """A name in the same folder, free now and when the stack is left."""
+    path = target.with_name(f".{secrets.token_hex(8)}.tmp")
+    stack.callback(path.unlink, missing_ok=True)
+    return path
+
+
+def _copied(target: Path, stack: ExitStack) -> Path:
+    return Path(shutil.copy2(target, _beside(target, stack)))
+
+
+def _place(new: Path, target: Path, *, fresh: bool) -> None:
+    """Gives a complete file its name; a `fresh` one only if no other command has taken the name meanwhile."""
+    if fresh:
+        try:
+            return os.link(new, target)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without links
+            pass
+    return os.replace(new, target)
 
 
 def _write_new(path: Path, content: str | bytes, mode_of: Path) -> None:
     data = content.encode() if isinstance(content, str) else content
-    with open(path, "xb") as stream:
+    descriptor = _unnamed(path.parent)
+    with open(path, "xb") if descriptor is None else open(descriptor, "wb") as stream:
         stream.write(data)
         stream.flush()
         os.fsync(stream.fileno())  # so that a crash leaves the old file or the new one, not an empty one
+        if descriptor is not None:
+            os.link(f"{DESCRIPTORS}/{descriptor}", path, src_dir_fd=descriptor)  # else Python links the link
     if mode_of.exists():
         path.chmod(mode_of.stat().st_mode & 0o777)
+
+
+def _unnamed(folder: Path) -> int | None:
+    """A new file without a name, of which a kill leaves nothing; None where the system has no such files."""
+    if not (hasattr(os, "O_TMPFILE") and os.path.isdir(DESCRIPTORS)):
+        return None
+    try:
+        return os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666)
+    except OSError:
+        return None
+
+
+def sync_folder(folder: Path) -> None:
+    """The names in the folder on the disk: those of files just written survive a power failure too."""
+    with suppress(OSError):  # not on every system
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

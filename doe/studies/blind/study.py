@@ -18,7 +18,7 @@ import numpy as np
 
 from doe.discrimination.design import discrimination_design
 from doe.discrimination.t_optimal import discriminate
-from doe.jobs.row_table import KEY, Key, Row, canonical
+from doe.jobs.row_table import KEY, Key, Row, canonical, parquet
 from doe.jobs.tasks import Job
 from doe.jobs.workers import Workers
 from doe.problem.problem import DesignProblem
@@ -30,6 +30,7 @@ from doe.studies.blind.score import BARS, BlindStudy, score
 from identification.arm import Arm
 from identification.errors import InputError, nearest
 from identification.estimation.intervals import quantile_95
+from identification.files.io import write_together
 from identification.gap.diagnose import diagnose
 from identification.gap.result import Diagnosis
 from identification.model import Model
@@ -70,20 +71,22 @@ def blind_study(
     Raises `InputError` for an unknown cell.
     """
     keys = [dict(key) for cell in _checked(cells) for key in _keys(cell, count, seed)]
-    job = Job(folder, workers, 0, resume, force, progress)  # the seed is in the keys
-    to_plan = [key for key in keys if key["cell"] in simulated.CELLS and _to_be_planned(key) is not None]
-    made = job.run(plan, to_plan, PLANS)
-    plans = {row[KEY]: row.get("postures_deg") for row in made.iter_rows(named=True)}
+    options: dict[str, Any] = {"resume": resume, "force": force, "progress": progress}  # the seed is in the keys
+    with Job.open(folder, (PLANS, TRUTH, DIAGNOSES), workers, **options) as job:
+        to_plan = [key for key in keys if key["cell"] in simulated.CELLS and _to_be_planned(key) is not None]
+        made = job.run(plan, to_plan, PLANS)
+        plans = {row[KEY]: row.get("postures_deg") for row in made.iter_rows(named=True)}
 
-    def planned(key: Key) -> list[list[float]] | None:
-        return plans.get(canonical({name: value for name, value in key.items() if name != "draws"}))
+        def planned(key: Key) -> list[list[float]] | None:
+            return plans.get(canonical({name: value for name, value in key.items() if name != "draws"}))
 
-    truth = job.run(hide, keys, TRUTH, payload=planned)
-    diagnoses = job.run(examine, [{**key, "draws": draws} for key in keys], DIAGNOSES, payload=planned)
-    found = score(truth, diagnoses)
-    if folder is not None:
-        for name, frame in found.tables.items():
-            frame.write_parquet(folder / f"{name}.parquet")
+        truth = job.run(hide, keys, TRUTH, payload=planned)
+        diagnoses = job.run(examine, [{**key, "draws": draws} for key in keys], DIAGNOSES, payload=planned)
+        found = score(truth, diagnoses)
+        if folder is not None:
+            write_together(
+                {folder / f"{name}.parquet": parquet(table) for name, table in found.tables.items()}, force=True
+            )
     return found
 
 

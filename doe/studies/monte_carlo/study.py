@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from doe.jobs.row_table import Key, short_hash, with_columns
+from doe.jobs.row_table import Key, parquet, short_hash, with_columns
 from doe.jobs.tasks import Job
 from doe.jobs.workers import Workers
 from doe.studies.monte_carlo.plans import made_postures, make_plan, plan_keys, plans_of
@@ -21,7 +21,7 @@ from doe.studies.monte_carlo.spatial import in_file_units
 from doe.studies.monte_carlo.specification import CELL, RANDOM, Study
 from identification.errors import JobError
 from identification.files.arm_text import dump_arm
-from identification.files.io import PathLike
+from identification.files.io import PathLike, write_whole
 from identification.progress import Progress, silent
 
 PLANS, BLOCKS, CELLS = "plans.parquet", "blocks.parquet", "cells.parquet"
@@ -63,14 +63,15 @@ def run_study(
     resume : go on with an interrupted or extended study in `folder`;  force : replace what is there
     Failures (no plan for so many runs, a plan that cannot identify the model) are rows with `status` and `error`.
     """
-    job = Job(folder, workers, seed, resume, force, progress)
+    options: dict[str, Any] = {"seed": seed, "resume": resume, "force": force, "progress": progress}
     arms = {short_hash(text): text for text in map(dump_arm, study.arms)}
-    plans = job.run(make_plan, list(plan_keys(study)), PLANS, payload=lambda key: arms[key["inputs"]])
-    tasks = dict(_tasks(study, made_postures(study, plans)))
-    blocks = job.run(replicate, [dict(key) for key in tasks], BLOCKS, payload=lambda key: tasks[_frozen(key)])
-    cells = pooled(blocks)
-    if folder is not None:
-        cells.write_parquet(Path(folder) / CELLS)
+    with Job.open(folder, (PLANS, BLOCKS), workers, **options) as job:
+        plans = job.run(make_plan, list(plan_keys(study)), PLANS, payload=lambda key: arms[key["inputs"]])
+        tasks = dict(_tasks(study, made_postures(study, plans)))
+        blocks = job.run(replicate, [dict(key) for key in tasks], BLOCKS, payload=lambda key: tasks[_frozen(key)])
+        cells = pooled(blocks)
+        if folder is not None:
+            write_whole(Path(folder) / CELLS, parquet(cells), force=True)
     return StudyResult(cells, blocks, plans)
 
 

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
+
+import pytest
 
 from doe.jobs.isolated import _peak_of_usage, call, peak_memory_mb
 
 sys.path.insert(0, str(Path(__file__).parent))  # the new process finds the tasks by name
 import work
+
+from tests.doe.faults import running
 
 
 def test_call_returns_value_seconds_and_memory() -> None:
@@ -37,6 +45,31 @@ def test_call_from_a_daemon() -> None:
     process.start()
     assert queue.get(timeout=60.0) == "done"
     process.join()
+
+
+def test_a_call_ends_with_the_process_that_asked(tmp_path: Path) -> None:
+    """Killed, that process cannot end it."""
+    code = "import sys, work; work.ask_and_die(sys.argv[1])"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "pid")], env=environment, check=False)
+    assert done.returncode == -signal.SIGKILL
+    asked = int((tmp_path / "pid").read_text())
+    for _ in range(600):
+        if not running(asked):
+            return
+        time.sleep(0.05)
+    pytest.fail("the call goes on")
+
+
+def test_nothing_is_imported_from_the_folder_it_starts_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "doe").mkdir()
+    (tmp_path / "doe" / "__init__.py").write_text("raise SystemExit('hijacked')")
+    monkeypatch.chdir(tmp_path)
+    assert call(work.hang, 0.0, seconds=60.0).value == "awake"
+
+
+def test_what_a_call_prints_is_no_answer() -> None:
+    assert call(work.talk, seconds=60.0).value == "said"
 
 
 def test_memory_by_usage_is_at_least_that_of_the_address_space() -> None:

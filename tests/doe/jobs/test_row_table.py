@@ -6,6 +6,7 @@ import math
 import subprocess
 import sys
 from contextlib import suppress
+from io import FileIO
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from doe.jobs import row_table
 from doe.jobs.row_table import RowTable, canonical, frame_of, journal_of, read_rows
-from identification.errors import InputError
+from identification.errors import InputError, JobError
 
 KEYS = [{"task": k} for k in range(5)]
 
@@ -81,6 +83,48 @@ def test_two_writers_are_refused(tmp_path: Path) -> None:
         pass
 
 
+def test_a_run_that_waited_for_another_does_not_write_into_its_removed_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first opens the journal, the second ends and removes it, the first gets the lock."""
+    path, opened = tmp_path / "rows.parquet", row_table._opened
+
+    def late(journal: Path) -> object:
+        stream = opened(journal)
+        monkeypatch.setattr(row_table, "_opened", opened)
+        journal.unlink()
+        return stream
+
+    monkeypatch.setattr(row_table, "_opened", late)
+    with RowTable.open(path) as table:
+        table.add(KEYS[0], [{"value": 1}])
+        assert read_rows(path)["value"].to_list() == [1]
+
+
+def test_replaced_rows_do_not_come_back_when_the_new_run_is_killed(tmp_path: Path) -> None:
+    path = tmp_path / "rows.parquet"
+    fill(path, KEYS[:3])
+    with RowTable.open(path, force=True) as table:
+        table.add(KEYS[4], [{"task": 4}])
+        assert read_rows(path)["task"].to_list() == [4]
+
+
+def test_a_full_disk_is_one_line_and_keeps_the_rows_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "rows.parquet"
+
+    def torn(table: RowTable, line: bytes, journal: FileIO) -> None:
+        journal.write(line[:7])
+        raise OSError(28, "No space left on device")
+
+    with RowTable.open(path) as table:
+        table.add(KEYS[0], [{"value": 1}])
+        table._finish = lambda: None  # type: ignore[method-assign]  # no space for the table either
+        monkeypatch.setattr(RowTable, "_append", torn)
+        with pytest.raises(JobError, match=r"journal: cannot be written \(No space.*--resume"):
+            table.add(KEYS[1], [{"value": 2}])
+    assert read_rows(path)["value"].to_list() == [1]
+
+
 @pytest.mark.parametrize("path", ["missing/rows.parquet", "."])
 def test_bad_place_is_refused(tmp_path: Path, path: str) -> None:
     with pytest.raises(InputError, match="allowed"), RowTable.open(tmp_path / path):
@@ -93,6 +137,7 @@ def test_foreign_file_is_refused(tmp_path: Path) -> None:
     for name, found in (("a", "not a Parquet file"), ("b", "no column")):
         with pytest.raises(InputError, match=found), RowTable.open(tmp_path / f"{name}.parquet", resume=True):
             pass
+    assert len(list(tmp_path.iterdir())) == 2  # and no journal
     with pytest.raises(InputError, match="no such table"):
         read_rows(tmp_path / "c.parquet")
 

@@ -13,12 +13,13 @@ from typing import Any
 
 import polars as pl
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from doe.jobs.row_table import RowTable, read_rows
+from doe.jobs.row_table import RowTable, parquet, read_rows
 from doe.jobs.tasks import Function, Job, run
 from doe.jobs.workers import Workers, processes, serial
 from identification.errors import InputError, JobError
-from identification.progress import silent
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
 import work
@@ -114,16 +115,54 @@ def test_killed_study_leaves_no_process_behind_and_goes_on(tmp_path: Path) -> No
 
 
 def test_a_job_keeps_its_tables_in_one_folder_and_resumes_each(tmp_path: Path) -> None:
-    first = Job(tmp_path / "job", None, 5, False, False, silent).run(work.draw, KEYS[:2], "a.parquet")
+    folder, names = tmp_path / "job", ("a.parquet", "b.parquet")
+    with Job.open(folder, names, seed=5) as job:
+        first = job.run(work.draw, KEYS[:2], "a.parquet")
+        with pytest.raises(InputError, match="another run"), Job.open(folder, names[1:], resume=True):
+            pass  # closed before its turn comes
     asked: list[Any] = []
 
     def payload(key: Any) -> None:
         asked.append(key)
 
-    again = Job(tmp_path / "job", None, 5, True, False, silent)
-    more = again.run(work.draw_with_payload, KEYS[:3], "a.parquet", payload)
+    with Job.open(folder, names, seed=5, resume=True) as job:
+        more = job.run(work.draw_with_payload, KEYS[:3], "a.parquet", payload)
     assert more.head(len(first)).equals(first.select(more.columns))
     assert asked == [KEYS[2]]
     assert more["value"].to_list() == work.drawn(KEYS[:3], seed=5)
-    with pytest.raises(InputError, match="exists"):
-        Job(tmp_path / "job", None, 5, False, False, silent).run(work.draw, KEYS, "a.parquet")
+    with pytest.raises(InputError, match="exists"), Job.open(folder, names):
+        pass
+    assert [path.name for path in folder.iterdir()] == ["a.parquet"]
+
+
+def test_rows_of_another_seed_are_not_mixed_in(tmp_path: Path) -> None:
+    with Job.open(tmp_path, ("a.parquet",), seed=5) as job:
+        job.run(work.draw, KEYS[:2], "a.parquet")
+    with (
+        Job.open(tmp_path, ("a.parquet",), seed=6, resume=True) as job,
+        pytest.raises(InputError, match="--seed 5, found 6, allowed: --seed 5"),
+    ):
+        job.run(work.draw, KEYS, "a.parquet")
+    assert read_rows(tmp_path / "a.parquet")["seed"].to_list() == [5] * 4
+
+
+@given(done=st.sets(st.integers(0, 11)), again=st.sets(st.integers(0, 11)), killed=st.booleans())
+@settings(max_examples=25)
+def test_wherever_it_stopped_the_bytes_are_those_of_one_run(
+    done: set[int], again: set[int], killed: bool, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Finished in any order by two earlier runs, of which the last left a table, or a journal with a torn end."""
+    folder = tmp_path_factory.mktemp("rows")
+    for number, part in enumerate((done, again)):
+        with RowTable.open(folder / "parts", resume=True) as table:
+            run(work.mixed, [KEYS[k] for k in sorted(part, reverse=True)], table)
+            if killed and number:
+                table._finish = lambda: None  # type: ignore[method-assign]
+                assert table._journal is not None
+                table._journal.write(b'["torn", [')
+    content = []
+    for name in ("parts", "whole"):
+        with RowTable.open(folder / name, resume=True) as table:
+            run(work.mixed, KEYS, table)
+        content.append(parquet(pl.read_parquet(folder / name).drop("seconds")))
+    assert content[0] == content[1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,14 @@ def die_always(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[s
     return draw(key, seed)
 
 
+def mixed(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
+    """Rows of several forms: none, whole and broken numbers, lists, texts, and a task that raises."""
+    rows = ([{"value": key["task"]}], [{"value": 0.5, "more": [1.0, 2.5]}, {"value": 1 / 3}], [])
+    if key["task"] % 4 == 3:
+        raise ValueError("no")
+    return rows[key["task"] % 4]
+
+
 def raise_at_three(key: dict[str, Any], seed: np.random.SeedSequence) -> list[dict[str, Any]]:
     """As `draw`, but task 3 raises."""
     if key["task"] == 3:
@@ -64,6 +73,28 @@ def hang(seconds: float) -> str:
     """Sleeps."""
     time.sleep(seconds)
     return "awake"
+
+
+def hang_and_tell(path: str) -> None:
+    """Writes its process number, and sleeps."""
+    Path(f"{path}.new").write_text(str(os.getpid()))
+    os.replace(f"{path}.new", path)
+    time.sleep(300.0)
+
+
+def ask_and_die(path: str) -> None:
+    """Is killed while a call of its own sleeps."""
+    threading.Thread(target=call, args=(hang_and_tell, path), kwargs={"seconds": 300.0}).start()
+    while not Path(path).exists():
+        time.sleep(0.02)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def talk() -> str:
+    """Writes to standard output, from Python and from below it."""
+    print("from Python", flush=True)  # noqa: T201
+    os.system("echo from below")
+    return "said"
 
 
 def hang_in_compiled_code() -> None:

@@ -75,6 +75,53 @@ def test_write_together_is_all_or_none(tmp_path: Path) -> None:
     assert [(tmp_path / name).read_text() for name in "ab"] == ["1", "2"]
 
 
+@pytest.mark.parametrize("stop", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_what_was_replaced_is_put_back_when_the_next_cannot_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: BaseException
+) -> None:
+    (tmp_path / "a").write_text("old")
+    place, seen = files._place, []
+
+    def third(new: Path, target: Path, *, fresh: bool) -> None:
+        seen.append(target.name)
+        if len(seen) == 3:
+            raise stop
+        place(new, target, fresh=fresh)
+
+    monkeypatch.setattr(files, "_place", third)
+    with pytest.raises((InputError, KeyboardInterrupt)):
+        files.write_together({tmp_path / name: "new" for name in "abc"}, force=True)
+    assert seen == ["a", "b", "c"]
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "old"}
+
+
+def test_a_file_that_another_command_wrote_meanwhile_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    new = files._write_new
+
+    def late(path: Path, content: str | bytes, mode_of: Path) -> None:
+        new(path, content, mode_of)
+        (tmp_path / "b").write_text("theirs")
+
+    monkeypatch.setattr(files, "_write_new", late)
+    both = {tmp_path / "a": "1", tmp_path / "b": "2"}
+    names(message_of(files.write_together, both), "b: the file exists", "--force")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"b": "theirs"}
+
+
+@pytest.mark.parametrize("lacking", ["_unnamed", "link"])
+def test_file_systems_without_nameless_files_or_links(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lacking: str
+) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(files, "_unnamed", lambda _: None)
+    if lacking == "link":
+        monkeypatch.setattr(files.os, "link", refused)
+    files.write_whole(tmp_path / "a", "1")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "1"}
+
+
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a"
     path.write_text("old")
