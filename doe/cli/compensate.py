@@ -21,18 +21,22 @@ from identification.errors import InputError
 def command(session: Session, calibrated: Path, targets: Path, output: Output) -> Answer:
     """Joint commands that reach TARGETS (x_mm,y_mm or nominal q1_deg..) on the CALIBRATED arm.
 
-    In space with z_mm, and rx_deg, ry_deg, rz_deg or a quaternion where the tool's orientation matters.
+    In space with z_mm, and rx_deg, ry_deg, rz_deg or a quaternion where the tool's orientation matters. Commands
+    keep to the joint limits and the [[constraints]] of the arm file; where that cannot be, the row says why.
     """
+    from doe.problem.constraints import constraints_of
     from doe.report.identification_tables import compensation_tables
     from identification.compensate import compensate
     from identification.files.arm import load_arm
     from identification.files.target import commands_text, load_targets
+    from identification.model import Model
 
     arm = load_arm(calibrated)
     if arm.calibration is None and not any(effect.values for effect in arm.effects):
         raise InputError(f"{calibrated}: has no [calibration], allowed: an arm file written by `armcal identify --out`")
     wanted = load_targets(targets, arm)
-    found = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations)
-    columns = found.targets, found.errors, arm.joint_types, found.orientations, found.angles
+    allowed = constraints_of(Model(arm)) if arm.constraints else ()
+    found = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
+    columns = found.targets, found.errors, arm.joint_types, found.orientations, found.angles, found.reached
     written = output.write(commands_text(found.commands, *columns), "commands")
     return Answer(found.to_json(), [*compensation_tables(found), *written])

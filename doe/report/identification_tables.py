@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 
@@ -13,6 +14,7 @@ from identification.compensate import Compensation
 from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
 from identification.estimation.result import in_words
+from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.servo import ServoError
 
 FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
@@ -92,26 +94,30 @@ def residual_text(error: float) -> str:
 
 def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     """Joint commands for the first targets, and how many are reached."""
-    types = found.joint_types or ("revolute",) * found.commands.shape[1]
-    joints = (f"q{j} [{'deg' if kind == 'revolute' else 'mm'}]" for j, kind in enumerate(types, start=1))
+    types, axes = found.joint_types or (REVOLUTE,) * found.commands.shape[1], "xyz"[: found.targets.shape[1]]
+    fine = len(types) + len(axes) <= 6  # more columns with fewer decimals, for 80 characters a line
     found_rows = zip(found.targets, found.commands_in_file_units, found.errors, found.reached, strict=True)
     rows = (
         [
             f"{row}{'' if reached else ' !'}",
-            *(f"{v:.1f}" for v in target),
-            *(f"{v:.3f}" for v in command),
+            *(f"{v:.{1 if fine else 0}f}" for v in target),
+            *(f"{v:.{3 if fine else 2}f}" for v in command),
             residual_text(error),
         ]
         for row, (target, command, error, reached) in enumerate(found_rows, start=1)
     )
     caption = f"first {most} of {len(found.targets)} targets; --out writes all"
-    axes = (f"{axis} [mm]" for axis in "xyz"[: found.targets.shape[1]])
-    headings = ("target", *axes, *joints, "left [mm]")
-    data = found.to_json()
-    unreachable = (
-        f"; rows out of reach (!): {', '.join(map(str, data['unreachable'][:20]))}" if data["unreachable"] else ""
-    )
-    reached = f"{data['reached']} of {data['targets']} targets reached by the calibrated model{unreachable}"
+    headings = ("target", *axes, *(f"q{j}" for j in range(1, len(types) + 1)), "left")
+    title = "Commands [deg], lengths [mm]" + ("; prismatic joints [mm]" if PRISMATIC in types else "")
+    reached = f"{np.count_nonzero(found.reached)} of {len(found.targets)} targets reached by the calibrated model"
     if found.angles is not None:
-        reached += f"; orientations are those wanted to {residual_text(data['max_error_deg'] or 0.0)} deg there"
-    return [reached, table(headings, rows, "Commands", most=most, caption=caption, **NARROW)]
+        largest = found.to_json()["max_error_deg"]
+        reached += f"; orientations are those wanted to {residual_text(largest or 0.0)} deg there"
+    said = [f"target {k} ! {message}" for k, message in enumerate(found.messages, start=1) if message]
+    more = [f"... and {len(said) - most} more not reached; --out writes all"] if len(said) > most else []
+    return [
+        reached,
+        table(headings, rows, title, most=most, caption=caption, **(NARROW if fine else NARROW | {"padding": 0})),
+        *map(Text, said[:most]),
+        *more,
+    ]

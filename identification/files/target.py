@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
@@ -64,12 +65,16 @@ def commands_text(
     joint_types: JointTypes = None,
     orientations: Array | None = None,
     angles: Array | None = None,
+    reached: NDArray[np.bool_] | None = None,
 ) -> str:
     """CSV `q1_deg..qn_deg, x_mm, y_mm, error_mm`: joint commands, the targets, and what is left between [mm].
 
     orientations, angles : of poses (k, 3, 3) that are wanted, and (k,) what is left [rad]: `rx_deg..`, `error_deg`
+    reached : (k,) `reachable`, 1 or 0
     """
     wanted = {f"{axis}_mm": column for axis, column in zip("xyz", targets.T, strict=False)}
     wanted |= {} if orientations is None else angle_columns(orientations)
     left = {"error_mm": errors} | ({} if angles is None else {"error_deg": np.degrees(angles)})
+    if reached is not None:
+        left["reachable"] = reached.astype(int)
     return csv_text({**posture_columns(commands, joint_types), **wanted, **left})

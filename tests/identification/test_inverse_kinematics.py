@@ -1,0 +1,96 @@
+"""Constraints in inverse kinematics: two-link arms have two postures for a target, which can be listed; others are
+checked by points sampled along the links."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from doe.problem.constraints import constraints_of
+from identification.arm import Arm, Calibration
+from identification.compensate import compensate
+from identification.inverse_kinematics import TOLERANCE, violations
+from identification.model import Model
+from identification.workspace import KeepOutCircle, WorkspaceBox
+
+CENTER, RADIUS = np.array([150.0, 120.0]), 70.0
+CIRCLE = KeepOutCircle((150.0, 120.0), RADIUS)
+TRUE = np.array([301.0, 198.0])
+OFFSETS = np.array([0.01, -0.02])
+
+
+def clearance(joints: np.ndarray, radius: float = RADIUS) -> np.ndarray:
+    """(k,) distance of polylines (k, points) of the complex plane from the circle, by many points on each link."""
+    share = np.linspace(0.0, 1.0, 2001)
+    points = joints[:, :-1, None] + share * np.diff(joints, axis=1)[..., None]
+    return np.min(np.abs(points - complex(*CENTER)), axis=(1, 2)) - radius
+
+
+def chain(q: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """(k, n + 1) base, joints and tip, as complex numbers."""
+    links = lengths * np.exp(1j * np.cumsum(q + offsets, axis=1))
+    return np.concatenate([np.zeros((len(q), 1)), np.cumsum(links, axis=1)], axis=1)
+
+
+def test_the_elbow_that_is_free_is_chosen() -> None:
+    """A target is reached exactly where one of the two postures of trigonometry keeps out of the circle."""
+    two = Arm([300.0, 200.0], constraints=(CIRCLE,), calibration=Calibration.of(TRUE - [300.0, 200.0], OFFSETS))
+    generator = np.random.default_rng(4)
+    targets = generator.uniform(0.0, 300.0, (80, 2))
+    targets = targets[np.hypot(*targets.T) > 110.0]
+    distance, direction = np.hypot(*targets.T), np.arctan2(targets[:, 1], targets[:, 0])
+    elbow = np.arccos((distance**2 - TRUE @ TRUE) / (2.0 * np.prod(TRUE)))
+    free = []
+    for turn in (elbow, -elbow):
+        first = direction - np.arctan2(TRUE[1] * np.sin(turn), TRUE[0] + TRUE[1] * np.cos(turn))
+        free.append(clearance(chain(np.column_stack([first, turn]), TRUE, np.zeros(2))))
+    clear = np.max(free, axis=0)
+    sure = np.abs(clear) > 0.1  # sampling along the links
+    found = compensate(two, targets, constraints=constraints_of(Model(two)))
+    np.testing.assert_array_equal(found.reached[sure], clear[sure] > 0.0)
+    assert 10 < np.count_nonzero(found.reached) < len(targets) - 10
+    assert np.all(found.errors < TOLERANCE)
+    only_one = found.reached & (np.min(free, axis=0) < 0.0)
+    assert np.count_nonzero(only_one) > 5
+    said = json.loads(json.dumps(found.to_json()))
+    for row, reached, command in zip(said["commands"], found.reached, found.commands, strict=True):
+        assert row["reachable"] == reached
+        assert row["message"].startswith("" if reached else "constraint 1 (keep_out_circle) is missed by ")
+        np.testing.assert_allclose(row["command"], np.degrees(command))
+    assert said["unreachable_count"] == len(said["unreachable"]) == np.count_nonzero(~found.reached)
+
+
+def test_a_redundant_arm_bends_around() -> None:
+    """Straight through the circle is nearest; an arm of five links reaches the target on another way."""
+    lengths = np.full(5, 100.0)
+    circle = KeepOutCircle((150.0, 120.0), 50.0)
+    five = Arm(lengths, constraints=(circle,), calibration=Calibration.of(np.ones(5), np.full(5, 0.01)))
+    through = np.array([[np.arctan2(120.0, 150.0) + 0.05, -0.1, 0.0, 0.1, 0.2]])
+    assert clearance(chain(through, lengths, np.zeros(5)), 50.0)[0] < -40.0
+    found = compensate(five, postures=through, constraints=constraints_of(Model(five)))
+    assert found.reached.all()
+    real = chain(found.commands, lengths + 1.0, np.full(5, 0.01))
+    assert clearance(real, 50.0)[0] > -0.01
+    assert abs(real[0, -1] - complex(*found.targets[0])) < TOLERANCE
+
+
+def test_targets_outside_the_workspace_say_so() -> None:
+    box = WorkspaceBox((-200.0, 200.0), (-400.0, 400.0))
+    two = Arm([300.0, 200.0], constraints=(box,), calibration=Calibration.of(np.zeros(2), np.zeros(2)))
+    found = compensate(two, [[230.0, 100.0], [100.0, 200.0], [1000.0, 0.0]], constraints=constraints_of(Model(two)))
+    outside, inside, far = found.messages
+    assert outside == "constraint 1 (workspace_box) is missed by 30 mm"
+    assert inside == ""
+    assert far.startswith("out of reach within the joint limits: 500 mm are left; constraint 1")
+    figures = found.to_json()
+    assert (figures["reached"], figures["unreachable"], figures["unreachable_count"]) == (1, [1, 3], 2)
+    assert figures["max_unreached_mm"] > 499.0
+    assert figures["max_error_mm"] < TOLERANCE
+    assert figures["commands_deg"][0] is None
+    nothing = compensate(two, [[1000.0, 0.0]]).to_json()
+    assert (nothing["max_error_mm"], nothing["reached"]) == (None, 0)
+
+
+def test_no_constraints_no_violations() -> None:
+    assert violations((), np.zeros((3, 2))).shape == (3, 0)
