@@ -14,7 +14,7 @@ from identification.compensate import Compensation
 from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
 from identification.estimation.result import in_words
-from identification.kinematics.parameters import PRISMATIC, REVOLUTE
+from identification.kinematics.parameters import REVOLUTE
 from identification.servo import ServoError
 
 FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
@@ -107,8 +107,8 @@ def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
         for row, (target, command, error, reached) in enumerate(found_rows, start=1)
     )
     caption = f"first {most} of {len(found.targets)} targets; --out writes all"
-    headings = ("target", *axes, *(f"q{j}" for j in range(1, len(types) + 1)), "left")
-    title = "Commands [deg], lengths [mm]" + ("; prismatic joints [mm]" if PRISMATIC in types else "")
+    joints = (f"q{j}" if kind == REVOLUTE else f"q{j} [mm]" for j, kind in enumerate(types, start=1))
+    headings, title = ("target", *axes, *joints, "left"), "Commands [deg] and lengths [mm]"
     reached = f"{np.count_nonzero(found.reached)} of {len(found.targets)} targets reached by the calibrated model"
     if found.angles is not None:
         largest = found.to_json()["max_error_deg"]
