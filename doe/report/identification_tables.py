@@ -108,7 +108,7 @@ def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     )
     caption = f"first {most} of {len(found.targets)} targets; --out writes all"
     joints = (f"q{j}" if kind == REVOLUTE else f"q{j} [mm]" for j, kind in enumerate(types, start=1))
-    headings, title = ("target", *axes, *joints, "left"), "Commands [deg] and lengths [mm]"
+    headings, title = ("row", *(f"{axis} [mm]" for axis in axes), *joints, "left"), "Commands [deg]"
     reached = f"{np.count_nonzero(found.reached)} of {len(found.targets)} targets reached by the calibrated model"
     if found.angles is not None:
         largest = found.to_json()["max_error_deg"]
