@@ -11,8 +11,9 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from identification.arm import Machining
 from identification.arrays import Array
 from identification.estimation.checks import Noise, check, weighting
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, Solution, levenberg_marquardt
@@ -26,13 +27,17 @@ from identification.information import spectrum
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.placed import placed_model
+from identification.threads import single_thread
 
 ROUNDS = 10  # of fit and noise: the model is nearly linear, so that the second changes little
 STEADY = 1e-4  # relative change of the noise, far below its own uncertainty
 SIZES = (0.0, *(2.0 ** (-k / 2.0) for k in range(16, -1, -1)))  # of all effects; the likelihood is flat over a step
+WIDTHS = tuple(2.0**k for k in range(6))  # factors on the machining's sizes; the likelihood is flat over a step
+CREDIBLE = 4.0  # difference of -2 log likelihood from the sizes as stated: chi2 of one degree of freedom, 5 %
 LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
 
 
+@single_thread()
 def estimate_with_prior(
     model: Model,
     measurements: Measurements,
@@ -46,13 +51,16 @@ def estimate_with_prior(
     sigma : numbers or "given": the noise is what is given; "estimated": of the largest marginal likelihood; left out:
         the latter, but no less than what is given
 
+    The sizes of the machining are those of the model or, where the data say that the arm is farther from its drawing,
+    a common multiple of them, likeliest together with the noise; `doubts` say so.
+
     Raises `InputError` for data that do not fit the model, and fewer equations than parameters without a prior.
     """
     model = placed_model(model, measurements)
     prior = Prior({**model.prior, **prior.deviations})
     check(model, measurements, prior)
     noise = weighting(model, measurements, sigma, weights)
-    problem, solution = _solved(replace(Problem.of(model, measurements, noise.weights), prior=prior), noise)
+    problem, solution, width = _solved(replace(Problem.of(model, measurements, noise.weights), prior=prior), noise)
     parameters = solution.parameters[0]
     jacobian = replace(problem, prior=None).least_squares.linearize(parameters[None], np.arange(1))[1][0]
     decomposed = spectrum(np.concatenate([jacobian, problem.prior_rows]), model.scales, problem.tolerance)
@@ -60,26 +68,36 @@ def estimate_with_prior(
     dof = round(model.dimension * np.count_nonzero(problem.weights) - effective)
     made = _uncertainty(problem, decomposed.covariance, float(dof), noise)
     spread = Spread(made, problem.noise * (noise.sigma or 1.0), float(problem.squares(parameters)[0]), dof)
-    return identification(problem, measurements, "gauss_newton", solution, decomposed, noise, spread)
+    found = identification(problem, measurements, "gauss_newton", solution, decomposed, noise, spread)
+    return (
+        found if width == 1.0 else replace(found, doubts=(*found.doubts, far_from_drawing(model.arm.machining, width)))
+    )
 
 
-def _solved(problem: Problem, noise: Noise) -> tuple[Problem, Solution]:
-    """The problem with the noise that was found, and its solution; in turns until the noise stays."""
+def far_from_drawing(machining: Machining, width: float) -> str:
+    """What is doubtful about an arm whose errors are so many times those of its machining."""
+    sizes = f"{machining.translation:g} mm and {np.degrees(machining.rotation):g} deg"
+    return f"the arm is farther from its drawing than [machining] says ({sizes}): taken {width:g} times as large"
+
+
+def _solved(problem: Problem, noise: Noise) -> tuple[Problem, Solution, float]:
+    """The problem with the noise that was found, its solution, and the width of the machining's sizes; in turns until
+    the noise stays."""
     given, linearized = noise.reliance == "given", _Linearizations(replace(problem, prior=None))
 
-    def solved(at: Array) -> tuple[Problem, Solution]:
-        scale = 1.0 if given else _likeliest(Linearized.of(problem, at, *linearized.at(at)), noise)
-        found = replace(problem, noise=scale)
-        return found, levenberg_marquardt(linearized.with_prior(found), at[None])
+    def solved(at: Array) -> tuple[Problem, Solution, float]:
+        scale, width = likeliest(Linearized.of(problem, at, *linearized.at(at)), noise, given)
+        found = replace(problem, noise=scale, prior=widened(problem, width))
+        return found, levenberg_marquardt(linearized.with_prior(found), at[None]), width
 
-    found, solution = solved(starts(problem)[0])
+    found, solution, width = solved(starts(problem)[0])
     for _ in range(0 if given else ROUNDS):
         before, steps = found.noise, solution.iterations
-        found, solution = solved(solution.parameters[0])
+        found, solution, width = solved(solution.parameters[0])
         solution = replace(solution, iterations=solution.iterations + steps)
         if abs(found.noise - before) <= STEADY * before:
             break
-    return found, solution
+    return found, solution, width
 
 
 @dataclass
@@ -118,13 +136,14 @@ class Linearized(NamedTuple):
     """A problem without its prior, linear about values x of its parameters, in as few rows as say the same.
 
     target : (N,) weighted residuals if all parameters with a prior were zero;  jacobian : (N, p)
-    equations : of the data;  deviations : (p,) of the prior, 0: none
+    equations : of the data;  deviations : (p,) of the prior, 0: none;  machined : (p,) those of the machining
     """
 
     target: Array
     jacobian: Array
     equations: int
     deviations: Array
+    machined: NDArray[np.bool_]
 
     @classmethod
     def of(cls, problem: Problem, x: Array, residual: Array, jacobian: Array) -> Linearized:
@@ -132,7 +151,8 @@ class Linearized(NamedTuple):
         deviations = problem.model.parameters.vector(problem.prior.deviations if problem.prior else {}, 0.0)
         target = residual + jacobian @ np.where(deviations > 0.0, x, 0.0)
         equations = problem.model.dimension * int(np.count_nonzero(problem.weights))
-        return cls(target, jacobian, equations, deviations)
+        machined = np.array([name in problem.model.prior for name in problem.model.names]) & (deviations > 0.0)
+        return cls(target, jacobian, equations, deviations, machined)
 
     @property
     def spare(self) -> int:
@@ -151,14 +171,33 @@ class Linearized(NamedTuple):
         return max(float(np.linalg.norm(left)) / np.sqrt(max(self.spare, 1)), 1e-12)
 
 
-def _likeliest(problem: Linearized, noise: Noise) -> float:
-    """The noise of the largest marginal likelihood, no less than a given one."""
-    unit = 1.0 if noise.sigma is not None else problem.scatter
+def likeliest(problem: Linearized, noise: Noise, given: bool) -> tuple[float, float]:
+    """Noise, no less than a given one, and width of the machining's sizes of the largest marginal likelihood.
+
+    given : the noise is the one given
+    """
+    known = noise.sigma is not None
+    unit = 1.0 if known or given else problem.scatter
     if problem.spare == 0:
-        return unit
-    effects = (problem.jacobian * problem.deviations)[:, problem.deviations > 0.0]
-    found = Restricted.of(problem.target, problem.free, effects, problem.spare)
-    return found.likeliest_noise(unit if noise.sigma is not None else unit / LARGEST, LARGEST * unit)
+        return unit, 1.0
+    found = {}
+    for width in WIDTHS if problem.machined.any() else WIDTHS[:1]:
+        sizes = problem.deviations * np.where(problem.machined, width, 1.0)
+        effects = (problem.jacobian * sizes)[:, sizes > 0.0]
+        likelihood = Restricted.of(problem.target, problem.free, effects, problem.spare)
+        scale = unit if given else likelihood.likeliest_noise(unit if known else unit / LARGEST, LARGEST * unit)
+        found[width] = likelihood.minus_log(scale), scale
+    width = min(found, key=lambda width: found[width][0])
+    width = width if found[1.0][0] - found[width][0] > CREDIBLE else 1.0
+    return found[width][1], width
+
+
+def widened(problem: Problem, width: float) -> Prior | None:
+    """The problem's prior with the sizes of the machining so many times as large."""
+    if problem.prior is None or width == 1.0:
+        return problem.prior
+    machined = problem.model.prior
+    return Prior({name: size * (width if name in machined else 1.0) for name, size in problem.prior.deviations.items()})
 
 
 @dataclass(frozen=True)

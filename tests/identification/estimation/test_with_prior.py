@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
@@ -10,7 +12,12 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
+from identification.estimation.checks import weighting
+from identification.estimation.prior import Prior
+from identification.estimation.problem import Problem
+from identification.estimation.with_prior import WIDTHS, Linearized, likeliest
 from identification.gap.library_prior import library_prior
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -99,3 +106,54 @@ def test_fewer_rows_than_parameters_are_enough() -> None:
     assert estimate_with_prior(MODEL, data, PRIOR).identifiable.all()
     with pytest.raises(InputError, match="fewer equations than unknowns: 2 m = 2 < p = 4"):
         estimate_with_prior(MODEL, measured(np.random.default_rng(4), 1, 0.1)[0], PRIOR)
+
+
+CHAIN = replace(
+    chain_of(
+        [DHRow(0.0, np.pi / 2, 300.0), DHRow(400.0, 0.0, 0.0), DHRow(80.0, np.pi / 2, 50.0), DHRow(60.0, 0.0, 90.0)]
+    ),
+    tools={"1": np.array([60.0, 20.0, 30.0])},
+    base=np.eye(4),
+)
+SPATIAL = Model(Arm.of_chain(CHAIN))
+
+
+def far_off(times: float, generator: np.random.Generator) -> tuple[Measurements, Measurements, Array]:
+    """30 rows of noise 0.05 mm, 200 without, and the parameters: so many times the machining's sizes."""
+    sizes = SPATIAL.parameters.vector(SPATIAL.prior, 0.0)
+    truth = times * sizes * generator.standard_normal(len(sizes))
+    fitted, fresh = (generator.uniform(-2.5, 2.5, (m, len(CHAIN))) for m in (30, 200))
+    positions = SPATIAL.position(fitted, truth)
+    data = Measurements(fitted, positions + 0.05 * generator.standard_normal(positions.shape))
+    return data, Measurements(fresh, SPATIAL.position(fresh, truth)), truth
+
+
+@pytest.mark.parametrize("times", [1.0, 10.0])
+def test_an_arm_far_from_its_drawing_is_fitted_as_well_as_one_near_it(times: float) -> None:
+    """The points are as near as the noise lets them be, whatever the sizes of the errors: with p parameters told of
+    N = 90 coordinates the expected error is sqrt(p / N) of the noise, below it."""
+    for seed in range(3):
+        data, fresh, _ = far_off(times, np.random.default_rng([31, seed]))
+        found = estimate(SPATIAL, data)
+        error = fresh.positions - found.model.position(fresh.postures, found.parameters)
+        assert np.sqrt(np.mean(error**2)) <= 2.0 * 0.05
+        assert any("farther from its drawing" in doubt for doubt in found.doubts) == (times > 1.0)
+
+
+def test_the_width_is_that_of_the_largest_marginal_likelihood() -> None:
+    """Of all rows' covariance at the nominal arm, with the noise given; what has no prior as good as infinite."""
+    data, *_ = far_off(6.0, np.random.default_rng(32))
+    zero = np.zeros(len(SPATIAL.names))
+    jacobian = SPATIAL.jacobian(data.postures, zero).reshape(-1, len(zero))
+    residual = jacobian @ (6.0 * SPATIAL.parameters.vector(SPATIAL.prior, 0.0) * np.sin(np.arange(len(zero)) + 1.0))
+    sizes = SPATIAL.parameters.vector(SPATIAL.prior, 0.0)
+
+    def minus_log(width: float) -> float:
+        spread = np.where(sizes > 0.0, width * sizes, 1e3 / SPATIAL.scales)
+        covariance = 0.05**2 * np.eye(len(residual)) + (jacobian * spread**2) @ jacobian.T
+        return float(np.linalg.slogdet(covariance)[1] + residual @ np.linalg.solve(covariance, residual))
+
+    problem = replace(Problem.of(SPATIAL, data, np.full(len(data), 0.05**-2)), prior=Prior(SPATIAL.prior))
+    linear = Linearized.of(problem, zero, residual / 0.05, jacobian / 0.05)
+    noise = weighting(SPATIAL, data, 0.05, None)
+    assert likeliest(linear, noise, given=True) == (1.0, min(WIDTHS, key=minus_log))
