@@ -173,19 +173,26 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     if arm.calibration is None and not any(spec.values for spec in arm.effects):
         raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
     check(Model(arm), measurements)
-    drawing = replace(arm, effects=(), calibration=None)
-    residuals, nominal = np.empty((2, *measurements.positions.shape))
-    refitted, free = [], 0
+    residuals, refitted, free = np.empty_like(measurements.positions), [], 0
     for rows in measurements.session_rows:
         session, conditions = measurements.rows(rows), conditions_of(arm, measurements, refit).rows(rows)
         values, residuals[rows], determined = _refitted(arm, session, conditions, refit)
-        nominal[rows] = _refitted(drawing, session, conditions, refit)[1]
         refitted.append(values)
         free += len(values) - determined
+    nominal = drawing_residuals(arm, measurements, refit)
     found = Validation(arm, measurements, refit, tuple(refitted), residuals, nominal)
     angles = found.rms_angles
     said = [f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"] if angles else []
     return replace(found, notes=(*said, *_notes(arm, measurements, free)))
+
+
+def drawing_residuals(arm: Arm, measurements: Measurements, refit: str = "base") -> Array:
+    """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, `refit` as for `validate`."""
+    drawing, residuals = replace(arm, effects=(), calibration=None), np.empty_like(measurements.positions)
+    for rows in measurements.session_rows:
+        conditions = conditions_of(arm, measurements, refit).rows(rows)
+        residuals[rows] = _refitted(drawing, measurements.rows(rows), conditions, refit)[1]
+    return residuals
 
 
 def check(model: Model, measurements: Measurements) -> None:

@@ -9,6 +9,7 @@ import click
 
 from doe.cli.common import Answer, Session, stopped_by, verb
 from doe.cli.options import FOLDER, force_option
+from doe.cli.typed import origin
 from identification.errors import InputError, JobError
 from identification.files.io import write_whole
 
@@ -32,7 +33,8 @@ def command(session: Session, spatial: bool, out: Path | None, force: bool) -> A
     try:
         with session.progress("demo") as progress:
             demo = run_demo(directory, six_axes() if spatial else planar(), session.seed, progress, force)
-            write_whole(directory / "report.html", demo_page(demo), force=True)
+            page = demo_page(demo, origin(session.seed, [directory / name for name in demo.files]))
+            write_whole(directory / "report.html", page, force=True)
             save(overview_figure(demo), directory / "overview.png", force=True)
     except KeyboardInterrupt as error:
         raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None

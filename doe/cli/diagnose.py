@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import click
 
 from doe.cli.common import Answer, Session, read_measurements, read_sessions, say, verb
 from doe.cli.options import FILE, FileOrShare, LibraryEffects, Output, output_options, prior_options
+from doe.cli.typed import origin
 from identification.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,8 +55,10 @@ def command(
     Several files DATA are sessions of one arm, as are the rows that a column session tells apart: each gets a base of
     its own, and each named effect is compared between them.
     """
-    from doe.report.gap_page import diagnosis_tables
+    from doe.report.gap_sections import gap_page
+    from doe.report.gap_tables import diagnosis_tables
     from identification.files.arm import load_arm
+    from identification.gap.curve import curves_text
     from identification.gap.diagnose import diagnose
     from identification.servo import with_servo_errors
 
@@ -70,7 +74,9 @@ def command(
     if found.confirmed is False:
         warnings.warn(f"not confirmed: {found.confirmation}", UserWarning, stacklevel=2)
     try:
-        answer.shown += write(found, arm, output, report, curves)
+        named = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
+        page = gap_page(found, measurements, origin(session.seed, named)) if report else ""
+        answer.shown += write(found, arm, output, {curves: curves_text(found.curves), report: page})
     except InputError as error:  # the diagnosis is shown all the same
         say(str(error))
         answer.exit_code = error.exit_code
@@ -91,12 +97,13 @@ def parts(
     return measurements, None if holdout is None else read_measurements(holdout, arm)
 
 
-def write(found: Diagnosis, arm: Path, output: Output, report: Path | None, curves: Path | None) -> list[str]:
-    """Writes the files that are asked for, all or none; the lines that say so."""
-    from doe.report.gap_page import gap_page
+def write(found: Diagnosis, arm: Path, output: Output, more: Mapping[Path | None, str]) -> list[str]:
+    """Writes the files that are asked for, all or none; the lines that say so.
+
+    more : report and curves, by their names; None: not asked for
+    """
     from identification.files.arm_text import urdf_beside, with_calibration, with_effects
     from identification.files.io import PathLike, read_text, write_together
-    from identification.gap.curve import curves_text
 
     files: dict[PathLike, str | bytes] = {}
     if output.out is not None and found.confirmed is False and not output.force:
@@ -105,9 +112,6 @@ def write(found: Diagnosis, arm: Path, output: Output, report: Path | None, curv
         extended = with_effects(read_text(arm), found.extended_arm().effects, arm.parent)
         files[output.out] = with_calibration(extended, found.calibration, arm.parent)
         files |= urdf_beside(arm, output.out)
-    if curves is not None:
-        files[curves] = curves_text(found.curves)
-    if report is not None:
-        files[report] = gap_page(found)
+    files |= {path: text for path, text in more.items() if path is not None}
     write_together(files, force=output.force)
     return [f"written: {path}" for path in files]

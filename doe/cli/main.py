@@ -23,6 +23,7 @@ from doe.cli import (
     identify,
     init,
     relax,
+    report,
     score,
     simulate,
     study,
@@ -30,6 +31,7 @@ from doe.cli import (
 )
 from doe.cli.common import no_output
 from doe.cli.jobs import one_thread_each
+from doe.cli.typed import WORDS
 from identification.errors import in_one_line, nearest
 
 
@@ -55,10 +57,13 @@ class Verbs(click.Group):
         """In the order in which they were added."""
         return list(self.commands)
 
-    def make_context(self, *args: Any, **options: Any) -> click.Context:
-        """As in click, with usage errors of one line."""
+    def make_context(self, info_name: str | None, args: list[str], *more: Any, **options: Any) -> click.Context:
+        """As in click, with usage errors of one line; the words typed are kept."""
+        words = tuple(args)
         with one_line_errors():
-            return super().make_context(*args, **options)
+            context = super().make_context(info_name, args, *more, **options)
+        context.meta[WORDS] = words
+        return context
 
     def invoke(self, ctx: click.Context) -> Any:
         """As in click, with usage errors of one line."""
@@ -116,6 +121,7 @@ VERBS = (
     discriminate,
     validate,
     compensate,
+    report,
     effects,
     help,
 )

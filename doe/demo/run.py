@@ -86,12 +86,12 @@ class Demo:
 
     def gap(self, found: Identification) -> float:
         """RMS distance [mm] between a fitted model and the fresh measurements."""
-        return rms_distance(self._predicted(found) - self.fresh.positions)
+        return rms_distance(self.predicted(found) - self.fresh.positions)
 
     @property
     def model_error(self) -> float:
         """RMS distance [mm] between the final model and the hidden arm, without noise, at the fresh postures."""
-        return rms_distance(self._predicted(self.extended) - self.scenario.real(self.fresh.postures))
+        return rms_distance(self.predicted(self.extended) - self.scenario.real(self.fresh.postures))
 
     @property
     def target_errors(self) -> tuple[float, float]:
@@ -112,7 +112,8 @@ class Demo:
             if self.scenario.every_parameter or any(row["name"].startswith(label) for label in effects)
         ]
 
-    def _predicted(self, found: Identification) -> Array:
+    def predicted(self, found: Identification) -> Array:
+        """(m, d) positions [mm] of a fitted model at the fresh postures."""
         return found.model.position(self.fresh.postures, found.parameters, self.fresh.conditions)
 
 

@@ -8,11 +8,22 @@ from typing import Any
 from rich.text import Text
 
 from doe.demo.run import Demo
-from doe.report.gap_page import as_table, candidate_sheet, gap_sections
-from doe.report.page import Section, Sheet, page
-from doe.report.pictures import certificate_figure, plan_figure, residual_figure
+from doe.report.gap_sections import gap_sections, places
+from doe.report.gap_tables import as_table, candidate_sheet
+from doe.report.origin import Origin, origin_section
+from doe.report.page import Action, Section, Sheet, page
+from doe.report.pictures import certificate_figure
+from doe.report.plan_steps import plan_section
+from doe.report.signed_residuals import Compared, signed_figures
 from doe.report.terminal import number, significant
+from doe.report.verdict import design_verdict, diagnosis_verdict
 from identification.gap.summary import findings, headline
+
+ACTIONS = (
+    Action("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
+    Action("Make a page of any of them:", "armcal report arm.toml plan.csv extended.toml fresh.csv --out page.html"),
+    Action("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
+)
 
 
 def gap_sheet(demo: Demo) -> Sheet:
@@ -98,7 +109,7 @@ def demo_tables(demo: Demo, directory: Path) -> list[Any]:
         Text(demo_summary(demo), style="bold"),
         as_table(gap_sheet(demo)),
         *map(Text, (headline(demo.diagnosis), *findings(demo.diagnosis))),
-        as_table(candidate_sheet(demo.diagnosis)),
+        as_table(candidate_sheet(demo.diagnosis.to_json())),
         as_table(parameter_sheet(demo), "Refitted with the named effect (sigma from the arm file)"),
         as_table(truth_sheet(demo)),
         Text(f"Files in {directory}: {', '.join(demo.files)}"),
@@ -106,34 +117,42 @@ def demo_tables(demo: Demo, directory: Path) -> list[Any]:
     ]
 
 
-def demo_page(demo: Demo) -> str:
+def demo_page(demo: Demo, origin: Origin) -> str:
     """report.html: plan, certificate, identification, gap, and what was hidden."""
-    sections = [*plan_sections(demo), *found_sections(demo)]
-    return page(f"armcal demo: {demo.scenario.title}", demo_summary(demo), sections)
+    verdict = [*diagnosis_verdict(demo.diagnosis.to_json()), demo_summary(demo)]
+    sections = [*found_sections(demo), *plan_sections(demo), origin_section(origin)]
+    return page(f"armcal demo: {demo.scenario.title}", verdict, sections, ACTIONS)
 
 
 def plan_sections(demo: Demo) -> list[Section]:
     """Where to measure, and how good that is."""
     within = " and the tracker's view" if demo.arm.constraints else ""
-    lead = f"{len(demo.design.plan)} postures chosen within the joint limits (grey){within}. {demo.design}"
+    lead = f"Chosen within the joint limits{within}. {design_verdict(demo.design.to_json())}"
     certificate = (
         "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
         "the largest d found at each angle of a joint; black points are the plan's postures."
     )
     postures, effort = demo.design.plan.postures, (4096, 61) if demo.arm.chain is None else (128, 25)
     return [
-        Section("The plan", lead, (), [plan_figure(demo.arm, postures)]),
+        plan_section(demo.arm, demo.design.plan, lead=lead),
         Section("The certificate", certificate, (), [certificate_figure(demo.problem, postures, *effort)]),
     ]
 
 
 def found_sections(demo: Demo) -> list[Section]:
     """What the measurements say, and whether it is true."""
-    identified = "From simulated measurements of an arm whose true errors the fit does not know."
+    identified = (
+        "From simulated measurements of an arm whose true errors the fit does not know. Below: the 200 fresh postures, "
+        "red without what was named, blue with it; each residual as the error of that joint which would explain most "
+        "of it; line: what the named effect does."
+    )
     hidden = "What was hidden, as the simulation has it: the fits and the commands saw the measurements only."
-    picture = residual_figure(demo.arm, demo.data.postures, demo.data.positions, *demo.residuals)
+    before, after = (demo.fresh.positions - demo.predicted(found) for found in (demo.base, demo.extended))
+    compared = Compared(
+        demo.extended.calibrated_arm(), demo.fresh.postures, before, after, notes=places(demo.diagnosis)
+    )
     return [
-        Section("Identification", identified, [gap_sheet(demo)], [picture]),
-        *gap_sections(demo.diagnosis),
+        Section("Identification", identified, [gap_sheet(demo)], signed_figures(compared)),
+        *gap_sections(demo.diagnosis, demo.base.rms_before),
         Section("Against the truth", hidden, [parameter_sheet(demo), truth_sheet(demo)]),
     ]

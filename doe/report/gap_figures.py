@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from doe.report.pictures import AFTER, BEFORE, LIMIT, draw_residual_arrows, to_scale, workspace_axes
+from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation.intervals import quantile_95
 from identification.gap.detectability import Detectability
@@ -62,14 +65,18 @@ def binned_rms(x: Array, distance: Array) -> tuple[Array, Array]:
 def workspace_figure(diagnosis: Diagnosis) -> Figure:
     """Residual arrows over the workspace, before and after, on one scale; without outlier rows."""
     shown, kept = diagnosis.residuals, rows_kept(diagnosis)
-    dimension = diagnosis.arm.dimension
+    pairs = ((shown.before[kept], "before"), (shown.after[kept], "after"))
+    return workspace_arrows(diagnosis.arm, shown.positions[kept], pairs)
+
+
+def workspace_arrows(arm: Arm, positions: Array, pairs: Sequence[tuple[Array, str]]) -> Figure:
+    """Residual arrows (m, d) of two models, with their names, at positions (m, d), on one scale."""
     figure = Figure(figsize=(10.0, 4.8), layout="constrained")
-    axes = workspace_axes(figure, dimension)
-    pairs = ((shown.before, BEFORE, "before"), (shown.after, AFTER, "after"))
-    for column, (residuals, color, name) in zip(axes, pairs, strict=True):
-        scale = 0.12 * diagnosis.arm.reach / (float(distances(shown.before[kept]).max()) or 1.0)
-        draw_residual_arrows(column, shown.positions[kept], residuals[kept], color, name, float(scale))
-    if dimension == 3:
+    axes = workspace_axes(figure, arm.dimension)
+    scale = 0.12 * arm.reach / (float(distances(pairs[0][0]).max()) or 1.0)
+    for column, (residuals, name), color in zip(axes, pairs, (BEFORE, AFTER), strict=True):
+        draw_residual_arrows(column, positions, residuals, color, name, float(scale))
+    if arm.dimension == 3:
         to_scale(figure, axes)
     return figure
 

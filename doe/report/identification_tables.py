@@ -9,6 +9,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from doe.report.page import Sheet
 from doe.report.terminal import NARROW, facts, number, significant, table
 from identification.compensate import Compensation
 from identification.estimation import Identification
@@ -45,13 +46,18 @@ def identification_tables(found: Identification, hidden: frozenset[str] = frozen
     return shown
 
 
-def corrected_table(rows: Sequence[CorrectedValue]) -> Table:
-    """What to type in: nominal and corrected values with their intervals, at most 80 columns wide."""
+def corrected_sheet(rows: Sequence[CorrectedValue]) -> Sheet:
+    """What to type in: nominal and corrected values with their intervals."""
     keys = ("nominal", "corrected", "std", "low_95", "high_95")
-    cells = ([row.name, *(_cell(getattr(row, key), row) for key in keys), row.unit] for row in rows)
-    headings = ("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit")
-    style = NARROW | {"padding": 0}  # 80 columns
-    return table(headings, cells, "Corrected values", left=("", "unit"), no_wrap=headings[1:], **style)
+    cells = [[row.name, *(_cell(getattr(row, key), row) for key in keys), row.unit] for row in rows]
+    return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells)
+
+
+def corrected_table(rows: Sequence[CorrectedValue]) -> Table:
+    """The same for a terminal, at most 80 columns wide."""
+    sheet, style = corrected_sheet(rows), NARROW | {"padding": 0}  # 80 columns
+    left, figures = ("", "unit"), sheet.headings[1:]
+    return table(sheet.headings, sheet.rows, "Corrected values", left=left, no_wrap=figures, **style)
 
 
 def _cell(value: float | None, row: CorrectedValue) -> str:

@@ -1,18 +1,30 @@
-"""One self-contained HTML page from sections of text, tables and pictures (jinja2; pictures as inline SVG)."""
+"""One self-contained HTML page: verdict, what to do next, sections of text, tables and pictures (jinja2, inline SVG).
+
+Everything that a user wrote is escaped by jinja2; the one script is known to the browser by its hash, so that no other
+could run; the page asks for nothing on the network.
+"""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from identification.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+NO_METADATA = ("Date", "Creator", "Format", "Type")
+NARROW = 430.0  # [pt] width of a figure that a phone shows as it is; others keep their size and are scrolled
+# colours of figures -> those of the page, light or dark
+COLORS = {"#000000": "var(--ink)", "#ffffff": "none", "#c44e52": "var(--before)", "#2a6f97": "var(--after)"}
 
 
 def check_picture(path: Path) -> None:
@@ -31,24 +43,60 @@ class Sheet:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page: what it says in one paragraph, then its tables and pictures."""
+    """A part of a page: what it says in one paragraph, then its tables and pictures.
+
+    steps : a plan to be stepped through (`doe.report.plan_steps`);  folded : closed until a reader opens it
+    """
 
     title: str
     lead: str
     sheets: Sequence[Sheet] = ()
     figures: Sequence[Figure] = ()
+    steps: Mapping[str, Any] | None = None
+    folded: bool = False
 
 
-def page(title: str, verdict: str, sections: Sequence[Section]) -> str:
-    """The page as text; it needs no other file and no network."""
+@dataclass(frozen=True)
+class Action:
+    """What to do next, in words, and the command for it where there is one."""
+
+    text: str
+    command: str = ""
+
+
+def page(
+    title: str,
+    verdict: str | Sequence[str],
+    sections: Sequence[Section],
+    actions: Sequence[Action] = (),
+    warnings: Sequence[str] = (),
+) -> str:
+    """The page as text; it needs no other file and no network.
+
+    verdict : sentences, the first of them in bold
+    """
     from jinja2 import Environment, PackageLoader
 
     environment = Environment(loader=PackageLoader("doe.report", "."), autoescape=True, trim_blocks=True)
-    drawn = [
-        {"title": s.title, "lead": s.lead, "sheets": s.sheets, "pictures": [svg(f) for f in s.figures]}
-        for s in sections
-    ]
-    return environment.get_template("page.html.j2").render(title=title, verdict=verdict, sections=drawn)
+    drawn = [vars(s) | {"pictures": [picture(f) for f in s.figures]} for s in sections]
+    style, script = (files("doe.report").joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
+    return environment.get_template("page.html.j2").render(
+        title=title,
+        verdict=[verdict] if isinstance(verdict, str) else verdict,
+        sections=drawn,
+        actions=actions,
+        warnings=warnings,
+        style=style,
+        script=script,
+        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+    )
+
+
+def picture(figure: Figure) -> dict[str, Any]:
+    """A figure as the page has it: SVG in the page's colours, and whether it is too wide for a phone."""
+    text = re.sub("|".join(COLORS), lambda found: COLORS[found[0]], svg(figure))
+    width = 72.0 * figure.get_figwidth()
+    return {"svg": text, "width": round(width), "wide": width > NARROW}
 
 
 def svg(figure: Figure) -> str:
@@ -57,7 +105,7 @@ def svg(figure: Figure) -> str:
 
     buffer = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": "armcal", "svg.fonttype": "path"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+        figure.savefig(buffer, format="svg", dpi=200, metadata=dict.fromkeys(NO_METADATA))
     text = buffer.getvalue()
     element = text[text.index("<svg") :]
     return re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", re.sub(r'width="[^"]*pt"', 'width="100%"', element, count=1))

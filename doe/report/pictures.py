@@ -11,11 +11,10 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.patches import Circle, Rectangle
 
 from doe.problem.problem import DesignProblem
 from doe.report.page import check_picture
-from doe.report.spatial_pictures import draw_spatial_plan
+from doe.report.spatial_pictures import FORBIDDEN, RING, SEEN, draw_spatial_plan
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.files.io import write_whole
@@ -90,27 +89,38 @@ def draw_arm(axes: Axes, arm: Arm, postures: Array) -> None:
 
 def draw_constraints(axes: Axes, arm: Arm) -> None:
     """Workspace boxes, keep-out circles and the tracker's cone."""
+    for line, color in planar_outlines(arm):
+        axes.plot(*line.T, color=color, lw=1, ls="--")
+        if color == FORBIDDEN:
+            axes.fill(*line.T, color=color, alpha=0.25, lw=0)
+    for constraint in arm.constraints:
+        if isinstance(constraint, LineOfSight):
+            axes.plot(*np.array([constraint.tracker]).T, "k^", ms=7)
+
+
+def planar_outlines(arm: Arm) -> list[tuple[Array, str]]:
+    """Lines (k, 2) and colors of what constrains an arm in a plane."""
+    found = []
     for constraint in arm.constraints:
         if isinstance(constraint, WorkspaceBox):
-            (x0, x1), (y0, y1) = constraint.x, constraint.y
-            axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=LIMIT, ls="--"))
+            corners = [(constraint.x[i], constraint.y[j]) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1), (0, 0))]
+            found.append((np.array(corners), SEEN))
         elif isinstance(constraint, KeepOutCircle):
-            axes.add_patch(
-                Circle((constraint.center[0], constraint.center[1]), constraint.radius, fc=BEFORE, alpha=0.25)
-            )
+            ring = np.column_stack([np.cos(RING), np.sin(RING)])
+            found.append((np.array(constraint.center) + constraint.radius * ring, FORBIDDEN))
         elif isinstance(constraint, LineOfSight):
-            _draw_cone(axes, constraint)
+            found.append((_sides(constraint), SEEN))
+    return found
 
 
-def _draw_cone(axes: Axes, sight: LineOfSight) -> None:
-    """The tracker, and the sides of what it sees."""
+def _sides(sight: LineOfSight) -> Array:
+    """(3, 2) the sides of what the tracker sees, itself between their ends."""
     tracker, toward = np.array(sight.tracker), np.array(sight.toward)
     axis = np.arctan2(*(toward - tracker)[::-1])
     length = float(np.hypot(*(toward - tracker))) * 1.3
-    for angle in (axis - sight.half_angle, axis + sight.half_angle):
-        end = tracker + length * np.array([np.cos(angle), np.sin(angle)])
-        axes.plot(*np.stack([tracker, end], axis=1), color=LIMIT, ls=":")
-    axes.plot(*tracker, "k^", ms=7)
+    one, other = (axis + sign * sight.half_angle for sign in (-1.0, 1.0))
+    ends = [tracker + length * np.array([np.cos(angle), np.sin(angle)]) for angle in (one, other)]
+    return np.stack([ends[0], tracker, ends[1]])
 
 
 def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4096, steps: int = 61) -> Figure:

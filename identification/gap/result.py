@@ -204,6 +204,7 @@ class Diagnosis:
             "confirmation": None if self.confirmation is None else self.confirmation.to_json(),
             "cross_validation": [test.to_json() for test in self.cross_validation],
             "misfit": None if self.misfit is None else self.misfit.to_json(),
+            "rows": len(self.residuals.before),
             "sigma_mm": self.sigma,
             "degrees_of_freedom": self.detectability.freedom,
             "trials": [vars(t) for t in self.trials],

@@ -149,7 +149,20 @@ def test_an_output_that_is_another_file_of_the_call(
 
 def test_every_file_of_a_verb_is_known_as_read_or_written() -> None:
     """The check above goes by names: an option that is new here belongs to one side."""
-    read = {"arm", "arms", "data", "model", "plan", "truth", "calibrated", "targets", "holdout", "keep", "candidates"}
+    read = {
+        "arm",
+        "arms",
+        "data",
+        "files",
+        "model",
+        "plan",
+        "truth",
+        "calibrated",
+        "targets",
+        "holdout",
+        "keep",
+        "candidates",
+    }
     for verb in main.commands.values():
         for parameter in verb.params:
             if isinstance(parameter.type, click.Path):

@@ -90,6 +90,7 @@ def test_verbs_that_write_files_are_all_there() -> None:
         "discriminate",
         "compensate",
         "validate",
+        "report",
     }
 
 

@@ -6,7 +6,7 @@ from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 
-from doe.report.gap_page import estimate_sheet, p_value
+from doe.report.gap_tables import estimate_sheet, p_value
 from doe.report.next_postures import missing_payload
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.gap.candidate import Candidate, Estimate
@@ -30,16 +30,16 @@ def test_the_number_of_periods_is_part_of_the_name_of_the_effect() -> None:
     one = candidate({f"{RIPPLE}[k=6]": six}, f"{RIPPLE}.a")
     assert (one.title, one.keys) == (f"{RIPPLE}[k=6]", (RIPPLE,))
     assert one.to_json()["settings"] == {f"{RIPPLE}.k": 6.0}
-    assert estimate_sheet(one).rows == [[f"{RIPPLE}[k=6].a", *figures]]
+    assert estimate_sheet(one.to_json()).rows == [[f"{RIPPLE}[k=6].a", *figures]]
 
     beside = candidate(play | {f"{RIPPLE}[k=6]": six}, "backlash:1.b", f"{RIPPLE}.a")
     assert beside.title == f"backlash:1 + {RIPPLE}[k=6]"
-    assert estimate_sheet(beside).rows == [["backlash:1.b", *figures], [f"{RIPPLE}[k=6].a", *figures]]
+    assert estimate_sheet(beside.to_json()).rows == [["backlash:1.b", *figures], [f"{RIPPLE}[k=6].a", *figures]]
 
     # two at one joint: parameters and settings carry the label, too
     two = candidate({f"{RIPPLE}[k=6]": six, f"{RIPPLE}[k=7]": seven}, f"{RIPPLE}[k=6].a", f"{RIPPLE}[k=7].a")
     assert two.to_json()["settings"] == {f"{RIPPLE}[k=6].k": 6.0, f"{RIPPLE}[k=7].k": 7.0}
-    assert estimate_sheet(two).rows == [[f"{RIPPLE}[k=6].a", *figures], [f"{RIPPLE}[k=7].a", *figures]]
+    assert estimate_sheet(two.to_json()).rows == [[f"{RIPPLE}[k=6].a", *figures], [f"{RIPPLE}[k=7].a", *figures]]
 
 
 def test_estimates_say_their_unit_and_small_probabilities_are_no_zero() -> None:

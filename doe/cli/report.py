@@ -1,0 +1,38 @@
+"""`armcal report`: one page of what the other commands wrote."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from doe.cli.common import Answer, Session, verb
+from doe.cli.options import FILE, force_option
+from doe.cli.typed import origin
+
+
+@verb("armcal report arm.toml calibrated.toml plan.csv data.csv other.csv diagnosis.json --out page.html", "One page.")
+@click.argument("files", type=FILE, nargs=-1, required=True)
+@click.option("--out", type=FILE, metavar="PAGE.html", required=True, help="Write the page.")
+@force_option
+def command(session: Session, files: tuple[Path, ...], out: Path, force: bool) -> Answer:
+    """Make one page of the FILES of a campaign, whichever there are.
+
+    Arm files (nominal, calibrated, extended), plans, measurements, and what design, score, identify, diagnose or
+    validate said with --json. The page has the verdict, what to do next, corrected values, errors with their sign, and
+    plans that can be stepped through and edited; it is one file that needs no network.
+    """
+    from doe.report.campaign_page import campaign_page
+    from doe.report.given_files import read_given
+    from doe.report.origin import hashes
+    from identification.files.io import write_whole
+
+    given = read_given(files)
+    text, campaign = campaign_page(given, origin(session.seed, files))
+    write_whole(out, text, force=force)
+    listed = [
+        {"file": name, "kind": given.kinds[name], "bytes": size, "sha256": digest}
+        for name, size, digest in hashes(files)
+    ]
+    data = {"page": out, "verdict": campaign.verdict, "files": listed}
+    return Answer(data, [*campaign.verdict, f"page written to {out}"])

@@ -1,0 +1,181 @@
+"""`armcal report`: one page of whatever files of a campaign are given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from doe.report.gap_figures import workspace_arrows
+from doe.report.gap_sections import corrected_section, curve_sections, further_sections, gap_section, missing_section
+from doe.report.given_files import Given
+from doe.report.origin import Origin, origin_section
+from doe.report.page import Action, Section, Sheet, page
+from doe.report.plan_steps import plan_section
+from doe.report.signed_residuals import Compared, signed_figures
+from doe.report.terminal import number
+from doe.report.verdict import (
+    calibrated_actions,
+    data_actions,
+    design_verdict,
+    diagnosis_actions,
+    diagnosis_verdict,
+    identification_verdict,
+    plan_actions,
+    validation_verdict,
+)
+from identification.arm import Arm
+from identification.errors import InputError
+from identification.estimation.corrected_values import CorrectedValue, corrected_values
+from identification.validate import Validation, validate
+
+FIGURES = ("rms_mm", "mean_mm", "p95_mm", "max_mm")
+PLACED = (
+    "Everything stays as it is in the file but for where the arm stands, which is fitted anew to each set of "
+    "measurements; so it is for the drawing."
+)
+SIGNED = (
+    "Measured less computed, as the error of that joint which would explain most of a row's residual. Red: {0}. "
+    "Blue: {1}. Line: the difference of the two models."
+)
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What is given, and what every calibrated arm leaves of every set of measurements."""
+
+    given: Given
+    tests: dict[str, dict[str, Validation]]  # measurements -> arm -> what it leaves
+
+    @classmethod
+    def of(cls, given: Given) -> Campaign:
+        """Compares models and measurements. Raises `InputError` where they do not fit each other."""
+        found = cls(given, {})
+        for name in sorted(given.measurements if given.calibrated else (), key=found.fitted_to):
+            rows = given.measurements[name]
+            found.tests[name] = {model: validate(arm, rows) for model, arm in given.calibrated.items()}
+        return found
+
+    def fitted_to(self, rows: str) -> bool:
+        """Whether a model was fitted to these measurements."""
+        digests = {arm.calibration.provenance.get("sha256") for arm in self.given.arms.values() if arm.calibration}
+        return self.given.measurements[rows].provenance.get("sha256") in digests - {None}
+
+    @property
+    def verdict(self) -> list[str]:
+        """In words, the most that is known first."""
+        found = [sentence for data in self.said("diagnose") for sentence in diagnosis_verdict(data)]
+        for rows, tests in self.tests.items():
+            model, test = list(tests.items())[-1]
+            found.append(validation_verdict(test.to_json(), model, rows, self.fitted_to(rows)))
+        found += [] if self.tests else [validation_verdict(data) for data in self.said("validate")]
+        found += [identification_verdict(data) for data in self.said("identify")]
+        found += [design_verdict(data) for data in self.said("design")]
+        plans = {} if self.said("design") else self.given.plans
+        found += [f"The plan {name} has {len(plan)} runs." for name, (plan, _) in plans.items()]
+        return found or [f"{name}: {kind}." for name, kind in self.given.kinds.items()]
+
+    def said(self, command: str) -> list[Any]:
+        """The JSON objects of a command."""
+        return list(self.given.said[command].values())
+
+    @property
+    def actions(self) -> list[Action]:
+        """What to do next, from the farthest step that was reached."""
+        given = self.given
+        arm = next((name for name, one in given.arms.items() if one.calibration is None), None)
+        names = {"arm": arm or next(iter(given.arms), "arm.toml"), "rows": next(iter(given.measurements), "data.csv")}
+        if diagnoses := self.said("diagnose"):
+            return diagnosis_actions(diagnoses[-1], **names)
+        if given.calibrated or self.said("identify") or self.said("validate"):
+            return calibrated_actions(**names, calibrated=list(given.calibrated or ["calibrated.toml"])[-1])
+        if given.measurements:
+            return data_actions(**names)
+        return plan_actions(names["arm"], next(iter(given.plans), "plan.csv"))
+
+    @property
+    def sections(self) -> list[Section]:
+        """The parts of the page."""
+        diagnoses = self.said("diagnose")
+        found = [part for data in diagnoses for part in (missing_section(data), gap_section(data))]
+        found += [part for data in diagnoses for part in curve_sections(data)]
+        found += [*self.corrected(), *(self.test_section(rows) for rows in self.tests)]
+        found += [part for name in self.given.plans for part in self.plan(name)]
+        found += [_blocks(data) for data in self.said("validate")]
+        return found + [part for data in diagnoses for part in further_sections(data)]
+
+    def corrected(self) -> list[Section]:
+        """Nominal and corrected values of the last calibrated arm, or as `identify` said them."""
+        for name, arm in reversed(self.given.calibrated.items()):
+            return [corrected_section(corrected_values(arm), arm.chain is not None, name)]
+        return [
+            corrected_section([CorrectedValue(**row) for row in data["corrected_values"]], "geometry" in data, name)
+            for name, data in self.given.said["identify"].items()
+        ]
+
+    def test_section(self, rows: str) -> Section:
+        """The error of every model on some measurements, and its sign against each joint."""
+        tests, measured = self.tests[rows], self.given.measurements[rows]
+        last = list(tests.values())[-1]
+        names = ["drawing", *tests]
+        figures = [vars(last.nominal).values(), *(vars(test.model).values() for test in tests.values())]
+        cells = [[name, *map(number, values)] for name, values in zip(names, figures, strict=True)]
+        other = None if len(tests) == 1 else list(tests.values())[-2]
+        before, pair = last.nominal_residuals if other is None else other.residuals, (names[-2], names[-1])
+        notes = new_effects(last.arm, None if other is None else other.arm)
+        compared = Compared(last.arm, measured.postures, before, last.residuals, measured.conditions, notes=notes)
+        used = (
+            "A model was fitted to these rows." if self.fitted_to(rows) else "No model given here was fitted to them."
+        )
+        return Section(
+            f"Error on {rows}",
+            f"{len(measured)} rows. {used} {PLACED} {SIGNED.format(*pair)}",
+            [Sheet(["distance [mm]", "RMS", "mean", "95 % below", "largest"], cells)],
+            [
+                workspace_arrows(last.arm, measured.positions, ((before, pair[0]), (last.residuals, pair[1]))),
+                *signed_figures(compared),
+            ],
+        )
+
+    def plan(self, name: str) -> list[Section]:
+        """A plan to step through, by the first arm."""
+        plan, table = self.given.plans[name]
+        return [plan_section(next(iter(self.given.arms.values())), plan, table, name)]
+
+
+def new_effects(arm: Arm, before: Arm | None) -> dict[int, str]:
+    """Joint -> effects that a model has there and the one before had not; nothing against the drawing."""
+    known = {spec.key for spec in before.effects} if before else {spec.key for spec in arm.effects}
+    found: dict[int, list[str]] = {}
+    for spec in arm.effects:
+        if spec.joint is not None and spec.key not in known:
+            found.setdefault(spec.joint, []).append(spec.key)
+    return {joint: "\n".join(keys) for joint, keys in found.items()}
+
+
+def _blocks(data: Any) -> Section:
+    """What `validate` said, block by block."""
+    rows = [["all", "", str(data["rows"]), number(data["rms_nominal_mm"]), *(number(data[key]) for key in FIGURES)]]
+    rows += [
+        [b["kind"], b["name"], str(b["rows"]), number(b["rms_nominal_mm"]), *(number(b[key]) for key in FIGURES)]
+        for b in data["blocks"]
+    ]
+    headings = ["block", "which", "rows", "RMS drawing", "RMS", "mean", "95 % below", "largest"]
+    return Section("Validation, block by block", "Distances in mm.", [Sheet(headings, rows)], folded=True)
+
+
+def campaign_page(given: Given, origin: Origin) -> tuple[str, Campaign]:
+    """The page and what is on it. Raises `InputError` for JSON that lacks what its command says."""
+    campaign = Campaign.of(given)
+    arms = [arm.name for arm in given.arms.values() if arm.name]
+    title = f"Calibration report: {arms[0]}" if arms else "Calibration report"
+    doubtful = (*campaign.said("diagnose"), *campaign.said("identify"))
+    try:
+        warnings = [text for data in doubtful for text in data["warnings"]]
+        sections = [*campaign.sections, origin_section(origin)]
+        return page(title, campaign.verdict, sections, campaign.actions, warnings), campaign
+    except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
+        names = ", ".join(name for said in given.said.values() for name in said)
+        if not names:
+            raise
+        found = f"{type(error).__name__} {error}"
+        raise InputError(f"{names}: not as the command writes it ({found}), allowed: the whole of its JSON") from error

@@ -1,0 +1,203 @@
+"""A diagnosis as sections of a page; what needs no rows can be made from its JSON object alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from doe.report.gap_tables import (
+    Data,
+    alias_sheet,
+    candidate_sheet,
+    curve_sheet,
+    estimate_sheets,
+    excluded_sheet,
+    gap_sheet,
+    probability_sheet,
+    replication_sheet,
+    tests_of,
+    trial_sheet,
+)
+from doe.report.identification_tables import conventions, corrected_sheet
+from doe.report.origin import Origin, origin_section
+from doe.report.page import Section, Sheet, page
+from doe.report.terminal import number
+from doe.report.verdict import diagnosis_actions, diagnosis_verdict
+from identification.estimation.corrected_values import CorrectedValue, corrected_values
+from identification.gap.noise import Finding
+from identification.gap.result import Diagnosis
+from identification.measurements import Measurements, rms_distance
+from identification.validate import drawing_residuals
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SIGNED = (
+    "Each row's residual, measured less computed, as the error of that joint which would explain most of it. Red: the "
+    "model without what is named. Blue: with it. Line: the difference of the two models, which is what the named "
+    "effects do. A wave or a slope in the red points that is gone in the blue ones is explained."
+)
+
+
+def missing_section(data: Data) -> Section:
+    """What is named, with its values."""
+    if not data["effects"]:
+        return Section("What is missing", f"{data['sentence'][:1].upper()}{data['sentence'][1:]}.")
+    several = "Every explanation within 6 BIC units of the best one." if len(data["candidates"]) > 1 else ""
+    text = f"{data['sentence'][:1].upper()}{data['sentence'][1:]}. {several}"
+    return Section("What is missing", text, [candidate_sheet(data), *(sheet for _, sheet in estimate_sheets(data))])
+
+
+def gap_section(data: Data, figures: Sequence[Figure] = (), nominal: float | None = None) -> Section:
+    """How far model and measurements are apart, before and after.
+
+    nominal : RMS distance of the drawing [mm]
+    """
+    drawn = (
+        ""
+        if nominal is None
+        else f" The drawing, placed as well as it can be, leaves {number(nominal)} mm of the data."
+    )
+    return Section("The gap, before and after", gap_text(data) + drawn, [gap_sheet(data)], figures)
+
+
+def gap_text(data: Data) -> str:
+    """What the figures of the gap mean, and what the rows say that no fit has seen."""
+    known = {"repeats": "repeats", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}
+    floor = data["gap"]["noise_floor_mm"]
+    noise = "the noise, which is not known" if floor is None else f"the noise floor {number(floor)} mm"
+    source = "" if floor is None else f", from {known[data['gap']['noise_floor_from']]}"
+    text = [
+        "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: "
+        f"{noise}{source}; on rows that no fit has seen: what the named model predicts. A smaller gap alone does not "
+        "prove a name.",
+        *(said(test) for test in tests_of(data) if test["confirmed"] is not None),
+        *(f"Scatter: {Finding(f['finding'], f['p'], f['size'])}." for f in data["scatter"]),
+    ]
+    if rows := data["outlier_rows"]:
+        text.append(f"Rows left out as outliers: {', '.join(map(str, rows))}.")
+    return " ".join(text)
+
+
+def said(test: Data) -> str:
+    """Whether the named model holds in rows that were not used for the fits, in a sentence."""
+    where = f"{test['transfer']} ({test['rows']} rows in {test['groups']} independent groups)"
+    if test["confirmed"]:
+        perhaps = "" if test["as_predicted"] else ": the gap shrinks, perhaps not to the prediction"
+        return f"The model holds for {where}{perhaps}."
+    shrinks = ["the gap does not shrink"] if test["shrinks"] is False else []
+    exceeds = ["the gap exceeds the prediction"] if test["as_predicted"] is False else []
+    return f"The model does not hold for {where}: {' and '.join(shrinks + exceeds)}."
+
+
+def further_sections(data: Data, figures: Sequence[Figure] = ()) -> list[Section]:
+    """What was tried, and what these postures can show: for those who open it."""
+    notes = " ".join(f"{note[:1].upper()}{note[1:]}." for note in data["notes"])
+    sizes = "Sizes of effects that would have been found, and effects that are hard to distinguish."
+    return [
+        Section(
+            "Everything that was tried",
+            "How likely each explanation is, and the strongest effects one at a time against the base model.",
+            [probability_sheet(data), trial_sheet(data)],
+            folded=True,
+        ),
+        Section(
+            "What these postures can and cannot show",
+            f"{sizes} {notes}",
+            [excluded_sheet(data), alias_sheet(data)],
+            figures,
+            folded=True,
+        ),
+    ]
+
+
+def curve_sections(data: Data, figures: Sequence[Figure] = ()) -> list[Section]:
+    """The part about error curves of joints, where there are any."""
+    if not data["curves"]:
+        return []
+    text = (
+        "Real less commanded angle over the angles measured, with a 95 % band; zero outside. Dots: what groups of rows "
+        "say, with everything else in the model."
+    )
+    plain = curve_sheet(data)
+    rows = [[*row, curve["shape"]] for row, curve in zip(plain.rows, data["curves"], strict=True)]
+    return [Section("Error curves of joints", text, [Sheet([*plain.headings, "shape"], rows)], figures)]
+
+
+def sessions_section(diagnosis: Diagnosis) -> list[Section]:
+    """What each named effect is in each session, where there are several."""
+    lead = (
+        "Every session has a base of its own, everything else is shared. Fitted there: the effect's values from this "
+        "session alone. Explained: the share of the session's squares that the values of the other sessions explain, "
+        "with only the base of this one adapted. An effect replicates where that is more than chance."
+    )
+    return [Section("Across sessions", lead, [replication_sheet(diagnosis)])] if diagnosis.replication else []
+
+
+def signed_section(diagnosis: Diagnosis) -> Section:
+    """Residuals of the data with their sign, against each joint."""
+    from doe.report.gap_figures import rows_kept
+    from doe.report.signed_residuals import Compared, signed_figures
+
+    shown, kept = diagnosis.residuals, rows_kept(diagnosis)
+    postures = np.column_stack([values for name, values in shown.against.items() if name.startswith("joint ")])
+    postures, before, after = (values[kept] for values in (postures, shown.before, shown.after))
+    figures = signed_figures(Compared(diagnosis.arm, postures, before, after, notes=places(diagnosis)))
+    return Section("Signed error against each joint", SIGNED, figures=figures)
+
+
+def places(diagnosis: Diagnosis) -> dict[int, str]:
+    """Joint -> what is named there."""
+    found: dict[int, list[str]] = {}
+    for label, spec in zip(diagnosis.effects, diagnosis.named.specs, strict=True):
+        if spec.joint is not None:
+            found.setdefault(spec.joint, []).append(label)
+    return {joint: "\n".join(labels) for joint, labels in found.items()}
+
+
+def corrected_section(rows: Sequence[CorrectedValue], spatial: bool, name: str = "") -> Section:
+    """What to type in.
+
+    name : of the file that has it
+    """
+    text = " ".join([*([f"As in {name}."] if name else []), *conventions(rows, spatial)])
+    return Section("Corrected values", text, [corrected_sheet(rows)])
+
+
+def gap_sections(diagnosis: Diagnosis, nominal: float | None = None) -> Sequence[Section]:
+    """The parts of the page that show a diagnosis.
+
+    nominal : RMS distance of the drawing [mm]
+    """
+    # deferred: tables need no pictures, and matplotlib takes longer to load than a small diagnosis
+    from doe.report.gap_figures import against_figure, alias_figure, curves_figure, workspace_figure
+
+    data, arm = diagnosis.to_json(), diagnosis.extended_arm()
+    fitted, freedom = diagnosis.named.calibration, min(diagnosis.named.freedom, default=np.inf)
+    rows = corrected_values(arm, fitted, [freedom] * len(fitted.parameter_names))
+    distances = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
+    return [
+        missing_section(data),
+        *sessions_section(diagnosis),
+        gap_section(data, [workspace_figure(diagnosis)], nominal),
+        corrected_section(rows, arm.chain is not None),
+        signed_section(diagnosis),
+        *curve_sections(data, [curves_figure(diagnosis)] if diagnosis.curves else ()),
+        Section("Against time and torque", distances, figures=[against_figure(diagnosis)], folded=True),
+        *further_sections(data, [alias_figure(diagnosis.detectability)]),
+    ]
+
+
+def gap_page(diagnosis: Diagnosis, measurements: Measurements | None = None, origin: Origin | None = None) -> str:
+    """The page of `armcal diagnose --report`.
+
+    measurements : that were diagnosed, to see what the drawing leaves of them;  origin : of the page
+    """
+    data = diagnosis.to_json()
+    nominal = None if measurements is None else rms_distance(drawing_residuals(diagnosis.arm, measurements))
+    sections = [*gap_sections(diagnosis, nominal), *([] if origin is None else [origin_section(origin)])]
+    names = [] if origin is None else [str(path) for path in origin.files[:2]]
+    title = f"Gap report: {diagnosis.arm.name or 'arm'}"
+    return page(title, diagnosis_verdict(data), sections, diagnosis_actions(data, *names), data["warnings"])

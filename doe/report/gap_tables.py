@@ -1,0 +1,182 @@
+"""A diagnosis as tables, for a terminal and for pages: from its JSON object, as `armcal diagnose --json` gives it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from doe.report.page import Sheet
+from doe.report.terminal import number, significant, table
+from identification.gap.detectability import Size
+from identification.gap.result import Diagnosis
+from identification.gap.summary import findings, headline
+
+MOST_TRIALS = 12
+LEFT = ("unit", "change")  # columns of words
+ANSWERS = {True: "yes", False: "no", None: "too few rows"}
+
+
+Data = Mapping[str, Any]  # what `armcal diagnose --json` says
+
+
+def candidate_sheet(data: Data) -> Sheet:
+    """The ambiguity set, or what is named beside an unknown effect: how likely, and the tests."""
+    rows = [
+        [
+            " +\n".join(c["effects"]),
+            share(c["probability"]),
+            *(f"{c[k]:.1f}" for k in ("delta_bic", "f")),
+            p_value(c["p_adjusted"]),
+        ]
+        for c in _explanations(data)
+    ]
+    return Sheet(["effects", "probability", "Delta BIC", "F", "adjusted p"], rows)
+
+
+def _explanations(data: Data) -> list[Data]:
+    return list(data["candidates"]) or [data["named"]]
+
+
+def estimate_sheet(candidate: Data) -> Sheet:
+    """The parameters of its effects with 95 % intervals, named with their settings."""
+    labels = {key: label for label in candidate["effects"] for key in (label.partition("[")[0], label)}
+    rows = []
+    for found in candidate["parameters"]:
+        owner, _, short = found["name"].rpartition(".")
+        figures = (significant(found[key], found["std"]) for key in ("value", "low_95", "high_95"))
+        unit = "" if found["unit"] == "1" else found["unit"]
+        rows.append([f"{labels.get(owner, owner)}.{short}", *figures, unit])
+    return Sheet(["parameter", "value", "low 95 %", "high 95 %", "unit"], rows)
+
+
+def estimate_sheets(data: Data) -> list[tuple[str, Sheet]]:
+    """Title and table of estimates of each candidate."""
+    several = len(data["candidates"]) > 1
+    found = [(" + ".join(c["effects"]), estimate_sheet(c)) for c in _explanations(data)]
+    return [(f"Estimates: {title}" if several else "Estimates", sheet) for title, sheet in found if sheet.rows]
+
+
+def share(p: float | None) -> str:
+    """`0.93`; a probability that is not zero is shown as none."""
+    return "< 0.01" if p is not None and 0.0 < p < 0.005 else number(p, 2)
+
+
+def p_value(p: float) -> str:
+    """`0.012`; a probability below all numbers is no zero."""
+    return f"{p:.2g}" if p > 0.0 else "< 1e-300"
+
+
+def probability_sheet(data: Data) -> Sheet:
+    """Every explanation that is not unlikely, with those that are no candidates."""
+    other = {f"unknown: {' + '.join(found['effects'])}": found["probability"] for found in data["other_sets"]}
+    credible = set(data["credible_set"])
+    rows = [
+        [name, share(p), "yes" if name.removeprefix("unknown: ") in credible else ""]
+        for name, p in (data["probabilities"] | other).items()
+    ]
+    return Sheet(["explanation", "probability", "in the 90 % set"], rows)
+
+
+def tests_of(data: Data) -> list[Data]:
+    """What rows that were not used for the fits say: the hold-out, and cross-validation."""
+    return ([data["confirmation"]] if data["confirmation"] else []) + list(data["cross_validation"])
+
+
+def gap_sheet(data: Data) -> Sheet:
+    """RMS distances before and after, on the data and on rows that no fit has seen, and whether it holds there."""
+    gap, rows = data["gap"], data.get("rows")
+    own = (number(gap[key]) for key in ("rms_before_mm", "rms_after_mm", "noise_floor_mm"))
+    shown = [["the data", "" if rows is None else str(rows), *own, ""]]
+    for test in tests_of(data):
+        kind = "held out" if test["by"] == "holdout" else "cross-validated"
+        figures = (number(test[key]) for key in ("before_mm", "after_mm", "predicted_mm"))
+        shown.append([f"{kind}: {test['transfer']}", str(test["rows"]), *figures, ANSWERS[test["confirmed"]]])
+    return Sheet(["RMS distance [mm]", "rows", "before", "after", "expected", "holds"], shown)
+
+
+def trial_sheet(data: Data) -> Sheet:
+    """The strongest effects, one at a time against the base model."""
+    rows = [
+        [t["effect"], f"{t['f']:.1f}", p_value(t["p_adjusted"]), f"{t['delta_bic']:.1f}"]
+        for t in data["trials"][:MOST_TRIALS]
+    ]
+    return Sheet(["effect alone", "F", "adjusted p", "change of BIC"], rows)
+
+
+def excluded_sheet(data: Data) -> Sheet:
+    """The smallest size of every effect that these data would have shown with 90 % probability."""
+    rows = [[name, str(Size(**size))] for name, size in data["excluded"].items()]
+    return Sheet(["effect", "smallest detectable size (90 % power)"], rows)
+
+
+def alias_sheet(data: Data) -> Sheet:
+    """What looks like what on these postures."""
+    rows = [[pair["effect"], pair["like"], f"{pair['likeness']:.3f}"] for pair in data["aliases"]]
+    return Sheet(["effect", "looks like", "likeness"], rows)
+
+
+def curve_sheet(data: Data) -> Sheet:
+    """The error curves: over which angles, how large, and how sure."""
+    rows = [
+        [f"joint_error_curve:{c['joint']}", f"{c['angle_deg'][0]:.0f} to {c['angle_deg'][-1]:.0f}"]
+        + [f"{np.sqrt(np.mean(np.square(c[key]))):.2g}" for key in ("error_deg", "std_deg")]
+        for c in data["curves"]
+    ]
+    return Sheet(["curve", "angles [deg]", "RMS [deg]", "std [deg]"], rows)
+
+
+def round_sheet(diagnosis: Diagnosis) -> Sheet:
+    """What each round of naming added (+) and took back (-), and the gap that it left."""
+    changes = ([*(f"+ {n}" for n in one.added), *(f"- {n}" for n in one.removed)] for one in diagnosis.rounds)
+    rows = zip(changes, diagnosis.rounds, strict=True)
+    shown = [[str(k), "\n".join(change), number(one.rms)] for k, (change, one) in enumerate(rows, start=1)]
+    return Sheet(["round", "change", "left [mm]"], shown)
+
+
+def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
+    """Verdict first, then the gap, candidates, and what else a person should know."""
+    data, lines = diagnosis.to_json(), [*findings(diagnosis), *diagnosis.warnings]
+    shown: list[Any] = [Text(headline(diagnosis), style="bold"), *map(Text, lines), as_table(gap_sheet(data))]
+    shown.append(Text(f"expected: {diagnosis.gap.floor} on the data; elsewhere what the model predicts"))
+    shown += [Text(str(test)) for test in diagnosis.tests if test.confirmed is False]
+    shown += effect_tables(diagnosis, data) if diagnosis.effects else [as_table(excluded_sheet(data))]
+    shown.append(Text(diagnosis.likely))
+    if len(diagnosis.rounds) > 1:
+        shown.append(as_table(round_sheet(diagnosis), "Named in rounds"))
+    shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
+    if diagnosis.outlier_rows:
+        shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
+    if diagnosis.replication:
+        shown.append(as_table(replication_sheet(diagnosis), "Sessions"))
+    return [*shown, *(Text(f"note: {note}") for note in diagnosis.notes)]
+
+
+def effect_tables(diagnosis: Diagnosis, data: Data) -> list[Any]:
+    """What is named: the tests, the estimates, the curves."""
+    shown: list[Any] = [as_table(candidate_sheet(data))]
+    shown += [as_table(sheet, title) for title, sheet in estimate_sheets(data)]
+    shown.append(Text(f"95 % intervals: {diagnosis.named.reliance}"))
+    if diagnosis.curves:
+        shown.append(as_table(curve_sheet(data), "Error curves"))
+        shown += [Text(f"joint {curve.joint}: {curve.shape}") for curve in diagnosis.curves]
+    return shown
+
+
+def replication_sheet(diagnosis: Diagnosis) -> Sheet:
+    """Each named effect in each session, and whether the values of the other sessions hold there."""
+    words = {True: "yes", False: "no", None: "open"}
+    rows = [
+        [effect.effect, there.session, effect.figures(there), f"{100.0 * there.explained:.1f} %", words[there.returns]]
+        for effect in diagnosis.replication
+        for there in effect.sessions
+    ]
+    return Sheet(("effect", "session", "fitted there", "explained by the others' values", "replicates"), rows)
+
+
+def as_table(sheet: Sheet, title: str | None = None) -> Table:
+    """The same sheet for a terminal."""
+    return table(sheet.headings, sheet.rows, title, left=[sheet.headings[0], *LEFT])

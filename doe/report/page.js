@@ -1,0 +1,260 @@
+"use strict";
+// A plan that is stepped through, reordered and cut, with log det M' of what is left. Text is never read as markup.
+
+function element(name, parent, text = "", attributes = {}) {
+  const found = document.createElement(name);
+  found.textContent = text;
+  for (const [key, value] of Object.entries(attributes)) found.setAttribute(key, value);
+  parent.append(found);
+  return found;
+}
+
+function shape(name, parent, attributes) {
+  const found = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) found.setAttribute(key, value);
+  parent.append(found);
+  return found;
+}
+
+// p x p, its lower half: sum of B^T B over runs plus what is known beforehand
+function information(plan, runs) {
+  const total = plan.known.map((value, i) => {
+    const row = new Float64Array(plan.parameters);
+    row[i] = value;
+    return row;
+  });
+  for (const run of runs) add(total, plan.jacobians[run], 1);
+  return total;
+}
+
+// adds a run's B^T B, or with -1 takes it away
+function add(total, jacobian, sign) {
+  const p = total.length;
+  for (let start = 0; start < jacobian.length; start += p)
+    for (let i = 0; i < p; i++)
+      for (let k = 0; k <= i; k++) total[i][k] += sign * jacobian[start + i] * jacobian[start + k];
+  return total;
+}
+
+// log det of a symmetric matrix by Cholesky, of which the lower half is read and overwritten; -Infinity: singular
+function logDet(matrix) {
+  const largest = matrix.map((row, i) => row[i]);
+  let sum = 0;
+  for (let i = 0; i < matrix.length; i++) {
+    for (let k = 0; k <= i; k++) {
+      let value = matrix[i][k];
+      for (let l = 0; l < k; l++) value -= matrix[i][l] * matrix[k][l];
+      if (k < i) matrix[i][k] = value / matrix[k][k];
+      else if (value <= 1e-13 * largest[i]) return -Infinity;
+      else { matrix[i][i] = Math.sqrt(value); sum += Math.log(value); }
+    }
+  }
+  return sum;
+}
+
+class Steps {
+  constructor(place, plan) {
+    this.plan = plan;
+    this.turn = 30;
+    this.whole = logDet(information(plan, plan.rows.keys()));
+    [this.left, this.right] = [element("div", place), element("div", place)];
+    this.runs = element("div", place, "", { class: "runs scroll", tabindex: "0", role: "group", "aria-label": "Runs" });
+    this.reset();
+    this.build();
+    this.show();
+  }
+
+  reset() {
+    this.order = [...this.plan.rows.keys()];
+    this.struck = new Set();
+    this.at = 0;
+  }
+
+  get kept() { return this.order.filter(run => !this.struck.has(run)); }
+
+  build() {
+    const names = { role: "img", "aria-label": "The arm at the postures of the plan" };
+    this.picture = shape("svg", this.left, { viewBox: "0 0 400 320", ...names });
+    const buttons = element("div", this.left, "", { class: "buttons" });
+    this.button(buttons, "◀ Back", () => this.step(-1));
+    this.button(buttons, "Step ▶", () => this.step(1));
+    this.where = element("span", buttons);
+    if (this.plan.points[0][0].length === 3) {
+      const label = element("label", buttons, "Turn the view ");
+      const slider = element("input", label, "", { type: "range", min: 0, max: 360, value: this.turn });
+      slider.addEventListener("input", () => { this.turn = Number(slider.value); this.draw(); });
+    }
+    this.figures = element("dl", this.right, "", { "aria-live": "polite" });
+    const more = element("div", this.right, "", { class: "buttons" });
+    this.button(more, "Download the edited plan (CSV)", () => this.download());
+    this.button(more, "Undo all", () => { this.reset(); this.show(); });
+    this.runs.addEventListener("keydown", event => this.key(event));
+    const table = element("table", this.runs), row = element("tr", element("thead", table));
+    for (const name of ["place", "run", ...this.plan.joints, "without it", ""]) element("th", row, name, { scope: "col" });
+    this.body = element("tbody", table);
+  }
+
+  button(parent, text, action, label = text) {
+    const found = element("button", parent, text, { type: "button", "aria-label": label });
+    found.addEventListener("click", action);
+    return found;
+  }
+
+  key(event) {
+    const move = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+    if (event.target.tagName === "BUTTON" && !move) return;
+    if (move && event.altKey) this.move(this.at, move);
+    else if (move) this.step(move);
+    else if (event.key === "Delete") this.strike(this.order[this.at]);
+    else return;
+    event.preventDefault();
+  }
+
+  step(by) {
+    this.at = Math.min(Math.max(this.at + by, 0), this.order.length - 1);
+    this.show();
+  }
+
+  move(place, by) {
+    const to = place + by;
+    if (to < 0 || to >= this.order.length) return;
+    [this.order[place], this.order[to]] = [this.order[to], this.order[place]];
+    this.at = to;
+    this.show();
+  }
+
+  strike(run) {
+    if (!this.struck.delete(run)) this.struck.add(run);
+    this.at = this.order.indexOf(run);
+    this.show();
+  }
+
+  // share of the whole plan's information that is left: (det / det of the whole)^(1/p)
+  efficiency(matrix) { return Math.exp((logDet(matrix) - this.whole) / this.plan.parameters); }
+
+  show() {
+    const focus = document.activeElement && document.activeElement.dataset.name;
+    this.draw();
+    this.list();
+    this.summary();
+    const again = focus && this.body.querySelector(`[data-name="${focus}"]`);
+    if (again) again.focus();
+    const top = this.body.children[this.at].offsetTop, box = this.runs;
+    if (top < box.scrollTop + 40 || top > box.scrollTop + box.clientHeight - 40) box.scrollTop = top - box.clientHeight / 2;
+  }
+
+  summary() {
+    const kept = this.kept, p = this.plan.parameters, total = information(this.plan, kept);
+    const efficiency = this.efficiency(total.map(row => row.slice()));
+    const perRun = logDet(total) - p * Math.log(kept.length);
+    const loss = this.whole - p * Math.log(this.plan.rows.length);
+    const facts = { "runs": `${kept.length} of ${this.plan.rows.length}`, "log det M'": perRun.toFixed(7) };
+    if (Number.isFinite(perRun)) {
+      facts["change of log det M'"] = (perRun - loss).toFixed(7);
+      facts["D-efficiency against the whole plan"] = efficiency.toFixed(4);
+    } else facts["log det M'"] = "not every parameter can be identified any more";
+    if (this.plan.joints.every(name => name.endsWith("[deg]"))) facts["joint travel"] = `${this.travel(kept).toFixed(1)} deg`;
+    this.figures.replaceChildren();
+    for (const [name, value] of Object.entries(facts)) {
+      element("dt", this.figures, name);
+      element("dd", this.figures, value);
+    }
+  }
+
+  // sum over the moves of the largest joint travel
+  travel(runs) {
+    let sum = 0;
+    for (let k = 1; k < runs.length; k++) {
+      const [from, to] = [runs[k - 1], runs[k]].map(run => this.plan.postures[run]);
+      sum += Math.max(...to.map((angle, j) => Math.abs(angle - from[j])));
+    }
+    return sum;
+  }
+
+  list() {
+    const total = information(this.plan, this.kept);
+    const without = run => this.efficiency(add(total.map(row => row.slice()), this.plan.jacobians[run], -1));
+    this.body.replaceChildren();
+    this.order.forEach((run, place) => {
+      const struck = this.struck.has(run), row = element("tr", this.body);
+      row.className = (struck ? "struck" : "") + (place === this.at ? " current" : "");
+      if (place === this.at) row.setAttribute("aria-current", "true");
+      row.addEventListener("click", () => { this.at = place; this.show(); });
+      element("td", row, String(place + 1));
+      element("td", row, String(run + 1));
+      for (const angle of this.plan.postures[run]) element("td", row, angle.toFixed(2));
+      element("td", row, struck ? "" : without(run).toFixed(3));
+      const cell = element("td", row);
+      for (const [text, name, action] of [
+        ["↑", "up", () => this.move(place, -1)],
+        ["↓", "down", () => this.move(place, 1)],
+        [struck ? "put back" : "strike out", "strike", () => this.strike(run)],
+      ]) {
+        const act = event => { event.stopPropagation(); action(); };
+        this.button(cell, text, act, `${text === "↑" ? "earlier" : text === "↓" ? "later" : text}: run ${run + 1}`).dataset.name = `${name}-${run}`;
+        cell.append(" ");
+      }
+    });
+  }
+
+  // across and up of a point, in space from the side, turned about the vertical
+  seen(point) {
+    if (point.length === 2) return [point[0], point[1]];
+    const angle = this.turn * Math.PI / 180, tilt = 0.38;
+    const across = Math.cos(angle) * point[0] + Math.sin(angle) * point[1];
+    const depth = -Math.sin(angle) * point[0] + Math.cos(angle) * point[1];
+    return [across, Math.cos(tilt) * point[2] + Math.sin(tilt) * depth];
+  }
+
+  draw() {
+    const { points, outlines } = this.plan, flat = line => line.map(point => this.seen(point));
+    const lines = points.map(flat), around = outlines.map(one => flat(one.line));
+    const every = lines.flat(); // what constrains the arm may be far larger, and is cut off
+    const [low, high] = [Math.min, Math.max].map(best => [0, 1].map(axis => best(...every.map(point => point[axis]), 0)));
+    const scale = Math.min(360 / (high[0] - low[0] || 1), 280 / (high[1] - low[1] || 1));
+    const place = point => [0, 1].map(axis => (axis ? -1 : 1) * scale * (point[axis] - (low[axis] + high[axis]) / 2) + (axis ? 160 : 200));
+    const path = line => line.map(point => place(point).map(value => value.toFixed(1)).join()).join(" ");
+    const draw = (line, attributes) => shape("polyline", this.picture, { points: path(line), fill: "none", ...attributes });
+    this.picture.replaceChildren();
+    around.forEach((line, k) => draw(line, { stroke: outlines[k].forbidden ? "var(--before)" : "var(--soft)", "stroke-dasharray": "4 3" }));
+    const current = this.order[this.at];
+    this.order.forEach((run, k) => {
+      if (run === current || this.struck.has(run)) return;
+      draw(lines[run], { stroke: "var(--after)", "stroke-width": 1, opacity: k < this.at ? 0.45 : 0.15 });
+    });
+    const color = this.struck.has(current) ? "var(--before)" : "var(--after)";
+    draw(lines[current], { stroke: color, "stroke-width": 3, "stroke-linejoin": "round" });
+    lines[current].forEach((point, k) => {
+      const [cx, cy] = place(point), last = k === lines[current].length - 1;
+      shape("circle", this.picture, { cx, cy, r: last ? 5 : 3, fill: color });
+    });
+    const [x, y] = place(lines[current][0]);
+    shape("rect", this.picture, { x: x - 5, y: y - 5, width: 10, height: 10, fill: "var(--ink)" });
+    this.where.textContent = `run ${current + 1}, place ${this.at + 1} of ${this.order.length}`;
+  }
+
+  get csv() {
+    const quoted = cell => (/[",\r\n]/.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell);
+    const lines = [["run", ...this.plan.columns], ...this.kept.map((run, k) => [String(k + 1), ...this.plan.rows[run]])];
+    return lines.map(line => line.map(quoted).join(",") + "\n").join("");
+  }
+
+  download() {
+    const link = element("a", document.body, "", { download: this.plan.file });
+    link.href = URL.createObjectURL(new Blob([this.csv], { type: "text/csv" }));
+    link.click();
+    link.remove();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+  }
+}
+
+for (const place of document.querySelectorAll("[data-plan]")) {
+  place.replaceChildren();
+  new Steps(place, JSON.parse(document.getElementById(place.dataset.plan).textContent));
+}
+
+// all of a printed page is to be read
+const folded = [...document.querySelectorAll("details")];
+let opened = [];
+window.addEventListener("beforeprint", () => { opened = folded.filter(one => !one.open); opened.forEach(one => { one.open = true; }); });
+window.addEventListener("afterprint", () => opened.forEach(one => { one.open = false; }));

@@ -1,0 +1,125 @@
+"""Residuals with their sign against each joint, as the error of that joint that they mean, with the fitted curve.
+
+A joint that turns by e too far moves the tip by e times its lever d tip / d q_j. The error that explains most of a
+row's residual r is e = r . lever / |lever|^2; where the lever is short a row says little, and e is held small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from doe.report.pictures import AFTER, BEFORE, LIMIT
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.conditions import Conditions
+from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS
+from identification.measurements import POINT
+from identification.model import Model
+
+SHORT = 0.3  # of the longest lever: below, a row counts less
+POINTS = 721  # of the fitted curve
+FINE, SMOOTH = 1.0 / 1000.0, 1.0 / 12.0  # share of the range that it looks at: of an effect, of all that changed
+NEARBY = 10  # rows that a point of the curve looks at, at most an eighth of all
+RIDGE, FAR = 0.1, 0.1  # in squared widths; share of the range without rows
+MANY = 500  # rows from which points are drawn smaller, and as pixels
+SHOWN = 99.0  # [%] of the points that set the scale
+
+
+def joint_errors(levers: Array, residuals: Array) -> Array:
+    """(m, n) errors of each joint [rad, mm] that residuals (m, d) [mm] mean, by levers (m, d, n)."""
+    squares = np.sum(levers**2, axis=1)
+    clear = np.maximum(squares, SHORT**2 * squares.max(axis=0))
+    along = np.einsum("mdn,md->mn", levers, residuals)
+    return np.divide(along, clear, out=np.zeros_like(along), where=clear > 0.0)
+
+
+def fitted_curve(q: Array, lever: Array, change: Array, narrowest: float = FINE) -> tuple[Array, Array]:
+    """Angles, and the error of a joint there that the change (m, d) [mm] between two models means; NaN far from rows.
+
+    Local linear least squares of the rows nearby, weighted by the squared lever.
+
+    narrowest : share of the range that counts as nearby at least
+    """
+    span, grid = float(np.ptp(q)) or 1.0, np.linspace(q.min(), q.max(), POINTS)
+    distance = nearest(q, grid, int(np.clip(len(q) // 8, 3, NEARBY)))
+    count, angle, weight, along = (
+        np.bincount(np.searchsorted(grid, q), values, POINTS)  # rows between two points are taken together
+        for values in (np.ones_like(q), q, np.sum(lever**2, axis=1), np.sum(lever * change, axis=1))
+    )
+    rows = count > 0.0
+    away = (angle[rows] / count[rows] - grid[:, None]) / np.maximum(distance, narrowest * span)[:, None]
+    near = np.exp(-0.5 * away**2)
+    heavy, moved = near * weight[rows], near * along[rows]
+    total, slope, square = (np.sum(heavy * away**k, axis=1) for k in range(3))
+    square = square + RIDGE * total  # rows of one angle tell no slope
+    value = square * moved.sum(axis=1) - slope * np.sum(moved * away, axis=1)
+    scale = total * square - slope**2
+    told = (nearest(q, grid, 1) < FAR * span) & (scale > 0.0)
+    return grid, np.divide(value, scale, out=np.full(POINTS, np.nan), where=told)
+
+
+def nearest(q: Array, grid: Array, k: int) -> Array:
+    """Distance from each point of a grid to the k-th nearest of q."""
+    padded = np.concatenate([np.full(k, -np.inf), np.sort(q), np.full(k, np.inf)])
+    first = np.searchsorted(np.sort(q), grid)
+    window = padded[first[:, None] + np.arange(2 * k)]
+    return np.asarray(np.sort(np.abs(window - grid[:, None]), axis=1)[:, k - 1])
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Residuals (m, d) [mm], measured less computed, of two models at postures (m, n), with their names.
+
+    notes : joint (from 1) -> what was found there; if there are any, the other joints get no curve; if there are none,
+        the curves are smooth
+    """
+
+    arm: Arm
+    postures: Array
+    before: Array
+    after: Array
+    conditions: Conditions | None = None
+    names: tuple[str, str] = ("before", "after")
+    notes: Mapping[int, str] = field(default_factory=dict)
+
+
+def signed_figures(rows: Compared) -> list[Figure]:
+    """A picture for each joint: its error by the residuals of both models, and the curve between the two."""
+    model = Model(rows.arm)
+    levers = model.joint_levers(rows.postures, conditions=rows.conditions)[:, POINT]
+    before, after = (values[:, : levers.shape[1]] for values in (rows.before, rows.after))
+    errors = [joint_errors(levers, values) for values in (before, after)]
+    figures = []
+    for j, kind in enumerate(model.joint_types):
+        unit, factor, _ = FILE_UNITS[JOINT_UNITS[kind]]
+        q, figure = rows.postures[:, j], Figure(figsize=(3.7, 2.5), layout="constrained")
+        axes = figure.subplots()
+        draw_errors(axes, factor * q, [factor * values[:, j] for values in errors], rows.names)
+        if not rows.notes or j + 1 in rows.notes:
+            curve = fitted_curve(q, levers[:, :, j], before - after, FINE if rows.notes else SMOOTH)
+            axes.plot(*(factor * line for line in curve), color="k", lw=1.3)
+        axes.set(xlabel=f"joint {j + 1} [{unit}]", ylabel=f"error [{unit}]")
+        axes.set_title(rows.notes.get(j + 1, ""), fontsize=9)
+        if j == 0:
+            axes.plot([], [], color="k", lw=1.3, label="fitted")
+            axes.legend(frameon=False, fontsize=8, ncols=3, handletextpad=0.3, columnspacing=1.0)
+        figures.append(figure)
+    return figures
+
+
+def draw_errors(axes: Axes, angles: Array, errors: Sequence[Array], names: Sequence[str]) -> None:
+    """Points of two models; a few far ones do not set the scale."""
+    few: dict[str, Any] = {"ms": 4, "alpha": 0.7}
+    style = few if len(angles) <= MANY else {"ms": 1.5, "alpha": 0.25, "rasterized": True}
+    axes.axhline(0.0, color=LIMIT, lw=0.8)
+    for values, color, name in zip(errors, (BEFORE, AFTER), names, strict=True):
+        axes.plot(angles, values, ".", color=color, **style)
+        axes.plot([], [], ".", color=color, label=name)
+    scale = 1.25 * max(float(np.percentile(np.abs(values), SHOWN)) for values in errors) or 1.0
+    axes.set(ylim=(-scale, scale))

@@ -1,0 +1,134 @@
+"""What was found, in words for a person, and what to do next: from the JSON objects of the commands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from doe.report.page import Action
+from doe.report.terminal import number
+from identification.effects import library
+
+Data = Mapping[str, Any]
+MOST = 4  # effects that a verdict spells out
+
+
+def in_words(label: str) -> str:
+    """`encoder disc off centre, once per turn (encoder_eccentricity:1)`."""
+    effect = library().get(label.partition("[")[0].partition(":")[0])
+    return label if effect is None else f"{effect.summary} ({label})"
+
+
+def listed(labels: list[str]) -> str:
+    """The first few effects in words."""
+    more = f"; and {len(labels) - MOST} more" if len(labels) > MOST else ""
+    return "; ".join(map(in_words, labels[:MOST])) + more
+
+
+# -- armcal diagnose ---------------------------------------------------------------------------------------------------
+def diagnosis_verdict(data: Data) -> list[str]:
+    """What is missing, and what it does to the error."""
+    return [missing(data), shrinks(data)]
+
+
+def missing(data: Data) -> str:
+    """The verdict of `armcal diagnose`."""
+    sets = [" with ".join(map(in_words, c["effects"])) or "nothing" for c in data["candidates"]]
+    beside = f", beside {listed(data['effects'])}" if data["effects"] else ""
+    text = {
+        "none": "Nothing is missing from the model that these data can show.",
+        "named": f"Missing from the model: {listed(data['effects'])}.",
+        "ambiguous": f"{len(sets)} explanations fit about equally well: {'; or '.join(sets[:MOST])}.",
+        "unknown": f"Something that the library does not have is missing, at {data['where']}{beside}.",
+    }[data["verdict"]]
+    return f"Not confirmed on rows that no fit has seen. {text}" if data["confirmed"] is False else text
+
+
+def shrinks(data: Data) -> str:
+    """The error before and after, where it was held out if it was."""
+    gap, test = data["gap"], data["confirmation"]
+    if test is None:
+        figures = f"from {number(gap['rms_before_mm'])} to {number(gap['rms_after_mm'])} mm"
+        return f"On the data the RMS error goes {figures}; no rows were held out to confirm it."
+    figures = f"from {number(test['before_mm'])} to {number(test['after_mm'])} mm"
+    expected = f"{number(test['predicted_mm'])} mm were predicted"
+    return f"On {test['rows']} rows that no fit has seen the RMS error goes {figures}; {expected}."
+
+
+def diagnosis_actions(data: Data, arm: str = "arm.toml", rows: str = "data.csv") -> list[Action]:
+    """What follows from a diagnosis."""
+    called = f"armcal diagnose {arm} {rows}"
+    confirm = Action(
+        "Measure some twenty other postures, best on another day, and let them confirm what was found:",
+        f"{called} --holdout other.csv",
+    )
+    if data["confirmed"] is False:
+        return [Action("Do not put this into the controller: rows that no fit has seen speak against it."), confirm]
+    if data["verdict"] == "none":
+        use = Action("Use the calibration of the geometry:", f"armcal identify {arm} {rows} --out calibrated.toml")
+        return [use, correct("calibrated.toml")]
+    if data["verdict"] == "ambiguous":
+        apart = f"armcal discriminate {arm} {rows} --runs 6 --out next.csv"
+        again = Action("Add the new rows to the data, and diagnose again:", called)
+        return [Action("Measure the postures that tell the explanations apart:", apart), again]
+    keep = Action("Keep the extended model:", f"{called} --out extended.toml")
+    look = Action(f"Look for a cause at {data['where']}; the named part may be used meanwhile.")
+    unknown = [look] if data["verdict"] == "unknown" else []
+    return [*unknown, *([] if data["confirmed"] else [confirm]), keep, correct("extended.toml")]
+
+
+def correct(arm: str) -> Action:
+    """Commands from a calibrated arm."""
+    return Action("Correct the robot's commands with it:", f"armcal compensate {arm} targets.csv --out commands.csv")
+
+
+# -- the other commands ------------------------------------------------------------------------------------------------
+def design_verdict(data: Data) -> str:
+    """How good a plan is, by `armcal design` or `score`."""
+    optimal = ", certified optimal" if data["certified_optimal"] else ""
+    known = "" if data["efficiency"] is None else f" has the efficiency {data['efficiency']:.4f}"
+    return f"The plan of {data['runs']} runs{known or ' has no known bound'} ({data['criterion']}{optimal})."
+
+
+def identification_verdict(data: Data) -> str:
+    """What a calibration leaves on its own data."""
+    figures = f"{number(data['rms_before_mm'])} to {number(data['rms_after_mm'])} mm"
+    return f"On its own data the calibration takes the RMS error from {figures}."
+
+
+def validation_verdict(
+    data: Data, model: str = "the model", rows: str = "other measurements", seen: bool = False
+) -> str:
+    """What a calibrated model leaves of measurements beside the drawing."""
+    which = ", which it was fitted to" if seen else ""
+    figures = f"{number(data['rms_mm'])} mm RMS (95 % below {number(data['p95_mm'])} mm)"
+    drawn = f"where the drawing leaves {number(data['rms_nominal_mm'])} mm"
+    return f"On {data['rows']} rows of {rows}{which}, {model} leaves {figures}, {drawn}."
+
+
+def plan_actions(arm: str = "arm.toml", plan: str = "plan.csv") -> list[Action]:
+    """From a plan to a calibration."""
+    return [
+        Action(f"Measure the postures of {plan}, and write the positions beside the angles (armcal help formats)."),
+        Action("See whether the data are what they should be:", f"armcal check {arm} data.csv"),
+        Action("Identify the arm:", f"armcal identify {arm} data.csv --out calibrated.toml"),
+    ]
+
+
+def data_actions(arm: str = "arm.toml", rows: str = "data.csv") -> list[Action]:
+    """From measurements to a calibration."""
+    return [
+        Action("Identify the arm:", f"armcal identify {arm} {rows} --out calibrated.toml"),
+        Action("Look for what the model lacks:", f"armcal diagnose {arm} {rows} --report gap.html"),
+    ]
+
+
+def calibrated_actions(
+    arm: str = "arm.toml", rows: str = "data.csv", calibrated: str = "calibrated.toml"
+) -> list[Action]:
+    """What a calibration is for, and what it needs before."""
+    return [
+        Action("Look for what the model lacks:", f"armcal diagnose {arm} {rows} --report gap.html"),
+        Action("See whether it holds on another day:", f"armcal validate {calibrated} other.csv"),
+        correct(calibrated),
+    ]

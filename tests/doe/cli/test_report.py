@@ -1,0 +1,111 @@
+"""`armcal report` as a user runs it: whatever files are given, and one line where they cannot be."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+import pytest
+
+from tests.doe.cli.conftest import Folder
+
+
+@pytest.fixture
+def campaign(folder: Folder) -> Folder:
+    """With data, a calibration, other measurements, and what commands said."""
+    folder.simulated()
+    folder.write("ident.json", folder.armcal("identify", "arm.toml", "data.csv", "--out", "cal.toml", "--json").out)
+    words = "simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--seed", "5", "--out", "other.csv"
+    assert folder.armcal(*words).code == 0
+    folder.write("valid.json", folder.armcal("validate", "cal.toml", "other.csv", "--json").out)
+    return folder
+
+
+def test_a_page_of_everything(campaign: Folder) -> None:
+    names = ["arm.toml", "cal.toml", "plan.csv", "data.csv", "other.csv", "ident.json", "valid.json"]
+    done = campaign.armcal("report", *names, "--out", "page.html", "--seed", "3", "--json")
+    assert done.code == 0, done.err
+    kinds = {entry["file"]: entry["kind"] for entry in done.data["files"]}
+    assert list(kinds) == names
+    assert kinds["cal.toml"] == "arm with a calibration"
+    assert (kinds["plan.csv"], kinds["other.csv"]) == ("plan", "measurements")
+    assert kinds["valid.json"] == "armcal validate --json"
+    said = json.loads(campaign.read("valid.json"))
+    unseen, fitted, own, plan = done.data["verdict"]
+    assert unseen.startswith("On 12 rows of other.csv, cal.toml leaves")
+    assert f"{said['rms_mm']:.4f} mm RMS" in unseen
+    assert f"drawing leaves {said['rms_nominal_mm']:.4f} mm" in unseen
+    assert "data.csv, which it was fitted to" in fitted
+    assert own.startswith("On its own data")
+    assert plan == "The plan plan.csv has 12 runs."
+    text = campaign.read("page.html")
+    for entry in done.data["files"]:
+        content = (campaign.path / entry["file"]).read_bytes()
+        assert (entry["bytes"], entry["sha256"]) == (len(content), hashlib.sha256(content).hexdigest())
+        assert entry["sha256"] in text
+    assert "armcal report arm.toml cal.toml plan.csv" in text
+    assert "length of link 1" in text
+    row = next(row for row in json.loads(campaign.read("ident.json"))["corrected_values"] if row["nominal"] == 260.0)
+    assert f"<td>{row['corrected']:.4f}</td>" in text
+
+
+def test_a_subset_says_what_to_do_next(campaign: Folder) -> None:
+    for words, expected in (
+        (["arm.toml", "plan.csv"], "armcal check arm.toml data.csv"),
+        (["arm.toml", "data.csv"], "armcal identify arm.toml data.csv --out calibrated.toml"),
+        (["cal.toml"], "armcal compensate cal.toml targets.csv"),
+        (["ident.json"], "length of link 1"),
+        (["valid.json"], "quarter 1"),
+    ):
+        done = campaign.armcal("report", *words, "--out", "page.html", "--force")
+        assert done.code == 0, done.err
+        assert expected in campaign.read("page.html")
+
+
+def test_the_report_of_a_diagnosis_stands_in_the_page_too(campaign: Folder) -> None:
+    words = "diagnose", "arm.toml", "data.csv", "--draws", "399"
+    done = campaign.armcal(*words, "--report", "gap.html", "--json")
+    assert done.code == 0, done.err
+    campaign.write("diag.json", done.out)
+    assert campaign.armcal("report", "diag.json", "--out", "page.html").code == 0
+    for page in ("gap.html", "page.html"):
+        text = campaign.read(page)
+        assert "Nothing is missing from the model" in text
+        assert f"<td>{done.data['gap']['rms_before_mm']:.4f}</td>" in text
+    own = campaign.read("gap.html")
+    assert "The drawing, placed as well as it can be, leaves" in own
+    assert "Signed error against each joint" in own
+    assert hashlib.sha256((campaign.path / "data.csv").read_bytes()).hexdigest() in own
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["plan.csv"], ["plan.csv", "without its arm"]),
+        (["arm.toml", "notes.doc"], ["notes.doc", "'.doc'", "allowed"]),
+        (["arm.toml", "arm.toml"], ["arm.toml", "given twice"]),
+        (["arm.toml", "bad.json"], ["bad.json", "not valid JSON"]),
+        (["list.json"], ["list.json", "no command that is known"]),
+        (["short.json"], ["short.json", "not as the command writes it"]),
+        (["arm.toml", "none.csv"], ["none.csv", "no such file"]),
+        (["arm.toml", "arm.html"], ["arm.html", "allowed"]),
+    ],
+)
+def test_what_cannot_be_shown_is_one_line(folder: Folder, words: list[str], expected: list[str]) -> None:
+    folder.write("notes.doc", "# notes")
+    folder.write("bad.json", "{")
+    folder.write("list.json", "[1, 2]")
+    folder.write("short.json", '{"criterion": 1, "runs": {}, "efficiency": "x", "certified_optimal": []}')
+    done = folder.armcal("report", *words, "--out", "page.html")
+    assert done.code == 2
+    assert len(done.err.strip().splitlines()) == 1
+    assert all(part in done.err for part in expected), done.err
+    assert not (folder.path / "page.html").exists()
+
+
+def test_a_page_is_replaced_by_force_only(folder: Folder) -> None:
+    folder.write("page.html", "mine")
+    refused = folder.armcal("report", "arm.toml", "--out", "page.html")
+    assert refused.code == 2
+    assert folder.read("page.html") == "mine"
+    assert folder.armcal("report", "arm.toml", "--out", "page.html", "--force").code == 0

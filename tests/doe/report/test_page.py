@@ -1,0 +1,161 @@
+"""Pages in a real browser: they need no network, fit a phone, and a plan can be stepped through and edited in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from doe.design import score
+from doe.plan.file import load_plan
+from doe.problem.problem import DesignProblem
+from doe.report.page import Action, Section, Sheet, page
+from identification.files.arm import load_arm
+from identification.model import Model
+from tests.doe.cli.conftest import Folder
+from tests.doe.report.browser import Watched, browser
+
+NASTY = """</script><script>document.title = "broken"</script><img src=x onerror="document.title='broken'">"""
+SPATIAL = """\
+kind = "spatial"
+[measurement]
+sigma_mm = 0.05
+[tool.1]
+x_mm = 60.0
+y_mm = 40.0
+z_mm = 100.0
+"""
+ROWS = (
+    (0.0, 90.0, 127.3),
+    (-612.0, 0.0, 0.0),
+    (-572.3, 0.0, 0.0),
+    (0.0, 90.0, 163.9),
+    (0.0, -90.0, 115.7),
+    (0, 0, 92.2),
+)
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Folder]:
+    """A folder with two pages: of a planar arm with a wicked name and all its files, of a spatial arm and a plan."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = Folder(tmp_path_factory.mktemp("pages"))
+        patch.chdir(folder.path)
+        folder.write("arm.toml", folder.read("arm.toml").replace('"paper-4-link"', f"'''{NASTY}'''"))
+        folder.simulated()
+        assert folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml").code == 0
+        folder.write("said.json", folder.armcal("score", "arm.toml", "plan.csv", "--json").out)
+        words = "report", "arm.toml", "calibrated.toml", "plan.csv", "data.csv", "said.json", "--out", "page.html"
+        done = folder.armcal(*words)
+        assert done.code == 0, done.err
+        dh = "".join(f"[[dh]]\na_mm = {a}\nalpha_deg = {alpha}\nd_mm = {d}\n" for a, alpha, d in ROWS)
+        folder.write("six.toml", SPATIAL.replace('"spatial"\n', f'"spatial"\n{dh}', 1))
+        postures = np.random.default_rng(3).uniform(-90.0, 90.0, (14, 6)).round(2)
+        lines = [",".join(map(str, [k, *row])) for k, row in enumerate(postures, start=1)]
+        folder.write("six.csv", "\n".join(["run," + ",".join(f"q{j}_deg" for j in range(1, 7)), *lines]) + "\n")
+        done = folder.armcal("report", "six.toml", "six.csv", "--out", "six.html")
+        assert done.code == 0, done.err
+        yield folder
+
+
+def test_everything_is_escaped_and_nothing_is_fetched(pages: Folder) -> None:
+    text = pages.read("page.html")
+    assert len(text) < 6_000_000
+    assert text.count("<script>") == 1
+    assert 'onerror="' not in text
+    assert "http" not in text.replace("http-equiv", "").replace("http://www.w3.org/", "").lower()
+    bare = page(NASTY, NASTY, [Section(NASTY, NASTY, [Sheet([NASTY], [[NASTY]])], steps={"x": NASTY})], [Action(NASTY)])
+    assert NASTY not in bare
+    assert bare.count("<script>") == 1
+
+
+@pytest.fixture(scope="module")
+def opened() -> Iterator[Any]:
+    """A browser for all tests of this file."""
+    with browser() as found:
+        yield found
+
+
+@pytest.mark.parametrize("name", ["page", "six"])
+def test_pages_work_in_a_browser(pages: Folder, opened: Any, name: str) -> None:
+    address = (pages.path / f"{name}.html").as_uri()
+    for width, scheme in ((1200, "dark"), (390, "light")):
+        seen = Watched(opened, address, viewport={"width": width, "height": 800}, color_scheme=scheme)
+        assert seen.page.title() == f"Calibration report: {NASTY if name == 'page' else 'arm'}"
+        seen.page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
+        root = seen.page.evaluate(
+            "[document.documentElement.scrollWidth, innerWidth, getComputedStyle(document.body).backgroundColor]"
+        )
+        assert root[0] <= width == root[1]
+        dark = sum(map(int, root[2].strip("rgb()").split(","))) < 3 * 128
+        assert dark == (scheme == "dark")
+        seen.close(address)
+    printed = Watched(opened, address)
+    assert len(printed.page.pdf()) > 10_000
+    printed.close(address)
+
+
+@pytest.mark.parametrize(("name", "arm", "plan"), [("page", "arm.toml", "plan.csv"), ("six", "six.toml", "six.csv")])
+def test_a_plan_is_stepped_through_edited_and_scored(
+    pages: Folder, opened: Any, name: str, arm: str, plan: str
+) -> None:
+    whole = scored(pages, arm, plan)
+    address = (pages.path / f"{name}.html").as_uri()
+    seen = Watched(opened, address, accept_downloads=True)
+    assert float(seen.facts()["log det M'"]) == pytest.approx(whole["log_det"], abs=1e-7)
+    edit(seen)
+    facts, without = seen.facts(), seen.page.locator(".plan tbody td:nth-last-child(2)").all_inner_texts()
+    with seen.page.expect_download() as download:
+        seen.page.get_by_role("button", name="Download the edited plan").click()
+    download.value.save_as(pages.path / "edited.csv")
+    seen.close(address)
+    edited = scored(pages, arm, "edited.csv")
+    order = [1, 0, *range(3, whole["runs"])]  # counted from 0: run 2 is first now, run 3 is struck out
+    assert edited["postures_deg"] == [whole["postures_deg"][k] for k in order]
+    assert float(facts["log det M'"]) == pytest.approx(edited["log_det"], abs=1e-7)
+    travel = np.abs(np.diff(edited["postures_deg"], axis=0)).max(axis=1).sum()
+    assert float(facts["joint travel"].removesuffix(" deg")) == pytest.approx(travel, abs=0.051)
+    left, *each = efficiencies(pages.path / arm, np.radians(whole["postures_deg"]), order)
+    assert float(facts["D-efficiency against the whole plan"]) == pytest.approx(left, abs=5.1e-5)
+    assert [float(text) for text in without if text] == pytest.approx(each, abs=5.1e-4)
+
+
+def scored(folder: Folder, arm: str, plan: str) -> dict[str, Any]:
+    """What `armcal score` says; of the spatial arm without its bound, which takes seconds."""
+    if arm == "arm.toml":
+        return folder.armcal("score", arm, plan, "--json").data
+    problem = DesignProblem.of(Model(load_arm(folder.path / arm)))
+    return score(problem, load_plan(folder.path / plan)).to_json()
+
+
+def edit(seen: Watched) -> None:
+    """Run 1 one place later, run 3 struck out: with the keyboard alone."""
+    keys, runs = seen.page.keyboard, seen.page.locator(".plan .runs")
+    seen.page.get_by_role("button", name="Step").focus()
+    keys.press("Enter")
+    assert "place 2 of" in seen.page.locator(".plan").inner_text()
+    runs.focus()
+    for key in ("ArrowUp", "Alt+ArrowDown", "ArrowDown", "Delete"):
+        keys.press(key)
+    assert seen.page.locator(".plan tr.struck").count() == 1
+    seen.page.get_by_role("button", name="put back: run 3").focus()
+    keys.press("Enter")
+    assert seen.page.locator(".plan tr.struck").count() == 0
+    keys.press("Enter")  # the same button, which has kept the focus, strikes it out again
+
+
+def efficiencies(arm: Path, postures: np.ndarray, order: list[int]) -> list[float]:
+    """(det / det of the whole plan)^(1/p) of the information of some runs, then without each of them."""
+    problem = DesignProblem.of(Model(load_arm(arm)))
+    jacobians, known = problem.scaled_jacobians(postures), np.diag(problem.precisions)
+
+    def log_det(runs: list[int]) -> float:
+        total = known + sum((jacobians[k].T @ jacobians[k] for k in runs), np.zeros_like(known))
+        return float(np.linalg.slogdet(total)[1])
+
+    every = log_det(list(range(len(postures))))
+    parts = [order, *([other for other in order if other != run] for run in order)]
+    return [float(np.exp((log_det(part) - every) / problem.parameters)) for part in parts]

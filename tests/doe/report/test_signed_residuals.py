@@ -1,0 +1,64 @@
+"""Residuals as errors of joints: their sign, their size, and the curve between two models."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from doe.report.signed_residuals import Compared, fitted_curve, joint_errors, nearest, signed_figures
+from identification.arm import Arm
+
+LENGTHS = np.array([300.0, 200.0])
+
+
+def tip(q: np.ndarray) -> np.ndarray:
+    """(m, 2) of two links in a plane, by hand."""
+    angles = np.cumsum(q, axis=1)
+    return np.stack([np.cos(angles) @ LENGTHS, np.sin(angles) @ LENGTHS], axis=1)
+
+
+def test_a_joint_that_turns_too_far_has_a_positive_error_of_that_size() -> None:
+    q = np.random.default_rng(1).uniform(-1.0, 1.0, (40, 2))
+    small = 1e-6
+    levers = np.stack([(tip(q + small * unit) - tip(q - small * unit)) / (2.0 * small) for unit in np.eye(2)], axis=2)
+    wrong = 1e-4 * np.sin(q[:, 1])
+    measured = tip(q + wrong[:, None] * [0.0, 1.0])  # the real joint 2 is turned farther than is read
+    # the second link's lever is always 200 mm long; the tip moves along the arc by error * 200 to first order
+    np.testing.assert_allclose(joint_errors(levers, measured - tip(q))[:, 1], wrong, atol=1e-8)
+    short = np.zeros((1, 2, 1))
+    np.testing.assert_array_equal(joint_errors(np.concatenate([short, np.ones((1, 2, 1))]), np.ones((2, 2)))[0], 0.0)
+
+
+def test_the_curve_is_the_change_where_there_are_rows_and_nothing_elsewhere() -> None:
+    generator = np.random.default_rng(2)
+    q = np.concatenate([generator.uniform(-3.0, 0.0, 400), generator.uniform(2.0, 3.0, 200)])
+    lever = generator.normal(size=(600, 2))
+    change = lever * (1e-3 * np.sin(4.0 * q))[:, None]
+    grid, found = fitted_curve(q, lever, change)
+    seen = np.isfinite(found)
+    gap = (grid > 0.61) & (grid < 1.39)  # farther than a tenth of the range, 0.6, from every row
+    assert not seen[gap].any()
+    inside = (grid < -0.05) | (grid > 2.05)
+    assert seen[inside].all()
+    # a line through ten rows, some 0.04 rad to each side, misses by f'' h^2 / 2 = 16e-3 * 0.04^2 / 2, a few times that
+    np.testing.assert_allclose(found[inside], 1e-3 * np.sin(4.0 * grid[inside]), atol=8e-5)
+    one_angle = fitted_curve(np.full(5, 0.3), np.ones((5, 2)), np.full((5, 2), 2e-3))[1]
+    np.testing.assert_allclose(one_angle[0], 2e-3)
+
+
+def test_the_nearest_rows_are_those_of_a_search_among_all() -> None:
+    generator = np.random.default_rng(3)
+    q, grid = generator.normal(size=30), np.linspace(-3.0, 3.0, 50)
+    for k in (1, 3, 10):
+        expected = np.sort(np.abs(q - grid[:, None]), axis=1)[:, k - 1]
+        np.testing.assert_allclose(nearest(q, grid, k), expected)
+
+
+def test_one_picture_for_each_joint_with_a_curve_where_something_was_found() -> None:
+    q = np.random.default_rng(4).uniform(-1.0, 1.0, (30, 2))
+    before, after = np.random.default_rng(5).normal(size=(2, 30, 2))
+    arm = Arm(LENGTHS)
+    first, second = (f.axes[0] for f in signed_figures(Compared(arm, q, before, after, notes={2: "backlash:2"})))
+    assert (second.get_title(), second.get_xlabel()) == ("backlash:2", "joint 2 [deg]")
+    lengths = [[len(line.get_xdata()) for line in axes.lines] for axes in (first, second)]
+    assert 721 not in lengths[0]
+    assert 721 in lengths[1]

@@ -1,0 +1,69 @@
+"""Verdicts in words, and what to do next, from the JSON objects of the commands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from doe.report.verdict import (
+    design_verdict,
+    diagnosis_actions,
+    diagnosis_verdict,
+    identification_verdict,
+    in_words,
+    validation_verdict,
+)
+
+GAP = {"rms_before_mm": 0.5, "rms_after_mm": 0.125}
+TEST = {"rows": 30, "before_mm": 0.6, "after_mm": 0.25, "predicted_mm": 0.2}
+
+
+def said(verdict: str, *effects: str, confirmed: bool | None = None, sets: int = 1) -> dict[str, Any]:
+    candidates = [{"effects": [name]} for name in effects[:sets]]
+    found = {"verdict": verdict, "effects": list(effects), "candidates": candidates, "where": "joint:3", "gap": GAP}
+    return found | {"confirmed": confirmed, "confirmation": None if confirmed is None else TEST}
+
+
+def test_effects_are_said_in_words_with_their_names() -> None:
+    assert in_words("backlash:2") == "gear play, by direction of approach (backlash:2)"
+    assert in_words("transmission_ripple:2[k=6]") == "gear ripple, k times per turn (transmission_ripple:2[k=6])"
+    assert in_words("of_a_plugin:1") == "of_a_plugin:1"
+
+
+@pytest.mark.parametrize(
+    ("data", "first", "command"),
+    [
+        (said("none"), "Nothing is missing", "identify arm.toml data.csv --out calibrated.toml"),
+        (said("named", "backlash:2", confirmed=True), "Missing from the model: gear play", "--out extended.toml"),
+        (said("named", "backlash:2"), "Missing from the model: gear play", "--holdout other.csv"),
+        (said("named", "backlash:2", confirmed=False), "Not confirmed on rows that no fit has seen. Missing", ""),
+        (said("ambiguous", "backlash:2", "axes_skew", sets=2), "2 explanations fit", "discriminate arm.toml data.csv"),
+        (said("unknown"), "Something that the library does not have is missing, at joint:3.", ""),
+        (said("unknown", "backlash:2"), "Something that the library does not have is missing, at joint:3, beside", ""),
+    ],
+)
+def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: str, command: str) -> None:
+    verdict, gap = diagnosis_verdict(data)
+    assert verdict.startswith(first)
+    figures = "0.5000 to 0.1250 mm" if data["confirmation"] is None else "0.6000 to 0.2500 mm; 0.2000 mm were predicted"
+    assert figures in gap
+    assert command in diagnosis_actions(data)[0].command
+    if data["confirmed"] is False:
+        assert not any("compensate" in action.command for action in diagnosis_actions(data))
+
+
+def test_many_effects_are_counted() -> None:
+    (verdict, _) = diagnosis_verdict(said("named", *(f"backlash:{j}" for j in range(1, 8))))
+    assert verdict.endswith("; and 3 more.")
+
+
+def test_the_other_commands_in_a_sentence_each() -> None:
+    design = {"runs": 20, "criterion": "D", "efficiency": 0.98765, "certified_optimal": False}
+    assert design_verdict(design) == "The plan of 20 runs has the efficiency 0.9877 (D)."
+    assert "no known bound" in design_verdict(design | {"efficiency": None})
+    assert "3.0000 to 0.2500 mm" in identification_verdict({"rms_before_mm": 3.0, "rms_after_mm": 0.25})
+    figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0}
+    assert validation_verdict(figures, "c.toml", "d.csv", seen=True).startswith(
+        "On 7 rows of d.csv, which it was fitted to, c.toml leaves 0.1000 mm RMS"
+    )
