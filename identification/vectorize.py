@@ -74,28 +74,28 @@ def vectorize(function: ca.Function) -> Evaluate:
     """
     compiled = _compile(function)
     sparsities = [function.sparsity_out(i) for i in range(function.n_out())]
+    shapes = [sparsity.shape for sparsity in sparsities]
     places = [tuple(zip(*s.get_triplet(), strict=True)) for s in sparsities]
 
     def evaluate(*arguments: ArrayLike) -> tuple[np.ndarray, ...]:
         inputs = [np.asarray(a, dtype=float) for a in arguments]
         batch = np.broadcast_shapes(*(a.shape[:-1] for a in inputs))
         # components first: each is written in contiguous runs; structural zeros are zero
-        full = [np.zeros((*sparsity.shape, *batch)) for sparsity in sparsities]
+        full = [np.zeros((*shape, *batch)) for shape in shapes]
         for part in _parts(batch):
-            outputs = compiled([[a[..., k] for k in range(a.shape[-1])] for a in (_of(a, part) for a in inputs)])
+            outputs = compiled([_components(_of(a, part)) for a in inputs])
             for array, values, place in zip(full, outputs, places, strict=True):
                 for value, (row, column) in zip(values, place, strict=True):
-                    where: tuple[int | slice, ...] = (row, column, *part)
-                    array[where] = value
-        return tuple(np.moveaxis(array, (0, 1), (-2, -1)) for array in full)
+                    array[(row, column, *part)] = value
+        return tuple(array.transpose(*range(2, array.ndim), 0, 1) for array in full)
 
     return evaluate
 
 
 def _parts(batch: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
-    """The batch cut along its longest axis into parts whose arrays stay in the processor's cache."""
+    """The batch cut along its longest axis into parts whose arrays stay in the processor's cache; (): all of it."""
     if (total := math.prod(batch)) <= PART:
-        yield (slice(None),) * len(batch)
+        yield ()
         return
     axis = int(np.argmax(batch))
     rows = max(1, PART * batch[axis] // total)
@@ -105,8 +105,15 @@ def _parts(batch: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
 
 def _of(array: np.ndarray, part: tuple[slice, ...]) -> np.ndarray:
     """What a part of the batch needs of an argument; axes that broadcast stay."""
+    if not part:
+        return array
     own = part[len(part) - (array.ndim - 1) :]
     return array[tuple(one if size > 1 else slice(None) for one, size in zip(own, array.shape[:-1], strict=True))]
+
+
+def _components(array: np.ndarray) -> list[np.ndarray]:
+    """Along the last axis."""
+    return list(array.transpose(-1, *range(array.ndim - 1)))
 
 
 def _compile(function: ca.Function) -> Callable[[list[list[np.ndarray]]], list[list[np.ndarray]]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -92,40 +93,58 @@ def tool_tables(tools: Mapping[str, Array], axes: Mapping[str, Array]) -> dict[s
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame in CasADi symbols:  origin : (3,) SX;  axes : (3, 3) SX, the columns its x, y and z axes."""
+    """A frame in CasADi symbols, by its pose in the frame before it:  shift : (3,);  rotation : (3, 3), its columns the
+    x, y and z axes.
 
-    origin: ca.SX
-    axes: ca.SX
+    A point goes back through the frames one by one, three numbers each time where frames from the base on have twelve,
+    which makes positions and their derivatives (by reverse mode) cost half as much.
+    """
+
+    before: Frame | None
+    shift: ca.SX
+    rotation: ca.SX
 
     @classmethod
     def world(cls) -> Frame:
         """The frame that everything is measured in."""
-        return cls(ca.SX.zeros(3), ca.SX.eye(3))
+        return cls(None, ca.SX(3, 1), ca.SX.eye(3))
+
+    @cached_property
+    def origin(self) -> ca.SX:
+        """(3,) where it is in the world."""
+        return self.shift if self.before is None else self.before.origin + ca.mtimes(self.before.axes, self.shift)
+
+    @cached_property
+    def axes(self) -> ca.SX:
+        """(3, 3), columns: its axes in the world."""
+        return self.rotation if self.before is None else ca.mtimes(self.before.axes, self.rotation)
+
+    def point(self, place: ca.SX) -> ca.SX:
+        """(3,) position in the world of a point (3,) that is given in this frame."""
+        there = self.shift + ca.mtimes(self.rotation, place)
+        return there if self.before is None else self.before.point(there)
+
+    def shifted(self, shift: ca.SX) -> Frame:
+        """Shifted by a vector (3,) of this frame."""
+        return Frame(self, shift, ca.SX.eye(3))
 
     def moved(self, axis: int, distance: ca.SX | float) -> Frame:
         """Shifted along an own axis."""
-        return Frame(self.origin + self.axes[:, axis] * distance, self.axes)
+        return self.shifted(ca.SX.eye(3)[:, axis] * distance)
 
     def along(self, direction: Array, distance: ca.SX | float) -> Frame:
         """Shifted along a constant direction (3,) of this frame."""
-        return Frame(self.origin + ca.mtimes(self.axes, ca.DM(direction)) * distance, self.axes)
+        return self.shifted(ca.SX(ca.DM(direction)) * distance)
 
     def turned(self, axis: int, angle: ca.SX | float) -> Frame:
         """Turned by an angle [rad] about an own axis."""
-        cosine, sine = ca.cos(angle), ca.sin(angle)
-        columns = [self.axes[:, k] for k in range(3)]
+        cosine, sine, rotation = ca.cos(angle), ca.sin(angle), ca.SX.eye(3)
         first, second = (axis + 1) % 3, (axis + 2) % 3
-        columns[first], columns[second] = (
-            cosine * columns[first] + sine * columns[second],
-            cosine * columns[second] - sine * columns[first],
-        )
-        return Frame(self.origin, ca.horzcat(*columns))
+        rotation[first, first], rotation[second, first] = cosine, sine
+        rotation[first, second], rotation[second, second] = -sine, cosine
+        return Frame(self, ca.SX(3, 1), rotation)
 
     def placed(self, matrix: Array) -> Frame:
         """A frame whose pose (4, 4) in this one is constant."""
-        placed = ca.SX(ca.DM(np.where(np.abs(matrix) < 1e-15, 0.0, matrix)))
-        return Frame(self.origin + ca.mtimes(self.axes, placed[:3, 3]), ca.mtimes(self.axes, placed[:3, :3]))
-
-    def point(self, place: ca.SX) -> ca.SX:
-        """(3,) position of a point (3,) that is given in this frame."""
-        return self.origin + ca.mtimes(self.axes, place)
+        placed = ca.sparsify(ca.SX(ca.DM(np.where(np.abs(matrix) < 1e-15, 0.0, matrix))))
+        return Frame(self, placed[:3, 3], placed[:3, :3])

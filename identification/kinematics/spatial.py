@@ -183,10 +183,8 @@ class SpatialChain(ByValue):
 
     def _placed_base(self, values: Values, added: Mapping[str, ca.SX]) -> Frame:
         shift = ca.vertcat(*(ca.SX(values.get(f"base.{axis}", 0.0)) for axis in AXES))
-        base = Frame.world().placed(self.base)
-        frame = _turned(
-            Frame(base.origin + shift + added.get("base_translation", 0.0), base.axes), values, "base.r", ""
-        )
+        base = Frame.world().shifted(shift + added.get("base_translation", 0.0)).placed(self.base)
+        frame = _turned(base, values, "base.r", "")
         for k in range(DIMENSION if "base_rotation" in added else 0):
             frame = frame.turned(k, added["base_rotation"][k])
         return frame
