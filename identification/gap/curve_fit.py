@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -78,6 +79,41 @@ class Basis:
         return ErrorCurve(self.start, self.stop, (splines[:-2] + 4.0 * splines[1:-1] + splines[2:]) / 6.0)
 
 
+class Posterior(NamedTuple):
+    """Of coefficients (K,), for noise of one: their covariance is diag(known) + sign * factor^T factor.
+
+    log_shrunk : log det of the prior's covariance over that of the posterior
+    """
+
+    coefficients: Array
+    known: Array
+    sign: float
+    factor: Array
+    log_shrunk: float
+
+    @property
+    def variances(self) -> Array:
+        """(K,)"""
+        return np.asarray(self.known + self.sign * np.einsum("nk,nk->k", self.factor, self.factor))
+
+    @property
+    def covariance(self) -> Array:
+        """(K, K)"""
+        return np.asarray(np.diag(self.known) + self.sign * self.factor.T @ self.factor)
+
+
+class Likelihood(NamedTuple):
+    """-2 log of the marginal likelihood, up to a constant of the data, and its derivatives (2 curves); and of what it
+    was made, see `Evidence`."""
+
+    cost: float
+    slope: Array
+    posterior: Posterior
+    variances: Array
+    effective: float
+    squares: float
+
+
 @dataclass(frozen=True)
 class Evidence:
     """Penalized columns beside columns that are not, at given sizes and lengths of the priors.
@@ -122,46 +158,46 @@ class Penalized:
 
     def evidence(self, logs: Array) -> Evidence:
         """At log size and log length of each curve's prior [rad], sizes in units of the noise."""
+        cost, slope, found, variances, effective, squares = self._likelihood(logs)
+        return Evidence(cost, slope, found.coefficients, variances, found.covariance, effective, squares)
+
+    def _likelihood(self, logs: Array) -> Likelihood:
         found = [basis.variances(*np.exp(pair)) for basis, pair in zip(self.bases, logs.reshape(-1, 2), strict=True)]
         variances = np.concatenate([v for v, _ in found])
         solve = self._by_rows if len(self.residual) < len(variances) else self._by_columns
-        coefficients, covariance, determinant = solve(variances)
+        posterior = solve(variances)
         whole = float(self.residual @ self.residual)
-        squares = max(whole - float(self.right @ coefficients), 1e-14 * whole, 1e-300)  # a perfect fit leaves rounding
-        cost = self.freedom * np.log(squares / self.freedom) + determinant
-        left = 1.0 - np.diag(covariance) / variances  # share of each coefficient that the data determine
-        pull = self.freedom / squares * coefficients**2 / variances
+        # a perfect fit leaves rounding
+        squares = max(whole - float(self.right @ posterior.coefficients), 1e-14 * whole, 1e-300)
+        cost = self.freedom * np.log(squares / self.freedom) + posterior.log_shrunk
+        left = 1.0 - posterior.variances / variances  # share of each coefficient that the data determine
+        pull = self.freedom / squares * posterior.coefficients**2 / variances
         parts = np.split((left - pull) / variances, np.cumsum([b.count for b in self.bases])[:-1])
         slope = [(2.0 * part @ v, part @ by_length) for part, (v, by_length) in zip(parts, found, strict=True)]
-        return Evidence(float(cost), np.ravel(slope), coefficients, variances, covariance, float(left.sum()), squares)
+        return Likelihood(float(cost), np.ravel(slope), posterior, variances, float(left.sum()), squares)
 
-    def _by_columns(self, variances: Array) -> tuple[Array, Array, float]:
-        """Coefficients, posterior covariance, and log det of the prior over that of the posterior: K x K."""
+    def _by_columns(self, variances: Array) -> Posterior:
+        """By a K x K matrix."""
         root = np.sqrt(variances)
-        matrix = root[:, None] * self.gram * root + np.eye(len(root))
-        inverse, determinant = _inverse(matrix)
-        covariance = root[:, None] * inverse * root
-        return covariance @ self.right, covariance, determinant
+        triangle, determinant = _inverse_root(root[:, None] * self.gram * root)
+        factor = triangle * root
+        return Posterior(factor.T @ (factor @ self.right), np.zeros(len(root)), 1.0, factor, determinant)
 
-    def _by_rows(self, variances: Array) -> tuple[Array, Array, float]:
+    def _by_rows(self, variances: Array) -> Posterior:
         """The same by an N x N matrix (Woodbury's identity), for fewer rows than columns."""
         spread = self.columns * variances
-        inverse, determinant = _inverse(spread @ self.columns.T + np.eye(len(spread)))
-        covariance = np.diag(variances) - spread.T @ inverse @ spread
-        return spread.T @ (inverse @ self.residual), covariance, determinant
+        triangle, determinant = _inverse_root(spread @ self.columns.T)
+        factor = triangle @ spread
+        return Posterior(factor.T @ (triangle @ self.residual), variances, -1.0, factor, determinant)
 
     def best(self, start: Array | None = None) -> tuple[Array, Evidence]:
         """Logs of size and length of each prior at the maximum of the marginal likelihood, and what follows there."""
         from scipy.optimize import minimize
 
-        def target(logs: Array) -> tuple[float, Array]:
-            found = self.evidence(logs)
-            return found.cost, found.slope
-
         low, high = np.transpose(self._bounds)
         first = np.clip(self.guess.ravel() if start is None else start, low, high)
-        options = {"maxiter": ITERATIONS, "ftol": FLAT}
-        logs = minimize(target, first, jac=True, method="L-BFGS-B", bounds=self._bounds, options=options).x
+        options = {"bounds": self._bounds, "options": {"maxiter": ITERATIONS, "ftol": FLAT}}
+        logs = minimize(lambda at: self._likelihood(at)[:2], first, jac=True, method="L-BFGS-B", **options).x
         return logs, self.evidence(logs)
 
     @property
@@ -184,13 +220,17 @@ class Penalized:
         return np.array([np.sqrt(self.freedom / part.sum()) for part in parts])
 
 
-def _inverse(matrix: Array) -> tuple[Array, float]:
-    """Inverse and log determinant of a symmetric positive definite matrix."""
+def _inverse_root(matrix: Array) -> tuple[Array, float]:
+    """Lower triangle L with L^T L = (1 + M)^-1 for a symmetric M >= 0, which is overwritten, and log det(1 + M).
+
+    Half the work of the inverse, of which a search needs the diagonal alone.
+    """
     from scipy.linalg import lapack
 
-    triangle, _ = lapack.dpotrf(matrix, lower=1)
-    inverse, _ = lapack.dpotri(triangle, lower=1)
-    return _whole(inverse), float(2.0 * np.log(np.diag(triangle)).sum())
+    matrix[np.diag_indices_from(matrix)] += 1.0
+    triangle, _ = lapack.dpotrf(matrix.T, lower=1, clean=1, overwrite_a=1)  # columns first, as LAPACK has them
+    determinant = float(2.0 * np.log(np.diag(triangle)).sum())
+    return np.asarray(lapack.dtrtri(triangle, lower=1, overwrite_c=1)[0]), determinant
 
 
 def inverse_if_clear(matrix: Array, condition: float) -> Array | None:
@@ -204,11 +244,7 @@ def inverse_if_clear(matrix: Array, condition: float) -> Array | None:
     size = float(np.abs(matrix).sum(axis=0).max(initial=0.0))
     if failed or lapack.dpocon(triangle, size, uplo="L")[0] <= 10.0 * len(matrix) * condition:
         return None
-    return _whole(lapack.dpotri(triangle, lower=1)[0])
-
-
-def _whole(lower: Array) -> Array:
-    """Symmetric, from its lower triangle."""
+    lower = lapack.dpotri(triangle, lower=1)[0]
     strict = np.tril(lower, -1)
     return np.asarray(strict + strict.T + np.diag(np.diag(lower)))
 

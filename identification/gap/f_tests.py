@@ -143,6 +143,12 @@ class Dictionary:
         return np.asarray(self._turns @ (raw - self.inside.T @ model_scores))
 
     @cached_property
+    def vectors(self) -> Array:
+        """(D, N) orthonormal bases of all hypotheses in single precision, half the time and memory of draws by the
+        thousand: products with them are good to six digits, and noise is compared with noise."""
+        return self.scores(self.columns.matrix.T, self.model_basis.T).astype(np.float32)
+
+    @cached_property
     def _turns(self) -> csr_array:
         """(D, C) of what projected columns each basis vector consists."""
         from scipy.sparse import csr_array

@@ -85,11 +85,11 @@ def wild_draws(corrected: Array, hypotheses: Dictionary, draws: int, generator: 
 
 
 def white_draws(hypotheses: Dictionary, draws: int, generator: np.random.Generator) -> Iterator[Draws]:
-    """Draws of white Gaussian noise, off the model, a part at a time."""
+    """Draws of white Gaussian noise, off the model, a part at a time; scores in single precision."""
     basis = hypotheses.model_basis
-    of_each = hypotheses.scores(hypotheses.columns.matrix.T, basis.T)  # (D, N)
     for drawn in _in_parts(lambda count: generator.standard_normal((len(basis), count)), hypotheses, draws):
-        yield Draws(of_each @ drawn, np.square(drawn).sum(axis=0) - np.square(basis.T @ drawn).sum(axis=0))
+        squares = np.square(drawn).sum(axis=0) - np.square(basis.T @ drawn).sum(axis=0)
+        yield Draws(hypotheses.vectors @ drawn.astype(np.float32), squares)
 
 
 def _in_parts(drawn: Callable[[int], Array], hypotheses: Dictionary, draws: int) -> Iterator[Array]:
