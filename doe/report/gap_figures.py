@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from doe.report.pictures import AFTER, BEFORE, LIMIT, draw_residual_arrows, to_scale, workspace_axes
+from doe.report.pictures import AFTER, BEFORE, LIMIT, MANY, draw_residual_arrows, to_scale, workspace_axes
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation.intervals import quantile_95
@@ -20,7 +20,6 @@ from identification.model import Model
 COLUMNS = 3
 BINS = 12
 GROUPS = 200  # of rows, along an error curve
-MANY = 500  # rows from which points are drawn smaller, and as pixels in vector formats
 
 
 def against_figure(diagnosis: Diagnosis) -> Figure:

@@ -36,8 +36,9 @@ if TYPE_CHECKING:
 
 SIGNED = (
     "Each row's residual, measured less computed, as the error of that joint which would explain most of it. Red: the "
-    "model without what is named. Blue: with it. Line: the difference of the two models, which is what the named "
-    "effects do. A wave or a slope in the red points that is gone in the blue ones is explained."
+    "model without what is named, but for what the curves of other joints explain. Blue: with it. Line: the difference "
+    "of the two models, which is what the effects named at this joint do. A wave or a slope in the red points that is "
+    "gone in the blue ones is explained."
 )
 
 

@@ -24,6 +24,7 @@ from identification.model import Model
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 
 POSITIONS = {REVOLUTE: "angle [deg]", PRISMATIC: "position [mm]"}
+MANY = 500  # rows from which points are drawn smaller, and as pixels in vector formats
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 
 
@@ -219,6 +220,7 @@ def draw_residual_arrows(
 ) -> None:
     """Residuals (m, d) as arrows at the measured positions, enlarged by `scale`, in each projection."""
     style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004, "color": color}
+    style["rasterized"] = len(positions) > MANY
     planar = residuals.shape[1] == 2
     for axis, (across, up) in zip(axes, projections(residuals.shape[1]), strict=True):
         seen = [values[:, place] for values in (positions, residuals * scale) for place in (across, up)]

@@ -6,7 +6,7 @@ row's residual r is e = r . lever / |lever|^2; where the lever is short a row sa
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from doe.report.pictures import AFTER, BEFORE, LIMIT
+from doe.report.pictures import AFTER, BEFORE, LIMIT, MANY
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import Conditions
@@ -26,9 +26,10 @@ SHORT = 0.3  # of the longest lever: below, a row counts less
 POINTS = 721  # of the fitted curve
 FINE, SMOOTH = 1.0 / 1000.0, 1.0 / 12.0  # share of the range that it looks at: of an effect, of all that changed
 NEARBY = 10  # rows that a point of the curve looks at, at most an eighth of all
+SWEEPS = 5  # over the joints that have a curve
 RIDGE, FAR = 0.1, 0.1  # in squared widths; share of the range without rows
-MANY = 500  # rows from which points are drawn smaller, and as pixels
 SHOWN = 99.0  # [%] of the points that set the scale
+Curve = tuple[Array, Array, Array]  # angles, error there, error at each row
 
 
 def joint_errors(levers: Array, residuals: Array) -> Array:
@@ -64,6 +65,23 @@ def fitted_curve(q: Array, lever: Array, change: Array, narrowest: float = FINE)
     return grid, np.divide(value, scale, out=np.full(POINTS, np.nan), where=told)
 
 
+def fitted_curves(postures: Array, levers: Array, change: Array, joints: Collection[int]) -> dict[int, Curve]:
+    """Joint (from 0) -> its curve, and what that means at each row (m,): of several joints together, each is fitted to
+    what the others leave of the change."""
+    found = {j: (np.empty(0), np.empty(0), np.zeros(len(postures))) for j in joints}
+    for _ in range(SWEEPS if len(found) > 1 else 1):
+        for j in found:
+            left = change - by_others(found, levers, j)
+            grid, error = fitted_curve(postures[:, j], levers[:, :, j], left)
+            found[j] = grid, error, np.interp(postures[:, j], grid, np.nan_to_num(error))
+    return found
+
+
+def by_others(curves: Mapping[int, Curve], levers: Array, joint: int) -> Array:
+    """(m, d) change [mm] by the curves of all joints but one."""
+    return np.sum([levers[:, :, k] * at[:, None] for k, (_, _, at) in curves.items() if k != joint], axis=0)
+
+
 def nearest(q: Array, grid: Array, k: int) -> Array:
     """Distance from each point of a grid to the k-th nearest of q."""
     padded = np.concatenate([np.full(k, -np.inf), np.sort(q), np.full(k, np.inf)])
@@ -76,8 +94,8 @@ def nearest(q: Array, grid: Array, k: int) -> Array:
 class Compared:
     """Residuals (m, d) [mm], measured less computed, of two models at postures (m, n), with their names.
 
-    notes : joint (from 1) -> what was found there; if there are any, the other joints get no curve; if there are none,
-        the curves are smooth
+    notes : joint (from 1) -> what was found there, and what the curves of the others explain is taken off before; if
+        there are any, the other joints get no curve; if there are none, the curves are smooth
     """
 
     arm: Arm
@@ -94,15 +112,17 @@ def signed_figures(rows: Compared) -> list[Figure]:
     model = Model(rows.arm)
     levers = model.joint_levers(rows.postures, conditions=rows.conditions)[:, POINT]
     before, after = (values[:, : levers.shape[1]] for values in (rows.before, rows.after))
-    errors = [joint_errors(levers, values) for values in (before, after)]
+    curves = fitted_curves(rows.postures, levers, before - after, [joint - 1 for joint in rows.notes])
     figures = []
     for j, kind in enumerate(model.joint_types):
         unit, factor, _ = FILE_UNITS[JOINT_UNITS[kind]]
         q, figure = rows.postures[:, j], Figure(figsize=(3.7, 2.5), layout="constrained")
         axes = figure.subplots()
-        draw_errors(axes, factor * q, [factor * values[:, j] for values in errors], rows.names)
-        if not rows.notes or j + 1 in rows.notes:
-            curve = fitted_curve(q, levers[:, :, j], before - after, FINE if rows.notes else SMOOTH)
+        own = before - by_others(curves, levers, j)
+        errors = [factor * joint_errors(levers, values)[:, j] for values in (own, after)]
+        draw_errors(axes, factor * q, errors, rows.names)
+        if j in curves or not curves:
+            curve = curves[j][:2] if curves else fitted_curve(q, levers[:, :, j], before - after, SMOOTH)
             axes.plot(*(factor * line for line in curve), color="k", lw=1.3)
         axes.set(xlabel=f"joint {j + 1} [{unit}]", ylabel=f"error [{unit}]")
         axes.set_title(rows.notes.get(j + 1, ""), fontsize=9)

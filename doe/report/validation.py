@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from doe.report.gap_figures import MANY, binned_rms
-from doe.report.pictures import AFTER, BEFORE, draw_residual_arrows, projections, workspace_axes
+from doe.report.gap_figures import binned_rms
+from doe.report.pictures import AFTER, BEFORE, MANY, draw_residual_arrows, projections, workspace_axes
 from doe.report.terminal import NARROW, number, table
 from identification.arrays import Array
 from identification.measurements import distances

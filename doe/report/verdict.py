@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from doe.report.page import Action
@@ -10,19 +10,19 @@ from doe.report.terminal import number
 from identification.effects import library
 
 Data = Mapping[str, Any]
-MOST = 4  # effects that a verdict spells out
+MOST = 4  # kinds of effects that a verdict spells out
 
 
-def in_words(label: str) -> str:
-    """`encoder disc off centre, once per turn (encoder_eccentricity:1)`."""
-    effect = library().get(label.partition("[")[0].partition(":")[0])
-    return label if effect is None else f"{effect.summary} ({label})"
-
-
-def listed(labels: list[str]) -> str:
-    """The first few effects in words."""
-    more = f"; and {len(labels) - MOST} more" if len(labels) > MOST else ""
-    return "; ".join(map(in_words, labels[:MOST])) + more
+def in_words(labels: Sequence[str]) -> str:
+    """`encoder disc off centre, once per turn (encoder_eccentricity:1)`; the first few, one kind is said once."""
+    kinds: dict[str, list[str]] = {}
+    for label in labels:
+        kinds.setdefault(label.partition("[")[0].partition(":")[0], []).append(label)
+    said = [
+        f"{library()[kind].summary} ({', '.join(these)})" if kind in library() else ", ".join(these)
+        for kind, these in kinds.items()
+    ]
+    return "; ".join(said[:MOST]) + (f"; and {len(said) - MOST} more" if len(said) > MOST else "")
 
 
 # -- armcal diagnose ---------------------------------------------------------------------------------------------------
@@ -33,15 +33,20 @@ def diagnosis_verdict(data: Data) -> list[str]:
 
 def missing(data: Data) -> str:
     """The verdict of `armcal diagnose`."""
-    sets = [" with ".join(map(in_words, c["effects"])) or "nothing" for c in data["candidates"]]
-    beside = f", beside {listed(data['effects'])}" if data["effects"] else ""
+    sets = [in_words(c["effects"]) or "nothing" for c in data["candidates"]]
+    beside = f", beside {in_words(data['effects'])}" if data["effects"] else ""
     text = {
         "none": "Nothing is missing from the model that these data can show.",
-        "named": f"Missing from the model: {listed(data['effects'])}.",
+        "named": f"Missing from the model: {in_words(data['effects'])}.",
         "ambiguous": f"{len(sets)} explanations fit about equally well: {'; or '.join(sets[:MOST])}.",
-        "unknown": f"Something that the library does not have is missing, at {data['where']}{beside}.",
+        "unknown": f"Something that the library does not have is missing, at {place(data)}{beside}.",
     }[data["verdict"]]
     return f"Not confirmed on rows that no fit has seen. {text}" if data["confirmed"] is False else text
+
+
+def place(data: Data) -> str:
+    """`joint 3`, `time`."""
+    return str(data["where"]).replace(":", " ")
 
 
 def shrinks(data: Data) -> str:
@@ -72,7 +77,7 @@ def diagnosis_actions(data: Data, arm: str = "arm.toml", rows: str = "data.csv")
         again = Action("Add the new rows to the data, and diagnose again:", called)
         return [Action("Measure the postures that tell the explanations apart:", apart), again]
     keep = Action("Keep the extended model:", f"{called} --out extended.toml")
-    look = Action(f"Look for a cause at {data['where']}; the named part may be used meanwhile.")
+    look = Action(f"Look for a cause at {place(data)}; the named part may be used meanwhile.")
     unknown = [look] if data["verdict"] == "unknown" else []
     return [*unknown, *([] if data["confirmed"] else [confirm]), keep, correct("extended.toml")]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from doe.report.signed_residuals import Compared, fitted_curve, joint_errors, nearest, signed_figures
+from doe.report.signed_residuals import Compared, fitted_curve, fitted_curves, joint_errors, nearest, signed_figures
 from identification.arm import Arm
 
 LENGTHS = np.array([300.0, 200.0])
@@ -43,6 +43,20 @@ def test_the_curve_is_the_change_where_there_are_rows_and_nothing_elsewhere() ->
     np.testing.assert_allclose(found[inside], 1e-3 * np.sin(4.0 * grid[inside]), atol=8e-5)
     one_angle = fitted_curve(np.full(5, 0.3), np.ones((5, 2)), np.full((5, 2), 2e-3))[1]
     np.testing.assert_allclose(one_angle[0], 2e-3)
+
+
+def test_curves_of_several_joints_are_told_apart() -> None:
+    q = np.random.default_rng(6).uniform(-2.0, 2.0, (1500, 2))
+    lever = np.stack([np.stack([-tip(q)[:, 1], tip(q)[:, 0]], axis=1), np.zeros((1500, 2))], axis=2)
+    lever[:, :, 1] = 200.0 * np.stack([-np.sin(q.sum(axis=1)), np.cos(q.sum(axis=1))], axis=1)
+    real = {0: 1e-3 * np.sin(5.0 * q[:, 0]), 1: 2e-3 * np.cos(4.0 * q[:, 1])}
+    change = sum(lever[:, :, j] * error[:, None] for j, error in real.items())
+    found = fitted_curves(q, lever, np.asarray(change), [0, 1])
+    for j, error in real.items():
+        # a line through ten rows misses by f'' h^2 / 2 = 32e-3 * 0.014^2 / 2 and what the other joint's rows scatter
+        assert np.sqrt(np.mean((found[j][2] - error) ** 2)) < 1e-4
+    alone = fitted_curves(q, lever, np.asarray(change), [1])[1][2]
+    assert np.sqrt(np.mean((alone - real[1]) ** 2)) > 2e-4
 
 
 def test_the_nearest_rows_are_those_of_a_search_among_all() -> None:

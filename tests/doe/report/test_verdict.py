@@ -26,9 +26,9 @@ def said(verdict: str, *effects: str, confirmed: bool | None = None, sets: int =
 
 
 def test_effects_are_said_in_words_with_their_names() -> None:
-    assert in_words("backlash:2") == "gear play, by direction of approach (backlash:2)"
-    assert in_words("transmission_ripple:2[k=6]") == "gear ripple, k times per turn (transmission_ripple:2[k=6])"
-    assert in_words("of_a_plugin:1") == "of_a_plugin:1"
+    assert in_words(["backlash:2"]) == "gear play, by direction of approach (backlash:2)"
+    assert in_words(["transmission_ripple:2[k=6]"]) == "gear ripple, k times per turn (transmission_ripple:2[k=6])"
+    assert in_words(["of_a_plugin:1"]) == "of_a_plugin:1"
 
 
 @pytest.mark.parametrize(
@@ -39,8 +39,8 @@ def test_effects_are_said_in_words_with_their_names() -> None:
         (said("named", "backlash:2"), "Missing from the model: gear play", "--holdout other.csv"),
         (said("named", "backlash:2", confirmed=False), "Not confirmed on rows that no fit has seen. Missing", ""),
         (said("ambiguous", "backlash:2", "axes_skew", sets=2), "2 explanations fit", "discriminate arm.toml data.csv"),
-        (said("unknown"), "Something that the library does not have is missing, at joint:3.", ""),
-        (said("unknown", "backlash:2"), "Something that the library does not have is missing, at joint:3, beside", ""),
+        (said("unknown"), "Something that the library does not have is missing, at joint 3.", ""),
+        (said("unknown", "backlash:2"), "Something that the library does not have is missing, at joint 3, beside", ""),
     ],
 )
 def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: str, command: str) -> None:
@@ -54,8 +54,9 @@ def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: 
 
 
 def test_many_effects_are_counted() -> None:
-    (verdict, _) = diagnosis_verdict(said("named", *(f"backlash:{j}" for j in range(1, 8))))
-    assert verdict.endswith("; and 3 more.")
+    kinds = ("axes_skew", "base_drift", "base_step", "gear_ratio:1", "gear_ratio:2", "joint_step:1", "link_step:1")
+    (verdict, _) = diagnosis_verdict(said("named", *kinds))
+    assert "gear ratio in the controller is wrong (gear_ratio:1, gear_ratio:2); and 2 more." in verdict
 
 
 def test_the_other_commands_in_a_sentence_each() -> None:
