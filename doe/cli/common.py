@@ -159,6 +159,9 @@ def _guarded(function: Callable[..., Answer], session: Session, options: dict[st
     except MemoryError:
         say("there is not enough memory for this, allowed: less of it at once, or more memory")
         sys.exit(1)
+    except ImportError as error:  # of a library in C: memory, or an installation that is not whole
+        say(f"a library cannot be loaded ({error}), allowed: enough memory, and a whole installation")
+        sys.exit(1)
 
 
 @contextmanager

@@ -98,7 +98,7 @@ def _process_pool(number: int) -> Iterator[Executor]:
     settings = {**SINGLE_THREAD, "PYTHONSAFEPATH": "1"}  # no module of the working directory comes first
     before = {name: os.environ.get(name) for name in settings}
     os.environ.update(settings)  # read when the workers start
-    pool = ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=_end_with_the_parent)
+    pool = _Pool(number, multiprocessing.get_context("spawn"), initializer=_end_with_the_parent)
     others = multiprocessing.active_children()
     try:
         yield pool
@@ -116,9 +116,32 @@ def _process_pool(number: int) -> Iterator[Executor]:
                 os.environ[name] = value
 
 
+class _Pool(ProcessPoolExecutor):
+    """Its processes start with Ctrl-C held back: before they know what to do with it they would show a traceback."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        with _ctrl_c_waits():
+            return super().submit(function, *arguments, **named)
+
+
+@contextmanager
+def _ctrl_c_waits() -> Iterator[None]:
+    """Ctrl-C comes afterwards; processes started meanwhile have it held back until they ask for it."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _end_with_the_parent() -> None:
     """In a new worker: Ctrl-C ends it at once, and so does the death of the process that started it (kill -9 too)."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     parent = multiprocessing.parent_process()
     if parent is None:
         return

@@ -1,13 +1,238 @@
-"""What tests of faults share: which processes still run."""
+"""Commands killed at random moments: what must hold of the files, the processes and the next run.
+
+Every command is first run once to its end: its files are the reference. Then it is started again, in a new folder and a
+session of its own, and stopped by a signal after a random part of that time. What must hold afterwards is in `verdict`.
+"""
 
 from __future__ import annotations
 
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+ROOT = Path(__file__).parents[2]
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+PATIENCE = 90.0  # [s] for an end after the signal, and for the rerun, on a busy machine
+TIMES = ("seconds", "seconds_to_hit", "peak_memory_mb")
+
+ARM = """name = "arm"
+links_mm = [260.0, 180.0, 120.0]
+[joint_limits_deg]
+lower = [-180.0, -120.0, -100.0]
+upper = [180.0, 120.0, 60.0]
+[measurement]
+sigma_mm = 0.1
+"""
+STUDY = """arms = ["arm.toml"]
+plans = ["dft", "random"]
+runs = [6]
+replications = 600
+block = 50
+"""
+
+
+@dataclass(frozen=True)
+class Command:
+    """What is killed.
+
+    words : of the command line;  again : what a run after the kill has besides, if there are files
+    paths : files and folders that it writes;  best_so_far : whether Ctrl-C may leave another result than the last
+    """
+
+    name: str
+    words: str
+    again: str
+    paths: tuple[str, ...]
+    best_so_far: bool = False
+
+
+COMMANDS = (
+    Command("study", "study study.toml --workers 2", "--resume", ("study.results",)),
+    Command(
+        "compare",
+        "compare arm.toml --runs 5 --solvers random,exchange --repeats 2 --starts 2 --out compared",
+        "--resume",
+        ("compared",),
+    ),
+    Command(
+        "design --seconds",
+        "design arm.toml --runs 7 --starts 12 --seconds 60 --out plan.csv",
+        "--force",
+        ("plan.csv",),
+        best_so_far=True,
+    ),
+    Command(
+        "diagnose",
+        "diagnose arm.toml data.csv --draws 399 --out extended.toml --report gap.html --force",
+        "--force",
+        ("extended.toml", "gap.html"),
+    ),
+    Command("demo", "demo --out demo", "--force", ("demo",)),
+)
+
+
+def prepare(folder: Path) -> Path:
+    """A new folder with what the commands read."""
+    folder.mkdir(parents=True)
+    (folder / "arm.toml").write_text(ARM)
+    (folder / "study.toml").write_text(STUDY)
+    generator = np.random.default_rng(3)
+    angles = generator.uniform([-180, -120, -100], [180, 120, 60], (24, 3))
+    turned = np.cumsum(np.radians(angles), axis=1)
+    reached = np.array([261.0, 179.5, 120.3]) * np.exp(1j * turned) @ np.ones(3)
+    noise = 0.1 * generator.standard_normal((24, 2))
+    rows = np.column_stack([angles, reached.real + noise[:, 0], reached.imag + noise[:, 1]])
+    lines = ["q1_deg,q2_deg,q3_deg,x_mm,y_mm", *(",".join(map(repr, row)) for row in rows.tolist())]
+    (folder / "data.csv").write_text("\n".join(lines) + "\n")
+    return folder
 
 
 def running(process: int) -> bool:
     """Whether the process of this number works; one that has ended and waits to be collected does not."""
+    return _state_and_session(process)[0] not in "ZX"
+
+
+def _state_and_session(process: int) -> tuple[str, int]:
     try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     except OSError:
-        return False
+        return "X", 0
+    return fields[0], int(fields[3])
+
+
+def left_of(session: int) -> list[int]:
+    """Processes of a session that still work."""
+    found = [(int(path.name), *_state_and_session(int(path.name))) for path in Path("/proc").glob("[0-9]*")]
+    return [number for number, state, its in found if its == session and state not in "ZX"]
+
+
+def start(command: Command, folder: Path, more: str = "") -> subprocess.Popen[str]:
+    """The command in a session of its own, both streams kept."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL}
+    line = [sys.executable, "-m", "doe", *command.words.split(), *more.split(), "--json", "--quiet"]
+    return subprocess.Popen(line, cwd=folder, env=environment, text=True, start_new_session=True, **pipes)
+
+
+def content(command: Command, folder: Path) -> dict[str, Any]:
+    """Path -> what is in each file that the command wrote: text, bytes, or the rows of a table without times."""
+    found: dict[str, Any] = {}
+    for name in command.paths:
+        path = folder / name
+        for file in sorted(path.iterdir()) if path.is_dir() else [path] if path.exists() else []:
+            found[str(file.relative_to(folder))] = _content(file)
+    return found
+
+
+def _content(path: Path) -> Any:
+    if path.suffix == ".parquet":
+        frame = pl.read_parquet(path).drop(TIMES, strict=False)
+        buffer = io.BytesIO()
+        frame.write_parquet(buffer)
+        return buffer.getvalue()
+    return "times" if path.name == "time.svg" else path.read_bytes()
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A run to the end: its files, and how long it took [s]."""
+
+    command: Command
+    files: dict[str, Any]
+    seconds: float
+
+    @classmethod
+    def of(cls, command: Command, folder: Path) -> Reference:
+        began = time.monotonic()
+        process = start(command, prepare(folder))
+        _, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, errors
+        return cls(command, content(command, folder), time.monotonic() - began)
+
+
+def verdict(
+    reference: Reference, folder: Path, number: signal.Signals, share: float, *, again: bool = True
+) -> list[str]:
+    """What is wrong after a kill: nothing, if the list is empty.
+
+    share : of the reference's time after which the signal comes;  again : whether the run after it is checked too
+    """
+    command = reference.command
+    process = start(command, prepare(folder))
+    time.sleep(share * reference.seconds)
+    # Ctrl-C goes to all of them, as from a terminal
+    (os.killpg if number is signal.SIGINT else os.kill)(process.pid, number)
+    try:
+        _, errors = process.communicate(timeout=PATIENCE)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        return ["does not end"]
+    wrong = [*_of_processes(process.pid), *_of_files(reference, folder, process.returncode)]
+    wrong += _of_words(number, process.returncode, errors)
+    return wrong + (_of_rerun(reference, folder) if again else [])
+
+
+def _of_processes(session: int) -> list[str]:
+    deadline = time.monotonic() + 10.0
+    while (left := left_of(session)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    for number in left:
+        os.kill(number, signal.SIGKILL)
+    return ["processes left behind"] if left else []
+
+
+def _of_files(reference: Reference, folder: Path, code: int) -> list[str]:
+    """Each file there is one of the reference, and the same as there, or a table with fewer rows or its journal."""
+    wrong = []
+    for name, found in content(reference.command, folder).items():
+        table = name.removesuffix(".journal").endswith(".parquet")
+        if name.removesuffix(".journal") not in reference.files:
+            wrong.append(f"{name} left behind")
+        elif not table and found != reference.files[name] and not (reference.command.best_so_far and code == 0):
+            wrong.append(f"{name} is half written")
+    return wrong
+
+
+def _of_words(number: signal.Signals, code: int, errors: str) -> list[str]:
+    lines = errors.splitlines()
+    if "Traceback" in errors or "Exception ignored" in errors:
+        return ["traceback: " + errors.strip().splitlines()[-1]]
+    if code in (-number, 0):
+        return []
+    said = len(lines) == 1 and f"stopped by {'Ctrl-C' if number is signal.SIGINT else number.name}" in lines[0]
+    return [] if code == 1 and said else [f"exit code {code}: {errors.strip()[-200:]!r}"]
+
+
+def _of_rerun(reference: Reference, folder: Path) -> list[str]:
+    command = reference.command
+    process = start(command, folder, command.again if content(command, folder) else "")
+    try:
+        _, errors = process.communicate(timeout=PATIENCE)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        return ["the rerun does not end"]
+    if process.returncode != 0:
+        return [f"the rerun fails: {errors.strip()[-200:]!r}"]
+    return [] if content(command, folder) == reference.files else ["the rerun gives other bits"]
+
+
+def random_kills(reference: Reference, folder: Path, count: int, seed: int) -> dict[str, list[str]]:
+    """Signal name -> what was wrong, of `count` kills at random moments, signals in turn."""
+    generator = np.random.default_rng(seed)
+    wrong: dict[str, list[str]] = {number.name: [] for number in SIGNALS}
+    for kill in range(count):
+        number, share = SIGNALS[kill % len(SIGNALS)], float(generator.uniform())
+        if found := verdict(reference, folder / f"{kill}", number, share):
+            wrong[number.name].append(f"after {share:.2f} of its time: {'; '.join(found)}")
+    return wrong

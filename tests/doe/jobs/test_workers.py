@@ -17,7 +17,7 @@ import pytest
 from doe.jobs.row_table import RowTable, read_rows
 from doe.jobs.tasks import run
 from doe.jobs.workers import Workers, choose, cluster
-from identification.errors import InputError
+from identification.errors import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
 import work
@@ -74,6 +74,30 @@ def test_cluster_with_a_killed_worker_gives_the_same_bits(tmp_path: Path) -> Non
     assert read_rows(path).equals(frame)  # the file is in the order of the keys, whoever finished first
     with RowTable.open(None) as table:
         assert frame.drop("seconds", "process").equals(run(work.draw, keys, table).drop("seconds"))
+
+
+def test_a_killed_scheduler_is_one_line_and_keeps_what_is_finished(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    keys = [{"task": task} for task in range(60)]
+    address = f"tcp://127.0.0.1:{free_port()}"
+    worker = ("dask_worker", address, "--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path))
+    path = tmp_path / "rows.parquet"
+    with ExitStack() as stack:
+        scheduler = stack.enter_context(started(stack, "dask_scheduler", "--host", address, "--no-dashboard"))
+        stack.enter_context(started(stack, *worker, "--no-dashboard"))
+        workers = ready(address, 1)
+
+        def kill(done: float, total: float | None, message: str) -> None:
+            if done >= 5:
+                scheduler.kill()
+
+        with pytest.raises(JobError, match="--resume"), RowTable.open(path) as table:
+            run(work.slow_draw, keys, table, workers, progress=kill)
+    kept = read_rows(path)
+    assert 5 <= len(kept) / 2 < 60
+    assert kept["value"].to_list() == work.drawn(keys[: len(kept) // 2])
+    with RowTable.open(path, resume=True) as table:
+        assert run(work.draw, keys, table)["value"].to_list() == work.drawn(keys)
 
 
 def ready(address: str, count: int) -> Workers:

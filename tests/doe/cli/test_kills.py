@@ -1,0 +1,92 @@
+"""Commands killed, short of disk, or not alone: a few of each; many: tests/benchmarks/test_faults.py."""
+
+from __future__ import annotations
+
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from doe.cli.demo import next_free
+from doe.jobs.row_table import RowTable
+from tests.doe.cli.conftest import Folder
+from tests.doe.faults import COMMANDS, STUDY, Command, Reference, content, prepare, start, verdict
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are counted in /proc")
+STUDY_COMMAND, DESIGN = COMMANDS[0], COMMANDS[2]
+SERIAL = Command("study", "study study.toml --workers 1", "--resume", ("study.results",))
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Reference:
+    """The study to its end, with two workers."""
+    return Reference.of(STUDY_COMMAND, tmp_path_factory.mktemp("reference") / "study")
+
+
+@pytest.mark.parametrize(("number", "share"), [(signal.SIGKILL, 0.7), (signal.SIGINT, 0.6)])
+def test_a_killed_study_resumes_to_the_same_bits(
+    reference: Reference, tmp_path: Path, number: signal.Signals, share: float
+) -> None:
+    assert verdict(reference, tmp_path / "killed", number, share) == []
+
+
+def test_a_design_that_is_stopped_leaves_no_process_and_no_half_file(tmp_path: Path) -> None:
+    made = Reference(DESIGN, {"plan.csv": None}, 2.0)  # its plan is not compared: it is the best so far
+    assert verdict(made, tmp_path / "killed", signal.SIGINT, 1.0, again=False) == []
+
+
+def test_a_full_disk_and_the_way_on(reference: Reference, tmp_path: Path) -> None:
+    """No file above 3 kB: the journal ends in mid-line, the tables cannot be written."""
+    folder = prepare(tmp_path / "full")
+    limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({3000}, {resource.RLIM_INFINITY}))"
+    code = f"{limit}; import sys; sys.argv[0] = 'armcal'; from doe.__main__ import run; run()"
+    words = [sys.executable, "-c", code, *SERIAL.words.split()]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode in (1, 2)
+    assert done.stderr.startswith("armcal: ")
+    assert "cannot be written (File too large)" in done.stderr
+    assert done.stderr.count("\n") == 1
+    process = start(SERIAL, folder, "--resume")
+    assert process.wait() == 0
+    process.communicate()
+    assert content(SERIAL, folder) == reference.files
+
+
+def test_two_studies_on_one_folder(folder: Folder) -> None:
+    folder.write("study.toml", STUDY)
+    (folder.path / "study.results").mkdir()
+    with RowTable.open(folder.path / "study.results" / "blocks.parquet") as table:
+        table.add({"task": 1}, [{"value": 1}])
+        for more in ([], ["--resume"], ["--force"]):
+            done = folder.armcal("study", "study.toml", "--workers", "1", *more)
+            assert (done.code, done.err.count("\n")) == (2, 1)
+            assert "another run is writing this table" in done.err
+        assert len(table.rows) == 1
+    assert [path.name for path in (folder.path / "study.results").iterdir()] == ["blocks.parquet"]
+
+
+def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:
+    names = [next_free(tmp_path / "demo").name for _ in range(3)]
+    assert names == ["demo", "demo-2", "demo-3"]
+
+
+def test_no_memory_and_broken_libraries_are_one_line(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    for error, said in ((MemoryError(), "not enough memory"), (ImportError("libx.so: no"), "library cannot be loaded")):
+
+        def fail(*_: object, error: BaseException = error) -> None:
+            raise error
+
+        monkeypatch.setattr("identification.files.arm.load_arm", fail)
+        done = folder.armcal("score", "arm.toml", "plan.csv")
+        assert (done.code, done.err.count("\n")) == (1, 1)
+        assert said in done.err
+
+
+def test_sigterm_is_a_sentence(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("identification.files.arm.load_arm", lambda _: signal.raise_signal(signal.SIGTERM))
+    done = folder.armcal("score", "arm.toml", "plan.csv")
+    assert (done.code, done.err) == (1, "armcal: stopped by SIGTERM, nothing was written\n")
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
