@@ -192,8 +192,8 @@ def _of_processes(session: int) -> list[str]:
 
 
 def _of_files(reference: Reference, folder: Path, code: int) -> list[str]:
-    """Each file there is one of the reference, and the same as there, or a table with fewer rows; or, where nobody could
-    tidy up, the journal of a table."""
+    """Each file is one of the reference, and as there, or a table with fewer rows, or, where nobody could tidy up,
+    the journal of a table."""
     wrong = []
     for name, found in content(reference.command, folder).items():
         if name.endswith(".parquet.journal") and code < 0:
