@@ -35,15 +35,35 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if arm is None or arm.chain is None:
         return model
     chain = with_markers(arm.chain, measurements)
-    if chain.known >= {BASE, TOOL}:
+    known = chain.known | held_places(model)
+    if known >= {BASE, TOOL}:
         return model if chain is arm.chain else replace(model, arm=replace(arm, chain=chain))
     rows = some(measurements, measurements.session_rows[0])
+    values: dict[str, float] = {}
     if (calibration := arm.calibration) is not None:
-        found_anew = {BASE, TOOL} - chain.known
-        kept = {name: v for name, v in calibration.values.items() if re.split(r"[.\[]", name)[0] not in found_anew}
-        calibration = replace(calibration, values=kept, base=None, tools={}, tool_axes={})
-    values = {} if calibration is None else calibration.values
-    return replace(model, arm=replace(arm, chain=standing(chain, rows, values), calibration=calibration))
+        values = {name: v for name, v in calibration.values.items() if _place(name) not in {BASE, TOOL} - known}
+        calibration = replace(calibration, values=values, base=None, tools={}, tool_axes={})
+    there = replace(standing_in(chain, values), known=known)
+    geometry = {name: value for name, value in values.items() if _place(name) not in (BASE, TOOL)}
+    found = standing(there, rows, geometry)
+    if BASE not in known:
+        chain = replace(chain, base=found.base)
+    if TOOL not in known:
+        chain = replace(chain, tools=found.tools, tool_axes=found.tool_axes)
+    return replace(model, arm=replace(arm, chain=chain, calibration=calibration))
+
+
+def held_places(model: Model) -> frozenset[str]:
+    """Those of base and measured points whose parameters are all known to the model."""
+    if not model.known:
+        return frozenset()
+    free = {p.kind for p in model.geometry_parameters if p.name not in model.known}
+    return frozenset({BASE, TOOL} - free - (frozenset() if model.arm.chain is None else model.arm.chain.known))
+
+
+def _place(name: str) -> str:
+    """`base` of `base.x`, `tool` of `tool[1].x`."""
+    return re.split(r"[.\[]", name)[0]
 
 
 def some(measurements: Measurements, rows: NDArray[np.int64]) -> Measurements:

@@ -52,6 +52,7 @@ LAYERS = {
     "identification.refit": 6,
     "identification.row_groups": 5,
     "identification.compensate": 6,
+    "identification.reuse": 6,
     "identification.inverse_kinematics": 6,
     "identification.sessions": 5,
     "identification.validate": 6,

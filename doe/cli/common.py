@@ -85,10 +85,12 @@ def read_sessions(paths: tuple[Path, ...], arm: Arm) -> Measurements:
     return pooled({name: read_measurements(path, arm) for name, path in zip(names, paths, strict=True)})
 
 
-def verb(example: str, summary: str) -> Callable[[Callable[..., Answer]], click.Command]:
+def verb(
+    example: str, summary: str, kind: type[click.Command] = click.Command
+) -> Callable[[Callable[..., Answer]], click.Command]:
     """Turn `function(session, **options) -> Answer` into a click command of its module's name.
 
-    summary : its line in `armcal --help`
+    summary : its line in `armcal --help`;  kind : of command
 
     Adds --json, --seed, --quiet and the example; errors become one line on standard error and an exit code.
     """
@@ -106,7 +108,7 @@ def verb(example: str, summary: str) -> Callable[[Callable[..., Answer]], click.
         run = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed.")(run)
         run = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")(run)
         name = function.__module__.rpartition(".")[2]
-        return click.command(name, short_help=summary, epilog=f"\b\nExample:\n  {example}")(run)
+        return click.command(name, kind, short_help=summary, epilog=f"\b\nExample:\n  {example}")(run)
 
     return decorate
 

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from doe.cli.common import Answer, Session, read_measurements, tables_on_terminal, verb
-from doe.cli.options import FILE, LibraryEffects, Output, output_options, prior_options
+from doe.cli.options import FILE, LibraryEffects, Output, PriorOrFile, only_option, output_options, prior_options
 from identification.errors import InputError
 from identification.status import Status
 
 if TYPE_CHECKING:
+    from identification.arm import Arm, Calibration
     from identification.estimation import Identification
+    from identification.estimation.prior import Earlier, Prior
     from identification.gap.library_prior import LibraryPrior
     from identification.measurements import Measurements
     from identification.model import Model
     from identification.servo import ServoError
 
 
-@verb("armcal identify arm.toml data.csv --out calibrated.toml", "Estimate the arm's parameters from measurements.")
+@verb(
+    "armcal identify arm.toml data.csv --out calibrated.toml",
+    "Estimate the arm's parameters from measurements.",
+    PriorOrFile,
+)
 @click.argument("arm", type=FILE)
 @click.argument("data", type=FILE)
 @click.option("--method", help="linear, gauss_newton or paper_steps; left out: the best for the model.")
@@ -31,6 +38,8 @@ if TYPE_CHECKING:
     help="What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.",
 )
 @prior_options
+@click.option("--prior-from", type=FILE, metavar="FILE", help="An earlier calibration as the prior; or --prior FILE.")
+@only_option
 @click.option(
     "--parameters",
     type=click.Choice(["minimal", "all"]),
@@ -45,43 +54,108 @@ def command(
     method: str | None,
     sigma: Literal["given", "estimated"] | None,
     prior: LibraryEffects,
+    prior_from: Path | None,
+    only: tuple[str, ...],
     parameters: str | None,
     urdf: Path | None,
     output: Output,
 ) -> Answer:
     """Estimate the arm's parameters from measurements, with 95 % intervals.
 
-    Where a column session tells sessions apart, each gets a base of its own; the file has that of the first.
+    Where a column session tells sessions apart, each gets a base of its own; the file has that of the first. With
+    --only all other parameters stay at the values of ARM.
     """
-    from identification.estimation import estimate, estimate_with_prior
     from identification.files.arm import load_arm
-    from identification.gap.library_prior import given_by, library_prior
-    from identification.model import Model
+    from identification.reuse import words_of
     from identification.servo import servo_errors, with_servo_errors
-    from identification.sessions import with_sessions
 
-    loaded = load_arm(arm)
+    loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
         if value is not None and loaded.chain is None:
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
     measurements = read_measurements(data, loaded)
     loaded, errors = with_servo_errors(loaded, measurements), servo_errors(measurements, loaded.joint_types)
-    wide = with_sessions(loaded, measurements)
-    if not prior.held:
-        model = Model(wide)
-        if parameters == "minimal":
-            model = minimal_model(model, measurements)
-        found = estimate(model, measurements, method=method, sigma=sigma)
-        return with_commands(answer(found, arm, output, urdf), errors)
-    check_with_prior(parameters, method)
-    library = library_prior(wide, given_by(measurements), prior.names)
-    found = estimate_with_prior(library.model, measurements, library.prior, sigma=sigma)
-    return with_commands(answer(found, arm, output, urdf, library), errors)
+    wanted = Wanted(words, prior, prior_from, method, sigma, parameters == "minimal")
+    found, library, said = wanted.fit(loaded, measurements)
+    before = loaded.calibration if words else None
+    answered = answer(found, arm, output, urdf, library, before)
+    answered.data |= said
+    answered.shown += wanted.sentences(said)
+    return with_commands(answered, errors)
 
 
-def check_with_prior(parameters: str | None, method: str | None) -> None:
-    """Raise `InputError` for options that a fit with the rest of the library does not have."""
-    if parameters == "minimal":
+@dataclass(frozen=True)
+class Wanted:
+    """What a fit is to estimate, and with what prior.
+
+    words : of --only, empty: everything;  minimal : a minimal set of a spatial arm's parameters
+    """
+
+    words: list[str]
+    prior: LibraryEffects
+    prior_from: Path | None
+    method: str | None
+    sigma: Literal["given", "estimated"] | None
+    minimal: bool
+
+    def fit(self, arm: Arm, data: Measurements) -> tuple[Identification, LibraryPrior | None, dict[str, Any]]:
+        """The fit, the library's effects in it, and what more is said in JSON."""
+        from identification.estimation import estimate, estimate_with_prior
+        from identification.estimation.prior import Prior
+        from identification.gap.library_prior import given_by, library_prior
+        from identification.sessions import with_sessions
+
+        wide = with_sessions(arm, data)
+        library = library_prior(wide, given_by(data), self.prior.names) if self.prior.held else None
+        model = self.model(wide if library is None else library.arm, data, library)
+        if library is None and self.prior_from is None:
+            model = minimal_model(model, data) if self.minimal else model
+            return estimate(model, data, method=self.method, sigma=self.sigma), None, self.said(model)
+        check_with_prior(self.minimal, self.method)
+        prior = Prior({} if library is None else library.prior.deviations, self.earlier(model))
+        return estimate_with_prior(model, data, prior, sigma=self.sigma), library, self.said(model, prior)
+
+    def model(self, arm: Arm, data: Measurements, library: LibraryPrior | None) -> Model:
+        """Of everything, or of what --only names; effects of the library are estimated all the same."""
+        from identification.model import Model
+        from identification.reuse import only
+
+        added = [] if library is None else list(library.prior.deviations)
+        return only(arm, [*self.words, *added], data) if self.words else Model(arm)
+
+    def earlier(self, model: Model) -> Earlier | None:
+        """What --prior-from says of the model's parameters."""
+        from identification.files.arm import load_arm
+        from identification.reuse import earlier
+
+        if self.prior_from is None:
+            return None
+        try:
+            return earlier(load_arm(self.prior_from), model)
+        except InputError as error:
+            raise InputError(f"{self.prior_from}: {error}") from None
+
+    def said(self, model: Model, prior: Prior | None = None) -> dict[str, Any]:
+        """Keys `only` and `prior_from`, where they are asked for."""
+        found: dict[str, Any] = {"only": self.words} if self.words else {}
+        if prior is not None and prior.earlier is not None:
+            names = list(prior.earlier.names)
+            anew = [name for name in model.names if name not in prior.names and name not in model.prior]
+            found["prior_from"] = {"file": str(self.prior_from), "parameters": names, "anew": anew}
+        return found
+
+    def sentences(self, said: dict[str, Any]) -> list[str]:
+        """The same for people."""
+        found = [f"Estimated: {', '.join(self.words)}; the others stay as in the arm file."] if self.words else []
+        if (prior := said.get("prior_from")) is not None:
+            anew = f"; without a prior: {', '.join(prior['anew'])}" if prior["anew"] else ""
+            found.append(f"Prior: {len(prior['parameters'])} parameters from {prior['file']}{anew}.")
+        return found
+
+
+def check_with_prior(minimal: bool, method: str | None) -> None:
+    """Raise `InputError` for options that a fit with a prior does not have."""
+    if minimal:
         raise InputError("--parameters: minimal with --prior, allowed: all")
     if method not in (None, "gauss_newton"):
         raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
@@ -111,9 +185,17 @@ def minimal_model(model: Model, measurements: Measurements) -> Model:
 
 
 def answer(
-    found: Identification, path: Path, output: Output, urdf: Path | None, library: LibraryPrior | None = None
+    found: Identification,
+    path: Path,
+    output: Output,
+    urdf: Path | None,
+    library: LibraryPrior | None = None,
+    before: Calibration | None = None,
 ) -> Answer:
-    """What is said of a fit, and the files with it where they are asked for and the fit is worth it."""
+    """What is said of a fit, and the files with it where they are asked for and the fit is worth it.
+
+    before : the calibration of which what is not estimated keeps its covariance
+    """
     from doe.report.identification_tables import identification_tables
 
     for sentence in () if tables_on_terminal() else found.warnings:
@@ -129,17 +211,24 @@ def answer(
         return Answer(data, shown, exit_code=1 if found.not_identifiable else 0)
     if (reason := no_file(found, output.force)) is not None:
         return Answer(data, [*shown, *(f"{name} was not written: {reason}" for name in wanted)], exit_code=1)
-    return Answer(data, shown + write(found, path, output, urdf, hidden))
+    return Answer(data, shown + write(found, path, output, urdf, hidden, before))
 
 
-def write(found: Identification, path: Path, output: Output, urdf: Path | None, hidden: frozenset[str]) -> list[str]:
+def write(
+    found: Identification,
+    path: Path,
+    output: Output,
+    urdf: Path | None,
+    hidden: frozenset[str],
+    before: Calibration | None = None,
+) -> list[str]:
     """Writes the calibrated arm and the corrected URDF file, all or none; the lines that say so."""
     from identification.files.arm_text import urdf_beside
     from identification.files.io import PathLike, write_together
 
     files: dict[PathLike, str | bytes] = {}
     if output.out is not None:
-        files[output.out] = arm_file(found, path, hidden)
+        files[output.out] = arm_file(found, path, hidden, before)
     if found.geometry is not None:
         from identification.files.arm_spatial import corrected_urdf
 
@@ -155,17 +244,18 @@ def write(found: Identification, path: Path, output: Output, urdf: Path | None, 
     return lines
 
 
-def arm_file(found: Identification, path: Path, hidden: frozenset[str]) -> str:
+def arm_file(found: Identification, path: Path, hidden: frozenset[str], before: Calibration | None = None) -> str:
     """The text of the arm file with the calibration, and with the effects that the fit has beyond the file's.
 
-    hidden : parameters whose covariance is left out
+    hidden : parameters whose covariance is left out;  before : see `answer`
     """
     from identification.files.arm_text import with_calibration, with_effects
     from identification.files.io import read_text
+    from identification.reuse import with_held
     from identification.sessions import SESSIONS, without_sessions
 
     effects = [spec for spec in found.model.arm.effects if spec.name != SESSIONS]
-    kept = found.calibration().about(set(found.names) - hidden)
+    kept = with_held(found.calibration().about(set(found.names) - hidden), before)
     text = with_effects(read_text(path), effects, path.parent)
     return with_calibration(text, without_sessions(kept), path.parent)
 

@@ -55,6 +55,26 @@ class FileOrShare(click.Path):
         return share
 
 
+class PriorOrFile(click.Command):
+    """`--prior FILE` is `--prior-from FILE`: so it is read where --prior as a flag leaves a word too many."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """As in click, the second time with the file's option."""
+        words = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            places = [k for k, word in enumerate(words) if word.partition("=")[0] == "--prior"]
+            if len(places) != 1:
+                raise
+            words[places[0]] = words[places[0]].replace("--prior", "--prior-from", 1)
+            ctx.params.clear()
+            try:
+                return super().parse_args(ctx, words)
+            except click.UsageError:
+                raise error from None
+
+
 def grouped(kind: type, name: str, *options: Decorator) -> Decorator:
     """A decorator that adds click options and hands their values on as one object, the argument `name`.
 
@@ -140,6 +160,12 @@ prior_options = grouped(
         "--prior", is_flag=True, help="Fit the library's effects too, each held by a prior of its typical size."
     ),
     click.option("--missing", metavar="NAMES", help="Only these effects, for --prior: backlash,gear_ratio"),
+)
+only_option = click.option(
+    "--only",
+    multiple=True,
+    metavar="NAMES",
+    help="Estimate only these, with commas: lengths, joint_offsets, base, tool, effects, names such as joint_offset:2.",
 )
 force_option = click.option("--force", is_flag=True, help="Overwrite an existing file.")
 

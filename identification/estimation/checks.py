@@ -43,7 +43,7 @@ def check(model: Model, measurements: Measurements, prior: Prior | None = None) 
     if p == 0:
         raise InputError("model: every parameter is known, allowed: at least one to estimate")
     _check_needs(model, measurements)
-    held = {*model.prior, *(() if prior is None else prior.deviations)}
+    held = {*model.prior, *(() if prior is None else prior.names)}
     p -= len(held & set(model.names))
     if (d := measurements.dimension) * m < p:
         found = f"{d} m = {d * m} < p = {p}"

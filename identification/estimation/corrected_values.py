@@ -138,7 +138,7 @@ def _spatial(chain: SpatialChain, values: Values, names: Collection[str]) -> Ite
     """Zeros of the joints, their frames, base and measured points; derivatives by the parameters `names`."""
     yield from (_zero(j, kind, values) for j, kind in enumerate(chain.joint_types, start=1))
     drawn, there = _tables(chain, {}), _tables(chain, values)
-    steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in names}
+    steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in names and p.kind != JOINT_OFFSET}
     ends = {
         name: [_tables(chain, {**values, name: values.get(name, 0.0) + sign * step}) for sign in (1.0, -1.0)]
         for name, step in steps.items()

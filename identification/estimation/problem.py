@@ -85,6 +85,12 @@ class Problem:
         nothing = np.zeros((0, len(self.model.parameters)))
         return nothing if self.prior is None else self.prior.rows(self.model.parameters, self.noise)
 
+    @cached_property
+    def prior_center(self) -> Array:
+        """(p,) means of the prior, see `Prior.center`."""
+        parameters = self.model.parameters
+        return np.zeros(len(parameters)) if self.prior is None else self.prior.center(parameters)
+
     @property
     def least_squares(self) -> LeastSquares:
         """What the solver sees, of tall problems their triangle."""
@@ -113,7 +119,9 @@ class Problem:
         if len(rows := self.prior_rows) == 0:
             return residuals, jacobian
         more = np.broadcast_to(rows, (k, *rows.shape))
-        return np.concatenate([residuals, -parameters @ rows.T], axis=1), np.concatenate([jacobian, more], axis=1)
+        return np.concatenate([residuals, (self.prior_center - parameters) @ rows.T], axis=1), np.concatenate(
+            [jacobian, more], axis=1
+        )
 
     def linearize_at(self, parameters: Array) -> tuple[Array, Array]:
         """(m d + r,) weighted residuals of the first data set and the (m d + r, p) Jacobian, at parameters (p,)."""

@@ -57,7 +57,7 @@ def estimate_with_prior(
     Raises `InputError` for data that do not fit the model, and fewer equations than parameters without a prior.
     """
     model = placed_model(model, measurements)
-    prior = Prior({**model.prior, **prior.deviations})
+    prior = replace(prior, deviations={**model.prior, **prior.deviations})
     check(model, measurements, prior)
     noise = weighting(model, measurements, sigma, weights)
     problem, solution, width = _solved(replace(Problem.of(model, measurements, noise.weights), prior=prior), noise)
@@ -120,7 +120,8 @@ class _Linearizations:
 
         def linearize(x: Array, _: Index) -> tuple[Array, Array]:
             residual, jacobian = self.at(x[0])
-            return np.concatenate([residual, -rows @ x[0]])[None], np.concatenate([jacobian, rows])[None]
+            left = rows @ (problem.prior_center - x[0])
+            return np.concatenate([residual, left])[None], np.concatenate([jacobian, rows])[None]
 
         return replace(problem.least_squares, linearize=linearize)
 
@@ -135,34 +136,36 @@ def _uncertainty(problem: Problem, covariance: Array, dof: float, noise: Noise) 
 class Linearized(NamedTuple):
     """A problem without its prior, linear about values x of its parameters, in as few rows as say the same.
 
-    target : (N,) weighted residuals if all parameters with a prior were zero;  jacobian : (N, p)
-    equations : of the data;  deviations : (p,) of the prior, 0: none;  machined : (p,) those of the machining
+    target : (N,) weighted residuals if all parameters with a prior were at its center;  jacobian : (N, p)
+    equations : of the data;  factor : (p, r) of the prior's covariance, see `Prior.factor`
+    machined : (p,) those with the prior of the machining
     """
 
     target: Array
     jacobian: Array
     equations: int
-    deviations: Array
+    factor: Array
     machined: NDArray[np.bool_]
 
     @classmethod
     def of(cls, problem: Problem, x: Array, residual: Array, jacobian: Array) -> Linearized:
         """About x (p,), where the problem without its prior has these residuals (N,) and this Jacobian (N, p)."""
-        deviations = problem.model.parameters.vector(problem.prior.deviations if problem.prior else {}, 0.0)
-        target = residual + jacobian @ np.where(deviations > 0.0, x, 0.0)
+        parameters, prior = problem.model.parameters, problem.prior
+        factor = np.zeros((len(parameters), 0)) if prior is None else prior.factor(parameters)
+        target = residual + jacobian @ np.where(factor.any(axis=1), x - problem.prior_center, 0.0)
         equations = problem.model.dimension * int(np.count_nonzero(problem.weights))
-        machined = np.array([name in problem.model.prior for name in problem.model.names]) & (deviations > 0.0)
-        return cls(target, jacobian, equations, deviations, machined)
+        own = {} if prior is None else problem.model.prior.keys() & prior.deviations.keys()
+        return cls(target, jacobian, equations, factor, np.array([name in own for name in parameters.names]))
 
     @property
     def spare(self) -> int:
         """Equations that are left over by the parameters without a prior."""
-        return self.equations - int(np.sum(self.deviations == 0.0))
+        return self.equations - self.free.shape[1]
 
     @property
     def free(self) -> Array:
         """(N, f) columns without a prior."""
-        return self.jacobian[:, self.deviations == 0.0]
+        return self.jacobian[:, ~self.factor.any(axis=1)]
 
     @property
     def scatter(self) -> float:
@@ -182,8 +185,7 @@ def likeliest(problem: Linearized, noise: Noise, given: bool) -> tuple[float, fl
         return unit, 1.0
     found = {}
     for width in WIDTHS if problem.machined.any() else WIDTHS[:1]:
-        sizes = problem.deviations * np.where(problem.machined, width, 1.0)
-        effects = (problem.jacobian * sizes)[:, sizes > 0.0]
+        effects = (problem.jacobian * np.where(problem.machined, width, 1.0)) @ problem.factor
         likelihood = Restricted.of(problem.target, problem.free, effects, problem.spare)
         scale = unit if given else likelihood.likeliest_noise(unit if known else unit / LARGEST, LARGEST * unit)
         found[width] = likelihood.minus_log(scale), scale
@@ -196,8 +198,8 @@ def widened(problem: Problem, width: float) -> Prior | None:
     """The problem's prior with the sizes of the machining so many times as large."""
     if problem.prior is None or width == 1.0:
         return problem.prior
-    machined = problem.model.prior
-    return Prior({name: size * (width if name in machined else 1.0) for name, size in problem.prior.deviations.items()})
+    own, machined = problem.prior.deviations, problem.model.prior
+    return replace(problem.prior, deviations={name: own[name] * (width if name in machined else 1.0) for name in own})
 
 
 @dataclass(frozen=True)

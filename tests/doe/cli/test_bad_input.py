@@ -162,6 +162,7 @@ def test_every_file_of_a_verb_is_known_as_read_or_written() -> None:
         "holdout",
         "keep",
         "candidates",
+        "prior_from",
     }
     for verb in main.commands.values():
         for parameter in verb.params:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+import tomllib
 
 import numpy as np
 import pytest
@@ -101,3 +102,44 @@ def test_commands_beside_readings(folder: Folder) -> None:
     folder.write("calibrated.toml", text)
     others = folder.armcal("compensate", "calibrated.toml", "targets.csv", "--json").data["commands_deg"]
     np.testing.assert_allclose(np.subtract(others, commands), [[0.0, -0.03, 0.0, 0.0]], atol=1e-6)
+
+
+def test_what_is_not_named_stays_and_keeps_its_covariance(folder: Folder) -> None:
+    folder.simulated()
+    assert folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml").code == 0
+    words = ["identify", "calibrated.toml", "data.csv", "--only", "joint_offset:2,lengths", "--only", "joint_offset:3"]
+    done = folder.armcal(*words, "--out", "again.toml", "--json")
+    assert done.data["only"] == ["joint_offset:2", "lengths", "joint_offset:3"]
+    names = [f"length_error:{j}" for j in (1, 2, 3, 4)] + ["joint_offset:2", "joint_offset:3"]
+    assert [row["name"] for row in done.data["parameters"]] == names
+    first, again = (tomllib.loads(folder.read(name))["calibration"] for name in ("calibrated.toml", "again.toml"))
+    assert again["joint_offsets_deg"][::3] == pytest.approx(first["joint_offsets_deg"][::3], abs=1e-12)
+    assert again["parameters"] == [*names, "joint_offset:1", "joint_offset:4"]
+    assert again["covariance"][-1][-1] == pytest.approx(first["covariance"][-1][-1])
+    assert "Estimated: joint_offset:2, lengths, joint_offset:3; the others" in folder.armcal(*words).out
+    wrong = folder.armcal("identify", "arm.toml", "data.csv", "--only", "length")
+    assert (wrong.code, "did you mean 'lengths'" in wrong.err) == (2, True)
+
+
+def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
+    """`--prior` alone means the library, wherever it stands; before a file an earlier calibration."""
+    folder.simulated()
+    folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
+    flag = folder.armcal("identify", "--prior", "arm.toml", "data.csv", "--missing", "backlash", "--json").data
+    assert flag["prior"]["effects"] == [f"backlash:{j}" for j in (1, 2, 3, 4)]
+    last = ["identify", "arm.toml", "data.csv", "--json", "--prior", "calibrated.toml"]
+    first = ["identify", "--prior=calibrated.toml", "arm.toml", "data.csv", "--json"]
+    named = ["identify", "arm.toml", "data.csv", "--json", "--prior-from", "calibrated.toml"]
+    found = [folder.armcal(*words).data for words in (last, first, named)]
+    assert found[0] == found[1] == found[2]
+    assert found[0]["prior_from"]["file"] == "calibrated.toml"
+    assert len(found[0]["prior_from"]["parameters"]) == 8
+    alone = folder.armcal("identify", "arm.toml", "data.csv", "--json").data
+    for with_prior, without in zip(found[0]["parameters"], alone["parameters"], strict=True):
+        assert with_prior["std"] == pytest.approx(without["std"] / np.sqrt(2.0), rel=0.1)  # the same data, twice
+    both = folder.armcal(*named, "--prior", "--missing", "backlash").data
+    assert both["prior"]["parameters"] == 4
+    assert both["prior_from"]["anew"] == []
+    wrong = folder.armcal("identify", "arm.toml", "data.csv", "more.csv", "--prior")
+    assert (wrong.code, "unexpected extra argument" in wrong.err) == (2, True)
+    assert "found no covariance" in folder.armcal(*last[:-1], "arm.toml").err
