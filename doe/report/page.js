@@ -146,11 +146,10 @@ class Steps {
   summary() {
     const kept = this.kept, p = this.plan.parameters, total = information(this.plan, kept);
     const efficiency = this.efficiency(total.map(row => row.slice()));
-    const perRun = logDet(total) - p * Math.log(kept.length);
-    const loss = this.whole - p * Math.log(this.plan.rows.length);
+    const left = logDet(total), perRun = left - p * Math.log(kept.length);
     const facts = { "runs": `${kept.length} of ${this.plan.rows.length}`, "log det M'": perRun.toFixed(7) };
     if (Number.isFinite(perRun)) {
-      facts["change of log det M'"] = (perRun - loss).toFixed(7);
+      facts["log det lost, all runs together"] = (this.whole - left).toFixed(7);
       facts["D-efficiency against the whole plan"] = efficiency.toFixed(4);
     } else facts["log det M'"] = "not every parameter can be identified any more";
     if (this.plan.joints.every(name => name.endsWith("[deg]"))) facts["joint travel"] = `${this.travel(kept).toFixed(1)} deg`;

@@ -120,6 +120,8 @@ def test_a_plan_is_stepped_through_edited_and_scored(
     assert float(facts["joint travel"].removesuffix(" deg")) == pytest.approx(travel, abs=0.051)
     left, *each = efficiencies(pages.path / arm, np.radians(whole["postures_deg"]), order)
     assert float(facts["D-efficiency against the whole plan"]) == pytest.approx(left, abs=5.1e-5)
+    lost = -np.log(left) * len(load_problem(pages.path / arm).model.parameters)
+    assert float(facts["log det lost, all runs together"]) == pytest.approx(lost, abs=1e-6)
     assert [float(text) for text in without if text] == pytest.approx(each, abs=5.1e-4)
 
 
@@ -127,8 +129,12 @@ def scored(folder: Folder, arm: str, plan: str) -> dict[str, Any]:
     """What `armcal score` says; of the spatial arm without its bound, which takes seconds."""
     if arm == "arm.toml":
         return folder.armcal("score", arm, plan, "--json").data
-    problem = DesignProblem.of(Model(load_arm(folder.path / arm)))
-    return score(problem, load_plan(folder.path / plan)).to_json()
+    return score(load_problem(folder.path / arm), load_plan(folder.path / plan)).to_json()
+
+
+def load_problem(arm: Path) -> DesignProblem:
+    """The design problem of an arm file."""
+    return DesignProblem.of(Model(load_arm(arm)))
 
 
 def edit(seen: Watched) -> None:
@@ -149,7 +155,7 @@ def edit(seen: Watched) -> None:
 
 def efficiencies(arm: Path, postures: np.ndarray, order: list[int]) -> list[float]:
     """(det / det of the whole plan)^(1/p) of the information of some runs, then without each of them."""
-    problem = DesignProblem.of(Model(load_arm(arm)))
+    problem = load_problem(arm)
     jacobians, known = problem.scaled_jacobians(postures), np.diag(problem.precisions)
 
     def log_det(runs: list[int]) -> float:
