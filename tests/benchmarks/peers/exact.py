@@ -155,7 +155,7 @@ def figaroh_detmax(arm: Arm, runs: int) -> Iterator[np.ndarray]:
     class Kept(Detmax):
         """It returns its criterion only: the last set it judged is the one it ends with."""
 
-        def get_critD(self, set: list[int]) -> float:  # noqa: N802 - its name
+        def get_critD(self, set: list[int]) -> float:
             self.kept = list(set)
             return super().get_critD(set)
 
