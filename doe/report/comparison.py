@@ -111,14 +111,15 @@ def profile_figure(rows: pl.DataFrame) -> Figure:
     end = 1.3 * max((float(tau[-1]) for tau, _ in curves.values() if tau.size), default=1.0)
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.subplots()
-    for setting, (tau, fraction) in curves.items():
+    for above, (setting, (tau, fraction)) in enumerate(curves.items()):
         color, dashes, _ = styles[setting]
+        width = 1.5 + 2.0 * (len(curves) - 1 - above)  # the narrow ones on top: equal curves hide none
         x, y = np.r_[0.9, tau, end], np.r_[0.0, fraction, fraction[-1] if fraction.size else 0.0]
-        axes.step(x, y, where="post", color=color, ls=dashes, label=label(setting))
-    axes.set(xscale="log", xlim=(1.0, max(end, 1.1)), ylim=(-0.02, 1.02))
+        axes.step(x, y, where="post", color=color, ls=dashes, lw=width, label=f"{label(setting)}: {y[-1]:.0%}")
+    axes.set(xscale="log", xlim=(1.0, max(end, 1.1)), ylim=(-0.04, 1.04))
     _plain_numbers(axes)
     axes.set(xlabel="time / time of the fastest", ylabel="fraction of instances at the best known value")
-    figure.legend(fontsize=8, loc="outside right center")
+    figure.legend(fontsize=8, loc="outside right center", title="solved in the end", title_fontsize=8)
     return figure
 
 
