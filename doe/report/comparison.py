@@ -115,7 +115,8 @@ def profile_figure(rows: pl.DataFrame) -> Figure:
         color, dashes, _ = styles[setting]
         width = 1.5 + 1.2 * (len(curves) - 1 - above)  # the narrow ones on top: equal curves hide none
         x, y = np.r_[0.9, tau, end], np.r_[0.0, fraction, fraction[-1] if fraction.size else 0.0]
-        axes.step(x, y, where="post", color=color, ls=dashes, lw=width, label=f"{label(setting)}: {100.0 * y[-1]:.0f} %")
+        name = f"{label(setting)}: {100.0 * y[-1]:.0f} %"
+        axes.step(x, y, where="post", color=color, ls=dashes, lw=width, label=name)
     axes.set(xscale="log", xlim=(1.0, max(end, 1.1)), ylim=(-0.04, 1.04))
     _plain_numbers(axes)
     axes.set(xlabel="time / time of the fastest", ylabel="fraction of instances at the best known value")
