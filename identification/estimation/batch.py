@@ -2,7 +2,7 @@
 a plan of its own (`estimate_each`: the average over random plans).
 
 A model with a closed form takes a few multiplications per fit. Any other starts there and goes on with
-`levenberg_marquardt`; on one plan, the steps that data sets can share come first (`chord`).
+`levenberg_marquardt`; on one plan, steps by matrices that are made once come first (`chord`).
 """
 
 from __future__ import annotations
@@ -130,10 +130,18 @@ def _iterated(problem: Problem) -> BatchFit:
     for part in _chunks(count, m):
         parameters[part] = starts(problem.rows(part))
     usable = np.all(np.isfinite(parameters), axis=1)
-    chord = Chord(problem, np.mean(parameters[usable], axis=0) if usable.any() else problem.start)
+    center = np.mean(parameters[usable], axis=0) if usable.any() else problem.start
+    shared = Chord(problem, np.concatenate([problem.jacobian(center), problem.prior_rows])[None])
     stationary = np.zeros(count, dtype=bool)
     for part in _chunks(count, m):
-        parameters[part], rss[part], stationary[part] = chord.solve(problem.rows(part), parameters[part])
+        parameters[part], rss[part], stationary[part] = shared.solve(problem.rows(part), parameters[part])
+    for _ in range(2):
+        rest = np.flatnonzero(~stationary)
+        for part in _chunks(len(rest), m):
+            some = rest[part]
+            own = problem.rows(some)
+            chord = Chord(own, own.linearize(parameters[some], np.arange(len(some)))[1])
+            parameters[some], rss[some], stationary[some] = chord.solve(own, parameters[some])
     status[stationary] = Status.converged
     rest = np.flatnonzero(~stationary)
     for part in _chunks(len(rest), m):
