@@ -55,10 +55,26 @@ class Campaign:
             found.tests[name] = {model: validate(arm, rows) for model, arm in given.calibrated.items()}
         return found
 
+    @property
+    def digests(self) -> list[str | None]:
+        """Hash of the file that each calibrated arm was fitted to, None: it does not say."""
+        found = (arm.calibration for arm in self.given.calibrated.values())
+        return [calibration.provenance.get("sha256") for calibration in found if calibration]
+
     def fitted_to(self, rows: str) -> bool:
-        """Whether a model was fitted to these measurements."""
-        digests = {arm.calibration.provenance.get("sha256") for arm in self.given.arms.values() if arm.calibration}
-        return self.given.measurements[rows].provenance.get("sha256") in digests - {None}
+        """Whether a model was fitted to these measurements, as far as it says so."""
+        digest = self.given.measurements[rows].provenance.get("sha256")
+        return digest is not None and digest in self.digests
+
+    @property
+    def worse(self) -> list[Action]:
+        """A warning for every set of other measurements that the last model does not improve."""
+        last = ((rows, list(tests.items())[-1]) for rows, tests in self.tests.items())
+        return [
+            Action(f"Do not use {model} as it is: on {rows} it is no better than the drawing (see there).")
+            for rows, (model, test) in last
+            if test.model.rms >= test.nominal.rms
+        ]
 
     @property
     def verdict(self) -> list[str]:
@@ -83,7 +99,11 @@ class Campaign:
         """What to do next, from the farthest step that was reached."""
         given = self.given
         arm = next((name for name, one in given.arms.items() if one.calibration is None), None)
-        names = {"arm": arm or next(iter(given.arms), "arm.toml"), "rows": next(iter(given.measurements), "data.csv")}
+        data = sorted(given.measurements, key=self.fitted_to, reverse=True) or ["data.csv"]
+        names = {"arm": arm or next(iter(given.arms), "arm.toml"), "rows": data[0]}
+        if self.worse:
+            pooled = " ".join(["armcal diagnose", names["arm"], *data])
+            return [*self.worse, Action("See what all measurements together say, each file as a session:", pooled)]
         if diagnoses := self.said("diagnose"):
             return diagnosis_actions(diagnoses[-1], **names)
         if given.calibrated or self.said("identify") or self.said("validate"):
@@ -123,12 +143,12 @@ class Campaign:
         before, pair = last.nominal_residuals if other is None else other.residuals, (names[-2], names[-1])
         notes = new_effects(last.arm, None if other is None else other.arm)
         compared = Compared(last.arm, measured.postures, before, last.residuals, measured.conditions, notes=notes)
-        used = (
-            "A model was fitted to these rows." if self.fitted_to(rows) else "No model given here was fitted to them."
-        )
+        used = "" if None in self.digests else "No model given here was fitted to them. "
+        used = "A model was fitted to these rows. " if self.fitted_to(rows) else used
+        found = "".join(f"{note[:1].upper()}{note[1:]}. " for note in last.notes if "identified from" not in note)
         return Section(
             f"Error on {rows}",
-            f"{len(measured)} rows. {used} {PLACED} {SIGNED.format(*pair)}",
+            f"{len(measured)} rows. {used}{found}{PLACED} {SIGNED.format(*pair)}",
             [Sheet(["distance [mm]", "RMS", "mean", "95 % below", "largest"], cells)],
             [
                 workspace_arrows(last.arm, measured.positions, ((before, pair[0]), (last.residuals, pair[1]))),

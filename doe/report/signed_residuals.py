@@ -23,6 +23,7 @@ from identification.measurements import POINT
 from identification.model import Model
 
 SHORT = 0.3  # of the longest lever: below, a row counts less
+STILL = 0.02  # of the reach: a joint with shorter levers says little
 POINTS = 721  # of the fitted curve
 FINE, SMOOTH = 1.0 / 1000.0, 1.0 / 12.0  # share of the range that it looks at: of an effect, of all that changed
 NEARBY = 10  # rows that a point of the curve looks at, at most an eighth of all
@@ -125,7 +126,8 @@ def signed_figures(rows: Compared) -> list[Figure]:
             curve = curves[j][:2] if curves else fitted_curve(q, levers[:, :, j], before - after, SMOOTH)
             axes.plot(*(factor * line for line in curve), color="k", lw=1.3)
         axes.set(xlabel=f"joint {j + 1} [{unit}]", ylabel=f"error [{unit}]")
-        axes.set_title(rows.notes.get(j + 1, ""), fontsize=9)
+        still = np.linalg.norm(levers[:, :, j], axis=1).max() < STILL * rows.arm.reach
+        axes.set_title(rows.notes.get(j + 1, "hardly moves the measured point" if still else ""), fontsize=9)
         if j == 0:
             axes.plot([], [], color="k", lw=1.3, label="fitted")
             axes.legend(frameon=False, fontsize=8, ncols=3, handletextpad=0.3, columnspacing=1.0)

@@ -169,6 +169,7 @@ def diagnosis_of(
         confirmation = confirmation_of(measurements, holdout, there, named)
     return replace(
         result,
+        data=measurements.provenance,
         choice=choice,
         replication=replications(explained.fit, measurements, kept, result.effects),
         misfit=misfit(residuals.after, estimated, measurements, arm.sigma, kept),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from html import escape
 from types import MappingProxyType
 from typing import Any
@@ -58,7 +58,7 @@ class Diagnosis:
     replication : of several sessions, what each named effect is in each
     warnings : what is doubtful about the fit, to be read before the verdict is believed
     curves : error curves of joints that are part of the best set
-    prior : what is held by it beside the named effects, None without
+    prior : what is held by it beside the named effects, None without;  data : `file` and `sha256` of the rows, if known
     trials : every effect against the base model;  detectability : what the plan could show
     misfit : what is left against the sigma given, None without one;  confirmation : by held-out rows, None without
     choice : the effects chosen anew without a part of the rows; None where that was not tried
@@ -91,6 +91,7 @@ class Diagnosis:
     replication: tuple[Replication, ...] = ()
     curves: tuple[Curve, ...] = ()
     prior: LibraryPrior | None = None
+    data: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -166,7 +167,7 @@ class Diagnosis:
     @property
     def calibration(self) -> Calibration:
         """Everything estimated with the best set, and where it comes from: verdict, rivals, what confirms it."""
-        said: dict[str, Any] = {"verdict": self.verdict, "sentence": self.sentence}
+        said: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
         if self.confirmed is not None:
             said["confirmed"] = self.confirmed
         said |= {name: value for name, value in self.gap.to_json().items() if value is not None}

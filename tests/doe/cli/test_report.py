@@ -7,6 +7,7 @@ import json
 
 import pytest
 
+from identification.files.arm import load_arm
 from tests.doe.cli.conftest import Folder
 
 
@@ -62,10 +63,24 @@ def test_a_subset_says_what_to_do_next(campaign: Folder) -> None:
         assert expected in campaign.read("page.html")
 
 
+def test_a_model_that_is_no_better_than_the_drawing_is_not_recommended(campaign: Folder) -> None:
+    text = campaign.read("cal.toml")
+    worse = text.replace("length_errors_mm = [", "length_errors_mm = [30.0, -20.0, 25.0, -30.0] # [")
+    campaign.write("worse.toml", worse)
+    done = campaign.armcal("report", "arm.toml", "worse.toml", "other.csv", "--out", "page.html")
+    assert done.code == 0, done.err
+    page = campaign.read("page.html")
+    assert "Do not use worse.toml as it is: on other.csv it is no better than the drawing" in page
+    assert "armcal compensate" not in page
+
+
 def test_the_report_of_a_diagnosis_stands_in_the_page_too(campaign: Folder) -> None:
-    words = "diagnose", "arm.toml", "data.csv", "--draws", "399"
+    words = "diagnose", "arm.toml", "data.csv", "--draws", "399", "--out", "extended.toml"
     done = campaign.armcal(*words, "--report", "gap.html", "--json")
     assert done.code == 0, done.err
+    calibration = load_arm(campaign.path / "extended.toml").calibration
+    assert calibration is not None
+    assert calibration.provenance["sha256"] == hashlib.sha256((campaign.path / "data.csv").read_bytes()).hexdigest()
     campaign.write("diag.json", done.out)
     assert campaign.armcal("report", "diag.json", "--out", "page.html").code == 0
     for page in ("gap.html", "page.html"):
