@@ -16,6 +16,7 @@ from doe.plan.tip_error import TipError, robust_or_none, tip_error
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from identification.errors import InputError
+from identification.kinematics.parameters import LENGTH_ERROR
 from identification.progress import Progress, silent
 
 
@@ -39,8 +40,12 @@ class Advice:
 
     @property
     def of_tip(self) -> bool:
-        """True where accuracy is that of the tip: a geometry with a prior has deviations of that prior's size."""
-        return bool(self.tip_errors) and bool(self.designs[0].problem.deviations)
+        """True where accuracy is that of the tip: a geometry with a prior has deviations of that prior's size, and of
+        another no length may be estimated."""
+        if not self.tip_errors:
+            return False
+        problem = self.designs[0].problem
+        return bool(problem.deviations) or not any(p.kind == LENGTH_ERROR for p in problem.model.parameters)
 
     def accuracy(self, design: Design) -> float | None:
         """Of one of the designs the largest expected standard deviation of a length of the arm's geometry [mm], or the

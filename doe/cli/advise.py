@@ -6,33 +6,62 @@ import re
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
 from doe.cli.common import Answer, Session, verb
-from doe.cli.options import FILE, Output, Seconds, output_options
+from doe.cli.options import FILE, Output, Seconds, only_option, output_options
 from identification.errors import InputError
 
 
 @verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png", "How many measurements are needed?")
 @click.argument("arm", type=FILE)
 @click.option("--runs", default="4:40", show_default=True, metavar="A:B", help="Numbers of runs, A to B.")
-@click.option("--target-mm", type=float, help="Wanted largest std of a link length; in space error of the tip [mm].")
+@only_option
+@click.option(
+    "--target-mm",
+    type=float,
+    help="Wanted largest std of a link length; in space, or with no length, error of the tip [mm].",
+)
 @click.option("--seconds", type=Seconds(), default=2.0, show_default=True, help="Time budget per number of runs [s].")
 @output_options(picture="Write the curve as .png, .svg or .pdf.")
-def command(session: Session, arm: Path, runs: str, target_mm: float | None, seconds: float, output: Output) -> Answer:
-    """Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy."""
+def command(
+    session: Session,
+    arm: Path,
+    runs: str,
+    only: tuple[str, ...],
+    target_mm: float | None,
+    seconds: float,
+    output: Output,
+) -> Answer:
+    """Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy.
+
+    With --only how few postures are enough to find these parameters anew, the others as in ARM, for `identify --only`.
+    """
     from doe.advise import advise
     from doe.problem.problem import DesignProblem
     from doe.report.advice import advice_figure, advice_tables
     from identification.files.arm import load_arm
     from identification.model import Model
+    from identification.reuse import only as only_these
+    from identification.reuse import words_of
 
-    loaded = load_arm(arm)
-    problem = DesignProblem.of(Model(loaded))
+    loaded, words = load_arm(arm), words_of(only)
+    problem = DesignProblem.of(only_these(loaded, words) if words else Model(loaded))
+    if words and not given("runs"):
+        runs = f"{problem.fewest_runs}:40"
     with session.progress("advise") as progress:
         numbers = run_range(runs, problem.fewest_runs)
         advice = advise(problem, numbers, target=target_mm, seed=session.seed, seconds_each=seconds, progress=progress)
     output.draw(lambda: advice_figure(advice))
-    return Answer(advice.to_json(), advice_tables(advice))
+    said = {"only": words, "fewest_runs": problem.fewest_runs} if words else {}
+    fewest = f"{problem.fewest_runs} run{'' if problem.fewest_runs == 1 else 's'}"
+    lines = [f"Of {', '.join(words)} alone, {fewest} or more:"] if words else []
+    return Answer(advice.to_json() | said, [*lines, *advice_tables(advice)])
+
+
+def given(option: str) -> bool:
+    """Whether an option stands on the command line."""
+    return click.get_current_context().get_parameter_source(option) is not ParameterSource.DEFAULT
 
 
 def run_range(text: str, fewest: int) -> range:

@@ -49,7 +49,8 @@ def robust_problem(
     criterion : None: I, the mean squared error of the tip over `workspace`, with the estimated effects in the model
     """
     added = missing_effects(problem) if missing is None else missing
-    wide = replace(problem, model=added.model, deviations={**problem.deviations, **added.prior.deviations})
+    model = replace(added.model, known=getattr(problem.model, "known", None))
+    wide = replace(problem, model=model, deviations={**problem.deviations, **added.prior.deviations})
     return replace(wide, criterion=average_error(wide) if criterion is None else criterion)
 
 

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from doe.advise import advise
+from doe.problem.problem import DesignProblem
 from identification.arm import Arm
 from identification.errors import InputError
+from identification.reuse import only
 from tests.doe.arms import problem
 
 FREE = problem(Arm([260.0, 180.0, 120.0], sigma=0.1))
@@ -38,3 +40,21 @@ def test_bad_input() -> None:
         advise(problem(Arm([260.0, 180.0, 120.0])), [4], target=0.04)
     with pytest.raises(InputError, match="runs: 2"):
         advise(FREE, [2, 3])
+
+
+def test_one_joint_alone_by_its_lever() -> None:
+    """One offset needs one posture: the arm stretched behind the joint, and sigma over that lever."""
+    arm = Arm([260.0, 180.0, 120.0, 100.0], sigma=0.1)
+    advice = advise(DesignProblem.of(only(arm, ["joint_offset:3"])), [1, 2], target=0.08)
+    for design, m in zip(advice.designs, (1, 2), strict=True):
+        assert design.certified_optimal
+        assert design.deviations is not None
+        assert design.deviations.joint_offset[2] == pytest.approx(0.1 / 220.0 / np.sqrt(m))
+        assert design.deviations.joint_offset[[0, 1, 3]].tolist() == [0.0, 0.0, 0.0]
+    # nothing but joint 3 is uncertain: its lever to the tip, of links 3 and 4, times that
+    assert advice.of_tip
+    lever = np.hypot(120.0, 100.0)  # root mean square over angles of joint 4
+    assert advice.tip_errors[0].right == pytest.approx(0.1 / 220.0 * lever, rel=0.02)
+    assert advice.tip_errors[0].worst == pytest.approx(0.1, rel=1e-3)
+    assert np.isfinite(advice.tip_errors[0].missing)
+    assert advice.smallest is advice.designs[0]

@@ -112,3 +112,11 @@ def test_what_does_not_fit_is_said(arm: Path, words: list[str], expected: str) -
     result = armcal(words[0], arm, *words[1:])
     assert result.exit_code == 2
     assert expected in result.output
+
+
+def test_advise_of_some_parameters(arm: Path) -> None:
+    found = answer("advise", arm, "--only", "base,joint_offset:2", "--runs", "2:2")
+    assert (found["only"], found["fewest_runs"]) == (["base", "joint_offset:2"], 2)
+    assert found["rows"][0]["largest_length_std_mm"] == 0.0
+    shown = armcal("advise", arm, "--only", "joint_offset:2", "--runs", "1").output
+    assert "Of joint_offset:2 alone, 1 run or more" in shown
