@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import sys
 from typing import Any
 
+sys.dont_write_bytecode = False  # some environments ask for it: each worker, kernel and process would compile anew
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):  # before numpy: xdist fills the cores
     os.environ.setdefault(_name, "1")
 

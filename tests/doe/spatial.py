@@ -208,10 +208,13 @@ def symbolic_turn(axis: str, angle: Any) -> ca.SX:
 
 
 # -- the oracle: the same chain in numpy, derivatives by finite differences ------------------------------------------
+CROSS = {axis: np.cross(np.eye(3), unit) for axis, unit in zip(AXES, np.eye(3), strict=True)}  # @ v = axis x v
+
+
 def turn(axis: str, angles: ArrayLike) -> Array:
     """(..., 3, 3) rotations about an axis by angles (...): Rodrigues' formula."""
     sine, cosine = np.sin(angles)[..., None, None], np.cos(angles)[..., None, None]
-    cross = np.cross(np.eye(3), np.eye(3)[AXES.index(axis)])  # cross @ v = axis x v
+    cross = CROSS[axis]
     return np.eye(3) + sine * cross + (1.0 - cosine) * cross @ cross
 
 
@@ -223,7 +226,8 @@ def chain_points(model: SpatialModel, postures: Array, values: Array) -> Array:
     for j, (joint, q) in enumerate(zip(model.chain, postures.T, strict=True)):
         place = place + frame @ (np.array(joint.offset) + [error.get(f"translation_{a}:{j + 1}", 0.0) for a in AXES])
         for axis in AXES:
-            frame = frame @ turn(axis, error.get(f"rotation_{axis}:{j + 1}", 0.0))
+            if angle := error.get(f"rotation_{axis}:{j + 1}"):
+                frame = frame @ turn(axis, angle)
         scale, cosine, sine = (error.get(f"{name}:{j + 1}", 0.0) for name in ("scale", "encoder_cos", "encoder_sin"))
         motion = q + scale * q + cosine * np.cos(q) + sine * np.sin(q)
         if joint.type == "revolute":

@@ -102,10 +102,8 @@ def test_effects_in_the_model(name: str, links: int) -> None:
     assert design.gap <= 1e-6
     assert design.bound is not None
     information = case.information(design.plan.postures, design.plan.shares)
-    q = np.random.default_rng(9).uniform(case.lower, case.upper, (50_000, links))
-    d = np.einsum(
-        "kda,ab,kdb->k", case.scaled_jacobians(q), np.linalg.inv(information), case.scaled_jacobians(q), optimize=True
-    )
+    jacobians = case.scaled_jacobians(np.random.default_rng(9).uniform(case.lower, case.upper, (50_000, links)))
+    d = np.einsum("kda,ab,kdb->k", jacobians, np.linalg.inv(information), jacobians, optimize=True)
     assert d.max() <= case.parameters + 1e-6
     coarse = column_generation(case, grid(case, 9))
     assert coarse.value <= design.bound.value + 1e-9

@@ -111,7 +111,7 @@ def test_derivatives() -> None:
 @pytest.mark.parametrize("solver", ["exchange", "ipopt", "exchange_ipopt", Random(20)])
 def test_every_solver_honours_them(solver: str | Random) -> None:
     problem = DesignProblem.of(Model(ARM))
-    design = solve(problem, 8, solver, starts=6, bound=closed_form_bound(problem))  # a loose one, which takes no time
+    design = solve(problem, 8, solver, starts=3, bound=closed_form_bound(problem))  # a loose one, which takes no time
     assert np.isfinite(design.value)
     for posture in design.plan.postures:  # judged by points along the links
         links = link_points(posture)

@@ -30,7 +30,7 @@ def test_candidates_that_cannot_identify_are_no_plan() -> None:
         case = problem(FOUR, choices=np.array([posture]), minimum_distance=0.0)
         with pytest.raises(JobError, match="1 candidates cannot identify all 8 parameters"):
             solve(case, 8, starts=5)
-        assert solve(case, 8, starts=5, throw=False).status is Status.not_identifiable
+    assert solve(case, 8, starts=5, throw=False).status is Status.not_identifiable
 
 
 def test_no_information_is_never_a_bound_reached() -> None:

@@ -34,7 +34,8 @@ def tip_by_exponentials(chain: SpatialChain, q: Array, values: dict[str, float],
     """(3,) the measured point, by matrix exponentials of elementary twists."""
 
     def elementary(name: str, k: int) -> Array:
-        return np.asarray(expm(values.get(name, 0.0) * twist(np.eye(6)[k])))
+        size = values.get(name, 0.0)
+        return np.asarray(expm(size * twist(np.eye(6)[k]))) if size else np.eye(4)
 
     def six(first: str, second: str, suffix: str) -> Array:
         found = np.eye(4)
@@ -47,7 +48,7 @@ def tip_by_exponentials(chain: SpatialChain, q: Array, values: dict[str, float],
     shift, turn = ([values.get(f"base.{r}{axis}", 0.0) for axis in "xyz"] for r in ("", "r"))
     place = pose(shift) @ chain.base
     for k in range(3):
-        place = place @ expm(turn[k] * twist(np.eye(6)[3 + k]))
+        place = place @ expm(turn[k] * twist(np.eye(6)[3 + k])) if turn[k] else place
     for j, (joint, angle) in enumerate(zip(chain.joints, q, strict=True), start=1):
         place = place @ joint.origin @ six("translation_", "rotation_", f":{j}")
         along = joint.type == PRISMATIC
