@@ -160,7 +160,9 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     Raises `InputError` for another number of joints or coordinates than the arm has.
     """
     if measurements.links != arm.links:
-        raise InputError(f"measurements: {measurements.links} joints for an arm of {arm.links} links")
+        raise InputError(
+            f"measurements: {measurements.links} joints for an arm of {arm.links} links, allowed: {arm.links}"
+        )
     fit = _fit(arm, measurements)
     units = data_warnings(measurements, arm)
     residual = np.zeros_like(measurements.positions) if fit is None else fit.residuals_after

@@ -41,7 +41,9 @@ def simulate(
     q = np.atleast_2d(np.asarray(postures, dtype=float))
     noise, model, order = _noise(truth, sigma), Model(truth), np.arange(len(q), dtype=float)
     if "temperature" in model.needs and temperature is None:
-        raise InputError("temperature_C: an effect of the truth needs a temperature per row, none is given")
+        raise InputError(
+            "temperature_C: an effect of the truth needs a temperature per row, none is given, allowed: a plan with it"
+        )
     approach = directions_from_order(q) if directions is None else directions
     session = Measurements(q, np.zeros((len(q), model.dimension)), order, payload, temperature, approach)
     if (shift := servo_shift(truth, approach)).any():  # the joints come to rest, and are read, beside their commands

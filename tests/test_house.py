@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[1]
 LAYERS = {
     "identification.arrays": 0,
     "identification.errors": 0,
+    "identification.installed": 0,
     "identification.status": 0,
     "identification.progress": 0,
     "identification.threads": 0,

@@ -49,7 +49,7 @@ def command(
     problem = DesignProblem.of(only_these(loaded, words) if words else Model(loaded))
     if words and not given("runs"):
         runs = f"{problem.fewest_runs}:40"
-    with session.progress("advise") as progress:
+    with session.progress() as progress:
         numbers = run_range(runs, problem.fewest_runs)
         advice = advise(problem, numbers, target=target_mm, seed=session.seed, seconds_each=seconds, progress=progress)
     output.draw(lambda: advice_figure(advice))

@@ -10,7 +10,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
@@ -49,9 +49,11 @@ class Session:
     quiet: bool
     seed: int
 
-    def progress(self, title: str) -> AbstractContextManager[Progress]:
+    report: Progress
+
+    def progress(self) -> AbstractContextManager[Progress]:
         """A bar or, where standard error is no terminal, a line every ten seconds."""
-        return shown_progress(title, self.quiet)
+        return nullcontext(self.report)
 
 
 def tables_on_terminal() -> bool:
@@ -96,18 +98,18 @@ def verb(
     """
 
     def decorate(function: Callable[..., Answer]) -> click.Command:
+        name = function.__module__.rpartition(".")[2]
+
         @wraps(function)
         def run(as_json: bool, quiet: bool, seed: int, **options: Any) -> None:
-            session = Session(as_json, quiet, seed)
-            with _warnings_as_lines(quiet):
-                answer = _guarded(function, session, options)
+            with _warnings_as_lines(quiet), shown_progress(name, quiet) as report:
+                answer = _guarded(function, Session(as_json, quiet, seed, report), options)
             _deliver(answer, as_json)
             sys.exit(answer.exit_code)
 
         run = click.option("--quiet", is_flag=True, help="No progress and no warnings on standard error.")(run)
         run = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed.")(run)
         run = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")(run)
-        name = function.__module__.rpartition(".")[2]
         return click.command(name, kind, short_help=summary, epilog=f"\b\nExample:\n  {example}")(run)
 
     return decorate

@@ -108,7 +108,7 @@ def command(session: Session, arms: tuple[Path, ...], compared: ComparisonOption
     table_file = rows_file(job.out)
     with (
         interruptible(table_file),
-        session.progress("compare") as progress,
+        session.progress() as progress,
         RowTable.open(table_file, resume=job.resume, force=job.force) as table,
     ):
         rows = compare(comparison, table, where, seed=session.seed, progress=progress)

@@ -31,7 +31,7 @@ def command(session: Session, spatial: bool, out: Path | None, force: bool) -> A
     directory = next_free(Path("armcal-demo")) if out is None else out
     make_directory(directory, force)
     try:
-        with session.progress("demo") as progress:
+        with session.progress() as progress:
             demo = run_demo(directory, six_axes() if spatial else planar(), session.seed, progress, force)
             page = demo_page(demo, origin(session.seed, [directory / name for name in demo.files]))
             write_whole(directory / "report.html", page, force=True)

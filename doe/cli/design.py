@@ -104,7 +104,7 @@ def _searched(
     from doe.solvers import solve
 
     effort = search.effort | {"seed": session.seed}
-    with session.progress("design") as progress:
+    with session.progress() as progress:
         if not search.discriminating:
             return solve(problem, search.runs, progress=progress, **effort), {}, []
         from doe.discrimination.design import discrimination_design

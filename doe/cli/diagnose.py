@@ -65,7 +65,7 @@ def command(
     loaded = load_arm(arm)
     measurements, held_out = parts(data, holdout, loaded, session.seed)
     loaded = with_servo_errors(loaded, measurements)
-    with session.progress("diagnose") as progress:
+    with session.progress() as progress:
         more = (session.seed, draws, progress)
         found = diagnose(loaded, measurements, held_out, *more, prior=prior.held, missing=prior.names)
     for sentence in found.warnings:

@@ -32,7 +32,7 @@ def command(session: Session, arm: Path, data: Path, runs: int, payloads: str | 
     if masses is not None and loaded.gravity is None:
         raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
     measurements = read_measurements(data, loaded)
-    with session.progress("discriminate") as progress:
+    with session.progress() as progress:
         diagnosis = diagnose(loaded, measurements, seed=session.seed, progress=progress)
     if diagnosis.verdict != "ambiguous":
         sentence = f"nothing to distinguish: the verdict is not ambiguous but {diagnosis.sentence}"

@@ -66,7 +66,7 @@ def command(
         loaded, criterion, PostureOptions(candidates=chosen.candidates if criterion.robust else None)
     )
     problem = with_choices(problem) if criterion.robust and chosen.grid is None else problem
-    with session.progress("relax") as progress:
+    with session.progress() as progress:
         progress(0, 2, "weights")
         solver = chosen.solver or ("multiplicative" if criterion.robust else "column_generation")
         new = chosen.runs or (problem.parameters if problem.deviations else None)

@@ -59,7 +59,7 @@ def command(session: Session, study: str, replications: int | None, job: JobOpti
         raise InputError(f"study: unknown name {study!r}, {nearest(study, BUILT_IN)}, or a file NAME.toml")
     folder = job.out or Path(study).with_suffix(".results")
     where = job.where()
-    with interruptible(folder), session.progress("study") as progress:
+    with interruptible(folder), session.progress() as progress:
         options = {"seed": session.seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
             return BUILT_IN[study](replications, folder, where, options)

@@ -216,7 +216,7 @@ def _opened(path: Path) -> FileIO:
         stream.close()
         raise InputError(f"{path}: another run is writing this table, allowed: one at a time") from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+        raise InputError(f"{path}: cannot be written ({error.strerror}), allowed: a writable place") from None
     return stream
 
 
@@ -249,7 +249,9 @@ def _from_parquet(path: Path) -> dict[str, list[Row]]:
     try:
         frame = polars.read_parquet(path)
     except (polars.exceptions.PolarsError, OSError) as error:
-        raise InputError(f"{path}: not a Parquet file ({str(error).splitlines()[0]})") from None
+        raise InputError(
+            f"{path}: not a Parquet file ({str(error).splitlines()[0]}), allowed: a table written by armcal"
+        ) from None
     if KEY not in frame.columns:
         raise InputError(f"{path}: has no column {KEY!r}, allowed: a table written by armcal")
     return dict(frame.rows_by_key(KEY, named=True, include_key=True))

@@ -74,7 +74,9 @@ def cluster(address: str, patience: float = 10.0) -> Workers:
     try:
         client = Client(address, timeout=patience, set_as_default=False)
     except OSError as error:
-        raise InputError(f"--cluster {address}: no scheduler answers ({one_line(error)})") from None
+        raise InputError(
+            f"--cluster {address}: no scheduler answers ({one_line(error)}), allowed: one that runs"
+        ) from None
     with client:
         try:
             client.wait_for_workers(1, timeout=patience)

@@ -211,15 +211,20 @@ def symbolic_gap(a: ca.DM, b: ca.SX, c: ca.SX, d: ca.SX) -> ca.SX:
     return ca.fmax(across, along) / ca.sqrt(ca.sumsqr(d - c))
 
 
+SOME = "constraints that leave some"  # postures
+
+
 def infeasible(constraints: tuple[Constraint, ...], postures: Array) -> InputError:
     """The diagnosis when none of these (many, well spread) postures satisfies all constraints: which exclude all."""
     fits = np.array([np.all(c.margin(postures) >= 0.0, axis=1) for c in constraints])
     names = [f"constraint {k + 1} ({c.kind})" for k, c in enumerate(constraints)]
     alone = [name for name, fit in zip(names, fits, strict=True) if not fit.any()]
     if alone:
-        return InputError(f"constraints: no posture within the joint limits satisfies {' nor '.join(alone)}")
+        found = f"no posture within the joint limits satisfies {' nor '.join(alone)}"
+        return InputError(f"constraints: {found}, allowed: {SOME}")
     for k in range(len(names)):
         for other in range(k):
             if not np.any(fits[k] & fits[other]):
-                return InputError(f"constraints: no posture satisfies {names[other]} and {names[k]} together")
-    return InputError(f"constraints: no posture satisfies all of {', '.join(names)} together")
+                found = f"no posture satisfies {names[other]} and {names[k]} together"
+                return InputError(f"constraints: {found}, allowed: {SOME}")
+    return InputError(f"constraints: no posture satisfies all of {', '.join(names)} together, allowed: {SOME}")

@@ -16,6 +16,7 @@ from doe.solvers.random import Random
 from doe.solvers.relaxation_rounding import RelaxRound
 from doe.solvers.solver import Solver
 from identification.errors import InputError, nearest
+from identification.installed import additions
 
 SOLVERS: dict[str, Solver] = {
     "analytic": Analytic(),
@@ -42,19 +43,15 @@ def available_solvers() -> Mapping[str, Solver]:
 @cache
 def installed_solvers() -> dict[str, Solver]:
     """Name -> solver of the entry points, loaded once."""
-    from importlib.metadata import entry_points
-
     found: dict[str, Solver] = {}
-    for point in entry_points(group="armcal.solvers"):
-        where = f"entry point armcal.solvers: {point.name} = {point.value}"
+    for name, where, made in additions("armcal.solvers"):
         try:
-            made = point.load()
             solver = made() if isinstance(made, type) else made
-        except (ImportError, AttributeError, TypeError) as error:
-            raise InputError(f"{where}: {error}") from None
+        except Exception as error:  # noqa: BLE001 - other people's code
+            raise InputError(f"{where}: {error}, allowed: a class that needs no arguments") from None
         if not callable(getattr(solver, "offers", None)):
             raise InputError(f"{where}, allowed: a solver with offers()")
-        found[point.name] = solver
+        found[name] = solver
     return found
 
 

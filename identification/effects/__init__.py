@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cache
-from importlib.metadata import entry_points
 from types import MappingProxyType
 
 import numpy as np
@@ -22,6 +21,7 @@ from identification.effects.chain import Chain
 from identification.effects.places import measured_position
 from identification.effects.settings import Scope, Setting
 from identification.errors import InputError, nearest
+from identification.installed import additions
 from identification.kinematics.parameters import Parameter
 
 __all__ = [
@@ -41,13 +41,9 @@ __all__ = [
 
 @cache
 def _load_entry_points() -> None:
-    for point in entry_points(group="armcal.effects"):
-        try:
-            found = point.load()
-        except (ImportError, AttributeError) as error:
-            raise InputError(f"entry point armcal.effects: {point.name} = {point.value}: {error}") from None
+    for _, where, found in additions("armcal.effects"):
         if not (isinstance(found, type) and issubclass(found, Effect)):
-            raise InputError(f"entry point armcal.effects: {point.name} = {point.value}, allowed: a class under Effect")
+            raise InputError(f"{where}, allowed: a class under Effect")
         register(found)
 
 

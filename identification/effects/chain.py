@@ -120,7 +120,9 @@ class Chain:
     def required_gravity(self) -> Gravity:
         """The arm's gravity data; raises `InputError` where there are none."""
         if self.gravity is None:
-            raise InputError("gravity: this effect needs gravity torques, add a [gravity] table to the arm file")
+            raise InputError(
+                "gravity: this effect needs gravity torques, add a [gravity] table to the arm file, allowed: with one"
+            )
         return self.gravity
 
     def _point(self, link: int, fraction: float) -> ca.SX:

@@ -53,7 +53,9 @@ def check(model: Model, measurements: Measurements, prior: Prior | None = None) 
 def _check_needs(model: Model, measurements: Measurements) -> None:
     for effect in model.effects:
         if "temperature" in effect.needs and measurements.temperature is None:
-            raise InputError(f"effects: {effect.key} needs the column temperature_C, the measurements have none")
+            raise InputError(
+                f"effects: {effect.key} needs the column temperature_C, the measurements have none, allowed: with it"
+            )
         if "gravity" in effect.needs and model.arm.gravity is None:
             allowed = "an arm file with a [gravity] table"
             raise InputError(f"effects: {effect.key} needs gravity torques, allowed: {allowed}")

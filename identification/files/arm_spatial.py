@@ -38,7 +38,7 @@ from identification.files.arm_schema_spatial import (
     SphereTable,
     TravelsTable,
 )
-from identification.files.io import PathLike, read_toml
+from identification.files.io import PathLike, beside, read_toml
 from identification.files.schema import require_count
 from identification.files.urdf import Urdf, parse_urdf, read_urdf, urdf_text, with_origins
 from identification.kinematics.corrected import before_errors
@@ -87,10 +87,7 @@ def urdf_of(tables: Mapping[str, Any], folder: PathLike) -> tuple[Urdf, str, str
         return None
     if name.lstrip().startswith("<"):
         return parse_urdf(name, "urdf"), str(tables["base_link"]), str(tables["tip_link"])
-    path = Path(folder) / name
-    if not path.resolve().is_relative_to(Path(folder).resolve()):
-        raise InputError(f"urdf: {name!r} is outside the folder of the arm file, allowed: a file beside it or below")
-    return read_urdf(path), str(tables["base_link"]), str(tables["tip_link"])
+    return read_urdf(beside(folder, name, "urdf", "the arm file")), str(tables["base_link"]), str(tables["tip_link"])
 
 
 def corrected_urdf(path: PathLike, chain: SpatialChain) -> str:

@@ -35,7 +35,7 @@ def read_bytes(path: PathLike) -> bytes:
     except ValueError:  # a null character
         raise InputError(f"{path}: is no name of a file, allowed: the name of an existing file") from None
     if not content.strip():
-        raise InputError(f"{path}: the file is empty")
+        raise InputError(f"{path}: the file is empty, allowed: a file with content")
     return content
 
 
@@ -68,7 +68,22 @@ def read_toml(path: PathLike) -> dict[str, Any]:
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: not valid TOML: {reason}, allowed: TOML 1.0") from None
     except RecursionError:
-        raise InputError(f"{path}: not valid TOML: nested too deeply") from None
+        raise InputError(f"{path}: not valid TOML: nested too deeply, allowed: TOML 1.0, less nested") from None
+
+
+def beside(folder: PathLike, name: str, key: str, whose: str) -> Path:
+    """The file that another file in `folder` names under `key`; `whose` says which file that is.
+
+    Raises `InputError` for a name that leads out of the folder, also by a link.
+    """
+    path = Path(folder) / name
+    try:
+        inside = Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
+    except ValueError:  # a null character
+        inside = False
+    if not inside:
+        raise InputError(f"{key}: {name!r} is outside the folder of {whose}, allowed: a file beside it or below")
+    return path
 
 
 def write_whole(path: PathLike, content: str | bytes, force: bool = False) -> None:
@@ -101,7 +116,7 @@ def write_together(contents: Mapping[PathLike, str | bytes], force: bool = False
     except FileExistsError:
         raise InputError(f"{target}: {EXISTS}") from None
     except OSError as error:
-        raise InputError(f"{target}: cannot be written ({error.strerror})") from None
+        raise InputError(f"{target}: cannot be written ({error.strerror}), allowed: a writable place") from None
 
 
 def check_writable(path: PathLike | None, force: bool = False) -> None:

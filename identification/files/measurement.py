@@ -71,7 +71,12 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
 
 
 def measurement_text(measurements: Measurements, joint_types: JointTypes = None) -> str:
-    """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad)."""
+    """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad).
+
+    Raises `InputError` for positions that a file cannot have.
+    """
+    if (far := np.abs(measurements.positions).max(initial=0.0)) > LARGEST_LENGTH:
+        raise InputError(f"measurements: found a position of {far:g} mm, allowed: up to {LARGEST_LENGTH:g}")
     columns = posture_columns(measurements.postures, joint_types)
     columns |= {f"{axis}_mm": column for axis, column in zip("xyz", measurements.positions.T, strict=False)}
     if measurements.commanded is not None:
@@ -136,13 +141,13 @@ def _joint_positions(table: Table, column: str) -> Array:
     unit = column.rpartition("_")[2]
     if unit in _UNITS[PRISMATIC]:
         factor = 1000.0 if unit == "m" else 1.0
-        return _up_to(table, column, "a finite length", LARGEST_LENGTH / factor) * factor
+        return up_to(table, column, "a finite length", LARGEST_LENGTH / factor) * factor
     if unit == "rad":
-        return _up_to(table, column, "a finite angle", np.radians(LARGEST_ANGLE))
-    return np.radians(_up_to(table, column, "a finite angle", LARGEST_ANGLE))
+        return up_to(table, column, "a finite angle", np.radians(LARGEST_ANGLE))
+    return np.radians(up_to(table, column, "a finite angle", LARGEST_ANGLE))
 
 
-def _up_to(table: Table, column: str, allowed: str, most: float) -> Array:
+def up_to(table: Table, column: str, allowed: str, most: float) -> Array:
     """(m,) finite numbers of at most this absolute value."""
     return table.floats(column, f"{allowed}, up to {most:g}", lambda values: np.abs(values) <= most)
 
@@ -208,7 +213,7 @@ def _unit(table: Table, name: str) -> tuple[str, float]:
 def _millimetres(table: Table, name: str) -> Array:
     """(m,) column `x_mm`, or `x_m` converted."""
     unit, factor = _unit(table, name)
-    return _up_to(table, f"{name}_{unit}", "a finite length", LARGEST_LENGTH / factor) * factor
+    return up_to(table, f"{name}_{unit}", "a finite length", LARGEST_LENGTH / factor) * factor
 
 
 def _sigma(table: Table) -> Array | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import Arm
+from identification.arm import LARGEST_LENGTH, Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.csv import read_table
@@ -18,6 +18,7 @@ from identification.files.measurement import (
     joint_columns,
     posture_columns,
     read_postures,
+    up_to,
     warn_unknown,
 )
 from identification.files.orientation import angle_columns, orientation_columns, read_orientations
@@ -51,7 +52,11 @@ def load_targets(path: PathLike, links: int | Arm) -> Targets:
         count = types if isinstance(types, int) else len(types)
         allowed = f"{', '.join(columns[:-1])} and {columns[-1]}, or q1_deg..q{count}_deg"
         raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
-    positions = np.column_stack([table.floats(name) for name in columns]) if has_positions else None
+    positions = (
+        np.column_stack([up_to(table, name, "a finite length", LARGEST_LENGTH) for name in columns])
+        if has_positions
+        else None
+    )
     postures = read_postures(table, types) if joints else None
     spatial = has_positions and dimension == 3
     warn_unknown(table, ["run", *columns, *joints, *(orientation_columns(table) if spatial else ())])

@@ -8,6 +8,7 @@ radians (http://wiki.ros.org/urdf/XML/joint).
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -17,7 +18,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from identification.arrays import Array
-from identification.errors import InputError, nearest
+from identification.errors import InputError, nearest, printable
 from identification.files.io import PathLike, decode, read_bytes
 from identification.kinematics.frames import from_roll_pitch_yaw, pose, roll_pitch_yaw
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
@@ -186,9 +187,9 @@ def parse_urdf(text: str, path: PathLike) -> Urdf:
 
 
 def _check_once(path: PathLike, what: str, names: Sequence[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{path}: {what} {name!r} is there {names.count(name)} times, allowed: once")
+    for name, times in Counter(names).items():
+        if times > 1:
+            raise InputError(f"{path}: {what} {name!r} is there {times} times, allowed: once")
 
 
 def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> str:
@@ -227,8 +228,8 @@ def urdf_text(chain: SpatialChain, name: str) -> str:
 
 
 def _attribute(text: str) -> str:
-    """In double quotes, and in a TOML string between three single ones."""
-    return escape(text, {'"': "&quot;", "'": "&apos;"})
+    """In double quotes, and in a TOML string between three single ones; neither has control characters."""
+    return escape(printable(text), {'"': "&quot;", "'": "&apos;"})
 
 
 def _link(name: str, joint: str, kind: str, parent: str, inner: str) -> list[str]:
@@ -245,7 +246,7 @@ def _origin_element(matrix: Array, closed: bool) -> str:
 
 def _origin_places(text: bytes, names: Mapping[str, Array]) -> Iterator[tuple[int, int, str, bool]]:
     """Where the start tags of the joints' `origin` elements begin and end; a joint without one: right after its tag."""
-    parser = expat.ParserCreate()
+    parser = expat.ParserCreate("utf-8")  # as the text was decoded, whatever it says of itself
     path: list[str] = []
     places: dict[str, tuple[int, int, bool]] = {}
     opened: dict[str, int] = {}

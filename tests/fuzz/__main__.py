@@ -24,9 +24,6 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):  # before numpy; also: fork needs it
-    os.environ[_name] = "1"
-
 from click.testing import CliRunner, Result
 from hypothesis.errors import StopTest
 from hypothesis.internal.conjecture.data import ConjectureData
@@ -68,7 +65,7 @@ def outcome_of(case: Case, home: Path) -> tuple[str, str, str]:
         _child(case, folder, writing)
     os.close(writing)
     try:
-        return _wait(child, reading, home)
+        return _wait(case, child, reading, home)
     finally:
         os.close(reading)
 
@@ -107,7 +104,7 @@ def by_files(out: Path, err: Path, words: list[str]) -> Result:
     return Result(CliRunner(), out.read_bytes(), err.read_bytes(), b"", None, code, error, info)  # type: ignore[arg-type]
 
 
-def _wait(child: int, reading: int, home: Path) -> tuple[str, str, str]:
+def _wait(case: Case, child: int, reading: int, home: Path) -> tuple[str, str, str]:
     """What the child tells, or that it was silent too long, or stopped, or died."""
     spoken = home.parent / STREAMS[1]
     try:
@@ -117,7 +114,7 @@ def _wait(child: int, reading: int, home: Path) -> tuple[str, str, str]:
                 while part := os.read(reading, 65_536):
                     told += part
                 return tuple(json.loads(told)) if told else (BROKEN, "died without an outcome", "")  # type: ignore[return-value]
-            if limit == WORD and not (spoken.exists() and spoken.stat().st_size):
+            if limit == WORD and "--quiet" not in case.words and not (spoken.exists() and spoken.stat().st_size):
                 return SILENT, "", ""
         return CUT, "", spoken.read_text(errors="replace")[-300:]
     finally:
@@ -130,10 +127,8 @@ def _wait(child: int, reading: int, home: Path) -> tuple[str, str, str]:
 
 def import_all() -> None:
     """Once here: a case begins in a fork of this process."""
-    import matplotlib.backends.backend_pdf
-    import matplotlib.backends.backend_svg
-    import rich.markdown  # noqa: F401
-
+    for name in ("matplotlib.backends.backend_pdf", "matplotlib.backends.backend_svg", "rich.markdown"):
+        importlib.import_module(name)
     for package in (doe, identification):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             if not module.name.endswith("__main__"):

@@ -92,8 +92,15 @@ NO_OUTPUT = [
     "p.gif",
 ]
 NO_INPUT = ["none.csv", "folder", "loop", "arm.toml", "plan.csv", "data.csv", "", "/dev/null", "there.csv"]
-ALWAYS = {"seconds", "workers", "repeats.compare", "grid", "starts"}  # budgets, so that a case takes little
-EXPENSIVE = {"demo": 1, "compare": 1, "study": 3, "discriminate": 2, "diagnose": 4, "advise": 3}
+ALWAYS = {
+    "seconds",
+    "workers",
+    "repeats.compare",
+    "solvers.compare",
+    "grid",
+    "starts",
+}  # budgets, so that a case takes little
+EXPENSIVE = {"demo": 1, "compare": 1, "study": 4, "discriminate": 2, "diagnose": 4, "advise": 3}
 CHEAP = {"init", "effects", "help", "simulate", "check", "identify", "compensate", "validate", "score"}
 MAKERS = {"plan.csv": plans, "candidates.csv": plans, "data.csv": measurements, "more.csv": measurements}
 MAKERS |= {"targets.csv": targets, "study.toml": studies}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from identification.arm import MAX_LINKS
-from identification.errors import InputError
+from identification.errors import InputError, printable
 from identification.files.arm_schema import ArmFile
 from identification.files.arm_schema_spatial import SpatialArmFile
 from identification.files.io import PathLike
@@ -89,12 +90,13 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None) 
         "urdf": _text(file),
         "base": _text(base),
         "tip": _text(tip),
-        "others": ", ".join(others),
+        "others": printable(", ".join(others)),
         **_limits([low for low, _ in degrees], [high for _, high in degrees]),
         "massed": any(masses),
         "masses": _numbers(masses if any(masses) else [10.0] * len(chain)),
     }
-    about = {"title": " ".join((urdf.robot.get("name") or "the arm").split()), "example": False, "urdf": file}
+    title = html.escape(printable(" ".join((urdf.robot.get("name") or "the arm").split())), quote=False)
+    about = {"title": title, "example": False, "urdf": file}
     return _spatial(values, [joint.type for joint in chain.joints], about) | {file: urdf.text}
 
 
@@ -162,5 +164,5 @@ def _numbers(values: Sequence[float]) -> str:
 
 
 def _text(value: str) -> str:
-    """As a TOML string: JSON's escapes are TOML's."""
-    return json.dumps(value, ensure_ascii=False)
+    """As a TOML string: JSON's escapes are TOML's, which has one more."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

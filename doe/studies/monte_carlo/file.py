@@ -8,6 +8,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,7 +22,7 @@ from identification.arm import Arm, EffectSpec
 from identification.errors import InputError, nearest
 from identification.files.arm import arm_from_tables, load_arm
 from identification.files.arm_text import dump_arm
-from identification.files.io import PathLike, read_toml
+from identification.files.io import PathLike, beside, read_toml
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
@@ -111,8 +112,10 @@ def load_study(path: PathLike) -> Study:
     folder = Path(path).parent
     try:
         file = parse_study(tables)
-        arms = [load_arm(folder / name) for name in file.arms]
-        plans = [(name, load_plan(folder / name)) if name.endswith(".csv") else name for name in file.plans]
+        arms = [load_arm(_beside(folder, name, "arms")) for name in file.arms]
+        plans = [
+            (name, load_plan(_beside(folder, name, "plans"))) if name.endswith(".csv") else name for name in file.plans
+        ]
         return Study(
             arms,
             plans,
@@ -126,6 +129,9 @@ def load_study(path: PathLike) -> Study:
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+_beside = partial(beside, whose="the study file")
 
 
 def _truths(file: StudyFile, arms: Sequence[Arm]) -> Sequence[Truth]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import tracemalloc
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from doe.cli.progress import lines
 from identification.errors import LONGEST_LINE, InputError, in_one_line
 from identification.files.csv import read_table
 from identification.gap.omnibus_test import BLOCK, white_draws
@@ -164,3 +166,24 @@ def test_a_header_that_is_no_header(folder: Folder) -> None:
             InputError, match=r"data.csv: (line 1: .*allowed: the names of the columns|column 'q1_deg')"
         ):
             read_table("data.csv").require(["q1_deg"])
+
+
+def test_targets_that_would_overflow(folder: Folder) -> None:
+    folder.write("targets.csv", "x_mm,y_mm\n1e302,0\n")
+    refused(folder, ["compensate", "truth.toml", "targets.csv"], "row 1", "column x_mm", "allowed: a finite length")
+
+
+def test_a_simulation_that_could_not_be_read_again(folder: Folder) -> None:
+    """The tip is further away than a measurement file may say."""
+    text = folder.read("truth.toml").replace("[260.0, 180.0, 120.0, 100.0]", "[9e8, 9e8, 9e8, 9e8]")
+    folder.write("truth.toml", text)
+    words = ["simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "out.file"]
+    refused(folder, words, "found a position of ", "allowed: up to 1e+09")
+
+
+def test_every_verb_says_that_it_is_at_work(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also those that have no steps to tell: here with a line at once instead of every ten seconds."""
+    monkeypatch.setattr("doe.cli.progress.lines", partial(lines, interval=1e-4))
+    for words in (["score", "arm.toml", "plan.csv"], ["check", "arm.toml", "plan.csv"]):
+        assert f"armcal {words[0]}: 0 s" in folder.armcal(*words).err
+    assert folder.armcal("score", "arm.toml", "plan.csv", "--quiet").err == ""

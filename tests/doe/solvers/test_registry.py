@@ -12,6 +12,8 @@ from doe.studies.comparison import Comparison
 from identification.errors import InputError
 from tests.doe.arms import FOUR
 
+pytestmark = pytest.mark.filterwarnings("ignore:armcal.solvers of installed packages")
+
 
 def test_every_solver_has_the_name_it_is_asked_for_by() -> None:
     for name in SOLVERS:

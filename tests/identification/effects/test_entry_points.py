@@ -11,6 +11,7 @@ from identification import effects
 from identification.effects import base, library
 from identification.errors import InputError
 
+pytestmark = pytest.mark.filterwarnings("ignore:armcal.effects of installed packages")
 SOURCE = '''
 from identification.effects import Effect
 
@@ -35,7 +36,7 @@ def forget(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def install(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
     point = EntryPoint("my_bump", value, "armcal.effects")
-    monkeypatch.setattr(effects, "entry_points", lambda group: [point] if group == "armcal.effects" else [])
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == "armcal.effects" else [])
 
 
 def test_found_by_its_entry_point(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:  # type: ignore[no-untyped-def]

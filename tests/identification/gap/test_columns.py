@@ -97,6 +97,7 @@ class Lag(Effect):
         j = self.joint_index
         return self.at_joint(values[0] * (chain.previous[j] - chain.q[j]), chain)
 '''
+pytestmark = pytest.mark.filterwarnings("ignore:armcal.effects of installed packages")
 NAMES = {"lag": "Lag", "breathing": "Breathing", "link_jump": "LinkJump", "settling": "Settling", "series": "Series"}
 ARM = Arm(
     [300.0, 200.0, 150.0],
@@ -115,7 +116,7 @@ def installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]
     monkeypatch.setattr(base, "_LIBRARY", kept := dict(base._LIBRARY))
     monkeypatch.setattr(effects, "_LIBRARY", kept)
     points = [EntryPoint(name, f"effects_of_a_user:{cls}", "armcal.effects") for name, cls in NAMES.items()]
-    monkeypatch.setattr(effects, "entry_points", lambda group: points)
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
     effects._load_entry_points.cache_clear()
     yield
     effects._load_entry_points.cache_clear()
