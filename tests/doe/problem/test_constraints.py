@@ -152,7 +152,7 @@ def test_calibrated_lengths_count() -> None:
 @pytest.mark.parametrize(
     ("constraints", "message"),
     [
-        ((BOX, KeepOutCircle((0.0, 0.0), 50.0)), r"satisfies constraint 2 \(keep_out_circle\)$"),
+        ((BOX, KeepOutCircle((0.0, 0.0), 50.0)), r"satisfies constraint 2 \(keep_out_circle\), allowed"),
         (
             (WorkspaceBox((-400.0, -300.0), (0.0, 650.0)), CIRCLE, WorkspaceBox((0.0, 600.0), (0.0, 650.0))),
             r"constraint 1 \(workspace_box\) and constraint 3 \(workspace_box\) together",
