@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-import tracemalloc
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ import pytest
 from doe.cli.progress import lines
 from identification.errors import LONGEST_LINE, InputError, in_one_line
 from identification.files.csv import read_table
-from identification.gap.omnibus_test import BLOCK, white_draws
+from identification.gap.omnibus_test import BLOCK, _in_parts
 from tests.doe.cli.conftest import Folder
 from tests.doe.cli.test_bad_input import HEADER, refused
 
@@ -64,28 +64,20 @@ def test_more_draws_than_memory(folder: Folder) -> None:
     refused(folder, ["diagnose", "arm.toml", "data.csv", "--draws", "1000000000"], "--draws", "1000000000")
 
 
-class Few:
-    """What `white_draws` asks of hypotheses."""
-
-    index = np.arange(2)
-    model_basis = np.eye(100, 1)
-    columns = type("Columns", (), {"matrix": np.ones((100, 1))})
-
-    def scores(self, columns: np.ndarray, inside: np.ndarray) -> np.ndarray:
-        return np.ones((2, 100))
-
-
 def test_draws_are_held_a_block_at_a_time() -> None:
     """And up to a block they are those of one call, to the last bit."""
-    generator, whole = np.random.default_rng(3), np.random.default_rng(3)
-    drawn = np.concatenate([part.squares for part in white_draws(Few(), BLOCK, generator)])  # type: ignore[arg-type]
-    all_at_once = whole.standard_normal((100, BLOCK))
-    assert np.array_equal(drawn, np.square(all_at_once).sum(axis=0) - np.square(Few.model_basis.T @ all_at_once)[0])
-    tracemalloc.start()
-    assert sum(part.squares.size for part in white_draws(Few(), 5 * BLOCK, generator)) == 5 * BLOCK  # type: ignore[arg-type]
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 4 * 8 * 100 * BLOCK
+    hypotheses, asked = SimpleNamespace(index=np.arange(1000)), []
+
+    def numbers(count: int) -> np.ndarray:
+        asked.append(count)
+        return generator.standard_normal((100, count))
+
+    generator = np.random.default_rng(3)
+    one = np.concatenate(list(_in_parts(numbers, hypotheses, BLOCK)), axis=1)  # type: ignore[arg-type]
+    assert np.array_equal(one, np.random.default_rng(3).standard_normal((100, BLOCK)))
+    several = _in_parts(numbers, hypotheses, 2 * BLOCK + 7)  # type: ignore[arg-type]
+    assert sum(part.shape[1] for part in several) == 2 * BLOCK + 7
+    assert asked == [BLOCK, BLOCK, BLOCK, 7]
 
 
 STUDY = 'arms = ["arm.toml"]\nplans = ["same.csv"]\nreplications = 4\n'
