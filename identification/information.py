@@ -35,7 +35,8 @@ def column_lengths(sizes: Array, scales: Array) -> tuple[Array, NDArray[np.bool_
     sizes : (..., p) Euclidean lengths of the columns;  scales : (p,) `Model.scales` [mm/unit]
     """
     relative = sizes / scales
-    zero = relative <= RANK_TOLERANCE * np.max(relative, axis=-1, keepdims=True, initial=np.finfo(float).tiny)
+    longest = np.minimum(relative, sizes)  # a joint behind a short link moves the tip by far more than its scale
+    zero = relative <= RANK_TOLERANCE * np.max(longest, axis=-1, keepdims=True, initial=np.finfo(float).tiny)
     return np.where(zero, scales, sizes), zero
 
 

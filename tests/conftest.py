@@ -17,6 +17,7 @@ from hypothesis import settings
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None, print_blob=True)  # new examples every time, failures are stored
+settings.register_profile("stress", deadline=None, max_examples=5000)  # of the stress tests a fifth or less
 settings.load_profile("repeatable")
 
 

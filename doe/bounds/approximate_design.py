@@ -20,6 +20,8 @@ from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.status import Status
 
+ROUNDED = 1e-8  # gap below zero that says more of rounding than of the weights; a bound to 1e-6 is still one
+
 
 @dataclass(frozen=True)
 class ApproximateDesign:
@@ -131,9 +133,11 @@ def assess(
     """A weighted plan with its certificate, given `largest` >= max tr(G F) over the design space.
 
     A status other than `converged` gives no bound: the optimum was not reached, and the gap says by how much. The gap
-    and the efficiency hold for any weights, whoever made them.
+    and the efficiency hold for any weights, whoever made them. Since a mean is no larger than the largest, a gap below
+    zero is rounding in a matrix that is nearly singular, and proves nothing either.
     """
     proven = certify(found.problem, found.information, largest, found.gradient)
+    status = Status.almost_solved if status is Status.converged and not proven.gap >= -ROUNDED else status
     source = "continuous" if candidates is None else "grid"
     return ApproximateDesign(
         found.plan,

@@ -16,6 +16,7 @@ import numpy as np
 
 from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, assess
 from doe.bounds.equivalence import largest_sensitivity, level
+from doe.bounds.restricted_master import check_identified
 from doe.plan.plan import Plan
 from doe.problem.candidates import Candidates
 from doe.problem.prior import PriorInformation
@@ -36,14 +37,17 @@ def multiplicative(
     """Weights over a finite candidate set, with a bound that holds whatever the gap.
 
     runs : number of new runs, needed where anything is known beforehand
-    Raises `InputError` for a criterion other than D, A and I.
+    Raises `InputError` for a criterion other than D, A and I, `JobError` where the candidates do not identify all
+    parameters.
     """
     began = perf_counter()
     if problem.criterion.name not in POWERS:
         raise InputError(f"criterion: {problem.criterion.name} for solver multiplicative, allowed: D, A, I")
     postures = candidates.take(np.arange(len(candidates)))
     prior = problem.prior.per_new_run(runs)
-    weights = improved(problem, prior, problem.scaled_jacobians(postures), gap)
+    jacobians = problem.scaled_jacobians(postures)
+    check_identified(problem, prior, jacobians)
+    weights = improved(problem, prior, jacobians, gap)
     kept = np.flatnonzero(weights > CARRIED * weights.max())
     kept = kept[np.argsort(-weights[kept], kind="stable")]
     plan = Plan(postures[kept], weights[kept] / weights[kept].sum(), problem.model.joint_types)

@@ -66,12 +66,7 @@ class WorkingSet:
         cls, problem: DesignProblem, prior: PriorInformation, postures: Array, jacobians: Array, accuracy: float
     ) -> WorkingSet:
         """With optimal weights. Raises `JobError` where the postures do not identify all parameters."""
-        information = prior.mixture(jacobians, np.full(len(jacobians), 1.0 / len(jacobians)))
-        if _diverges(problem.criterion, information):
-            raise JobError(
-                "approximate design: the information matrix is singular on these postures, the parameters cannot all "
-                "be identified; drop an effect or allow more postures"
-            )
+        check_identified(problem, prior, jacobians)
         weights = optimal_weights(jacobians, problem.criterion, prior, accuracy)
         return cls(problem, prior, postures, jacobians, weights)
 
@@ -150,6 +145,15 @@ def optimal_weights(
     if criterion.name == "E":
         return smallest_eigenvalue_weights(jacobians, prior)
     return solve_weights(jacobians, criterion, prior, tolerance=accuracy)
+
+
+def check_identified(problem: DesignProblem, prior: PriorInformation, jacobians: Array) -> None:
+    """Raises `JobError` where postures with these scaled Jacobians (k, d, p) do not identify all parameters."""
+    if _diverges(problem.criterion, prior.mixture(jacobians, np.full(len(jacobians), 1.0 / len(jacobians)))):
+        raise JobError(
+            "approximate design: the information matrix is singular on these postures, the parameters cannot all "
+            "be identified; drop an effect or allow more postures"
+        )
 
 
 def _diverges(criterion: Criterion, information: Array) -> bool:

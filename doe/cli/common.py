@@ -171,17 +171,26 @@ def _guarded(function: Callable[..., Answer], session: Session, options: dict[st
 @contextmanager
 def stoppable() -> Iterator[None]:
     """SIGTERM ends a verb as Ctrl-C does: finished rows stay, no process and no half-written file does."""
+    came: list[KeyboardInterrupt] = []
 
     def stop(number: int, _: object) -> NoReturn:
-        raise KeyboardInterrupt(signal.Signals(number).name)
+        came.append(KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name])))
+        raise came[0]
 
     with ExitStack() as stack:
         if threading.current_thread() is threading.main_thread():
-            for number, handler in ((signal.SIGTERM, stop), (signal.SIGINT, signal.default_int_handler)):
-                if signal.getsignal(number) is signal.SIG_DFL:
-                    stack.callback(signal.signal, number, signal.SIG_DFL)
-                    signal.signal(number, handler)
-        yield
+            for number in (signal.SIGTERM, signal.SIGINT):
+                if (before := signal.getsignal(number)) in (signal.SIG_DFL, signal.default_int_handler):
+                    stack.callback(signal.signal, number, before)
+                    signal.signal(number, stop)
+        try:
+            yield
+        except ArmcalError:
+            raise
+        except Exception:  # what a library in C makes of the signal while it is loaded
+            if came:
+                raise came[0] from None
+            raise
 
 
 def stopped_by(error: BaseException) -> str:

@@ -23,6 +23,7 @@ FAR = 0.05  # of the reach: residuals of another arm, frame or unit
 FALL = 2.0  # of the RMS, when the position of the base is added: the data are in another frame
 OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
 SPARE = 4  # degrees of freedom
+ROUNDING = 1e-13  # of the largest coordinate: the sums of a fit to data without noise are rounded by less
 
 
 class Doubts(NamedTuple):
@@ -41,6 +42,7 @@ def doubts(
     if arm is None:
         return Doubts(tuple(bad), bool(bad))
     said = [*bad, *another_frame(arm, measurements), *outside_limits(arm, measurements)]
+    said += [] if residual.size <= parameters.size else rounded(residual, measurements)
     return Doubts(tuple(said), bool(bad))
 
 
@@ -51,6 +53,14 @@ def far_off(residual: Array, reach: float) -> list[str]:
         return []
     share = f"{100.0 * left / reach:.0f} % of the reach"
     return [f"implausible: the fit leaves {left:.4g} mm RMS, {share}; another arm, frame, unit or order of joints?"]
+
+
+def rounded(residual: Array, measurements: Measurements) -> list[str]:
+    """Residuals of the size of the rounding of numbers: data without noise, whose deviations mean nothing."""
+    left, largest = rms_distance(residual), float(np.max(np.abs(measurements.positions)))
+    if left > ROUNDING * largest:
+        return []
+    return [f"the fit leaves {left:.2g} mm RMS, which is rounding: data without noise, deviations mean nothing"]
 
 
 def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) -> list[str]:

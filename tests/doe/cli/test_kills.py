@@ -6,6 +6,7 @@ import resource
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -83,6 +84,24 @@ def test_no_memory_and_broken_libraries_are_one_line(folder: Folder, monkeypatch
         done = folder.armcal("score", "arm.toml", "plan.csv")
         assert (done.code, done.err.count("\n")) == (1, 1)
         assert said in done.err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_library_loads(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    """Some turn it into an ImportError of their own."""
+
+    def load(_: object) -> None:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(number)
+        raise ImportError("initialization failed")
+
+    monkeypatch.setattr("identification.files.arm.load_arm", load)
+    done = folder.armcal("score", "arm.toml", "plan.csv")
+    name = "Ctrl-C" if number is signal.SIGINT else "SIGTERM"
+    assert (done.code, done.err) == (1, f"armcal: stopped by {name}, nothing was written\n")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_sigterm_is_a_sentence(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:

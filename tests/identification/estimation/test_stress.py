@@ -1,0 +1,172 @@
+"""Fits far from any real arm: the right answer or a clear statement. `--hypothesis-profile stress` tries thousands.
+
+Oracle: tip = sum_j c_j exp(i(q_1 + .. + q_j)) with c_j = (l_j + dl_j) exp(i theta_j) is linear in the complex c_j, so
+the maximum-likelihood estimate is a linear least-squares solution, refined here with residuals in long double.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from identification.arm import Arm
+from identification.compensate import compensate
+from identification.estimation import Identification, estimate
+from identification.files.measurement import load_measurements
+from identification.measurements import Measurements
+from identification.model import Model
+
+EPS = float(np.finfo(float).eps)
+DIGITS = 1e-9  # standard deviations
+FEW = settings(max_examples=max(settings.default.max_examples // 5, 1))  # type: ignore[union-attr]
+SIGMAS = st.sampled_from([1e-9, 1e-6, 1e-3, 0.1, 10.0, 1e3])
+LINKS = st.sampled_from([1, 2, 3, 6, 12])
+
+
+def lengths_of(n: int, generator: np.random.Generator) -> np.ndarray:
+    """Links from 1e-3 to 1e6 mm in one arm, in any order."""
+    return 10.0 ** np.r_[6.0, generator.uniform(-3.0, 6.0, n - 1)][generator.permutation(n)]
+
+
+def measured(lengths: np.ndarray, q: np.ndarray, sigma: float, generator: np.random.Generator) -> Measurements:
+    """Postures (m, n) [rad] measured on an arm that is not as drawn: by three sigma, 1 % of the links at most."""
+    n, noise = len(lengths), sigma * generator.standard_normal((len(q), 2))
+    errors = generator.standard_normal(n) * np.minimum(3.0 * sigma, 0.01 * lengths)
+    tip = np.exp(1j * np.cumsum(q + 1e-3 * generator.standard_normal(n), axis=1)) @ (lengths + errors)
+    return Measurements(q, np.column_stack([tip.real, tip.imag]) + noise)
+
+
+def oracle(lengths: np.ndarray, data: Measurements) -> tuple[np.ndarray, np.ndarray]:
+    """(2 n) length errors [mm] and joint offsets [rad], and (n,) deviations of c_j for sigma = 1."""
+    columns = np.exp(1j * np.cumsum(data.postures, axis=1))
+    q, r = np.linalg.qr(columns)
+    wide, found = columns.astype(np.clongdouble), np.zeros(len(lengths), np.clongdouble)
+    target = data.positions.astype(np.longdouble) @ np.array([1.0, 1j], np.clongdouble)
+    for _ in range(4):
+        found = found + np.linalg.solve(r, q.conj().T @ (target - wide @ found).astype(complex))
+    turned = np.diff(np.r_[0.0, np.angle(found.astype(complex))])
+    errors = (np.abs(found) - lengths).astype(float)
+    deviations = np.linalg.norm(np.linalg.inv(r), axis=1)
+    return np.r_[errors, np.angle(np.exp(1j * turned))], deviations
+
+
+@given(n=LINKS, sigma=SIGMAS, long=st.booleans(), turns=st.booleans(), seed=st.integers(0, 2**32))
+@FEW
+def test_a_fit_is_the_maximum_of_the_likelihood_or_says_why_not(
+    n: int, sigma: float, long: bool, turns: bool, seed: int
+) -> None:
+    generator = np.random.default_rng(seed)
+    lengths, m = lengths_of(n, generator), 1000 if long else n + 4
+    q = generator.uniform(-np.pi, np.pi, (m, n)) + turns * 2.0 * np.pi * generator.integers(-4, 5, (m, n))
+    data = measured(lengths, q, sigma, generator)
+    found = estimate(Model(Arm(tuple(lengths), sigma=sigma)), data)
+    expected, deviations = oracle(lengths, data)
+    rounding = 10.0 * n * np.sqrt(m) * EPS * lengths.sum()
+    if found.not_identifiable or found.status.name != "converged":
+        # an angle less certain than a hundredth of a radian, or a link lost beside a far longer one
+        uncertain = np.max(deviations * max(sigma, rounding) / lengths)
+        assert uncertain > 1e-2 or lengths.min() < 1e-7 * lengths.sum()
+        return
+    wrong = (found.parameters - expected) / found.std
+    assert np.max(np.abs(wrong)) <= DIGITS + rounding / sigma
+
+
+@given(n=st.integers(1, 6), seed=st.integers(0, 2**32), scale=st.sampled_from([2.0**-20, 2.0**20]))
+@FEW
+def test_rows_turns_and_size_do_not_matter(n: int, seed: int, scale: float) -> None:
+    """Rows in another order, whole turns of joints, and an arm of another size with measurements of that size."""
+    generator = np.random.default_rng(seed)
+    lengths, sigma = generator.uniform(50.0, 500.0, n), 0.1
+    data = measured(lengths, generator.uniform(-3.0, 3.0, (2 * n + 6, n)), sigma, generator)
+    order = generator.permutation(len(data))
+    turned = data.postures + 2.0 * np.pi * generator.integers(-2, 3, data.postures.shape)
+    first = estimate(Model(Arm(tuple(lengths), sigma=sigma)), data)
+    for other, size in (
+        (Measurements(data.postures[order], data.positions[order]), 1.0),
+        (Measurements(turned, data.positions), 1.0),
+        (Measurements(data.postures, scale * data.positions), scale),
+    ):
+        found = estimate(Model(Arm(tuple(size * lengths), sigma=size * sigma)), other)
+        units = np.r_[np.full(n, size), np.ones(n)]
+        np.testing.assert_allclose((found.parameters / units - first.parameters) / first.std, 0.0, atol=DIGITS)
+        np.testing.assert_allclose(found.std / units, first.std, rtol=1e-9)
+        assert found.status is first.status
+
+
+def said(found: Identification) -> str:
+    return " ".join(found.warnings)
+
+
+def test_data_without_noise_are_fitted_exactly_and_said_to_be_so() -> None:
+    generator = np.random.default_rng(5)
+    for n in (1, 3, 12):
+        lengths, q = np.full(n, 100.0), generator.uniform(-3.0, 3.0, (n + 4, n))
+        true = np.r_[generator.standard_normal(n), 0.01 * generator.standard_normal(n)]
+        tip = np.exp(1j * np.cumsum(q + true[n:], axis=1)) @ (lengths + true[:n])
+        exact = Measurements(q, np.column_stack([tip.real, tip.imag]))
+        for sigma in (None, 0.1):
+            found = estimate(Model(Arm(tuple(lengths), sigma=sigma)), exact)
+            np.testing.assert_allclose(found.parameters, true, rtol=0.0, atol=1e-11)
+            assert "data without noise" in said(found)
+        few = measured(lengths, q[:n], 0.1, generator)  # as many equations as parameters leave nothing either
+        assert "without noise" not in said(estimate(Model(Arm(tuple(lengths), sigma=0.1)), few))
+
+
+def test_one_posture_short_of_full_rank_is_named() -> None:
+    """n - 1 different postures, each repeated, or a joint that never moves: rank 2 n - 2."""
+    generator = np.random.default_rng(6)
+    for n in (2, 3, 12):
+        lengths, q = np.full(n, 100.0), generator.uniform(-3.0, 3.0, (n + 4, n))
+        still = q.copy()
+        still[:, -1] = 0.3
+        for postures in (np.repeat(q[: n - 1], 40, axis=0), still):
+            data = measured(lengths, postures, 0.1, generator)
+            found = estimate(Model(Arm(tuple(lengths), sigma=0.1)), data)
+            assert found.status.name == "not_identifiable"
+            assert len(found.not_identifiable) == 2
+            assert found.dof == data.positions.size - (2 * n - 2)
+
+
+def test_a_short_link_before_a_long_one_is_what_is_named() -> None:
+    """Its angle is lost beside the long one's; both lengths are as well known as ever."""
+    generator = np.random.default_rng(7)
+    lengths = np.array([1e-3, 1e6])
+    data = measured(lengths, generator.uniform(-3.0, 3.0, (50, 2)), 1e-3, generator)
+    found = estimate(Model(Arm(tuple(lengths), sigma=1e-3)), data)
+    assert found.not_identifiable == ("joint_offset:2",)
+    np.testing.assert_allclose(found.std[:2], 1e-3 / np.sqrt(50), rtol=0.1)
+
+
+def test_units_of_a_file_do_not_matter(tmp_path) -> None:
+    generator = np.random.default_rng(8)
+    arm = Arm((300.0, 200.0), sigma=0.1)
+    data = measured(np.array([300.0, 200.0]), generator.uniform(-3.0, 3.0, (12, 2)), 0.1, generator)
+    columns = {
+        "a": ("q1_deg,q2_deg,x_mm,y_mm", np.c_[np.degrees(data.postures), data.positions]),
+        "b": ("q1_rad,q2_rad,x_m,y_m", np.c_[data.postures, data.positions / 1000.0]),
+    }
+    fits = []
+    for name, (header, table) in columns.items():
+        path = tmp_path / f"{name}.csv"
+        path.write_text("\n".join([header, *(",".join(map(repr, row)) for row in table.tolist())]) + "\n")
+        fits.append(estimate(Model(arm), load_measurements(path, arm)))
+    np.testing.assert_allclose((fits[0].parameters - fits[1].parameters) / fits[0].std, 0.0, atol=DIGITS)
+
+
+@given(n=st.integers(2, 6), seed=st.integers(0, 2**32))
+@FEW
+def test_commands_reach_their_targets_on_links_of_all_sizes(n: int, seed: int) -> None:
+    """The real arm at the commands is where the drawing is at the postures, or it is said that it cannot be."""
+    generator = np.random.default_rng(seed)
+    lengths = lengths_of(n, generator)
+    arm = Arm(tuple(lengths), sigma=0.1)
+    data = measured(lengths, generator.uniform(-3.0, 3.0, (n + 30, n)), 1e-4 * lengths.min(), generator)
+    fit = estimate(Model(arm), data)
+    found = compensate(fit.calibrated_arm(), postures=generator.uniform(-2.0, 2.0, (5, n)))
+    near = found.reached
+    real = lengths + fit.length_errors
+    tip = np.exp(1j * np.cumsum(found.commands[near] + fit.joint_offsets, axis=1)) @ real
+    away = np.hypot(tip.real - found.targets[near, 0], tip.imag - found.targets[near, 1])
+    assert np.all(away <= 1e-9 * lengths.sum())
+    assert np.all(np.isfinite(found.commands[near]))
