@@ -130,6 +130,7 @@ class Campaign:
         return [
             corrected_section([CorrectedValue(**row) for row in data["corrected_values"]], "geometry" in data, name)
             for name, data in self.given.said["identify"].items()
+            if "corrected_values" in data  # files of earlier versions have none
         ]
 
     def test_section(self, rows: str) -> Section:

@@ -151,7 +151,7 @@ class Steps {
     if (Number.isFinite(perRun)) {
       facts["log det lost, all runs together"] = (this.whole - left).toFixed(7);
       facts["D-efficiency against the whole plan"] = efficiency.toFixed(4);
-    } else facts["log det M'"] = "not every parameter can be identified any more";
+    } else facts["log det M'"] = "not every parameter can be identified";
     if (this.plan.joints.every(name => name.endsWith("[deg]"))) facts["joint travel"] = `${this.travel(kept).toFixed(1)} deg`;
     this.figures.replaceChildren();
     for (const [name, value] of Object.entries(facts)) {
@@ -172,7 +172,10 @@ class Steps {
 
   list() {
     const total = information(this.plan, this.kept);
-    const without = run => this.efficiency(add(total.map(row => row.slice()), this.plan.jacobians[run], -1));
+    const without = run => {
+      const left = this.efficiency(add(total.map(row => row.slice()), this.plan.jacobians[run], -1));
+      return Number.isFinite(left) ? left.toFixed(3) : "-";
+    };
     this.body.replaceChildren();
     this.order.forEach((run, place) => {
       const struck = this.struck.has(run), row = element("tr", this.body);
@@ -182,7 +185,7 @@ class Steps {
       element("td", row, String(place + 1));
       element("td", row, String(run + 1));
       for (const angle of this.plan.postures[run]) element("td", row, angle.toFixed(2));
-      element("td", row, struck ? "" : without(run).toFixed(3));
+      element("td", row, struck ? "" : without(run));
       const cell = element("td", row);
       for (const [text, name, action] of [
         ["↑", "up", () => this.move(place, -1)],

@@ -230,4 +230,6 @@ def draw_residual_arrows(
         axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]")
         if planar:
             axis.plot(0, 0, "ks", ms=5)
-    axes[0].set_title(f"{name}: RMS {rms_distance(residuals):.4g} mm, arrows x {scale:.0f}", fontsize=9)
+    axes[0].set_title(
+        f"{name}: RMS {rms_distance(residuals):.4g} mm, arrows x {scale:.0f}", fontsize=9, parse_math=False
+    )

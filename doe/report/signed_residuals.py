@@ -127,7 +127,9 @@ def signed_figures(rows: Compared) -> list[Figure]:
             axes.plot(*(factor * line for line in curve), color="k", lw=1.3)
         axes.set(xlabel=f"joint {j + 1} [{unit}]", ylabel=f"error [{unit}]")
         still = np.linalg.norm(levers[:, :, j], axis=1).max() < STILL * rows.arm.reach
-        axes.set_title(rows.notes.get(j + 1, "hardly moves the measured point" if still else ""), fontsize=9)
+        axes.set_title(
+            rows.notes.get(j + 1, "hardly moves the measured point" if still else ""), fontsize=9, parse_math=False
+        )
         if j == 0:
             axes.plot([], [], color="k", lw=1.3, label="fitted")
             axes.legend(frameon=False, fontsize=8, ncols=3, handletextpad=0.3, columnspacing=1.0)
