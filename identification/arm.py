@@ -76,7 +76,7 @@ class EffectSpec(ByValue):
 
     @property
     def key(self) -> str:
-        """`name` or `name:joint`: what and where. Effects that share it are told apart by `Effect.key`."""
+        """`name` or `name:joint`: what and where. Effects that share it are distinguished by `Effect.key`."""
         return self.name if self.joint is None else f"{self.name}:{self.joint}"
 
 

@@ -1,4 +1,4 @@
-"""Arrays of floats that cannot be written to, and dataclasses of them that compare by value."""
+"""Read-only arrays of floats, and dataclasses of them that compare by value."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _hashable(value: Any) -> Any:
-    """Equal for equal values: of a mapping its keys, of an array its shape, which tell most things apart."""
+    """Equal for equal values: of a mapping its keys, of an array its shape, which distinguish most things."""
     if isinstance(value, np.ndarray | Mapping):
         return np.shape(value) if isinstance(value, np.ndarray) else frozenset(value)
     return value

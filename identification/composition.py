@@ -1,4 +1,4 @@
-"""Spatial models put together from parts that are compiled once: the geometry, and every effect by itself.
+"""Spatial models assembled from parts that are compiled once: the geometry, and each effect by itself.
 
     position = T(q, g, a) + i,   (a, i) = sum_e A_e(q, c, v_e, s)
 

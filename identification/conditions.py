@@ -1,4 +1,4 @@
-"""What postures are measured under, and what of it follows from their order: time, directions, the joints' past."""
+"""Conditions of each measurement, and what follows from their order: time, directions, the joints' past."""
 
 from __future__ import annotations
 

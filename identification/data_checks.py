@@ -1,4 +1,4 @@
-"""What measurements say against their own columns: units, conventions of orientations, swapped markers, lost beams.
+"""Contradictions within a measurement file: units, conventions of orientations, swapped markers, lost beams.
 
 In space base and measured points are found by the closed form, so that what is left of the nominal arm is its errors,
 some millimetres; another unit or another point is off by far more. A planar arm is taken to stand at the origin.
@@ -125,12 +125,12 @@ def _far_rows(measurements: Measurements, arm: Arm) -> Iterator[str]:
         markers[far] = name
         other = replace(measurements, marker=markers)
         swapped |= far & (_distances(arm, other, kept) <= FAR * usual)
-    told = f"others are {usual:.3g} mm from the nominal arm in the median"
+    typical = f"others are {usual:.3g} mm from the nominal arm in the median"
     if swapped.any():
-        yield f"markers look swapped in {_rows(swapped)}: the position is that of another marker; {told}"
+        yield f"markers look swapped in {_rows(swapped)}: the position is that of another marker; {typical}"
     if (lost := far & ~swapped).any():
         worst = float(distances[lost].max())
-        yield f"a lost beam or another posture in {_rows(lost)}: up to {worst:.4g} mm off; {told}"
+        yield f"a lost beam or another posture in {_rows(lost)}: up to {worst:.4g} mm off; {typical}"
 
 
 def _rows(chosen: NDArray[np.bool_]) -> str:

@@ -176,7 +176,7 @@ class Identifiability:
 def identifiability(
     jacobian: Array, names: Sequence[str], scales: Array, tolerance: float = RANK_TOLERANCE
 ) -> Identifiability:
-    """Rank of a Jacobian (m, d, p), and the combinations of parameters that it cannot tell apart."""
+    """Rank of a Jacobian (m, d, p), and the combinations of parameters that it cannot distinguish."""
     return identifiability_of(spectrum(jacobian, scales, tolerance), names, scales)
 
 

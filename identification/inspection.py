@@ -1,4 +1,4 @@
-"""What data are like before any fit is believed: ranges, repeats, frames, signs, and what can be found from them."""
+"""Inspection of measurements before any fit: ranges, repeats, frames, signs, and what can be identified from them."""
 
 from __future__ import annotations
 

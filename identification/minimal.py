@@ -1,4 +1,4 @@
-"""A minimal set of a spatial arm's parameters: as many as measurements can tell apart, the others as drawn.
+"""A minimal set of a spatial arm's parameters: as many as measurements can distinguish, the others as drawn.
 
 Every combination of the geometry's errors that moves the measured points is one of the parameters that are kept (the
 continuous and complete set of the literature: L. J. Everett, M. Driels, B. W. Mooring, "Kinematic modelling for robot
@@ -26,18 +26,16 @@ from identification.placed import placed_model
 
 FIRST = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
 POSTURES = 100  # at random: three equations each for some forty parameters
-TOLD = (
-    1e-6  # [mm] RMS of a coordinate that an error of machining size makes, beside those kept before; rounding is 1e-12
-)
-WELL_TOLD = 1e-2  # [mm] the same where what measurements hardly tell is not wanted: below what trackers resolve
+DISTINCT = 1e-6  # [mm] RMS change of a coordinate by an error of machining size, beside those kept; rounding is 1e-12
+PRACTICAL = 1e-2  # [mm] the same without what measurements hardly determine: below what trackers resolve
 SEED = 0
 
 
-def minimal(model: Model, told: float = TOLD) -> Model:
+def minimal(model: Model, least: float = DISTINCT) -> Model:
     """The model of a spatial arm with a minimal set of geometric parameters, free of any prior; the others are zero, or
     what a calibration says.
 
-    told : [mm] what the smallest parameter that counts moves a coordinate by, see `TOLD`
+    least : [mm] what the smallest parameter that counts moves a coordinate by, see `DISTINCT`
     Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
     """
     chain = model.arm.chain
@@ -46,17 +44,17 @@ def minimal(model: Model, told: float = TOLD) -> Model:
     parameters = model.parameters
     order = [k for kind in FIRST for k in parameters.indices(kind)]
     sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
-    kept = set(independent(_jacobian(model)[:, order] * sizes, told))
+    kept = set(independent(_jacobian(model)[:, order] * sizes, least))
     fixed = frozenset(parameters[k].name for place, k in enumerate(order) if place not in kept)
     return replace(model, arm=replace(model.arm, chain=replace(chain, fixed=chain.fixed | fixed)))
 
 
 def practical(arm: Arm, measurements: Measurements) -> Arm:
     """A spatial arm for fits without a prior: base and measured points where the closed form finds them, and what
-    measurements hardly tell as drawn. A planar arm, and a spatial one whose set was chosen, stays as it is."""
+    measurements hardly determine as drawn. A planar arm, and a spatial one whose set was chosen, stays as it is."""
     if arm.chain is None or arm.chain.fixed:
         return arm
-    return minimal(placed_model(Model(arm), measurements), WELL_TOLD).arm
+    return minimal(placed_model(Model(arm), measurements), PRACTICAL).arm
 
 
 def placed_calibration(arm: Arm, found: Calibration) -> Calibration:
@@ -71,8 +69,8 @@ def placed_calibration(arm: Arm, found: Calibration) -> Calibration:
     return replace(found, values=values, base=geometry.base, tools=tools, tool_axes=axes)
 
 
-def independent(columns: Array, told: float = TOLD) -> list[int]:
-    """Numbers of the columns (N, p) of which those kept before leave an RMS above `told` (Gram and Schmidt, twice for
+def independent(columns: Array, least: float = DISTINCT) -> list[int]:
+    """Numbers of the columns (N, p) of which those kept before leave an RMS above `least` (Gram and Schmidt, twice for
     rounding)."""
     basis = np.zeros((len(columns), 0))
     kept = []
@@ -80,7 +78,7 @@ def independent(columns: Array, told: float = TOLD) -> list[int]:
         left = column
         for _ in range(2):
             left = left - basis @ (basis.T @ left)
-        if (size := float(np.linalg.norm(left))) > told * np.sqrt(len(columns)):
+        if (size := float(np.linalg.norm(left))) > least * np.sqrt(len(columns)):
             basis = np.column_stack([basis, left / size])
             kept.append(k)
     return kept

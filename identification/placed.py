@@ -1,4 +1,4 @@
-"""Where a spatial arm stands and where its measured points are, as far as the arm does not say: the start of a fit."""
+"""Where a spatial arm stands and where its measured points are, if the arm file does not say: the start of a fit."""
 
 from __future__ import annotations
 

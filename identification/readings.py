@@ -1,4 +1,4 @@
-"""Other ways to read a measurement file: joints that turn the other way, swapped columns, other zeros, mirrored axes.
+"""Alternative readings of a measurement file: reversed joints, swapped columns, other zeros, mirrored axes.
 
 A wrong sign leaves decimetres where a real arm leaves millimetres, so the drawing is enough to see it: for each way to
 read the columns the base (and in space the measured point) is fitted to the drawing in closed form.

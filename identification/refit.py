@@ -1,4 +1,4 @@
-"""A calibrated arm where it stands for other measurements: the base anew, the rest as it is.
+"""A calibrated arm placed for other measurements: the base refitted, the rest unchanged.
 
 The calibrated geometry of a spatial arm is composed into its chain, so that base and measured points are found by the
 closed form on it and then, with the effects of the arm, by least squares.

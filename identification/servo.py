@@ -1,4 +1,4 @@
-"""Commands beside readings: what the controller leaves between the angle that was asked for and the one that is read.
+"""Servo errors: the difference between the commanded angle of a joint and the one that is read.
 
 Positions are explained from the joints as read. What `compensate` finds is to be asked for, so that each joint comes to
 rest, and is read, where the model wants it: the servo error that was measured is taken off.

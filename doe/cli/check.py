@@ -1,4 +1,4 @@
-"""`armcal check`: what data are like before any fit is believed."""
+"""`armcal check`: inspect measurements before any fit."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def command(
 ) -> Answer:
     """Estimate the arm's parameters from measurements, with 95 % intervals.
 
-    Where a column session tells sessions apart, each gets a base of its own; the file has that of the first. With
+    Where a column session distinguishes sessions, each gets a base of its own; the file has that of the first. With
     --only all other parameters stay at the values of ARM.
     """
     from identification.files.arm import load_arm
@@ -172,14 +172,14 @@ def with_commands(said: Answer, errors: tuple[ServoError, ...]) -> Answer:
 
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:
-    """The model with as many parameters as measurements tell apart; warns of those that they hardly do."""
-    from identification.minimal import WELL_TOLD, minimal
+    """The model with as many parameters as measurements distinguish; warns of those that they hardly do."""
+    from identification.minimal import PRACTICAL, minimal
     from identification.placed import placed_model
 
     placed = placed_model(model, measurements)
-    found = minimal(placed, WELL_TOLD)
+    found = minimal(placed, PRACTICAL)
     if hardly := [name for name in minimal(placed).names if name not in found.names]:
-        left = f"{', '.join(hardly)} would move no coordinate by {WELL_TOLD:g} mm RMS"
+        left = f"{', '.join(hardly)} would move no coordinate by {PRACTICAL:g} mm RMS"
         warnings.warn(f"left as drawn, {len(found.names)} parameters stay: {left}", UserWarning, stacklevel=2)
     return found
 

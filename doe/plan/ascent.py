@@ -1,4 +1,4 @@
-"""Plans that climb together to local optima of the criterion, within the joint limits: L-BFGS on exact gradients.
+"""Batched ascent of plans to local optima of the criterion within the joint limits: L-BFGS on exact gradients.
 
     df/dq_ia = (2 r / (k N)) tr(G B_i^T dB_i/dq_a),   M = ((r / k) sum_i B_i^T B_i + K) / N,   N = r + runs of K
 

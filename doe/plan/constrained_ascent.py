@@ -1,4 +1,4 @@
-"""Plans that climb together under constraints: a penalty that grows, and Newton steps back inside at the end.
+"""Batched ascent of plans under constraints: a growing penalty, and Newton steps back inside at the end.
 
     f(q) - r / 2 * sum over runs and constraints max(0, -c(q))^2
 

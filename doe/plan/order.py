@@ -1,4 +1,4 @@
-"""The order in which a plan is measured. It changes no information, but time, and what drift can hide.
+"""The order in which a plan is measured: it changes no information, but travel time and what drift can hide.
 
 The shortest joint travel is a travelling salesman's open path: an edge i-k costs the time that the slowest joint needs,
 max_j |q_ij - q_kj| / speed_j. It is solved as an integer program by HiGHS (in scipy): two edges at every posture (a

@@ -1,4 +1,4 @@
-"""From weights to whole numbers of runs: efficient apportionment, which loses the least for sure.
+"""From weights to whole numbers of runs: efficient apportionment, which loses least in the worst case.
 
 F. Pukelsheim, S. Rieder, "Efficient rounding of approximate designs", Biometrika 79 (1992): start from
 ceil((m - k/2) w_i) runs on each of the k support postures; while there are too few, add one where n_i / w_i is

@@ -1,4 +1,4 @@
-"""What error of the tip a plan promises, if the model is right and if effects of typical size are missing in it.
+"""Predicted tip error of a plan: with a correct model, and with effects of typical size missing from it.
 
 The plan is measured with noise sigma. The tip is then computed at test poses, where nothing was measured; its error
 is counted against the arm's true position, as root mean square over poses and over arms that the prior may give.

@@ -1,4 +1,4 @@
-"""What a posture must satisfy besides the joint limits. Each constraint says it twice, independently.
+"""What a posture must satisfy besides the joint limits. Each constraint is written twice, independently.
 
 `margin(postures)` is plain geometry in numpy, a signed distance [mm], satisfied where >= 0: plans are judged by it.
 `symbolic(q)` is a CasADi expression of the same sign, smooth where it can be: solvers climb along it.

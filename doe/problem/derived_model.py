@@ -1,4 +1,4 @@
-"""Models that are made of another one and measured at the same postures: what they pass on, and their Jacobians."""
+"""Models derived from another one and measured at the same postures: what they inherit, and their Jacobians."""
 
 from __future__ import annotations
 

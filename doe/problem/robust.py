@@ -1,4 +1,4 @@
-"""Designs for an arm whose model may lack effects: the library's, each of its typical size, are known beforehand.
+"""Designs for an arm whose model may lack effects: those of the library enter with a prior of typical sizes.
 
 The parameters are those of the model and of all effects of the library; the latter have a normal prior of zero mean
 (`identification.gap.library_prior`). With K its information the posterior of a plan is (sum B^T B + K)^-1 sigma^2, and

@@ -1,6 +1,6 @@
-"""What a design of a spatial arm takes for granted: which parameters it is for, and where the measured points are.
+"""Assumptions of a design for a spatial arm: which parameters it is for, and where the measured points are.
 
-More errors are possible in a chain than measurements tell apart. With a sigma each is held by the prior of its
+More errors are possible in a chain than measurements distinguish. With a sigma each is held by the prior of its
 machining, as `identify` holds it, and the criterion is that of the posterior; without one the design is for a minimal
 set. A measured point that the arm does not know is assumed beside the last axis, since on it the last joint shows
 nothing. The base stays where the arm has it, at the origin where it is not known: no criterion that a change of frame
@@ -24,7 +24,7 @@ from identification.arm import Arm
 from identification.conditions import Conditions
 from identification.kinematics.parameters import ParameterSet
 from identification.kinematics.spatial import TOOL, SpatialChain
-from identification.minimal import WELL_TOLD, minimal
+from identification.minimal import PRACTICAL, minimal
 from identification.model import Model
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def without_prior(arm: Arm) -> Arm:
     """An arm with its measured points in place and a minimal set of parameters, as tests for effects see it."""
     if arm.chain is None:
         return arm
-    return minimal(Model(replace(arm, chain=with_points(arm.chain))), WELL_TOLD).arm
+    return minimal(Model(replace(arm, chain=with_points(arm.chain))), PRACTICAL).arm
 
 
 def with_points(chain: SpatialChain) -> SpatialChain:

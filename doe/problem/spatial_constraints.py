@@ -1,4 +1,4 @@
-"""Constraints that only space has: cylinders that every link stays outside of, a tracker that sees the reflector.
+"""Constraints of spatial arms only: cylinders that no link may enter, a tracker that must see the reflector.
 
 As in `doe.problem.constraints` each is said twice: `margin` finds the nearest point of a link by golden section, since
 a distance from a convex body is a convex function along a line; `symbolic` has closed forms of the same sign.

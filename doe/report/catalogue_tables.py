@@ -14,7 +14,7 @@ TITLES = {
     "looked for": "Effects that diagnose looks for",
     "table": "Found by diagnose where no name fits",
     "scatter": "Effects on the scatter: simulated, screened for, not estimated",
-    "alias": "Cannot be told from the geometry: listed, never named",
+    "alias": "Cannot be distinguished from the geometry: listed, never named",
     "on request": "Estimated where the arm file asks for it",
     "commands": "From columns of commands beside the angles read",
     "sessions": "Set by armcal where there are several sessions",

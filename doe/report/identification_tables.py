@@ -1,4 +1,4 @@
-"""What measurements say, as tables for a terminal (rich)."""
+"""An identification as tables for a terminal (rich)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What data are like, as tables for a terminal (rich)."""
+"""The inspection of measurements as tables for a terminal (rich)."""
 
 from __future__ import annotations
 

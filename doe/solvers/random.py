@@ -1,4 +1,4 @@
-"""Random postures, and the best of many random plans: what practice does."""
+"""Random postures, and the best of many random plans: common practice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Relaxation, rounding, polish: optimal weights by column generation, made whole, then improved as plans are."""
+"""Relaxation and rounding: optimal weights by column generation, rounded to whole runs, then polished."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Can any plan do it? Refusals before a search, and the reason after one that found nothing."""
+"""Is a problem solvable at all? Refusals before a search, and the reason after one that found nothing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from identification.errors import InputError, JobError
 from identification.information import identifiability
 from identification.status import Status
 
-NEUTRAL = "under one payload, temperature, time and approach no posture tells apart"
+NEUTRAL = "under one payload, temperature, time and approach no posture distinguishes"
 
 
 def check_solvable(problem: DesignProblem, runs: int, seed: int, *, every_parameter: bool) -> None:

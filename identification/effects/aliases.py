@@ -1,4 +1,4 @@
-"""Effects that no measurement of the tip can tell from the base parameters. They are listed, never named."""
+"""Effects that no measurement of the tip can distinguish from the base parameters. They are listed, never named."""
 
 from __future__ import annotations
 

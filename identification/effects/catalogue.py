@@ -1,4 +1,4 @@
-"""The library as people look it up: what each effect is, its parameters, and the data that it needs.
+"""The effect library as a catalogue: what each effect is, its parameters, and the data that it needs.
 
 Everything is read off the classes, so that a user's own effects stand in the list as well.
 """
@@ -117,7 +117,7 @@ def _place(cls: type[Effect]) -> str:
 
 
 def _kind(cls: type[Effect]) -> str:
-    told = {"table": cls.tabulated, "scatter": cls.scatter, "alias": cls.alias is not None}
-    told |= {"sessions": "session" in cls.needs, "on request": cls.nuisance}
-    told["commands"] = cls.of_commands
-    return next((kind for kind, true in told.items() if true), "looked for")
+    kinds = {"table": cls.tabulated, "scatter": cls.scatter, "alias": cls.alias is not None}
+    kinds |= {"sessions": "session" in cls.needs, "on request": cls.nuisance}
+    kinds["commands"] = cls.of_commands
+    return next((kind for kind, true in kinds.items() if true), "looked for")

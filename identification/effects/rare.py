@@ -1,4 +1,4 @@
-"""Effects that real cells have now and then: warm-up, steps in time, wrong loads, hysteresis, a leaning axis.
+"""Occasional effects of real robot cells: warm-up, steps in time, wrong loads, hysteresis, a leaning axis.
 
 Their `prior` says that they are rarer than the others, so a common effect that explains the data as well is named.
 """
@@ -134,9 +134,9 @@ class PayloadError(_Load):
 class ToolMass(_Load):
     """The tool is so much heavier than the payload that the arm file says: + m, m >= 0, for every effect of gravity.
 
-    For tools that nobody weighed: a guessed mass makes a wrong stiffness of it. With one payload in all rows, mass and
-    compliances are told apart by the masses of the links; `diagnose` looks for `payload_error` instead. Where nothing
-    tells it, m is what tools usually weigh, so that what shows under the tool's weight alone is looked for.
+    For tools that nobody weighed: a guessed mass makes a wrong stiffness of it. With one payload in all rows, the
+    masses of the links distinguish mass and compliances; `diagnose` looks for `payload_error` instead. Where nothing
+    determines m, it is what tools usually weigh, so that what shows under the tool's weight alone is looked for.
     """
 
     name = "tool_mass"

@@ -1,4 +1,4 @@
-"""Settings of effects: numbers that are chosen, not estimated, and which values of them are worth trying."""
+"""Settings of effects: numbers that are chosen, not estimated, and the values of them that are tried."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Effects that only arms in space have: what the bearing of a joint does across its axis."""
+"""Effects of spatial arms only: what the bearing of a joint does across its axis."""
 
 from __future__ import annotations
 

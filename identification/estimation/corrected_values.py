@@ -21,7 +21,7 @@ from identification.kinematics.spatial import SpatialChain
 from identification.model import Model
 
 STEP = {"mm": 1e-3, "rad": 1e-6}  # of central differences: exact for shifts, to 1e-12 for angles
-UPRIGHT = 89.0  # [deg] of pitch, from which roll and yaw turn about nearly one axis and only their sum is told
+UPRIGHT = 89.0  # [deg] of pitch, from which roll and yaw turn about nearly one axis and only their sum is determined
 LINK = "length of the link"
 ZERO = "add to the zero of joint {j}: real position = reading + this; or take it off every command"
 FRAME = "frame of joint {j} in that of {before}, as a URDF joint's origin: x, y, z, then roll, pitch, yaw"
@@ -70,7 +70,7 @@ class _Quantity(NamedTuple):
     unit: str
     convention: str
     bounds: tuple[float, float] = (-np.inf, np.inf)
-    told: bool = True  # its standard deviation means something
+    determined: bool = True  # its standard deviation means something
 
 
 def corrected_values(
@@ -97,7 +97,7 @@ def corrected_values(
 def _row(quantity: _Quantity, found: Calibration, freedom: Array, unknown: Collection[str]) -> CorrectedValue:
     slope = np.array([quantity.derivatives.get(name, 0.0) for name in found.parameter_names])
     lost, deviation = any(quantity.derivatives.get(name) for name in unknown), np.nan
-    if found.covariance is not None and slope.any() and not lost and quantity.told:
+    if found.covariance is not None and slope.any() and not lost and quantity.determined:
         deviation = float(np.sqrt(max(slope @ found.covariance @ slope, 0.0)))
     half = float(quantile_95(freedom[slope != 0.0].min(initial=np.inf))) * deviation
     limits = np.clip([quantity.value - half, quantity.value + half], *quantity.bounds)
@@ -156,8 +156,8 @@ def _spatial(chain: SpatialChain, values: Values, names: Collection[str]) -> Ite
             said = _convention(place, upright and key in TOGETHER)
             axis, _, unit = key.rpartition("_")
             value = value if nominal is None else _nearest(value, nominal, key)
-            told = not (upright and key in TOGETHER)
-            yield _Quantity(f"{place} {axis}", None, nominal, value, slopes, unit, said, told=told)
+            determined = not (upright and key in TOGETHER)
+            yield _Quantity(f"{place} {axis}", None, nominal, value, slopes, unit, said, determined=determined)
 
 
 def _tables(chain: SpatialChain, values: Values) -> dict[str, dict[str, float]]:
@@ -179,4 +179,4 @@ def _convention(place: str, together: bool) -> str:
         return BASE if place == "base" else TOOL
     j = int(place.removeprefix("joint "))
     said = FRAME.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
-    return f"{said}; pitch is upright, so that roll and yaw are told together only" if together else said
+    return f"{said}; pitch is upright, so that roll and yaw are determined together only" if together else said

@@ -1,4 +1,4 @@
-"""What makes a fit doubtful before its figures are read: links that flip, another frame, postures out of the limits."""
+"""Signs of a doubtful fit: flipped links, another frame, postures outside the limits."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def rounded(residual: Array, measurements: Measurements) -> list[str]:
 def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) -> list[str]:
     """Links whose length changes sign or by the order of the length itself."""
     said = []
-    for p, value, told in zip(model.parameters, parameters, identifiable, strict=True):
-        if p.kind == LENGTH_ERROR and p.joint is not None and told:
+    for p, value, estimable in zip(model.parameters, parameters, identifiable, strict=True):
+        if p.kind == LENGTH_ERROR and p.joint is not None and estimable:
             length = float(model.arm.lengths[p.joint - 1])
             if abs(value) > FLIPPED * length:
                 found = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"

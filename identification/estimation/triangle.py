@@ -1,4 +1,4 @@
-"""Tall least-squares problems as small ones: a triangle with as many rows as columns says all that a step needs.
+"""Tall least-squares problems made small by QR: the triangular factor has all that a step needs.
 
 Orthogonal transformations change neither sums of squares nor products of columns, and least squares see nothing else
 (A. Bjorck, "Numerical Methods for Least Squares Problems", 1996, section 2.4).

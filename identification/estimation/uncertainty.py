@@ -1,4 +1,4 @@
-"""How sure estimates are: from a sigma that the residuals do not contradict, from their scatter, or robustly."""
+"""Covariance of estimates: from a sigma that the residuals do not contradict, from their scatter, or robustly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of TOML files as pydantic models: what a wrong value is told in one line.
+"""Tables of TOML files as pydantic models, with one-line messages for wrong values.
 
 The description of a field is the end of its error message.
 """

@@ -1,4 +1,4 @@
-"""No name that its own probabilities deny: verdict and probabilities agree.
+"""Consistency of verdict and probabilities: no effect is named that its own probability denies.
 
 Tests hold false alarms at their level, whatever the effects' sizes; probabilities weigh what is named against nothing
 at all and against shapes outside the library. Where one of these alone makes the credible set, it is the verdict.

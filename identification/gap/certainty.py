@@ -1,4 +1,4 @@
-"""How sure the estimates of a diagnosis are, by the rule of `identify`; and what is doubtful about its fit."""
+"""Uncertainty of a diagnosis's estimates, by the same rule as in `identify`, and warnings about its fit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def certainty(search: HypothesisSearch, found: Fit) -> Uncertainty:
 
 def fit_doubts(arm: Arm, measurements: Measurements, found: Fit, left: Array) -> tuple[str, ...]:
     """What is doubtful about the data and about a model fitted to them, in sentences;  left : (m, d) residuals [mm]."""
-    told = np.ones(len(found.values), dtype=bool)
-    bad = [*far_off(left, found.model.reach), *flipped(found.model, found.values, told)]
+    estimable = np.ones(len(found.values), dtype=bool)
+    bad = [*far_off(left, found.model.reach), *flipped(found.model, found.values, estimable)]
     place = (*another_frame(arm, measurements), *outside_limits(arm, measurements))
     return (*bad, *place, *copied_rows(measurements))

@@ -54,7 +54,7 @@ def waves(angles: Array, error: Array, std: Array, orders: Array | None = None) 
     """The waves that make most of a curve, strongest first: one after the other, all refitted after each.
 
     orders : periods per turn that are tried; None: whole ones up to the fastest that nodes at every other angle show
-    Orders that differ by less than one period over the range are not told apart.
+    Orders that differ by less than one period over the range are not distinguished.
     """
     weights = 1.0 / np.maximum(std, 1e-3 * float(np.max(std)) + 1e-300)
     width = float(np.ptp(angles))

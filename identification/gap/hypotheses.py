@@ -97,7 +97,7 @@ class HypothesisSet:
     """All hypotheses for an arm, and why the other effects of the library are left out.
 
     skipped : effect key -> reason
-    aliases : effect name -> what it cannot be told from, for effects that no measurement of the tip can show
+    aliases : effect name -> what it cannot be distinguished from, for effects that no measurement of the tip can show
     """
 
     arm: Arm

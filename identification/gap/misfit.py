@@ -1,4 +1,4 @@
-"""Whether what the named model leaves is more than the noise that was given, a finding of its own beside the verdict.
+"""Misfit: do the residuals of the named model exceed the given noise? A finding of its own beside the verdict.
 
 It decides no name: a sigma from a data sheet may be too small (identification/README.md, "Lessons").
 """

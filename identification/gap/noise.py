@@ -1,4 +1,4 @@
-"""What the scatter does: outliers, noise that is larger at some postures, serially correlated noise.
+"""Properties of the scatter: outliers, noise that is larger at some postures, serially correlated noise.
 
 Effects of the mean are handled by `select`. Here the residuals of a fitted model are screened, and a noise model is
 returned under which they are white, so that the tests of the mean can be repeated at their nominal level.

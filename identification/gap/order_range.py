@@ -1,4 +1,4 @@
-"""Which orders of a wave a narrow range of its joint cannot tell apart: there the name is a shape, not a cause.
+"""Which orders of a wave a narrow range of its joint cannot distinguish: there the name is a shape, not a cause.
 
 Over a range of W rad two waves whose orders differ by less than 2 pi / W part by less than one period, and with other
 waves beside them they cannot be separated. Where even the next whole order has nearly the same columns, the name is

@@ -1,4 +1,4 @@
-"""What posture explains of residuals, without a model: rows near in posture that were measured at another time.
+"""How much of the residuals posture explains, without a model: nearby postures that were measured at other times.
 
 On a grid, or along a path, consecutive rows are neighbors in posture too, and an effect that is not in the model makes
 their residuals alike. So each residual is compared with the mean of those near it in posture and far from it in time;

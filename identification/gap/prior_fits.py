@@ -1,4 +1,4 @@
-"""The fits of a diagnosis with the rest of the library held by its prior, so that they allow for what has no name yet.
+"""Fits of a diagnosis with the rest of the library under its prior: they allow for effects not named yet.
 
 Names and tests do not change. Beside the named effects, which are free, stand all others with zero mean and their
 typical sizes times a common factor from 0 to 1, the likeliest one: where everything that is there has its name the

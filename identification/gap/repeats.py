@@ -1,4 +1,4 @@
-"""What repeats of one posture say: the noise floor, known without a model, and whether a misfit is more than noise."""
+"""Repeated postures: the noise floor, known without a model, and whether a misfit is more than noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fits and tests of sets of effects to the same rows, each made once."""
+"""Fits and tests of sets of effects on the same rows, each computed once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which effects: BIC after the omnibus test, forward, swap and backward, with nonlinear refits."""
+"""Selection of effects: BIC after the omnibus test, forward, swap and backward, with nonlinear refits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ALPHA_FIRST, ALPHA_NEXT = 0.035, 0.005  # of 0.05 in all, screening and the test
 # effects can mask each other in single tests; several at once must be far beyond chance
 ALPHA_SEVERAL, ALPHA_CLEAR = 1e-5, 1e-20
 PATIENCE = 4  # effort: effects added without getting more significant before that ends
-WORTH = 0.02  # of the sum of squares: what lowers the RMS by less than 1 % is not worth a round
+LEAST_GAIN = 0.02  # of the sum of squares: what lowers the RMS by less than 1 % is not worth a round
 SPARE_AFTER = 10  # degrees of freedom that several effects must leave
 MARGIN, REFITS = 8.0, 6  # effort: rivals within this linear BIC, and as many at most, are refitted
 WINDOW = 6.0  # Delta BIC of the ambiguity set: odds of 20 to 1
@@ -97,7 +97,7 @@ def _next(
     longer = best_of(search, chosen, tested.members, change) or several(search, chosen, generator)
     if longer is None or search.bic(longer) >= search.bic(chosen):
         return None
-    return longer if search.fit(longer).squares <= (1.0 - WORTH) * search.fit(chosen).squares else None
+    return longer if search.fit(longer).squares <= (1.0 - LEAST_GAIN) * search.fit(chosen).squares else None
 
 
 def several(search: HypothesisSearch, chosen: Choice, generator: np.random.Generator) -> Choice | None:

@@ -1,4 +1,4 @@
-"""Rank, covariance and the names of what cannot be told apart."""
+"""Rank, covariance and the names of what cannot be distinguished."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The blind study: how often is the diagnosis right about effects that it cannot know?"""
+"""The blind study: how often is the diagnosis right about effects that were hidden from it?"""

@@ -1,4 +1,4 @@
-"""What real cells have now and then, in plain numpy: warm-up, steps in time, loads, hysteresis, a leaning axis.
+"""Occasional effects of real robot cells, in plain numpy: warm-up, steps in time, loads, hysteresis, a leaning axis.
 
 No model."""
 

@@ -1,4 +1,4 @@
-"""Is what is said with probability p right in p, and do 95 % intervals hold 95 %?"""
+"""Are statements of probability p right in a fraction p of the cases, and do 95 % intervals cover 95 %?"""
 
 from __future__ import annotations
 

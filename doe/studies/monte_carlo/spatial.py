@@ -1,6 +1,6 @@
-"""Spatial arms in a study: what is fitted, and which values of it mean the same as the errors that are simulated.
+"""Spatial arms in a study: which parameters are fitted, and their values equivalent to the simulated errors.
 
-A spatial arm's errors can be told apart only in part. A minimal set of them is fitted, without a prior, and compared
+A spatial arm's errors can be distinguished only in part. A minimal set of them is fitted, without a prior, and compared
 with the values of this set that put the measured point where all of the simulated errors together do.
 """
 

@@ -20,7 +20,7 @@ def test_what_no_posture_tells_apart_is_named() -> None:
         "base_drift": "base_drift.vx; base_drift.vy",
     }
     for name, combination in lost.items():
-        with pytest.raises(JobError, match=f"no posture tells apart: {combination}"):
+        with pytest.raises(JobError, match=f"no posture distinguishes: {combination}"):
             solve(problem(FOUR, EffectSpec(name)), 12, "random")
 
 

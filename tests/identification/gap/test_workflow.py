@@ -8,7 +8,7 @@ from scipy.stats import f as fdist
 from scipy.stats import ncf
 
 from identification.gap.search import LEVEL_FACTOR
-from identification.gap.selection import ALPHA_NEXT, WORTH
+from identification.gap.selection import ALPHA_NEXT, LEAST_GAIN
 from identification.gap.workflow import MOST_ROWS, Workflow
 from tests.identification.gap.test_search import LIBRARY, NAMES, searched
 
@@ -35,6 +35,6 @@ def test_the_rows_searched_show_what_is_worth_a_round() -> None:
     n = 2 * MOST_ROWS
     weight = min(h.weight for h in LIBRARY.members if h.size == 2)
     limit = float(fdist.isf(ALPHA_NEXT * LEVEL_FACTOR * weight, 2, n - 10))
-    power = [float(ncf.sf(limit, 2, rows - 10, rows * WORTH / (1.0 - WORTH))) for rows in (n, n - 100)]
+    power = [float(ncf.sf(limit, 2, rows - 10, rows * LEAST_GAIN / (1.0 - LEAST_GAIN))) for rows in (n, n - 100)]
     assert power[0] == pytest.approx(0.99, abs=0.001)
     assert power[1] < power[0]
