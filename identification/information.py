@@ -53,9 +53,21 @@ def column_space(jacobian: Array, scales: Array) -> Array:
 def column_space_of(jacobian: Array, scales: Array) -> tuple[Array, Array]:
     """`column_space`, and (p, rank) of what combinations of the columns it consists."""
     lengths, zero = column_lengths(np.linalg.norm(jacobian, axis=0), scales)
-    left, values, right = np.linalg.svd(np.where(zero, 0.0, jacobian / lengths), full_matrices=False)
-    seen = significant(values)
-    return left[:, seen], right[seen].T / values[seen] / lengths[:, None]
+    unit = np.where(zero, 0.0, jacobian / lengths)
+    values, vectors = np.linalg.eigh(unit.T @ unit)
+    if values.min(initial=1.0) > CLEAR:
+        return _orthonormal(unit, vectors / np.sqrt(values), lengths)
+    left, singular, right = np.linalg.svd(unit, full_matrices=False)
+    seen = significant(singular)
+    return left[:, seen], right[seen].T / singular[seen] / lengths[:, None]
+
+
+def _orthonormal(unit: Array, turn: Array, lengths: Array) -> tuple[Array, Array]:
+    """Unit columns times `turn`, which are orthonormal but for what a normal matrix loses, half the digits; a Newton
+    step (A. Bjorck, C. Bowie, 1971) makes up for it. Products of matrices alone, in half the time of an SVD."""
+    basis = unit @ turn
+    step = 1.5 * np.eye(len(turn)) - 0.5 * basis.T @ basis
+    return basis @ step, turn @ step / lengths[:, None]
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,9 @@ class Chord:
                 break
             index, last, rounding = index[going], size[going], rounding[going]
             data = data if going.all() else np.ascontiguousarray(data[:, going])
-            if len(lengths) > 1:
-                lengths, inverse = lengths[going], inverse[going]
+            if len(inverse) == 1:
+                x = x[going] + gradient[going] @ inverse[0]
+                continue
+            lengths, inverse = lengths[going], inverse[going]
             x = x[going] + (gradient[going][:, None] @ inverse)[:, 0]
         return parameters, squares, stationary

@@ -98,10 +98,7 @@ class Rows:
         """(m d, ...) of (m, d, ...) with unit covariance up to a factor; linear, so it serves residuals and columns."""
         m, d = len(self), self.dimension
         if self.spread is not None:
-            flat = values.reshape(m, d, -1)
-            # coordinate by coordinate: numpy's solver and product of m small matrices take many times as long
-            turned = [sum(self._inverse[:, i, j, None] * flat[:, j] for j in range(d)) for i in range(d)]
-            values = np.stack(turned, axis=1).reshape(values.shape)
+            values = (self._inverse @ values.reshape(m, d, -1)).reshape(values.shape)
         if self.correlation:
             values = self._decorrelated(values)
         return values.reshape(m * d, *values.shape[2:])

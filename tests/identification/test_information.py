@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from identification.arm import Arm, EffectSpec
 from identification.information import (
     Identifiability,
+    column_space_of,
     covariance,
     describe,
     identifiability,
@@ -155,3 +156,16 @@ def test_description_rounds_and_signs() -> None:
     assert describe(np.array([-0.3, 0.0, -1.0]), names) == "0.3 a - c"
     assert describe(np.array([0.0, 2.0, 0.0]), names) == "b"
     assert describe(np.array([0.5, -1.0, -0.5]), names) == "0.5 a - b + 0.5 c"
+
+
+@pytest.mark.parametrize(("smallest", "rank"), [(0.1, 6), (1e-3, 6), (1e-6, 6), (1e-12, 5)])
+def test_column_space_is_orthonormal_and_made_of_the_columns(smallest: float, rank: int) -> None:
+    """Singular values of 1 and `smallest`; beyond the tolerance of ranks that direction is left out."""
+    generator = np.random.default_rng(3)
+    left, right = (np.linalg.qr(generator.normal(size=(rows, 6)))[0] for rows in (40, 6))
+    columns = left * np.array([1.0, 1.0, 1.0, 1.0, 1.0, smallest]) @ right.T
+    basis, turn = column_space_of(columns, np.ones(6))
+    assert basis.shape == (40, rank)
+    np.testing.assert_allclose(basis.T @ basis, np.eye(rank), atol=1e-12)
+    np.testing.assert_allclose(columns @ turn, basis, atol=1e-14 / max(smallest, 1e-6))
+    np.testing.assert_allclose(basis @ (basis.T @ columns), columns, atol=1e-11)
