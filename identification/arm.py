@@ -8,6 +8,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from html import escape
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -219,9 +220,30 @@ class Arm(ByValue):
         """Length of the stretched nominal arm [mm]."""
         return float(np.sum(self.lengths)) if self.chain is None else self.chain.reach
 
+    def _repr_html_(self) -> str:
+        return _html(self)
+
     def with_effects(self, *effects: EffectSpec) -> Arm:
         """The same arm with these effects instead of its own."""
         return replace(self, effects=tuple(effects))
+
+
+def _html(arm: Arm) -> str:
+    """A line about the arm and a table of its joints, for notebooks."""
+    sigma = "not given" if arm.sigma is None else f"{arm.sigma:g} mm"
+    effects = ", ".join(spec.key for spec in arm.effects) or "none"
+    said = f"{arm.name}: {arm.dimension} coordinates, reach {arm.reach:.6g} mm, sigma {sigma}, effects {effects}"
+    said += "" if arm.calibration is None else ", calibrated"
+    heads = ("joint", "type", "length [mm]", "lower", "upper")
+    rows = [f"<tr>{''.join(f'<th>{head}</th>' for head in heads)}</tr>"]
+    for j, (kind, *figures) in enumerate(zip(arm.joint_types, arm.lengths, arm.lower, arm.upper, strict=True), start=1):
+        length, low, high = figures
+        limits = f"{low:g} mm", f"{high:g} mm"
+        if kind == REVOLUTE:
+            limits = f"{np.degrees(low):.6g} deg", f"{np.degrees(high):.6g} deg"
+        cells = (str(j), kind, f"{length:.6g}", *limits)
+        rows.append(f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>")
+    return f"<p>{escape(said)}</p><table>{''.join(rows)}</table>"
 
 
 def _joint_limits(

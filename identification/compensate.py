@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
+from identification.data_frames import frame_of_columns
 from identification.errors import InputError
 from identification.inverse_kinematics import TOLERANCE, Constraints, best_of_seeds, reaching, violations
 from identification.kinematics.corrected import standing_in
@@ -125,6 +126,13 @@ class Compensation:
         """(k, n) [deg], of prismatic joints [mm]."""
         turning = np.array(self.joint_types or (REVOLUTE,) * self.commands.shape[1]) == REVOLUTE
         return np.where(turning, np.degrees(self.commands), self.commands)
+
+    def to_frame(self, kind: str = "polars") -> Any:
+        """A row for each target: `q1`.. [deg, mm], `x_mm`.., `error_mm`, `reachable`, `message`; polars or pandas."""
+        columns = {f"q{j}": values for j, values in enumerate(self.commands_in_file_units.T, start=1)}
+        columns |= {f"{axis}_mm": values for axis, values in zip("xyz", self.targets.T, strict=False)}
+        left: dict[str, Any] = {"error_mm": self.errors, "reachable": self.reached, "message": self.messages}
+        return frame_of_columns(columns | left, kind)
 
     def __repr__(self) -> str:
         return f"Compensation({int(np.count_nonzero(self.reached))} of {len(self.targets)} targets reached)"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -11,10 +11,19 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import MAX_LINKS
-from identification.arrays import Array, ByValue, readonly
+from identification.arm import MAX_LINKS, Arm
+from identification.arrays import Array, ByValue
 from identification.conditions import REMEMBERED, Conditions, directions_from_order, past_from_order, session_time
 from identification.errors import InputError
+from identification.measurement_values import (
+    DIMENSIONS,
+    OPTIONAL,
+    VALUES,
+    check_values,
+    names,
+    numbers,
+    with_rotations,
+)
 
 __all__ = [
     "Conditions",
@@ -49,63 +58,6 @@ def joint_range(postures: Array) -> list[list[float]]:
     """Smallest and largest angle of each joint [deg] of postures (m, n) [rad]."""
     limits = np.degrees([np.min(postures, axis=0), np.max(postures, axis=0)]).T
     return [[float(f"{angle:.9g}") for angle in pair] for pair in limits]
-
-
-_Test = Callable[[Array], NDArray[np.bool_]]
-DIMENSIONS = (2, 3, 6)  # coordinates that an instrument may measure
-_OPTIONAL = ("order", "payload", "temperature", "directions", "sigma", "repeats", "orientations", "commanded")
-
-
-def _is_rotation(matrices: Array) -> NDArray[np.bool_]:
-    """(m, 3, 3) True in rows that turn and do not mirror."""
-    square = np.swapaxes(matrices, 1, 2) @ matrices
-    good = np.all(np.abs(square - np.eye(3)) < 1e-6, axis=(1, 2)) & (np.linalg.det(matrices) > 0.0)
-    return np.broadcast_to(good[:, None, None], matrices.shape)
-
-
-# columns, sentence and test of what is allowed, for every field of `Measurements`; all of them finite
-_VALUES: dict[str, tuple[str, str, _Test]] = {
-    "postures": ("joints", "finite angles [rad]", np.isfinite),
-    "positions": ("coordinates", "finite coordinates [mm]", np.isfinite),
-    "order": ("one", "finite numbers", np.isfinite),
-    "payload": ("one", "numbers >= 0 [kg]", lambda v: v >= 0.0),
-    "temperature": ("one", "numbers >= -273.15 [deg C]", lambda v: v >= -273.15),
-    "directions": ("joints", "+1 or -1", lambda v: np.abs(v) == 1.0),
-    "sigma": ("one", "numbers > 0 [mm]", lambda v: v > 0.0),
-    "repeats": ("one", "whole numbers", lambda v: v == np.round(v)),
-    "commanded": ("joints", "finite angles [rad]", np.isfinite),
-    "orientations": ("axes", "rotation matrices", _is_rotation),
-}
-
-
-def _numbers(name: str, values: Any) -> Array:
-    """A read-only float copy; raises `InputError` for what are no numbers, or rows of different lengths."""
-    try:
-        return readonly(values)
-    except (TypeError, ValueError):
-        raise InputError(f"measurements.{name}: not an array of numbers, allowed: real numbers") from None
-
-
-def _with_rotations(positions: Array) -> Array:
-    """(m, 6) of points (m, 3): the orientations are as measured."""
-    return positions if positions.shape[1:] != (3,) else np.pad(positions, ((0, 0), (0, 3)))
-
-
-def _names(name: str, values: Any, m: int) -> NDArray[np.str_]:
-    """(m,) read-only texts; raises `InputError` for another shape or an empty one."""
-    array = np.array(values, dtype=np.str_)
-    if array.shape != (m,):
-        raise InputError(f"measurements.{name}: shape {array.shape} for {m} postures, allowed: ({m},)")
-    _check_values(name, array, array != "", "a name")
-    array.setflags(write=False)
-    return array
-
-
-def _check_values(name: str, array: NDArray[Any], good: NDArray[np.bool_], allowed: str) -> None:
-    """Raises `InputError` naming the first row that is not good."""
-    if not good.all():
-        row = int(np.argmin(np.all(good.reshape(len(good), -1), axis=1)))
-        raise InputError(f"measurements.{name}: row {row + 1} has {array[row].tolist()!r}, allowed: {allowed}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,38 +99,62 @@ class Measurements(ByValue):
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        postures = _numbers("postures", self.postures)
+        postures = numbers("postures", self.postures)
         if postures.ndim != 2 or not (len(postures) and 1 <= postures.shape[1] <= MAX_LINKS):
             allowed = f"(m, n) with m >= 1 rows and n = 1 to {MAX_LINKS} joints"
             raise InputError(f"measurements.postures: shape {postures.shape}, allowed: {allowed}")
         m, n = postures.shape
         if self.orientations is not None:
-            object.__setattr__(self, "positions", _with_rotations(_numbers("positions", self.positions)))
+            object.__setattr__(self, "positions", with_rotations(numbers("positions", self.positions)))
         by_columns: dict[str, list[tuple[int, ...]]] = {
             "one": [(m,)],
             "coordinates": [(m, d) for d in DIMENSIONS],
             "joints": [(m, n)],
             "axes": [(m, 3, 3)],
         }
-        for name, (columns, allowed, test) in _VALUES.items():
+        for name, (columns, allowed, test) in VALUES.items():
             value = getattr(self, name)
-            if value is None and name in _OPTIONAL:
+            if value is None and name in OPTIONAL:
                 continue
-            array, shapes = _numbers(name, value), by_columns[columns]
+            array, shapes = numbers(name, value), by_columns[columns]
             if array.shape not in shapes:
                 found = f"shape {array.shape} for {m} postures of {n} joints"
                 raise InputError(f"measurements.{name}: {found}, allowed: {' or '.join(map(str, shapes))}")
-            _check_values(name, array, np.isfinite(array) & test(array), allowed)
+            check_values(name, array, np.isfinite(array) & test(array), allowed)
             object.__setattr__(self, name, array)
         if self.repeats is not None:
             object.__setattr__(self, "repeats", self.repeats.astype(np.int64))
             self.repeats.setflags(write=False)
         for name in ("session", "marker"):
             if (given := getattr(self, name)) is not None:
-                texts = _names(name, given, m)
+                texts = names(name, given, m)
                 object.__setattr__(self, name, texts)
                 every = dict.fromkeys((*getattr(self, f"{name}_names"), *texts.tolist()))
                 object.__setattr__(self, f"{name}_names", tuple(every))
+
+    @classmethod
+    def from_frame(cls, frame: Any, links: int | Arm | None = None) -> Self:
+        """Of a polars or pandas frame with the columns of a measurement file (`q1_deg`, `x_mm`, ...).
+
+        links : how many the arm has, or the arm, as of `load_measurements`. Raises `InputError` naming row and column
+        """
+        from identification.files.csv import table_of_frame
+        from identification.files.measurement_columns import measurement_fields
+
+        return cls(**measurement_fields(table_of_frame(frame), links) | {"provenance": MappingProxyType({})})
+
+    def to_frame(self, kind: str = "polars", joint_types: Sequence[str] | None = None) -> Any:
+        """A frame with the columns of a measurement file, which `from_frame` reads;  kind : `polars` or `pandas`.
+
+        joint_types : of each joint, None: all revolute
+        """
+        from identification.data_frames import frame_of_columns
+        from identification.files.measurement_columns import measurement_columns
+
+        return frame_of_columns(measurement_columns(self, joint_types), kind)
+
+    def _repr_html_(self) -> str:
+        return str(self.to_frame()._repr_html_())
 
     def __len__(self) -> int:
         return len(self.postures)
@@ -196,7 +172,7 @@ class Measurements(ByValue):
     @property
     def given(self) -> frozenset[str]:
         """Names of the optional columns the data has: those of order, sigma and so on, session and marker."""
-        return frozenset(name for name in (*_OPTIONAL, "session", "marker") if getattr(self, name) is not None)
+        return frozenset(name for name in (*OPTIONAL, "session", "marker") if getattr(self, name) is not None)
 
     @property
     def sessions(self) -> tuple[str, ...]:
@@ -290,5 +266,5 @@ class Measurements(ByValue):
         the subset.
         """
         frozen = replace(self, directions=self.conditions.directions, past=self._past)
-        columns = [name for name in (*_VALUES, "session", "marker", "past") if getattr(frozen, name) is not None]
+        columns = [name for name in (*VALUES, "session", "marker", "past") if getattr(frozen, name) is not None]
         return replace(frozen, **{name: getattr(frozen, name)[index] for name in columns})

@@ -132,7 +132,7 @@ def _restrictions(arm: Arm, postures: PostureOptions) -> dict[str, Any]:
     import numpy as np
 
     from identification.files.csv import read_table
-    from identification.files.measurement import read_postures
+    from identification.files.measurement_columns import read_postures
 
     options: dict[str, Any] = {}
     if postures.keep is not None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from identification.arrays import Array, ByValue, readonly
+from identification.data_frames import frame_of_columns
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, REVOLUTE
 
 
@@ -48,6 +50,15 @@ class Plan(ByValue):
     def displayed(self) -> Array:
         """(m, n) postures in `units`."""
         return readonly(self.postures * [FILE_UNITS[unit][1] for unit in self._units])
+
+    def to_frame(self, kind: str = "polars") -> Any:
+        """A row for each posture, as in a plan file; polars or pandas."""
+        columns = {f"q{j}_{unit}": q for j, (unit, q) in enumerate(zip(self.units, self.displayed.T, strict=True), 1)}
+        weight = {} if self.weights is None else {"weight": self.weights}
+        return frame_of_columns({"run": range(1, len(self) + 1), **columns, **weight}, kind)
+
+    def _repr_html_(self) -> str:
+        return str(self.to_frame()._repr_html_())
 
     def to_html(self, caption: object, heading: str, labels: Iterable[str]) -> str:
         """A caption and a table of the postures for notebooks, each row beginning with its label."""

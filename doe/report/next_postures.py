@@ -11,7 +11,7 @@ from rich.text import Text
 from doe.discrimination.t_optimal import NextPostures
 from doe.report.terminal import table
 from identification.arm import Arm
-from identification.files.measurement import csv_text, posture_columns
+from identification.files.measurement_columns import csv_text, posture_columns
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 

@@ -21,7 +21,7 @@ from doe.report.spatial_pictures import FORBIDDEN, outlines
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.files.csv import Table
-from identification.files.measurement import posture_columns
+from identification.files.measurement_columns import posture_columns
 from identification.model import Model
 
 MOST_RUNS = 200  # that a person steps through

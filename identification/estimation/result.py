@@ -14,6 +14,7 @@ from scipy.special import chdtrc
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
+from identification.data_frames import frame_of_rows
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.estimation.intervals import limits_95
 from identification.estimation.uncertainty import LEVEL, Uncertainty
@@ -238,13 +239,17 @@ class Identification:
         unknown = [name for name, known in zip(self.names, self.identifiable, strict=True) if not known]
         return corrected_values(self.model.arm, found, self.uncertainty.freedom, unknown)
 
+    def to_frame(self, kind: str = "polars") -> Any:
+        """`corrected_values` as a frame, polars or pandas."""
+        return frame_of_rows([row.to_json() for row in self.corrected_values], kind)
+
     def _rows(self) -> list[dict[str, Any]]:
         """One entry for each parameter, in file units."""
         values = np.where(self.identifiable, self.parameters, np.nan)
         rows = zip(self.model.parameters, values, self.std, *self.intervals.T, strict=True)
         return [
             {"name": p.name, "unit": p.file_unit}
-            | {key: _number(figure * p.to_file) for key, figure in zip(_COLUMNS, figures, strict=True)}
+            | {k: float(v * p.to_file) if np.isfinite(v) else None for k, v in zip(_COLUMNS, figures, strict=True)}
             for p, *figures in rows
         ]
 
@@ -263,9 +268,8 @@ class Identification:
             cells = [_cell(row[key], width) for key, width in zip(_COLUMNS, (12, 10, 12, 12), strict=True)]
             lines.append(f"{name:<32} {' '.join(cells)}  {row['unit']}")
         lines += [f"not identifiable: {combination}" for combination in self.not_identifiable]
-        sigma = (
-            "unknown" if self.sigma is None else f"{self.sigma:.4g} mm ({'given' if self.sigma_known else 'estimated'})"
-        )
+        known = "given" if self.sigma_known else "estimated"
+        sigma = "unknown" if self.sigma is None else f"{self.sigma:.4g} mm ({known})"
         chi2 = "" if self.p_value is None else f", chi2 {self.chi2:.4g}, {in_words(self.p_value)}"
         lines.append(f"sigma {sigma}, {self.dof} degrees of freedom{chi2}")
         lines.append(f"95 % intervals: {self.uncertainty.sentence}")
@@ -294,7 +298,3 @@ def _cell(value: float | None, width: int) -> str:
 def in_words(p: float) -> str:
     """`p = 0.012`; a probability below all numbers is no zero."""
     return f"p = {p:.3g}" if p > 0.0 else "p < 1e-300"
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

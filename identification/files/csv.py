@@ -1,4 +1,4 @@
-"""CSV tables: columns of text converted to numbers; errors name file, row, column and what is allowed."""
+"""Tables of text from CSV and Parquet files and data frames; errors name file, row, column and what is allowed."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import hashlib
 import io
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -19,6 +20,7 @@ from identification.errors import InputError, nearest
 from identification.files.io import PathLike, decode, read_bytes
 
 FINITE = "a finite number"
+PARQUET = b"PAR1"  # first bytes of every such file
 QUOTED = "cells without quotation marks, or in a pair of them"
 # columns that mean something by themselves: none of them is a misspelling of another
 KNOWN = re.compile(
@@ -35,8 +37,8 @@ class Table:
     With semicolons or tabs a number may have a decimal comma.
 
     frame : the columns, all of them strings; an empty cell is null
-    lines : (m,) line number of every row in the file, from 1; the header is line 1
-    sha256 : of the file's bytes
+    lines : (m,) line number of every row in the file, from 1; the header is line 1; empty: a table without lines
+    sha256 : of the file's bytes; empty: no file
     """
 
     path: str
@@ -74,7 +76,8 @@ class Table:
 
     def place(self, row: int, column: str) -> str:
         """`data.csv: row 3 (line 4), column x_mm`; `row` counts from 0."""
-        return f"{self.path}: row {row + 1} (line {self.lines[row]}), column {column}"
+        line = f" (line {self.lines[row]})" if len(self.lines) else ""
+        return f"{self.path}: row {row + 1}{line}, column {column}"
 
     def floats(self, column: str, allowed: str = FINITE, test: Test | None = None) -> Array:
         """(m,) the column as finite numbers for which `test` (vectorised) holds.
@@ -112,7 +115,7 @@ def _numbers(text: pl.Series) -> Array:
 
 
 def read_table(path: PathLike) -> Table:
-    """Reads a file of columns with one header line.
+    """Reads a Parquet file, or a text file of columns with one header line.
 
     Columns are separated by commas, or as European spreadsheets write them by semicolons or tabs, then with decimal
     points or commas.
@@ -121,6 +124,8 @@ def read_table(path: PathLike) -> Table:
     fit the rows (ragged rows), and bytes that are not UTF-8.
     """
     content = read_bytes(path)
+    if content.startswith(PARQUET):
+        return _of_parquet(path, content)
     separator, header = _header(path, content)
     frame = _frame(path, content, header, separator)
     lines = pl.arange(2, frame.height + 2, eager=True, dtype=pl.Int64)
@@ -131,6 +136,37 @@ def read_table(path: PathLike) -> Table:
     frame = _without_unnamed(path, frame)
     sha256 = hashlib.sha256(content).hexdigest()
     return Table(str(path), frame, lines.to_numpy(), sha256, decimal_commas=separator != ",")
+
+
+def _of_parquet(path: PathLike, content: bytes) -> Table:
+    try:
+        frame = pl.read_parquet(io.BytesIO(content))
+    except (pl.exceptions.PolarsError, OSError):
+        raise InputError(f"{path}: not a whole Parquet file, allowed: CSV or Parquet") from None
+    return replace(table_of_frame(frame, str(path)), sha256=hashlib.sha256(content).hexdigest())
+
+
+def table_of_frame(frame: Any, name: str = "frame") -> Table:
+    """A data frame of polars or pandas, or a mapping of names to columns, as a table; numbers keep all their digits.
+
+    Raises `InputError` for what is no such frame, no rows, and columns of different lengths.
+    """
+    if not hasattr(frame, "keys") and not hasattr(frame, "columns"):
+        raise InputError(f"{name}: {type(frame).__name__}, allowed: a data frame of polars or pandas")
+    names = list(frame.columns if hasattr(frame, "columns") else frame.keys())
+    series = [pl.Series(str(column), _texts(frame[column]), dtype=pl.String) for column in names]
+    if len({len(each) for each in series}) > 1:
+        raise InputError(f"{name}: found columns of different lengths, allowed: one length")
+    if not series or not len(series[0]):
+        raise InputError(f"{name}: there are no rows, allowed: at least 1 row")
+    return Table(name, pl.DataFrame(series), np.zeros(0, dtype=np.int64), "")
+
+
+def _texts(column: Any) -> list[str | None]:
+    """A column's values as texts; None where there is none. Numbers by `repr`, which loses no digit."""
+    values = column.to_list() if hasattr(column, "to_list") else np.asarray(column).tolist()
+    missing = (value is None or value != value or str(value) == "<NA>" for value in values)
+    return [None if gone else str(value) for gone, value in zip(missing, values, strict=True)]
 
 
 def _header(path: PathLike, content: bytes) -> tuple[str, list[str]]:

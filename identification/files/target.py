@@ -12,7 +12,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.csv import read_table
 from identification.files.io import PathLike
-from identification.files.measurement import (
+from identification.files.measurement_columns import (
     JointTypes,
     csv_text,
     joint_columns,

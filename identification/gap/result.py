@@ -10,6 +10,7 @@ from typing import Any
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
+from identification.data_frames import frame_of_rows
 from identification.gap import summary
 from identification.gap.candidate import Candidate
 from identification.gap.choice_validation import ChoiceValidation
@@ -212,6 +213,11 @@ class Diagnosis:
             "rounds": [one.to_json() for one in self.rounds],
             "notes": list(self.notes),
         } | ({} if self.prior is None else {"prior": self.prior.to_json()})
+
+    def to_frame(self, kind: str = "polars") -> Any:
+        """A row for each parameter of each candidate set of effects, polars or pandas."""
+        sets = [({"effects": c.title, "probability": c.probability}, c.parameters) for c in self.candidates]
+        return frame_of_rows([{**said, **vars(p)} for said, parameters in sets for p in parameters], kind)
 
     def __str__(self) -> str:
         return summary.text(self)
