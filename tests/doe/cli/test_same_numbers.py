@@ -1,0 +1,75 @@
+"""The same seed gives the same bytes on one machine, and the same answer on the kernels of other processors."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.doe.faults import ROOT, prepare
+
+COMMANDS = (
+    "design arm.toml --runs 5 --starts 4",
+    "relax narrow.toml --grid 7",
+    "identify arm.toml data.csv",
+    "diagnose arm.toml data.csv --draws 399",
+)
+CODE = """
+import sys
+from click.testing import CliRunner
+from doe.cli import main
+for words in sys.argv[1:]:
+    print(CliRunner().invoke(main, [*words.split(), "--json", "--quiet"]).stdout.strip())
+"""
+
+
+def answers(folder: Path, kernel: str, threads: int, hash_seed: int) -> list[dict[str, Any]]:
+    """The JSON objects of the commands, without times, on an OpenBLAS kernel (where the machine has it)."""
+    narrow = (folder / "arm.toml").read_text().replace("180.0", "60.0")
+    (folder / "narrow.toml").write_text(narrow)
+    system = {"OPENBLAS_CORETYPE": kernel, "OPENBLAS_NUM_THREADS": str(threads), "PYTHONHASHSEED": str(hash_seed)}
+    environment = {**os.environ, **system, "PYTHONPATH": str(ROOT)}
+    words = [sys.executable, "-c", CODE, *COMMANDS]
+    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=True)
+    return [without_times(json.loads(line)) for line in done.stdout.splitlines()]
+
+
+def without_times(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: without_times(item) for key, item in value.items() if not key.endswith("seconds")}
+    return [without_times(item) for item in value] if isinstance(value, list) else value
+
+
+def compared(first: list[dict[str, Any]], other: list[dict[str, Any]]) -> None:
+    """The same verdict and status, plan values to 1e-6, parameters to 1e-9 of their deviation."""
+    for one, two in zip(first, other, strict=True):
+        assert one.keys() == two.keys()
+        for key in ("verdict", "effects", "status", "certified_optimal", "confirmed", "method"):
+            assert one.get(key) == two.get(key), key
+        for key in ("value", "log_det"):
+            assert one.get(key) == pytest.approx(two.get(key), abs=1e-6)
+        for row, same in zip(one.get("parameters", []), two.get("parameters", []), strict=True):
+            assert row["name"] == same["name"]
+            assert abs(row["value"] - same["value"]) <= 1e-9 * row["std"]
+            assert row["std"] == pytest.approx(same["std"], rel=1e-9)
+
+
+def test_the_same_answer_on_an_older_processor(tmp_path: Path) -> None:
+    folder = prepare(tmp_path / "work")
+    compared(answers(folder, "Haswell", 1, 0), answers(folder, "Prescott", 2, 7))
+
+
+@pytest.mark.slow
+def test_same_seed_same_bytes_and_many_kernels(tmp_path: Path) -> None:
+    folder = prepare(tmp_path / "work")
+    first = answers(folder, "Haswell", 1, 0)
+    for threads, hash_seed in ((1, 1), (2, 7)):
+        assert json.dumps(first) == json.dumps(answers(folder, "Haswell", threads, hash_seed))
+    for kernel in ("Prescott", "Nehalem", "Sandybridge", "Zen", "SkylakeX"):
+        for threads in (1, 2):
+            compared(first, answers(folder, kernel, threads, threads))
