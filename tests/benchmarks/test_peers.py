@@ -35,7 +35,7 @@ pytestmark = [pytest.mark.benchmark, pytest.mark.filterwarnings("ignore")]
 SAMPLE = Path(__file__).parents[1] / "data/ur10"
 SHARED = Path(os.environ.get("ARMCAL_UR10", Path(__file__).parents[3] / "shared/data/ur10"))
 MARGIN = 0.01  # nobody is better than that
-BUDGET = 10.0  # [s] of random starts
+BUDGET = 5.0  # [s] of random starts
 
 
 def bound_of(name: str, runs: int) -> float:
@@ -63,8 +63,8 @@ def test_exact_plan(name: str, runs: int, left_out: tuple[str, ...], tmp_path: P
     def judged(found: dict[str, Any]) -> tuple[float, str, str]:
         value = arm.log_det(found["plan"])
         efficiency = float(np.exp((value - bound) / arm.parameters))
-        time = f"{found['seconds']:.2f} s, the best of {found['starts']}"
-        return efficiency, f"log det {value - bound:.6f} below its bound, efficiency {efficiency:.6f}", time
+        time = f"{found['seconds']:.2f} s, the best of {found['starts']}"  # when it was found
+        return efficiency, f"{max(bound - value, 0.0):.1e} below the bound, efficiency {efficiency:.6f}", time
 
     title = f"Exact plan, {name}, m = {runs}, random starts for {BUDGET:g} s"
     rows = compared(tmp_path, title, "exact", judged, arm_name=name, runs=runs, budget=BUDGET, left_out=left_out)

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.peers.geometry import ARMS, Planar, Screws
+from tests.benchmarks.peers.geometry import ARMS, LEVER, Planar, Screws
 from tests.benchmarks.peers.tool import Answer, Tool, processor_seconds
 
 Arm = Planar | Screws
 SEED = 0
+BETTER = 1e-6  # in log det, of a later plan
 LEVELS = 23  # of a joint, for the tool that wants levels
 POOL = 1000  # candidates, for the tool that wants a list
 
@@ -24,7 +25,7 @@ def searched(arm_name: str, runs: int, budget: float, plans: Callable[[Arm, int]
     best, answer = -np.inf, {}
     for count, plan in enumerate(plans(arm, runs), start=1):
         spent = processor_seconds() - began
-        if (value := arm.log_det(plan)) > best + 1e-9:
+        if (value := arm.log_det(plan)) > best + BETTER:
             best, answer = value, {"plan": plan, "seconds": spent}
         answer["starts"] = count
         if spent > budget:
@@ -76,10 +77,11 @@ def symbolic_rows(arm: Arm, q):
         tips.insert(0, ca.DM(point) + turn @ (tips[0] - ca.DM(point)))
     before, columns = ca.SX.eye(3), []
     for j, (turn, axis, point) in enumerate(zip(turned, arm.axes, arm.points, strict=True)):
-        for direction in map(ca.DM, np.linalg.svd(axis[None])[2][1:]):
-            columns.append(before @ (direction - turn @ direction))
+        across = [ca.DM(direction) for direction in np.linalg.svd(axis[None])[2][1:]]
+        columns += [before @ (direction - turn @ direction) for direction in across]
+        for direction in across:
             after = turn @ ca.cross(direction, tips[j + 1] - ca.DM(point))
-            columns.append(before @ (ca.cross(direction, tips[j] - ca.DM(point)) - after) / 600.0)
+            columns.append(before @ (ca.cross(direction, tips[j] - ca.DM(point)) - after) / LEVER)
         before = before @ turn
     return ca.horzcat(*columns, before)
 
@@ -223,7 +225,7 @@ def job(plans: Callable[[Arm, int], Iterator[np.ndarray]], *modules: str) -> Too
 TOOLS = {
     "armcal": job(armcal, "doe.solvers", "identification.minimal"),
     "CasADi + IPOPT": job(casadi_ipopt, "casadi"),
-    "SciPy SLSQP": job(scipy_slsqp, "casadi", "scipy.optimize"),
+    "SciPy SLSQP": job(scipy_slsqp, "scipy.optimize", "casadi"),
     "pyoptex": job(pyoptex, "pyoptex.doe.fixed_structure"),
     "Pyomo.DoE": job(pyomo_doe, "pyomo.environ", "pyomo.contrib.doe", "casadi"),
     "figaroh Detmax": job(figaroh_detmax, "figaroh.optimal.base_optimal_calibration", "picos"),
