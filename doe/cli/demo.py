@@ -1,4 +1,4 @@
-"""`armcal demo`: the whole loop, on files that are left for the user to look at."""
+"""`armcal demo`: the whole loop, in a folder of files to look at."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A six-axis arm as lines in space, in plain numpy: what the spatial demo measures, and no fit knows.
+"""A six-axis arm as lines in space, in plain numpy: the independent simulator of the spatial demo.
 
 At home each joint's axis is a line. The measured point is turned about the last one, then about the one before, and so
 on down to the first (a product of exponentials), and seen by a tracker. Its errors are those of the lines; the model

@@ -23,7 +23,7 @@ HARMONICS = 0.35  # deviation of a sawtooth's harmonics from 1, 1/2, 1/3
 
 @dataclass(frozen=True)
 class Wave:
-    """amplitude cos(order q - phase), and the orders [per turn] that the range measured cannot tell from it.
+    """amplitude cos(order q - phase), and the orders [per turn] that the range measured cannot distinguish from it.
 
     amplitude, phase [rad];  share : of the curve's weighted variance that it explains beside the waves before it
     """

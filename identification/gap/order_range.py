@@ -57,7 +57,7 @@ def order_of(effect: Effect) -> float | None:
 
 
 def order_ranges(found: Fit, rows: Rows, labels: tuple[str, ...]) -> tuple[OrderRange, ...]:
-    """The named waves (their labels) of a fit to these rows that the angles measured cannot tell from their neighbors.
+    """The named waves (their labels) of a fit to these rows whose order the angles measured do not determine.
 
     A neighbor is the next whole order, with likeness `NEAR` or more after projection off the rest of the model.
     """
