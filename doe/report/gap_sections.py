@@ -164,7 +164,12 @@ def corrected_section(rows: Sequence[CorrectedValue], spatial: bool, name: str =
     name : of the file that has it
     """
     text = " ".join([*([f"As in {name}."] if name else []), *conventions(rows, spatial)])
-    return Section("Corrected values", text, [corrected_sheet(rows)])
+    whole = corrected_sheet(rows)
+    shown = [
+        k for k, heading in enumerate(whole.headings) if heading != "std"
+    ]  # the interval says it; a phone is narrow
+    headings, *lines = ([line[k] for k in shown] for line in (whole.headings, *whole.rows))
+    return Section("Corrected values", text, [Sheet(headings, lines)])
 
 
 def gap_sections(diagnosis: Diagnosis, nominal: float | None = None) -> Sequence[Section]:
