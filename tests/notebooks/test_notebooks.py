@@ -37,7 +37,7 @@ SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
         ("{5: -0.28087, 6: -0.29680, 7: -0.19865, 9: -0.13103, 10: -0.14288}", "{7: -0.19865, 10: -0.14288}"),
     ],
     "7": [("starts=60", "starts=10")],
-    "9": [("--robust", "--robust --starts 1")],
+    "9": [("--runs 30 --robust", "--runs 40 --solver random")],
 }
 
 by_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
