@@ -55,11 +55,12 @@ def test_weights_are_what_they_say_or_nothing_is_said(n: int, width: float, wild
         assert width < 1e-2
         return
     expected, smallest = oracle(found.plan.postures, found.plan.shares)
-    if smallest > CONDITION:
-        assert found.value == pytest.approx(expected, abs=1e-6)
-    assert found.bound is None or found.bound.value >= found.value - 1e-8
-    assert found.bound is None or found.bound.value <= 1e-8  # no weights are better than orthogonal columns
-    assert 0.0 <= found.efficiency_lower_bound <= 1.0 + 1e-8
+    if smallest > CONDITION:  # each eigenvalue is rounded by that of the largest, 1
+        assert found.value == pytest.approx(expected, abs=1e-9 + 100.0 * n * np.finfo(float).eps / smallest)
+    if found.bound is not None:
+        assert found.bound.value >= found.value - 1e-8
+        assert rough or found.bound.value <= 1e-8  # no weights are better than orthogonal columns
+        assert 0.0 <= found.efficiency_lower_bound <= 1.0 + 1e-8
 
 
 @given(n=st.sampled_from([1, 2, 3, 12]), width=WIDTHS, runs=st.integers(1, 40), seed=st.integers(0, 2**32))
