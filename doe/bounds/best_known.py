@@ -37,7 +37,7 @@ def best_known_bound(problem: DesignProblem, runs: int) -> Bound | None:
     try:
         with single_thread():
             found = everywhere(problem, runs) if problem.choices is None else list_bound(problem, runs)
-    except JobError:
+    except (JobError, np.linalg.LinAlgError):  # the latter: information that is singular to rounding
         return closed
     return min((bound for bound in (closed, found) if bound is not None), key=lambda bound: bound.value, default=None)
 

@@ -40,6 +40,9 @@ STATUS = MappingProxyType(
 )
 
 
+SINGULAR = "the candidates' information is singular to rounding; wider joint limits or fewer effects may help"
+
+
 def relax(
     problem: DesignProblem,
     candidates: int | ArrayLike | Candidates,
@@ -59,6 +62,13 @@ def relax(
     if solver not in (*SOLVERS, ROUGH):
         raise InputError(f"solver: unknown name {solver!r}, {nearest(solver, (*SOLVERS, ROUGH))}")
     chosen = candidate_set(problem, candidates)
+    try:
+        return _relaxed(problem, chosen, solver, runs)
+    except np.linalg.LinAlgError:
+        raise JobError(f"{solver}: {SINGULAR}") from None
+
+
+def _relaxed(problem: DesignProblem, chosen: Candidates, solver: str, runs: int | None) -> ApproximateDesign:
     if solver == "column_generation":
         return column_generation(problem, chosen, runs=runs)
     if solver == ROUGH:

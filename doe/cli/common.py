@@ -120,6 +120,14 @@ def say(sentence: str) -> None:
     click.echo(f"armcal: {in_one_line(sentence)}", err=True)
 
 
+def check_folder() -> None:
+    """Raises `JobError` where the working directory has been deleted."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        raise JobError("the working directory is no longer there; change into another one") from None
+
+
 def check_outputs(context: click.Context) -> None:
     """Raises `InputError`, before any work, for an output file that cannot be written, or that is also an input or
     another output: one would overwrite the other."""
@@ -152,6 +160,7 @@ def _guarded(function: Callable[..., Answer], session: Session, options: dict[st
         with stoppable():
             if sys.stdout is None:
                 raise JobError("standard output is closed; send it to a file or to /dev/null")
+            check_folder()
             check_outputs(click.get_current_context())
             return function(session, **options)
     except ArmcalError as error:

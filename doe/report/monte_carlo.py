@@ -37,12 +37,16 @@ def _cell_title(row: Mapping[str, Any]) -> str:
 
 def _cell_table(title: str, rows: list[dict[str, Any]]) -> Table:
     failed = f", {rows[0]['failed']} failed" if rows[0]["failed"] else ""
-    title = f"{title}: {rows[0]['fits']} fits{failed}, RMS {rows[0]['rms_mm']:.4g} mm"
+    title = f"{title}: {rows[0]['fits']} fits{failed}, RMS {_figure(rows[0]['rms_mm'])} mm"
     headings = ("parameter", "mean error", "std", "expected std", "95 % intervals hold", "unit")
     return table(headings, map(_row, rows), title, left=("parameter", "unit"), no_wrap=("parameter",))
 
 
 def _row(row: dict[str, Any]) -> list[str]:
-    figures = ("-" if row[name] is None else f"{row[name]:.4g}" for name in ("mean_error", "std", "expected_std"))
+    figures = (_figure(row[name]) for name in ("mean_error", "std", "expected_std"))
     coverage = "-" if row["coverage"] is None else f"{row['coverage']:.2%}"
     return [row["parameter"], *figures, coverage, row["unit"]]
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"

@@ -210,7 +210,7 @@ class Penalized:
     def _bounds(self) -> list[tuple[float, float]]:
         pairs = []
         for basis, one in zip(self.bases, self._units.tolist(), strict=True):
-            pairs += [(SMALLEST * one, LARGEST * one), (basis.spacing, 2.0 * np.pi)]
+            pairs += [(SMALLEST * one, LARGEST * one), (basis.spacing, max(2.0 * np.pi, basis.spacing))]
         return [(float(np.log(low)), float(np.log(high))) for low, high in pairs]
 
     @property

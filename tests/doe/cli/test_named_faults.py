@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from doe.cli.progress import lines
+from doe.report.monte_carlo import _cell_table
 from identification.errors import LONGEST_LINE, InputError, in_one_line
 from identification.files.csv import read_table
 from identification.gap.omnibus_test import BLOCK, _in_parts
@@ -179,3 +180,35 @@ def test_every_verb_says_that_it_is_at_work(folder: Folder, monkeypatch: pytest.
     for words in (["score", "arm.toml", "plan.csv"], ["check", "arm.toml", "plan.csv"]):
         assert f"armcal {words[0]}: 0 s" in folder.armcal(*words).err
     assert folder.armcal("score", "arm.toml", "plan.csv", "--quiet").err == ""
+
+
+def test_a_cell_of_a_study_without_figures(folder: Folder) -> None:
+    """No fit succeeded, so there is no residual to show."""
+    row = dict.fromkeys(("mean_error", "std", "expected_std", "coverage", "rms_mm"))
+    row |= {"fits": 0, "failed": 3, "parameter": "length_error:1", "unit": "mm"}
+    table = _cell_table("arm, plan", [row])
+    assert str(table.title).endswith("0 fits, 3 failed, RMS - mm")
+
+
+def test_a_robust_plan_of_an_arm_that_hardly_moves(folder: Folder) -> None:
+    """Information that is singular to rounding: an answer without a bound, or a reason."""
+    folder.write(
+        "arm.toml",
+        "links_mm = [300.0, 200.0]\n[joint_limits_deg]\nlower = [0.0, 0.0]\nupper = [1e-9, 1e-9]\n[measurement]\nsigma_mm = 0.1\n",
+    )
+    folder.write("plan.csv", "run,q1_deg,q2_deg\n" + "1,0,0\n" * 12)
+    for words in (
+        ["score", "arm.toml", "plan.csv", "--robust"],
+        ["relax", "arm.toml", "--criterion", "A", "--grid", "2"],
+    ):
+        done = folder.armcal(*words, "--quiet")
+        assert done.code in (0, 1), done.err
+        assert done.code == 0 or done.err.startswith("armcal: ")
+
+
+def test_a_working_directory_that_is_gone(folder: Folder) -> None:
+    (folder.path / "gone").mkdir()
+    os.chdir(folder.path / "gone")
+    (folder.path / "gone").rmdir()
+    done = folder.armcal("effects")
+    assert (done.code, done.err) == (1, "armcal: the working directory is no longer there; change into another one\n")
