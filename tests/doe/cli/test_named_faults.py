@@ -192,10 +192,8 @@ def test_a_cell_of_a_study_without_figures(folder: Folder) -> None:
 
 def test_a_robust_plan_of_an_arm_that_hardly_moves(folder: Folder) -> None:
     """Information that is singular to rounding: an answer without a bound, or a reason."""
-    folder.write(
-        "arm.toml",
-        "links_mm = [300.0, 200.0]\n[joint_limits_deg]\nlower = [0.0, 0.0]\nupper = [1e-9, 1e-9]\n[measurement]\nsigma_mm = 0.1\n",
-    )
+    limits = "[joint_limits_deg]\nlower = [0.0, 0.0]\nupper = [1e-9, 1e-9]\n"
+    folder.write("arm.toml", f"links_mm = [300.0, 200.0]\n{limits}[measurement]\nsigma_mm = 0.1\n")
     folder.write("plan.csv", "run,q1_deg,q2_deg\n" + "1,0,0\n" * 12)
     for words in (
         ["score", "arm.toml", "plan.csv", "--robust"],
