@@ -14,6 +14,7 @@ from doe.cli.progress import lines
 from doe.report.monte_carlo import _cell_table
 from identification.errors import LONGEST_LINE, InputError, in_one_line
 from identification.files.csv import read_table
+from identification.gap.curve_fit import Penalized
 from identification.gap.omnibus_test import BLOCK, _in_parts
 from tests.doe.cli.conftest import Folder
 from tests.doe.cli.test_bad_input import HEADER, refused
@@ -210,3 +211,9 @@ def test_a_working_directory_that_is_gone(folder: Folder) -> None:
     (folder.path / "gone").rmdir()
     done = folder.armcal("effects")
     assert (done.code, done.err) == (1, "armcal: the working directory is no longer there; change into another one\n")
+
+
+def test_curves_over_thousands_of_turns() -> None:
+    """Nodes further apart than a turn: the longest wave that is tried is no shorter than the shortest."""
+    wide = SimpleNamespace(bases=[SimpleNamespace(spacing=100.0)], _units=np.ones(1))
+    assert all(low <= high for low, high in Penalized._bounds.fget(wide))  # type: ignore[attr-defined]
