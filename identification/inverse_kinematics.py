@@ -96,7 +96,7 @@ def best_of_seeds(
             k, ordered = rows[row], found[row, np.argsort(rank[row])]
             if errors[k] > TOLERANCE:
                 postures[k], errors[k] = _polished(model, goals[k], ordered, conditions, k)
-            elif arm.links > goals.shape[1]:  # a redundant arm has more than the seeds found
+            elif constraints and arm.links > goals.shape[1]:  # a redundant arm has more than the seeds found
                 postures[k], errors[k] = _turned_away(model, goals[k], ordered, conditions.rows([k]), constraints)
     return postures, errors
 

@@ -82,7 +82,7 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
     try:
         require_some(result)
     except JobError:
-        if not options["resume"]:
+        if new or not options["resume"]:
             discard(folder, new)
         raise
     failed = result.cells.filter(result.cells["status"] != "done")

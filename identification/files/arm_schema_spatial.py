@@ -12,6 +12,7 @@ from identification.files.arm_schema import BoxTable, CovarianceTable, EffectTab
 from identification.files.schema import (
     Angle,
     Coordinate,
+    Length,
     NotNegative,
     Pair,
     Positive,
@@ -69,8 +70,10 @@ class PoseTable(StrictTable):
 class MachiningTable(StrictTable):
     """`[machining]`."""
 
-    translation_mm: Positive | None = Field(None, description="a number > 0 [mm]")
-    rotation_deg: Positive | None = Field(None, description="a number > 0 [deg]")
+    translation_mm: Length | None = Field(None, description=f"a number > 0 [mm], up to {LENGTH_RANGE[1]:g}")
+    rotation_deg: Annotated[float, Field(gt=0, le=LARGEST_ANGLE)] | None = Field(
+        None, description=f"a number > 0 [deg], up to {LARGEST_ANGLE:g}"
+    )
 
 
 class SpatialMeasurementTable(MeasurementTable):

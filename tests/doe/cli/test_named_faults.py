@@ -217,3 +217,28 @@ def test_curves_over_thousands_of_turns() -> None:
     """Nodes further apart than a turn: the longest wave that is tried is no shorter than the shortest."""
     wide = SimpleNamespace(bases=[SimpleNamespace(spacing=100.0)], _units=np.ones(1))
     assert all(low <= high for low, high in Penalized._bounds.fget(wide))  # type: ignore[attr-defined]
+
+
+def test_a_resumed_study_without_a_result_leaves_nothing(folder: Folder) -> None:
+    folder.write("same.csv", SAME)
+    folder.write("study.toml", STUDY)
+    before = sorted(folder.path.iterdir())
+    assert folder.armcal("study", "study.toml", "--workers", "1", "--resume").code == 1
+    assert sorted(folder.path.iterdir()) == before
+
+
+def test_a_machining_error_larger_than_any_arm(folder: Folder) -> None:
+    row = "[[dh]]\na_mm = 300.0\nalpha_deg = 90.0\nd_mm = 100.0\n"
+    for key in ("translation_mm", "rotation_deg"):
+        folder.write("arm.toml", f'kind = "spatial"\n{row * 3}[machining]\n{key} = 1e300\n')
+        refused(
+            folder, ["advise", "arm.toml"], f"arm.toml: machining.{key}: found 1e+300", "allowed: a number > 0", "up to"
+        )
+
+
+def test_commands_of_a_redundant_arm_without_constraints(folder: Folder) -> None:
+    """Postures that miss the joint limits are not led away from constraints that are not there."""
+    limits = "[-100.0, -100.0, -100.0, -100.0]", "[100.0, 100.0, 100.0, 100.0]"
+    arm = folder.read("truth.toml").replace("[-180.0, -120.0, -100.0, -90.0]", limits[0])
+    folder.write("truth.toml", arm.replace("[180.0, 120.0, 60.0, 90.0]", limits[1]))
+    assert folder.armcal("compensate", "truth.toml", "plan.csv").code == 0
