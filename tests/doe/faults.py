@@ -73,10 +73,10 @@ COMMANDS = (
     Command(
         "diagnose",
         "diagnose arm.toml data.csv --draws 399 --out extended.toml --report gap.html --force",
-        "--force",
+        "",  # the page shows the command line: another one would be another page
         ("extended.toml", "gap.html"),
     ),
-    Command("demo", "demo --out demo", "--force", ("demo",)),
+    Command("demo", "demo --out demo --force", "", ("demo",)),
 )
 
 
