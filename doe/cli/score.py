@@ -37,9 +37,9 @@ def command(
 ) -> Answer:
     """Score a PLAN of your own: efficiency against the bound, expected standard deviations, effects it could show."""
     from doe.plan.file import load_plan
-    from doe.plan.observability import observability
+    from doe.plan.observability import criterion_values, observability
     from doe.problem.problem import DesignProblem
-    from doe.report.design_tables import design_tables, observability_line
+    from doe.report.design_tables import criteria_line, design_tables, observability_line
     from identification.files.arm import load_arm
     from identification.model import Model
 
@@ -49,12 +49,14 @@ def command(
     sees, tables = _preflight(loaded, given, plan, aliases)
     pictures: dict[Path | None, Callable[[], Figure]] = {output.picture: lambda: plan_drawing(loaded, given.postures)}
     output.write_all("", "", pictures if sees is None else pictures | {aliases: lambda: _alias_drawing(sees)})
-    indices = observability(DesignProblem.of(Model(loaded)), given.postures)
+    problem = DesignProblem.of(Model(loaded))
+    indices, values = observability(problem, given.postures), criterion_values(problem, given.postures)
     data = design.to_json() | {
         "observability": indices.to_json(),
+        "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }
-    return Answer(data, [*design_tables(design), observability_line(indices), *tables])
+    return Answer(data, [*design_tables(design), criteria_line(values), observability_line(indices), *tables])
 
 
 def _alias_drawing(sees: Detectability) -> Figure:

@@ -125,6 +125,12 @@ def missing_parameters(problem: DesignProblem) -> list[str]:
     return [p.name for p in problem.model.parameters if p.kind == EFFECT and p.name in problem.deviations]
 
 
+def criteria_line(values: dict[str, float | None]) -> Text:
+    """The value of every criterion, all of which are better the larger they are."""
+    figures = ", ".join(f"{name} {'-' if value is None else format(value, '.5g')}" for name, value in values.items())
+    return Text(f"every criterion: {figures} (I: the tip over the workspace; Ds: what is in mm)")
+
+
 def observability_line(indices: Observability) -> Text:
     """The indices O1 to O5, to compare with published plans."""
     figures = ", ".join(f"{name.upper()} {value:.4g}" for name, value in indices.to_json().items())

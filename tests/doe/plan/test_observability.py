@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from doe.criteria import E
-from doe.plan.observability import observability
+from doe.plan.observability import criterion_values, observability
+from doe.problem.robust import workspace
 from tests.doe.arms import FOUR, OFFSET, problem
 
 
@@ -33,3 +34,21 @@ def test_kept_postures_count_and_nothing_is_seen_by_too_few() -> None:
     )
     assert observability(problem(FOUR), plan[:3]).o1 == 0.0
     assert observability(problem(FOUR), np.zeros((6, 4))).o2 == 0.0
+
+
+def test_every_criterion_from_the_information_matrix() -> None:
+    case = problem(FOUR, OFFSET)
+    plan = np.random.default_rng(2).uniform(FOUR.lower, FOUR.upper, (9, 4))
+    jacobian = case.model.jacobian(plan) / case.model.scales
+    m = np.einsum("idp,idq->pq", jacobian, jacobian) / 9
+    inverse, lengths = np.linalg.inv(m), [unit == "mm" for unit in case.model.parameters.units]
+    angles = np.logical_not(lengths)
+    poses = case.model.jacobian(workspace(case)) / case.model.scales
+    found = criterion_values(case, plan)
+    assert found["D"] == pytest.approx(np.linalg.slogdet(m)[1])
+    assert found["A"] == pytest.approx(-np.trace(inverse))
+    assert found["E"] == pytest.approx(np.linalg.eigvalsh(m)[0])
+    assert found["I"] == pytest.approx(-np.einsum("kdp,pq,kdq->", poses, inverse, poses) / len(poses))
+    assert found["Ds"] == pytest.approx(-np.linalg.slogdet(inverse[lengths][:, lengths])[1])
+    assert found["Dstar"] == pytest.approx(sum(np.linalg.slogdet(m[k][:, k])[1] for k in (lengths, angles)))
+    assert criterion_values(case, plan[:2])["D"] is None
