@@ -33,14 +33,15 @@ def interrupts_noted(watch: Watch) -> Iterator[None]:
         watch.interrupted = True
 
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    raising = {number: handler for number, handler in before.items() if callable(handler)}
+    # CasADi listens to SIGINT itself, also where a shell started the program in the background and it is ignored
+    raising = {number: handler for number, handler in before.items() if number == signal.SIGINT or callable(handler)}
     try:
         for number in raising:
             signal.signal(number, note)
         yield
     finally:
         for number, handler in raising.items():
-            signal.signal(number, handler)
+            signal.signal(number, handler or signal.SIG_DFL)
 
 
 class Guarded(ca.Callback):
