@@ -12,7 +12,9 @@ from identification.information import (
     Identifiability,
     column_space_of,
     covariance,
+    covariances,
     describe,
+    full_rank,
     identifiability,
     information_matrix,
     sparse_basis,
@@ -169,3 +171,20 @@ def test_column_space_is_orthonormal_and_made_of_the_columns(smallest: float, ra
     np.testing.assert_allclose(basis.T @ basis, np.eye(rank), atol=1e-12)
     np.testing.assert_allclose(columns @ turn, basis, atol=1e-14 / max(smallest, 1e-6))
     np.testing.assert_allclose(basis @ (basis.T @ columns), columns, atol=1e-11)
+
+
+def test_many_at_once_are_as_each_alone() -> None:
+    """Clear plans, one that loses a link exactly, and one so nearly that only singular values see it."""
+    plans = np.stack([postures(seed=seed) for seed in range(4)])
+    plans[1, :, 2] = 0.0  # links 2 and 3 are one
+    plans[2, :, 2] = 1e-6 * np.arange(20)
+    model = Model(Arm(LENGTHS))
+    jacobians = np.stack([model.jacobian(plan) for plan in plans])
+    assert full_rank(jacobians, model.scales).tolist() == [True, False, True, True]
+    found = covariances(jacobians, model.scales, sigma=0.3)
+    for k in (0, 2, 3):
+        rows = jacobians[k].reshape(-1, 8)
+        inverse = np.linalg.inv(np.linalg.qr(rows / model.scales, mode="r"))  # half the digits that J^T J would lose
+        expected = 0.3**2 * (inverse @ inverse.T) / np.outer(model.scales, model.scales)
+        assert found[k] == pytest.approx(expected, rel=1e-4, abs=1e-9 * np.abs(expected).max())
+    assert np.isnan(found[1]).all()
