@@ -130,8 +130,9 @@ class Wanted:
 
         if self.prior_from is None:
             return None
+        calibrated = load_arm(self.prior_from)
         try:
-            return earlier(load_arm(self.prior_from), model)
+            return earlier(calibrated, model)
         except InputError as error:
             raise InputError(f"{self.prior_from}: {error}") from None
 

@@ -14,11 +14,14 @@ from identification.estimation.uncertainty import LEVEL
 from identification.information import RANK_TOLERANCE
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, LENGTH_ERROR
 from identification.kinematics.planar_linear import PlanarClosedForm
+from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 
 # reasons: identification/README.md, "Doubtful fits"
 FLIPPED = 0.5  # of a link's nominal length: no drawing and no machining is that wrong
+TURNED = np.radians(30.0)  # of a frame of a spatial arm: no machining is that wrong, a joint with the wrong sign is
+MOVED = 0.1  # of the reach, of a frame of a spatial arm
 FAR = 0.05  # of the reach: residuals of another arm, frame or unit
 FALL = 2.0  # of the RMS, when the position of the base is added: the data are in another frame
 OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
@@ -64,8 +67,8 @@ def rounded(residual: Array, measurements: Measurements) -> list[str]:
 
 
 def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) -> list[str]:
-    """Links whose length changes sign or by the order of the length itself."""
-    said = []
+    """Links whose length changes sign or by the order of the length; in space frames far from where they are drawn."""
+    said = frames_far_off(model, parameters)
     for p, value, estimable in zip(model.parameters, parameters, identifiable, strict=True):
         if p.kind == LENGTH_ERROR and p.joint is not None and estimable:
             length = float(model.arm.lengths[p.joint - 1])
@@ -73,6 +76,20 @@ def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) ->
                 found = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
                 said.append(f"implausible: {found}; another arm, frame or unit?")
     return said
+
+
+def frames_far_off(model: Model, parameters: Array) -> list[str]:
+    """Which correction of a spatial arm's frames is the largest, where no machining is that wrong."""
+    limits = {ROTATION_ERROR: TURNED, TRANSLATION_ERROR: MOVED * model.reach}
+    excess = [
+        abs(x) / limits[p.kind] if p.kind in limits else 0.0 for p, x in zip(model.parameters, parameters, strict=True)
+    ]
+    worst = int(np.argmax(excess))
+    if excess[worst] <= 1.0:
+        return []
+    parameter = model.parameters[worst]
+    found = f"{parameter.name} comes out as {parameters[worst] * parameter.to_file:.4g} {parameter.file_unit}"
+    return [f"implausible: {found}; other units, joints in another order or with another sign? armcal check tells"]
 
 
 def another_frame(arm: Arm, measurements: Measurements) -> list[str]:

@@ -33,6 +33,7 @@ ROUNDS = 10  # of fit and noise: the model is nearly linear, so that the second 
 STEADY = 1e-4  # relative change of the noise, far below its own uncertainty
 SIZES = (0.0, *(2.0 ** (-k / 2.0) for k in range(16, -1, -1)))  # of all effects; the likelihood is flat over a step
 WIDTHS = tuple(2.0**k for k in range(6))  # factors on the machining's sizes; the likelihood is flat over a step
+UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
 CREDIBLE = 4.0  # difference of -2 log likelihood from the sizes as stated: chi2 of one degree of freedom, 5 %
 LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
 
@@ -77,7 +78,8 @@ def estimate_with_prior(
 def far_from_drawing(machining: Machining, width: float) -> str:
     """What is doubtful about an arm whose errors are so many times those of its machining."""
     sizes = f"{machining.translation:g} mm and {np.degrees(machining.rotation):g} deg"
-    return f"the arm is farther from its drawing than [machining] says ({sizes}): taken {width:g} times as large"
+    ask = "; are units, order and signs of the joints right? armcal check tells" if width >= UNUSUAL else ""
+    return f"the arm is farther from its drawing than [machining] says ({sizes}): taken {width:g} times as large{ask}"
 
 
 def _solved(problem: Problem, noise: Noise) -> tuple[Problem, Solution, float]:

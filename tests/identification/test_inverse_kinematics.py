@@ -6,11 +6,12 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pytest
 
 from doe.problem.constraints import constraints_of
 from identification.arm import Arm, Calibration
 from identification.compensate import compensate
-from identification.inverse_kinematics import TOLERANCE, violations
+from identification.inverse_kinematics import TOLERANCE, turned_into_limits, violations
 from identification.model import Model
 from identification.workspace import KeepOutCircle, WorkspaceBox
 
@@ -94,3 +95,15 @@ def test_targets_outside_the_workspace_say_so() -> None:
 
 def test_no_constraints_no_violations() -> None:
     assert violations((), np.zeros((3, 2))).shape == (3, 0)
+
+
+def test_a_posture_a_turn_beyond_the_limits_is_the_same_posture() -> None:
+    limits, exact = np.radians([170.0, 170.0]), Calibration.of(np.zeros(2), np.zeros(2))
+    arm = Arm([300.0, 200.0], lower=-limits, upper=limits, calibration=exact)
+    model = Model(arm)
+    wanted, read = np.radians([[137.0, -60.0]]), np.radians([[-223.0, 300.0]])
+    goals = model.position(wanted, np.zeros(4))
+    assert turned_into_limits(model, read) == pytest.approx(wanted)
+    assert turned_into_limits(model, np.radians([[175.0, 60.0]])) == pytest.approx(np.radians([[175.0, 60.0]]))
+    found = compensate(arm, goals, read)
+    assert found.commands == pytest.approx(wanted, abs=1e-6)

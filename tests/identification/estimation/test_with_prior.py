@@ -20,6 +20,7 @@ from identification.gap.library_prior import library_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.status import Status
 
 ARM = Arm([300.0, 200.0], sigma=0.1)
 LIBRARY = library_prior(ARM, names=["encoder_eccentricity", "gear_ratio"])
@@ -157,3 +158,12 @@ def test_the_width_is_that_of_the_largest_marginal_likelihood() -> None:
     linear = Linearized.of(problem, zero, residual / 0.05, jacobian / 0.05)
     noise = weighting(SPATIAL, data, 0.05, None)
     assert likeliest(linear, noise, given=True) == (1.0, min(WIDTHS, key=minus_log))
+
+
+def test_metres_and_a_joint_of_the_wrong_sign_are_no_result() -> None:
+    data, *_ = far_off(1.0, np.random.default_rng(33))
+    metres = estimate(SPATIAL, Measurements(data.postures, data.positions / 1000.0))
+    flipped = estimate(SPATIAL, Measurements(data.postures * [1, 1, -1, 1], data.positions))
+    for found in (metres, flipped):
+        assert found.status is Status.implausible
+        assert any("armcal check" in doubt for doubt in found.doubts)
