@@ -90,6 +90,8 @@ class Inspection:
         said = [*self.units] or self._reading() or [*self.frame] or self._offsets()  # a later one may follow from it
         if self.drawing > ROUGH * self.arm.reach and not said:
             said.append(f"the drawing is {self.drawing:.4g} mm off wherever the arm stands: check lengths and columns")
+        if self.fit is None:
+            said.append("too few rows for a fit of the geometry")
         return (*said, *self.rest)
 
     def _reading(self) -> list[str]:
@@ -112,9 +114,7 @@ class Inspection:
         """What these data cannot say, in sentences."""
         still = [str(j.joint) for j in self.joints if j.kind == REVOLUTE and j.high - j.low < STILL]
         said = [f"joint {', '.join(still)} hardly moves: its own errors cannot be seen"] if still else []
-        if self.fit is None:
-            said.append("too few rows for a fit of the geometry")
-        elif self.fit.not_identifiable:
+        if self.fit is not None and self.fit.not_identifiable:
             said.append(f"not estimable separately: {'; '.join(self.fit.not_identifiable)}")
         if self.postures == self.rows:
             said.append("no posture is repeated: what the arm scatters by is not known from these data")

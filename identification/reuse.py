@@ -112,7 +112,8 @@ def earlier(calibrated: Arm, model: Model) -> Earlier:
     found = calibrated.calibration
     if found is None or found.covariance is None:
         raise InputError("prior: found no covariance, allowed: a file written by `armcal identify --out`")
-    _check_drawing(calibrated, model.arm)
+    if not same_drawing(calibrated, model.arm):
+        raise InputError("prior: a calibration of another drawing, allowed: of the same lengths and frames")
     values = np.array([found.values[name] for name in found.parameter_names])
     whole = Earlier(found.parameter_names, values, found.covariance)
     held = {name: value for name, value in model.fixed.items() if name in found.parameter_names}
@@ -131,12 +132,11 @@ def set_up_anew(parameter: Parameter, model: Model) -> bool:
     return parameter.name in PLANAR_BASE and PLANAR_BASE[0] in model.all_parameters.names
 
 
-def _check_drawing(calibrated: Arm, arm: Arm) -> None:
-    """Raises `InputError` for arms whose errors mean different things."""
+def same_drawing(calibrated: Arm, arm: Arm) -> bool:
+    """Whether the errors of two arms mean the same things: equal lengths, joints and frames."""
     same = calibrated.links == arm.links and (calibrated.chain is None) == (arm.chain is None)
     same = same and calibrated.joint_types == arm.joint_types and np.allclose(calibrated.lengths, arm.lengths)
     if same and calibrated.chain is not None and arm.chain is not None:
         pairs = zip(calibrated.chain.joints, arm.chain.joints, strict=True)
         same = all(np.allclose(a.origin, b.origin) and np.allclose(a.axis, b.axis) for a, b in pairs)
-    if not same:
-        raise InputError("prior: a calibration of another drawing, allowed: of the same lengths and frames")
+    return bool(same)

@@ -144,7 +144,7 @@ class Campaign:
         before, pair = last.nominal_residuals if other is None else other.residuals, (names[-2], names[-1])
         notes = new_effects(last.arm, None if other is None else other.arm)
         compared = Compared(last.arm, measured.postures, before, last.residuals, measured.conditions, notes=notes)
-        used = "" if None in self.digests else "No model given here was fitted to them. "
+        used = "" if None in self.digests else "No model given here names this file as what it was fitted to. "
         used = "A model was fitted to these rows. " if self.fitted_to(rows) else used
         found = "".join(f"{note[:1].upper()}{note[1:]}. " for note in last.notes if "identified from" not in note)
         return Section(

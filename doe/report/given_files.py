@@ -17,6 +17,7 @@ from identification.files.csv import Table, read_table
 from identification.files.io import read_text
 from identification.files.measurement import load_measurements
 from identification.measurements import Measurements
+from identification.reuse import same_drawing
 
 # a command -> keys that its JSON object alone has
 KEYS = {
@@ -67,7 +68,10 @@ def _read(path: Path, name: str, found: Given) -> str:
     """The kind of a file, which is added to `found`."""
     ending = path.suffix.lower()
     if ending == ".toml":
-        found.arms[name] = load_arm(path)
+        found.arms[name] = arm = load_arm(path)
+        first, other = next(iter(found.arms.items()))
+        if not same_drawing(other, arm):
+            raise InputError(f"{name}: another arm than that of {first}, allowed: files of one arm")
         return "arm with a calibration" if found.arms[name].calibration is not None else "arm"
     if ending == ".json":
         command, data = said_by(path)

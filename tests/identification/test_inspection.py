@@ -71,7 +71,7 @@ def test_what_the_data_cannot_say() -> None:
     assert any(note.startswith("not estimable separately: ") for note in found.notes)
     few = inspect(ARM, data(m=2))
     assert few.fit is None
-    assert "too few rows for a fit of the geometry" in few.notes
+    assert "too few rows for a fit of the geometry" in few.problems
 
 
 def test_repeats_say_what_the_arm_scatters_by() -> None:

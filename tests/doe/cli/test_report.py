@@ -124,3 +124,11 @@ def test_a_page_is_replaced_by_force_only(folder: Folder) -> None:
     assert refused.code == 2
     assert folder.read("page.html") == "mine"
     assert folder.armcal("report", "arm.toml", "--out", "page.html", "--force").code == 0
+
+
+def test_files_of_two_arms_are_no_campaign(folder: Folder) -> None:
+    for name, links in (("one", [300.0, 200.0]), ("other", [300.0, 210.0])):
+        folder.write(f"{name}.toml", f'name = "{name}"\nlinks_mm = {links}\n')
+    done = folder.armcal("report", "one.toml", "other.toml", "--out", "page.html")
+    assert done.code == 2
+    assert "other.toml: another arm than that of one.toml, allowed: files of one arm" in done.err
