@@ -28,12 +28,11 @@ from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import identifiability
-from identification.kinematics.parameters import PRISMATIC
+from identification.kinematics.turns import TURN, turned_into
 from identification.status import Status
 
 FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
 SAME = 1e-9  # relative difference of Jacobians that counts as none
-TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
@@ -80,13 +79,16 @@ class Design:
     @cached_property
     def outside(self) -> tuple[int, ...]:
         """Runs (from 1) beyond a joint limit or a constraint by more than rounding: no bound holds for such a plan."""
-        q = self.plan.postures
-        breaks = beyond_limits(self.problem, q)
+        q, breaks = self.plan.postures, self._beyond_limits(self.plan.postures)
         if breaks.any():
-            breaks = beyond_limits(self.problem, whole_turns_aside(self.problem, q))
+            breaks = self._beyond_limits(whole_turns_aside(self.problem, q))
         for constraint in self.problem.constraints:
             breaks |= np.any(constraint.margin(q) < -FITS, axis=1)
         return tuple((np.flatnonzero(breaks) + 1).tolist())
+
+    def _beyond_limits(self, postures: Array) -> NDArray[np.bool_]:
+        """(m,) True where a joint lies beyond its limits by more than rounding."""
+        return np.any((postures < self.problem.lower - FITS) | (postures > self.problem.upper + FITS), axis=1)
 
     @cached_property
     def log_det(self) -> float:
@@ -217,15 +219,10 @@ def _deviations_json(deviations: ExpectedDeviations | None) -> dict[str, Any]:
     }
 
 
-def beyond_limits(problem: DesignProblem, postures: Array) -> NDArray[np.bool_]:
-    """(m,) True where a joint lies beyond its limits by more than rounding."""
-    return np.any((postures < problem.lower - FITS) | (postures > problem.upper + FITS), axis=1)
-
-
 def whole_turns_aside(problem: DesignProblem, postures: Array) -> Array:
     """(m, n) joints that may take every angle moved into their limits by whole turns, unless the model sees it."""
-    full = (np.array(problem.model.joint_types) != PRISMATIC) & (problem.upper - problem.lower >= TURN - FITS)
-    turns = np.round((postures - 0.5 * (problem.lower + problem.upper)) / TURN)
-    moved = np.where(full, postures - TURN * turns, postures)
+    lower, upper = problem.lower, problem.upper
+    moved = turned_into(postures, lower, upper, problem.model.joint_types, FITS)
+    moved = np.where(upper - lower >= TURN - FITS, moved, postures)
     same = np.abs(problem.scaled_jacobians(moved) - problem.scaled_jacobians(postures)).max() < SAME
     return moved if same else postures

@@ -14,6 +14,7 @@ import numpy as np
 from identification.arrays import Array
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, Linearize, levenberg_marquardt
 from identification.kinematics.parameters import REVOLUTE
+from identification.kinematics.turns import turned_into
 from identification.measurements import Conditions
 from identification.model import Model
 
@@ -53,7 +54,7 @@ def violations(constraints: Constraints, postures: Array) -> Array:
 def reaching(model: Model, goals: Array, nominal: Array, conditions: Conditions, constraints: Constraints) -> Array:
     """(k, n) postures from nominal ones (k, n); from many seeds where that ends short of the target, or where the arm
     may not stand. Goals (k, d) [mm], of poses three more."""
-    nominal = turned_into_limits(model, nominal)
+    nominal = turned_into(nominal, model.arm.lower, model.arm.upper, model.joint_types)
     commands, errors = inverse_kinematics(model, goals, nominal, conditions)
     missed = violations(constraints, commands).sum(axis=1)
     short = np.flatnonzero((errors > TOLERANCE) | (missed > 0.0))
@@ -63,14 +64,6 @@ def reaching(model: Model, goals: Array, nominal: Array, conditions: Conditions,
         better = now < _rank(np.zeros(len(short)), errors[short], missed[short])
         commands[short[better]] = again[better]
     return commands
-
-
-def turned_into_limits(model: Model, postures: Array) -> Array:
-    """(k, n) postures whose revolute joints beyond a limit are moved by whole turns to where the limits allow them."""
-    lower, upper = model.arm.lower, model.arm.upper
-    turned = lower + np.mod(postures - lower, 2.0 * np.pi)
-    beyond = (postures < lower) | (postures > upper)
-    return np.where(beyond & (np.array(model.joint_types) == REVOLUTE) & (turned <= upper), turned, postures)
 
 
 def _rank(distance: Array, left: Array, missed: Array) -> Array:

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arm import Arm
-from identification.kinematics.parameters import REVOLUTE
+from identification.kinematics.turns import turned_into
 from identification.measurements import Measurements
 from identification.model import Model
 
 QUARTERS = 4  # groups by time; the quadrants of the workspace are as many
+READ = np.radians(1e-6)  # what the digits of a file take from an angle
 FEWEST = 3 * QUARTERS  # rows from which groups are formed
 
 
@@ -28,11 +29,9 @@ def outside(arm: Arm, measurements: Measurements) -> NDArray[np.bool_] | None:
     limits = np.array(identified(arm).get("joint_range_deg", ()), dtype=float)
     if limits.shape != (arm.links, 2):
         return None
-    degrees = np.round(np.degrees(measurements.postures), 6)
-    turned = limits[:, 0] - 1e-6 + np.mod(degrees - limits[:, 0] + 1e-6, 360.0)
-    revolute = np.array([kind == REVOLUTE for kind in Model(arm).joint_types])
-    degrees = np.where(revolute & (turned <= limits[:, 1] + 1e-6), turned, degrees)
-    return (degrees < limits[:, 0] - 1e-6) | (degrees > limits[:, 1] + 1e-6)
+    (lower, upper), types = np.radians(limits.T), Model(arm).joint_types
+    q = turned_into(measurements.postures, lower, upper, types, READ)
+    return (q < lower - READ) | (q > upper + READ)
 
 
 def row_groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str, NDArray[np.int64]]]:

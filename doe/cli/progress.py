@@ -68,7 +68,7 @@ class Lines:
         self.done, self.total, self.message = done, total, message
 
     def text(self) -> str:
-        """'armcal design: 20 s, best -1.35, 40 % done, at most 30 s left'."""
+        """'armcal design: 20 s, best -1.35, 40 % done, about 30 s left'."""
         used = time.monotonic() - self.started
         parts = [f"armcal {self.title}: {used:.0f} s", *filter(None, [self.message])]
         if self.total and 0 < self.done < self.total:

@@ -171,15 +171,21 @@ def verdict(
     time.sleep(share * reference.seconds)
     # Ctrl-C goes to all of them, as from a terminal
     (os.killpg if number is signal.SIGINT else os.kill)(process.pid, number)
-    try:
-        _, errors = process.communicate(timeout=PATIENCE)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+    if (errors := _ended(process)) is None:
         return ["does not end"]
     wrong = [*_of_processes(process.pid), *_of_files(reference, folder, process.returncode)]
     wrong += _of_words(number, process.returncode, errors)
     return wrong + (_of_rerun(reference, folder) if again else [])
+
+
+def _ended(process: subprocess.Popen[str]) -> str | None:
+    """What a process said on standard error; None where it had to be killed after `PATIENCE`."""
+    try:
+        return str(process.communicate(timeout=PATIENCE)[1])
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        return None
 
 
 def _of_processes(session: int) -> list[str]:
@@ -219,11 +225,7 @@ def _of_words(number: signal.Signals, code: int, errors: str) -> list[str]:
 def _of_rerun(reference: Reference, folder: Path) -> list[str]:
     command = reference.command
     process = start(command, folder, command.again if content(command, folder) else "")
-    try:
-        _, errors = process.communicate(timeout=PATIENCE)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+    if (errors := _ended(process)) is None:
         return ["the rerun does not end"]
     if process.returncode != 0:
         return [f"the rerun fails: {errors.strip()[-200:]!r}"]
