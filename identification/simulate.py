@@ -100,9 +100,9 @@ def disturbed(
     noisy = [(effect, spec) for effect, spec in built if isinstance(effect, NoiseEffect)]
     if not noisy:
         return errors
-    levers = Model(replace(truth, effects=(), calibration=None)).joint_levers(exact.postures)
+    levers = Model(replace(truth, effects=(), calibration=None)).joint_levers(exact.postures, None, conditions)
     time = np.zeros(len(exact)) if conditions.time is None else conditions.time
-    scene = Scene(exact.positions, levers, time, sigma)
+    scene = Scene(exact.positions[:, : truth.dimension], levers, time, sigma)
     for effect, spec in noisy:
         errors = effect.disturb(errors, scene, dict(spec.values), generator)
     return errors

@@ -61,6 +61,8 @@ class Verbs(click.Group):
         """As in click, with usage errors of one line; the words typed are kept."""
         words = tuple(args)
         with one_line_errors():
+            if any("\0" in word for word in words):  # no shell can pass one on; a program that calls this can
+                raise click.UsageError("a word with a null character, allowed: text")
             context = super().make_context(info_name, args, *more, **options)
         context.meta[WORDS] = words
         return context

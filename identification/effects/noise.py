@@ -19,7 +19,7 @@ from identification.kinematics.parameters import Parameter
 class Scene:
     """What noise may depend on, for m measured postures.
 
-    positions : (m, d) exact [mm];  levers : (m, d, n) what one rad at each joint does to the tip [mm/rad]
+    positions : (m, 2 or 3) exact [mm];  levers : (m, d, n) what one rad at each joint does to the tip [mm/rad]
     time : (m,) -0.5..0.5;  sigma : of the instrument [mm]
     """
 
@@ -89,7 +89,8 @@ class TimeNoise(NoiseEffect):
 
 @register
 class Outliers(NoiseEffect):
-    """A share of the rows, drawn at random, is off by `size` standard deviations in a random direction of the plane."""
+    """A share of the rows, drawn at random, is off by `size` standard deviations of the instrument, each in a random
+    direction; orientations stay as they are."""
 
     name = "outliers"
     summary = "some rows are far off"
@@ -104,10 +105,17 @@ class Outliers(NoiseEffect):
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
         count = round(values.get("share", 0.0) * len(errors))
         rows = generator.choice(len(errors), count, replace=False)
-        angle = generator.uniform(0.0, 2.0 * np.pi, count)
         changed = errors.copy()
-        changed[rows] += values.get("size", 0.0) * scene.sigma * np.column_stack([np.cos(angle), np.sin(angle)])
+        changed[rows, : self.dimension] += values.get("size", 0.0) * scene.sigma * self._directions(count, generator)
         return changed
+
+    def _directions(self, count: int, generator: np.random.Generator) -> Array:
+        """(count, 2 or 3) unit vectors, every direction as likely as any other."""
+        if self.dimension == 2:
+            angle = generator.uniform(0.0, 2.0 * np.pi, count)
+            return np.column_stack([np.cos(angle), np.sin(angle)])
+        drawn = generator.standard_normal((count, self.dimension))
+        return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
 
 
 @register

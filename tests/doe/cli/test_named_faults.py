@@ -27,6 +27,12 @@ def test_runs_of_a_digit_that_is_none(folder: Folder) -> None:
         refused(folder, ["advise", "arm.toml", "--runs", text], "--runs", "allowed: A:B or A")
 
 
+def test_words_with_a_null_character(folder: Folder) -> None:
+    """From a program that calls the verbs; no shell can pass one on."""
+    for words in (["identify", "a\0b", "data.csv"], ["design", "arm.toml", "--runs", "8", "--out", "\0"]):
+        refused(folder, words, "null character, allowed: text")
+
+
 def test_an_output_that_is_a_circle_of_links(folder: Folder) -> None:
     (folder.path / "one").symlink_to("two")
     (folder.path / "two").symlink_to("one")
