@@ -7,9 +7,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arrays import Array, ByValue
 
+# what follows from the order of measurement: all, and what only rows that follow each other show
+BY_ORDER = frozenset({"time", "directions", "past"})
+FOLLOWING = frozenset({"directions", "past"})
 REMEMBERED = 12  # turning points of a past: of 60 random postures in 3,000 one row needs more
 
 
@@ -20,7 +24,7 @@ class Conditions(ByValue):
     payload : (m,) [kg], None: the arm's own payload
     temperature : (m,) [K] deviation from the mean temperature, None: 0
     time : (m,) position in the session, -0.5..0.5, None: 0
-    directions : (m, n) sign of the last motion of each joint, +1 or -1, None: +1
+    directions : (m, n) sign of the last motion of each joint, +1 or -1, 0: unknown, None: +1
     session : (m,) number of the session of each row, from 0, None: 0
     past : (m, n, 12) what each joint remembers of the postures before (`past_from_order`) [rad], None: nothing
     marker : (m,) number of the measured point of each row, from 0, None: the first
@@ -60,6 +64,11 @@ class Conditions(ByValue):
             table[..., 4 + n :] = whole.reshape(*postures.shape[:-1], n * REMEMBERED)
         return table
 
+    @property
+    def follow(self) -> bool:
+        """Whether what joints did before is known of more than the first row."""
+        return self.directions is None or int(np.any(self.directions != 0.0, axis=-1).sum()) > 1
+
     def rows(self, index: Any) -> Conditions:
         """The conditions of some rows (any numpy index)."""
         pick = {name: value[index] for name, value in vars(self).items() if value is not None}
@@ -72,48 +81,61 @@ def session_time(order: Array) -> Array:
     return (order - low) / (high - low) - 0.5 if high > low else np.zeros_like(order)
 
 
-def directions_from_order(postures: Array, order: Array | None = None) -> Array:
+def gaps_of(order: Array) -> NDArray[np.bool_]:
+    """(m,) True where numbers are left out of an `order` that counts measurements: the row before is missing."""
+    sequence = np.argsort(order, kind="stable")
+    found = np.zeros(len(order), dtype=bool)
+    found[sequence[1:]] = np.diff(order[sequence]) > 1.0
+    return found
+
+
+def directions_from_order(postures: Array, order: Array | None = None, gaps: Array | None = None) -> Array:
     """(..., m, n) sign of the change from the posture measured before; first row +1, no change: as before.
 
     postures : (m, n), or (K, m, n) of K sessions;  order : (m,), None: as they stand
+    gaps : (m,) rows before which measurements are missing: 0 there, until the joint moves again
     """
     m = postures.shape[-2]
     sequence = np.arange(m) if order is None else np.argsort(order, kind="stable")
+    cut = np.zeros((m, 1), dtype=bool) if gaps is None else gaps[sequence, None].astype(bool)
     signs = np.ones_like(postures)
-    signs[..., 1:, :] = np.sign(np.diff(postures[..., sequence, :], axis=-2))
+    signs[..., 1:, :] = np.where(cut[1:], 0.0, np.sign(np.diff(postures[..., sequence, :], axis=-2)))
     # the last row that moved, for every row: a running maximum of row numbers
-    moved = np.maximum.accumulate(np.where(signs != 0.0, np.arange(m)[:, None], 0), axis=-2)
+    moved = np.maximum.accumulate(np.where((signs != 0.0) | cut, np.arange(m)[:, None], 0), axis=-2)
     directions = np.empty_like(signs)
     directions[..., sequence, :] = np.take_along_axis(signs, moved, axis=-2)
     return directions
 
 
-def past_from_order(postures: Array, order: Array | None = None) -> Array:
+def past_from_order(postures: Array, order: Array | None = None, gaps: Array | None = None) -> Array:
     """(..., m, n, 12) what each joint remembers when a posture is reached: turning points, the oldest first.
 
     The first is where the session began, the last the posture before; in between stand the turning points that no
     later swing has wiped out, which decide the state of hysteresis (I. D. Mayergoyz, "Mathematical models of
     hysteresis", 1991). Fewer than 12 are filled up by repeating the first; of more, the smallest swing is left out. In
-    the first row all are the posture itself.
+    the first row all are the posture itself, and so they are after a gap.
 
-    postures : (m, n), or (K, m, n) of K sessions;  order : (m,), None: as they stand
+    postures, order, gaps : as of `directions_from_order`
     """
     m = postures.shape[-2]
     sequence = np.arange(m) if order is None else np.argsort(order, kind="stable")
     joints = np.moveaxis(postures[..., sequence, :], -2, -1).reshape(-1, m)
-    past = np.array([_remembered(angles.tolist()) for angles in joints])
+    cut = [False] * m if gaps is None else gaps[sequence].astype(bool).tolist()
+    past = np.array([_remembered(angles.tolist(), cut) for angles in joints])
     past = past.reshape(*postures.shape[:-2], postures.shape[-1], m, REMEMBERED)
     found = np.empty((*postures.shape, REMEMBERED))
     found[..., sequence, :, :] = np.moveaxis(past, -3, -2)
     return found
 
 
-def _remembered(angles: list[float]) -> list[list[float]]:
-    """Per row (12,) the turning points before it, of one joint."""
+def _remembered(angles: list[float], cut: list[bool]) -> list[list[float]]:
+    """Per row (12,) the turning points before it, of one joint;  cut : what was before is unknown."""
     kept, rows = angles[:1], []
     for k, angle in enumerate(angles):
+        if cut[k]:
+            kept = [angle]
         rows.append([kept[0]] * (REMEMBERED - len(kept)) + kept)
-        if k:
+        if k and not cut[k]:
             _remember(kept, angle)
     return rows
 

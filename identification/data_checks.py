@@ -45,6 +45,15 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     return said or [*_orientations(measurements, bare), *_far_rows(measurements, bare)]
 
 
+def gap_notes(measurements: Measurements) -> list[str]:
+    """Rows of which nothing says from which side their joints came, in a sentence; none where directions are given."""
+    if measurements.gaps is None or measurements.directions is not None:
+        return []
+    found = f"before {int(measurements.gaps.sum())} of {len(measurements)} rows numbers of order are left out"
+    how = "keep order 1, 2, 3 .. without steps, or give columns direction1, direction2 .."
+    return [f"{found}: from which side the joints came is not known there (play in gears needs it; {how})"]
+
+
 def _units(measurements: Measurements, arm: Arm) -> list[str]:
     """Radians in `_deg` columns, metres in `_mm` columns, where that fits the arm clearly better.
 

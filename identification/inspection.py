@@ -9,7 +9,7 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.data_checks import data_warnings
+from identification.data_checks import data_warnings, gap_notes
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.estimation.plausibility import another_frame, beyond_limits, copied_rows, outside_limits
@@ -62,7 +62,7 @@ class Inspection:
     readings : the columns as they are, and a better way to read them if there is one
     fit : the geometry fitted, None with too few rows;  reach : of the arm [mm]
     units : sentences about units, swapped markers and rows that are far off;  frame : about a base elsewhere
-    rest : about copied rows and postures outside the limits
+    rest : about copied rows and postures outside the limits;  gaps : about rows that are missing between others
     """
 
     arm: Arm
@@ -78,6 +78,7 @@ class Inspection:
     units: tuple[str, ...]
     frame: tuple[str, ...]
     rest: tuple[str, ...]
+    gaps: tuple[str, ...]
 
     @property
     def drawing(self) -> float:
@@ -118,6 +119,7 @@ class Inspection:
             said.append(f"not estimable separately: {'; '.join(self.fit.not_identifiable)}")
         if self.postures == self.rows:
             said.append("no posture is repeated: what the arm scatters by is not known from these data")
+        said += self.gaps
         missing = {"temperature": "a column temperature_C", "gravity": "[gravity] in the arm file"}
         there = {*self.given, *(["gravity"] if self.arm.gravity is not None else [])}
         lacking = [how for what, how in missing.items() if what not in there]
@@ -181,6 +183,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         units=tuple(units),
         frame=tuple(another_frame(arm, measurements)),
         rest=(*copied_rows(measurements), *outside_limits(arm, measurements)),
+        gaps=tuple(gap_notes(measurements)),
     )
 
 

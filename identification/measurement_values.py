@@ -13,7 +13,7 @@ from identification.errors import InputError
 
 _Test = Callable[[Array], NDArray[np.bool_]]
 DIMENSIONS = (2, 3, 6)  # coordinates that an instrument may measure
-OPTIONAL = ("order", "payload", "temperature", "directions", "sigma", "repeats", "orientations", "commanded")
+OPTIONAL = ("order", "payload", "temperature", "directions", "sigma", "repeats", "orientations", "commanded", "gaps")
 
 
 def _is_rotation(matrices: Array) -> NDArray[np.bool_]:
@@ -23,16 +23,17 @@ def _is_rotation(matrices: Array) -> NDArray[np.bool_]:
     return np.broadcast_to(good[:, None, None], matrices.shape)
 
 
-# columns, sentence and test of what is allowed, for every field of `Measurements`; all of them finite
+# columns, sentence and test of what is allowed, for every field of `Measurements`
 VALUES: dict[str, tuple[str, str, _Test]] = {
     "postures": ("joints", "finite angles [rad]", np.isfinite),
     "positions": ("coordinates", "finite coordinates [mm]", np.isfinite),
     "order": ("one", "finite numbers", np.isfinite),
-    "payload": ("one", "numbers >= 0 [kg]", lambda v: v >= 0.0),
-    "temperature": ("one", "numbers >= -273.15 [deg C]", lambda v: v >= -273.15),
-    "directions": ("joints", "+1 or -1", lambda v: np.abs(v) == 1.0),
-    "sigma": ("one", "numbers > 0 [mm]", lambda v: v > 0.0),
-    "repeats": ("one", "whole numbers", lambda v: v == np.round(v)),
+    "payload": ("one", "numbers >= 0 [kg]", lambda v: np.isfinite(v) & (v >= 0.0)),
+    "temperature": ("one", "numbers >= -273.15 [deg C]", lambda v: np.isfinite(v) & (v >= -273.15)),
+    "directions": ("joints", "+1 or -1, NaN: unknown", lambda v: (np.abs(v) == 1.0) | np.isnan(v)),
+    "gaps": ("one", "0 or 1", lambda v: np.isin(v, (0.0, 1.0))),
+    "sigma": ("one", "numbers > 0 [mm]", lambda v: np.isfinite(v) & (v > 0.0)),
+    "repeats": ("one", "whole numbers", lambda v: np.isfinite(v) & (v == np.round(v))),
     "commanded": ("joints", "finite angles [rad]", np.isfinite),
     "orientations": ("axes", "rotation matrices", _is_rotation),
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -68,12 +68,14 @@ class Measurements(ByValue):
     positions : (m, d) measured tip positions [mm], in a plane or in space; of poses d = 6: the last three are rotation
         vectors that `orientations` are turned by, times `angle_scale` [mm], zero where they are left out
     order : (m,) order or time stamps; rows in order if the file has none
+    gaps : (m,) 1 where measurements just before are missing, so that nothing follows from the order; None: nowhere
     sigma : (m,) standard deviation per row and axis [mm], None: not given per row
     repeats : (m,) equal numbers mark repeats of one posture, None: not given
     session : (m,) name of the session of each row, between which the arm or the instrument was set up anew; None: one
     session_names : the sessions in the order of their numbers, also where only some of them are among these rows
     marker : (m,) name of the measured point of each row, where several are measured; None: one
     marker_names : the points in the order of their numbers
+    directions : (m, n) +1 or -1, sign of the last motion of each joint; NaN: unknown; None: it follows from the order
     commanded : (m, n) what was asked for where `postures` are as read; None: not given
     orientations : (m, 3, 3) measured axes of the tool in space, by columns; None: not measured
     past : (m, n, 12) what each joint remembers of the rows before; None: it follows from the order
@@ -96,6 +98,7 @@ class Measurements(ByValue):
     past: Array | None = None
     orientations: Array | None = None
     commanded: Array | None = None
+    gaps: Array | None = None
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
@@ -120,7 +123,7 @@ class Measurements(ByValue):
             if array.shape not in shapes:
                 found = f"shape {array.shape} for {m} postures of {n} joints"
                 raise InputError(f"measurements.{name}: {found}, allowed: {' or '.join(map(str, shapes))}")
-            check_values(name, array, np.isfinite(array) & test(array), allowed)
+            check_values(name, array, test(array), allowed)
             object.__setattr__(self, name, array)
         if self.repeats is not None:
             object.__setattr__(self, "repeats", self.repeats.astype(np.int64))
@@ -172,7 +175,8 @@ class Measurements(ByValue):
     @property
     def given(self) -> frozenset[str]:
         """Names of the optional columns the data has: those of order, sigma and so on, session and marker."""
-        return frozenset(name for name in (*OPTIONAL, "session", "marker") if getattr(self, name) is not None)
+        columns = {*OPTIONAL, "session", "marker"} - {"gaps"}
+        return frozenset(name for name in columns if getattr(self, name) is not None)
 
     @property
     def sessions(self) -> tuple[str, ...]:
@@ -230,27 +234,37 @@ class Measurements(ByValue):
     def conditions(self) -> Conditions:
         """Conditions for the model: time and directions follow, in each session, from the order where not given."""
         order = np.arange(len(self), dtype=float) if self.order is None else self.order
-        directions = np.empty_like(self.postures) if self.directions is None else self.directions
         time = np.empty(len(self))
         for rows in self.session_rows:
             time[rows] = session_time(order[rows])
-            if self.directions is None:
-                directions[rows] = directions_from_order(self.postures[rows], order[rows])
+        directions = np.nan_to_num(self._directions, nan=0.0)
         temperature = None if self.temperature is None else self.temperature - np.mean(self.temperature)
         marker = None if self.marker_numbers is None else self.marker_numbers.astype(float)
         session = self._session_numbers
         return Conditions(self.payload, temperature, time, directions, session, self._past, marker, self.orientations)
+
+    @property
+    def _directions(self) -> Array:
+        """(m, n) +1 or -1, NaN: unknown."""
+        if self.directions is not None:
+            return self.directions
+        found = self._by_order(directions_from_order, self.postures.shape)
+        return np.where(found == 0.0, np.nan, found)
 
     @cached_property
     def _past(self) -> Array:
         """(m, n, 12) see `past_from_order`."""
         if self.past is not None:
             return self.past
+        return self._by_order(past_from_order, (*self.postures.shape, REMEMBERED))
+
+    def _by_order(self, function: Callable[..., Array], shape: tuple[int, ...]) -> Array:
+        """What follows from the order, in each session."""
         order = np.arange(len(self), dtype=float) if self.order is None else self.order
-        past = np.empty((*self.postures.shape, REMEMBERED))
+        gaps, found = np.zeros(len(self)) if self.gaps is None else self.gaps, np.empty(shape)
         for rows in self.session_rows:
-            past[rows] = past_from_order(self.postures[rows], order[rows])
-        return past
+            found[rows] = function(self.postures[rows], order[rows], gaps[rows])
+        return found
 
     @property
     def origin(self) -> dict[str, Any]:
@@ -265,6 +279,6 @@ class Measurements(ByValue):
         Directions and the past stay what they were among all rows; session time and the mean temperature are those of
         the subset.
         """
-        frozen = replace(self, directions=self.conditions.directions, past=self._past)
+        frozen = replace(self, directions=self._directions, past=self._past)
         columns = [name for name in (*VALUES, "session", "marker", "past") if getattr(frozen, name) is not None]
         return replace(frozen, **{name: getattr(frozen, name)[index] for name in columns})

@@ -46,6 +46,8 @@ def pooled(tables: Mapping[str, Measurements]) -> Measurements:
     columns = {name: [getattr(part, name) for part in parts] for name in ("postures", "positions", *given)}
     if "repeats" in given:
         columns["repeats"] = _apart(columns["repeats"])
+    if any(part.gaps is not None for part in parts):
+        columns["gaps"] = [np.zeros(len(part)) if part.gaps is None else part.gaps for part in parts]
     joined: dict[str, Any] = {name: np.concatenate(values) for name, values in columns.items()}
     files = ", ".join(str(part.provenance["file"]) for part in parts if "file" in part.provenance)
     return Measurements(**joined, provenance=MappingProxyType({"file": files} if files else {}))

@@ -41,6 +41,7 @@ LAYERS = {
     "identification.files.arm_text_spatial": 2,
     "identification.files.measurement": 2,
     "identification.files.measurement_columns": 2,
+    "identification.files.order_columns": 2,
     "identification.files.target": 2,
     "identification.vectorize": 0,
     "identification.composition": 3,

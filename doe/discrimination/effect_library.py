@@ -10,12 +10,11 @@ import numpy as np
 from doe.problem.problem import InformationModel
 from identification.arm import Arm
 from identification.arrays import Array
+from identification.conditions import BY_ORDER
 from identification.gap.detectability import Detectability, detectability
 from identification.gap.hypotheses import Hypothesis, hypotheses
 from identification.measurements import Conditions, directions_from_order, past_from_order, session_time
 from identification.model import Model
-
-BY_ORDER = frozenset({"time", "directions", "past"})  # what the order of the postures decides, not the postures
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ SUPPLY = {
     "gravity": "[gravity] in the arm file: acceleration_m_s2, link_masses_kg, center_of_mass, payload_kg",
     "time": "the column order or time_s in the measurements; without it rows count as measured in their order",
     "past": "the column order or time_s in the measurements; without it rows count as measured in their order",
-    "directions": "columns direction1, direction2 .. (+1 or -1) in the measurements; left out: from the order",
+    "directions": "columns direction1, direction2 .. (+1 or -1) in the measurements; left out: from order without gaps",
     "temperature": "the column temperature_C in the measurements",
     "session": "the column session in the measurements, or one file for each session",
     "commands": "columns commanded1_deg, commanded2_deg .. in the measurements, beside the angles that were read",

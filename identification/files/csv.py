@@ -79,8 +79,10 @@ class Table:
         line = f" (line {self.lines[row]})" if len(self.lines) else ""
         return f"{self.path}: row {row + 1}{line}, column {column}"
 
-    def floats(self, column: str, allowed: str = FINITE, test: Test | None = None) -> Array:
+    def floats(self, column: str, allowed: str = FINITE, test: Test | None = None, empty: float | None = None) -> Array:
         """(m,) the column as finite numbers for which `test` (vectorised) holds.
+
+        empty : what an empty cell, or a NaN of a frame, stands for; None: for nothing
 
         Raises `InputError` naming the first row that has anything else; `allowed` says in words what `test` wants.
         """
@@ -90,6 +92,9 @@ class Table:
         good = np.isfinite(values)
         if test is not None:
             good &= test(values)
+        if empty is not None:
+            blank = (text.fill_null("nan").str.to_lowercase() == "nan").to_numpy()
+            values, good = np.where(blank, empty, values), good | blank
         if not good.all():
             row = int(np.argmin(good))
             found = "an empty cell" if text[row] is None else repr(text[row])

@@ -16,6 +16,7 @@ from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, MAX_LINKS, SIGMA_R
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.files.csv import KNOWN, Table, Test
+from identification.files.order_columns import order_columns, read_gaps, read_order
 from identification.files.orientation import angle_columns, orientation_columns, read_orientations
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 
@@ -47,11 +48,12 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     found: dict[str, Any] = {
         "postures": postures,
         "positions": np.column_stack([_millimetres(table, axis) for axis in axes]),
-        "order": _order(table),
+        "order": (order := read_order(table)),
         **read_conditions(table, n),
         "sigma": _sigma(table),
         "repeats": _repeats(table),
-        "session": table.texts("session") if "session" in table else None,
+        "session": (session := table.texts("session") if "session" in table else None),
+        "gaps": read_gaps(table, session) if order is not None and "order" in table else None,
         "marker": table.texts("marker") if spatial and "marker" in table else None,
         "orientations": read_orientations(table) if poses else None,
         "commanded": _commanded(table, types, n),
@@ -86,9 +88,7 @@ def measurement_columns(measurements: Measurements, joint_types: JointTypes = No
         asked = posture_columns(measurements.commanded, joint_types)
         columns |= {name.replace("q", "commanded", 1): column for name, column in asked.items()}
     columns |= {} if measurements.orientations is None else angle_columns(measurements.orientations)
-    if measurements.order is not None:
-        whole = bool(np.all(measurements.order == np.round(measurements.order)))
-        columns["order" if whole else "time_s"] = measurements.order
+    columns |= order_columns(measurements)
     directions = () if measurements.directions is None else measurements.directions.T
     optional = {
         "temperature_C": measurements.temperature,
@@ -173,6 +173,8 @@ def csv_text(columns: dict[str, NDArray[np.generic]]) -> str:
         small = counts and bool(np.all(np.abs(values) < _WHOLE))
         if values.dtype.kind == "U":
             series.append(pl.Series(name, values.tolist()))
+        elif counts and np.isnan(values).any():
+            series.append(pl.Series(name, values).fill_nan(None).cast(pl.Int64))
         else:
             series.append(pl.Series(name, values.astype(np.int64) if small else np.ascontiguousarray(values)))
     return pl.DataFrame(series).write_csv()
@@ -230,23 +232,8 @@ def _optional(table: Table, column: str, allowed: str, test: Test) -> Array | No
     return table.floats(column, f"a number {allowed}", test) if column in table else None
 
 
-def _order(table: Table) -> Array | None:
-    """(m,) `time_s` or `order`; of both, the time says more, if it says the same."""
-    order, time = (table.floats(c) if c in table else None for c in ("order", "time_s"))
-    if order is None or time is None:
-        return time if order is None else order
-    by_order, by_time = np.argsort(order, kind="stable"), np.argsort(time, kind="stable")
-    if np.array_equal(by_order, by_time):
-        return time
-    row = int(by_time[np.argmax(by_order != by_time)])
-    place = table.place(row, "time_s")
-    raise InputError(
-        f"{place}: order and time_s put the rows in different orders, allowed: the same order, or one column"
-    )
-
-
 def _directions(table: Table, n: int) -> Array | None:
-    """(m, n) +1 or -1."""
+    """(m, n) +1 or -1, NaN where the cell is empty: unknown."""
     columns = [column for column in table.columns if _DIRECTION.fullmatch(column)]
     if not columns:
         return None
@@ -255,7 +242,8 @@ def _directions(table: Table, n: int) -> Array | None:
         if int(column.removeprefix("direction")) > n:
             allowed = f"direction1 to direction{n}"
             raise InputError(f"{table.path}: found column {column}, but there are {n} joints, allowed: {allowed}")
-    signs = [table.floats(f"direction{j}", "+1 or -1", lambda v: np.abs(v) == 1.0) for j in range(1, n + 1)]
+    allowed = "+1 or -1, empty: unknown"
+    signs = [table.floats(f"direction{j}", allowed, lambda v: np.abs(v) == 1.0, empty=np.nan) for j in range(1, n + 1)]
     return np.column_stack(signs)
 
 

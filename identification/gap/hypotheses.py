@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
+from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, Scope, Setting, build, build_all, of_dimension
 from identification.effects.places import state_size
 from identification.gap.columns import Bundle, bundles
@@ -206,10 +207,11 @@ class HypothesisSet:
 def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> HypothesisSet:
     """Every effect that arm and data can show.
 
-    given : what the data have beyond time, directions and past (which follow from the order): `temperature`
+    given : what the data have beyond `BY_ORDER`: `temperature`
     rows : the data, from which the values of settings may follow; None: those that suit any data
     """
-    available = {"time", "directions", "past"} | (given & {"temperature"})
+    available = set(BY_ORDER | (given & {"temperature"}))
+    available -= FOLLOWING if rows is not None and not rows.conditions.follow else set()
     available |= set() if arm.gravity is None else {"gravity"}
     known = of_dimension(arm.dimension)
     shown = {

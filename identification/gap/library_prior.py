@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from identification.arm import Arm, EffectSpec
+from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, library
 from identification.errors import InputError, nearest
 from identification.estimation.prior import Prior
@@ -114,10 +115,9 @@ def library_prior(
 
 
 def given_by(measurements: Measurements) -> frozenset[str]:
-    """What rows have: time, directions and earlier motions follow from their order."""
-    return frozenset(
-        {"time", "directions", "past"} | ({"temperature"} if measurements.temperature is not None else set())
-    )
+    """What rows have: time, directions and earlier motions follow from their order, where that has no gaps."""
+    given = BY_ORDER if measurements.conditions.follow else BY_ORDER - FOLLOWING
+    return given | ({"temperature"} if measurements.temperature is not None else set())
 
 
 def _once(members: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from identification.arm import Arm
+from identification.data_checks import gap_notes
 from identification.gap.candidate import Candidate
 from identification.gap.detectability import EXACT, NEAR, Detectability, likenesses
 from identification.gap.holdout import Gap
@@ -79,7 +80,7 @@ def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measur
     if fit.status is not Status.converged:
         said.append(f"the fit of the named model did not converge: {fit.status.value}")
     if measurements.directions is None:
-        said.append("directions of approach were derived from the order of measurement")
+        said += ["directions of approach were derived from the order of measurement", *gap_notes(measurements)]
     said += [
         f"joint {j + 1} does not move in these data: {inseparable(j)}"
         for j in range(arm.links)
