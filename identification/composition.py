@@ -283,12 +283,23 @@ class Composition:
         for place in used:
             levers[..., shared.places[place]] = by_a[..., start : (start := start + shared.sizes[place])]
         if any(part.reads for part in self._parts):
-            by_state = np.zeros((*by_a.shape[:-2], shared.count, shared.at.state.numel()))
+            loads, turned = np.zeros(levers[..., LOADED].shape), np.eye(DIMENSION)
             for part, (_, _, slopes) in zip(self._parts, said, strict=True):
-                by_state[..., part.rows, :] += slopes
-            levers[..., LOADED] = levers @ by_state[..., LOADED]
-            turned = np.eye(DIMENSION) + by_state[..., shared.places[INSTRUMENT], shared.of_tip]
-            for moved in (by_g, levers):
-                moved[..., POINT, :] = turned @ moved[..., POINT, :]
+                if part.reads:
+                    loads += levers[..., part.rows] @ slopes[..., LOADED]
+                if part.measures:
+                    turned = turned + self._of_tip(part, slopes)
+            levers[..., LOADED] = loads
+            if turned.ndim > 2:
+                for moved in (by_g, levers):
+                    moved[..., POINT, :] = turned @ moved[..., POINT, :]
         levers[..., shared.places[INSTRUMENT]] = np.eye(levers.shape[-2], DIMENSION)
         return by_g, levers
+
+    def _of_tip(self, part: Part, slopes: Array) -> Array:
+        """(..., 3, 3) derivatives by the tip of what a part adds at the instrument."""
+        first = self.shared.places[INSTRUMENT].start
+        at_instrument = part.rows >= first
+        found = np.zeros((*slopes.shape[:-2], DIMENSION, DIMENSION))
+        found[..., part.rows[at_instrument] - first, :] = slopes[..., at_instrument, self.shared.of_tip]
+        return found

@@ -7,7 +7,7 @@ time of a step) are scanned: each value is a hypothesis, and together they weigh
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 
@@ -99,12 +99,14 @@ class HypothesisSet:
 
     skipped : effect key -> reason
     aliases : effect name -> what it cannot be distinguished from, for effects that no measurement of the tip can show
+    models : labels of effects -> the arm with them, compiled once for all searches
     """
 
     arm: Arm
     members: tuple[Hypothesis, ...]
     skipped: Mapping[str, str]
     aliases: Mapping[str, str]
+    models: dict[frozenset[str], Model] = field(default_factory=dict, repr=False, compare=False)
 
     @cached_property
     def _places(self) -> dict[str, int]:
@@ -152,7 +154,15 @@ class HypothesisSet:
     @cached_property
     def base(self) -> Model:
         """The arm as it is modelled now."""
-        return Model(self.arm)
+        return self.model(())
+
+    def model(self, chosen: Sequence[Hypothesis]) -> Model:
+        """The arm with the effects of some hypotheses, in the order of the members."""
+        key = frozenset(h.effect.label for h in chosen)
+        if key not in self.models:
+            ordered = sorted(chosen, key=self.place)
+            self.models[key] = Model(self.arm.with_effects(*self.arm.effects, *(h.spec for h in ordered)))
+        return self.models[key]
 
     @cached_property
     def unscanned(self) -> tuple[Hypothesis, ...]:

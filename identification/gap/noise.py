@@ -18,7 +18,7 @@ from identification.estimation.result import in_words
 from identification.gap.fit import Fit
 from identification.gap.omnibus_test import MANY
 from identification.gap.posture_neighbors import lag_of
-from identification.gap.quadratic_forms import BlockForm, Form, ratio, ratio_moments
+from identification.gap.quadratic_forms import BlockForm, Form, ratio, ratio_moments, ratios
 from identification.gap.whitening import Rows
 from identification.information import column_space
 
@@ -162,11 +162,12 @@ def _values(
 
     Of `MANY` rows or more a ratio is drawn from the normal distribution of its exact mean and variance.
     """
-    observed = {name: ratio(form, residual[:, None]) for name, form in tested.items()}
+    observed = ratios(tested, residual[:, None])
     if len(residual) < 2 * MANY:
         drawn = generator.standard_normal((len(residual), draws))
         drawn -= basis @ (basis.T @ drawn)
-        return {name: np.concatenate([observed[name], ratio(form, drawn)]) for name, form in tested.items()}
+        white = ratios(tested, drawn)
+        return {name: np.concatenate([observed[name], white[name]]) for name in tested}
     values = {}
     for name, form in tested.items():
         mean, deviation = ratio_moments(form, basis)

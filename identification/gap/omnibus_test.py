@@ -105,8 +105,7 @@ def _in_parts(drawn: Callable[[int], Array], hypotheses: Dictionary, draws: int)
 
 def smallest_drawn(hypotheses: Dictionary, drawn: Iterable[Draws]) -> Array:
     """(B,) smallest weighted p-value in each draw."""
-    found = [hypotheses.smallest_weighted(hypotheses.reductions_of(one.scores), one.squares) for one in drawn]
-    return np.concatenate(found)
+    return np.concatenate([hypotheses.smallest_weighted(one.scores, one.squares) for one in drawn])
 
 
 def contributions(corrected: Array, hypotheses: Dictionary) -> tuple[Array, Array]:

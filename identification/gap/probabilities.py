@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from identification.gap.hypotheses import Hypothesis
+from identification.arrays import Array
 from identification.gap.marginal_likelihood import Explained, explained, log_bayes_factor
 from identification.gap.search import Choice, HypothesisSearch
 from identification.gap.unmodelled_survey import shapes_beside
@@ -143,17 +144,19 @@ def _longer(search: HypothesisSearch, chosen: Choice, least: float) -> Iterator[
     reductions = against.reductions(found.residual[:, None])[:, 0]
     groups = _explained(search, chosen).with_each(against.sizes, reductions)
     log_odds = log_bayes_factor(groups, found.squares - reductions, base.squares, base.freedom)
-    log_odds += _log_prior(search, chosen) + np.array([_log_step(search, len(chosen), member) for member in members])
-    log_odds -= np.log(2.0) * np.array([m.one_sided for m in members]) * (reductions == 0.0)  # it has the other sign
+    one_sign = np.array([member.one_sign for member in members])
+    log_odds += _log_prior(search, chosen) + _log_steps(search, len(chosen), against.weights, one_sign)
+    log_odds -= np.log(2.0) * against.one_sided * (reductions == 0.0)  # it has the other sign
     keys = [h.key for h in chosen]
     fitted = {label for labels in search.fits if own < labels for label in labels - own if len(labels) == len(own) + 1}
-    for member, odds in zip(members, log_odds.tolist(), strict=True):
-        further = member.free
-        if further.label in fitted:
+    known = np.array([bool(fitted) and member.effect.label in fitted for member in members], dtype=bool)
+    for k in np.flatnonzero(known | (log_odds >= least)):
+        member, further = members[k], members[k].free
+        if known[k]:
             yield _refitted(search, (*chosen, further))
-        elif odds >= least and (member.tied or member.key not in search.hypotheses.families):
+        elif member.tied or member.key not in search.hypotheses.families:
             names = tuple(sorted([*keys, further.key]))  # a family as one value, until it is fitted
-            yield _Option((*chosen, further), own | {further.label}, names, odds, refitted=False)
+            yield _Option((*chosen, further), own | {further.label}, names, float(log_odds[k]), refitted=False)
 
 
 def _outside(search: HypothesisSearch, chosen: Choice) -> float:
@@ -189,14 +192,15 @@ def _explained(search: HypothesisSearch, chosen: Choice) -> Explained:
 
 def _log_prior(search: HypothesisSearch, chosen: Choice) -> float:
     """Log prior odds of a set to nothing missing: one effect `FIRST`, each further one `NEXT` times those before it."""
-    return sum(_log_step(search, count, hypothesis) for count, hypothesis in enumerate(chosen))
+    steps = (_log_steps(search, count, np.array(h.weight), np.array(h.one_sign)) for count, h in enumerate(chosen))
+    return float(sum(steps))
 
 
-def _log_step(search: HypothesisSearch, count: int, further: Hypothesis) -> float:
-    """Log prior odds of so many effects and a further one to those alone.
+def _log_steps(search: HypothesisSearch, count: int, weights: Array, one_sign: NDArray[np.bool_]) -> Array:
+    """Log prior odds of so many effects and a further one to those alone, for further ones of these prior weights.
 
     Where several effects are missing another one is likelier (Polya's urn). An effect of one sign only counts twice:
     its prior has half the width.
     """
     odds = NEXT * count if count else FIRST
-    return float(np.log(odds * further.weight / search.hypotheses.total_weight) + np.log(2.0) * further.one_sign)
+    return np.asarray(np.log(odds * weights / search.hypotheses.total_weight) + np.log(2.0) * one_sign)

@@ -7,7 +7,9 @@ with B = P A P its mean is tr B / nu and its mean square (2 tr B^2 + (tr B)^2) /
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -96,6 +98,24 @@ Form = BlockForm | LagForm | SparseForm
 def ratio(form: Form, sample: Array) -> Array:
     """(B,) e^T A e / e^T e of each column of a sample (N, B)."""
     return np.asarray(np.einsum("nb,nb->b", sample, form.times(sample)) / np.einsum("nb,nb->b", sample, sample))
+
+
+def ratios(forms: Mapping[str, Form], sample: Array) -> dict[str, Array]:
+    """`ratio` of several forms; those of blocks need each product of two coordinates of a row once."""
+    found = {name: ratio(form, sample) for name, form in forms.items() if not isinstance(form, BlockForm)}
+    stacked = {name: form.blocks for name, form in forms.items() if isinstance(form, BlockForm)}
+    if not stacked:
+        return found
+    blocks = np.array(list(stacked.values()))
+    d = blocks.shape[-1]
+    coordinates = np.moveaxis(sample.reshape(-1, d, sample.shape[1]), 1, 0)
+    values, whole = np.zeros((len(blocks), sample.shape[1])), np.zeros(sample.shape[1])
+    for i, j in combinations_with_replacement(range(d), 2):
+        both = coordinates[i] * coordinates[j]
+        values += (blocks[:, :, i, j] if i == j else blocks[:, :, i, j] + blocks[:, :, j, i]) @ both
+        if i == j:
+            whole += both.sum(axis=0)
+    return found | dict(zip(stacked, values / whole, strict=True))
 
 
 def ratio_moments(form: Form, basis: Array) -> tuple[float, float]:

@@ -18,7 +18,6 @@ from identification.gap.omnibus_test import OmnibusTest, Scatter, omnibus_test
 from identification.gap.order_range import order_of
 from identification.gap.whitening import Rows
 from identification.information import column_space_of
-from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 LEVEL_FACTOR = 0.5  # tuned: factor on the levels where the noise model was estimated from the same data
@@ -122,9 +121,7 @@ class HypothesisSearch:
         """The base model with these effects added, refitted."""
         key = frozenset(h.label for h in chosen)
         if key not in self.fits:
-            arm = self.hypotheses.arm
-            ordered = sorted(chosen, key=self.hypotheses.place)
-            model = Model(arm.with_effects(*arm.effects, *(h.spec for h in ordered)))
+            model = self.hypotheses.model(chosen)
             start = model.parameters.mapping(model.values) | self.fit(()).by_name if chosen else None
             ties = [[p.name for p in h.effect.parameters] for h in chosen if h.tied]
             self.fits[key] = fit(model, self.rows, start, ties)

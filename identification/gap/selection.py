@@ -171,7 +171,7 @@ def exchanges(search: HypothesisSearch, chosen: Choice, window: float = WINDOW) 
         members, change = state.members, state.change
         limit = change.min(initial=np.inf) + MARGIN + WINDOW
         if many:
-            own = [c for h, c in zip(members, change, strict=True) if h.free.label == member.label]
+            own = [c for h, c in zip(members, change, strict=True) if h.effect.label == member.effect.label]
             limit = min([limit, *(c + window for c in own)])
         for index in np.argsort(change, kind="stable")[:REFITS]:
             if change[index] <= limit:

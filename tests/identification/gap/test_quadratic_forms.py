@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.gap.quadratic_forms import BlockForm, Form, LagForm, ratio, ratio_moments
+from identification.gap.quadratic_forms import BlockForm, Form, LagForm, ratio, ratio_moments, ratios
 
 RNG = np.random.default_rng(7)
 HALF = RNG.normal(size=(9, 2, 2))
@@ -32,6 +32,8 @@ def test_products_and_traces(form: Form) -> None:
     assert form.squared_trace == pytest.approx(np.trace(matrix @ matrix))
     expected = [e @ matrix @ e / (e @ e) for e in sample.T]
     np.testing.assert_allclose(ratio(form, sample), expected)
+    for forms in ({"one": form}, {"one": form, "other": FORMS[0]}):
+        np.testing.assert_allclose(ratios(forms, sample)["one"], expected)
 
 
 @pytest.mark.parametrize("form", FORMS)
