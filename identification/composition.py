@@ -283,23 +283,14 @@ class Composition:
         for place in used:
             levers[..., shared.places[place]] = by_a[..., start : (start := start + shared.sizes[place])]
         if any(part.reads for part in self._parts):
-            loads, turned = np.zeros(levers[..., LOADED].shape), np.eye(DIMENSION)
+            loads, first = np.zeros(levers[..., LOADED].shape), shared.places[INSTRUMENT].start
+            turned = np.tile(np.eye(DIMENSION), (*by_a.shape[:-2], 1, 1))
             for part, (_, _, slopes) in zip(self._parts, said, strict=True):
-                if part.reads:
-                    loads += levers[..., part.rows] @ slopes[..., LOADED]
-                if part.measures:
-                    turned = turned + self._of_tip(part, slopes)
+                loads += levers[..., part.rows] @ slopes[..., LOADED]
+                last = part.rows >= first
+                turned[..., part.rows[last] - first, :] += slopes[..., last, shared.of_tip]
             levers[..., LOADED] = loads
-            if turned.ndim > 2:
-                for moved in (by_g, levers):
-                    moved[..., POINT, :] = turned @ moved[..., POINT, :]
+            for moved in (by_g, levers) if any(part.measures for part in self._parts) else ():
+                moved[..., POINT, :] = turned @ moved[..., POINT, :]
         levers[..., shared.places[INSTRUMENT]] = np.eye(levers.shape[-2], DIMENSION)
         return by_g, levers
-
-    def _of_tip(self, part: Part, slopes: Array) -> Array:
-        """(..., 3, 3) derivatives by the tip of what a part adds at the instrument."""
-        first = self.shared.places[INSTRUMENT].start
-        at_instrument = part.rows >= first
-        found = np.zeros((*slopes.shape[:-2], DIMENSION, DIMENSION))
-        found[..., part.rows[at_instrument] - first, :] = slopes[..., at_instrument, self.shared.of_tip]
-        return found

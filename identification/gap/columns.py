@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -22,17 +22,10 @@ from identification.conditions import Conditions
 from identification.effects import Effect, Setting
 from identification.vectorize import vectorize
 
-
-@dataclass(frozen=True)
-class Template:
-    """One effect at one joint.
-
-    effect : with CasADi symbols for its settings where they are scanned
-    members : (k,) numbers of the hypotheses that it stands for, one for each row of the settings
-    """
-
-    effect: Effect
-    members: tuple[int, ...]
+# reason: identification/README.md, "Constants"
+KEPT = 256  # effort: formulas set up, of some arms
+# an effect's class, joint, and names of its settings where they are scanned, else names and values
+Key = tuple[type[Effect], int | None, tuple[str, ...] | tuple[tuple[str, float], ...]]
 
 
 class SlopeSymbols(Symbols):
@@ -52,22 +45,20 @@ class SlopeSymbols(Symbols):
 
 
 @dataclass(frozen=True)
-class Bundle:
-    """Effects whose slopes one function gives.
+class Formulas:
+    """Slopes of some effects.
 
-    settings : (K, S) values of the symbols of all templates side by side; a template of fewer than K members repeats
-        its last;  symbols : (S,) of them
+    effects : with CasADi symbols for their settings where they are scanned;  symbols : (S,) of them
     """
 
     at: SlopeSymbols
-    templates: tuple[Template, ...]
+    effects: tuple[Effect, ...]
     symbols: ca.SX
-    settings: Array
 
     @cached_property
     def _slopes(self) -> list[ca.SX]:
-        """Per template (P, size)."""
-        return [self.at.slopes(template.effect) for template in self.templates]
+        """Per effect (P, size)."""
+        return [self.at.slopes(effect) for effect in self.effects]
 
     @cached_property
     def fixed(self) -> bool:
@@ -76,7 +67,7 @@ class Bundle:
 
     @cached_property
     def places(self) -> list[list[list[tuple[int, int]]]]:
-        """Per template and parameter: (place, number of the slope) of what it adds."""
+        """Per effect and parameter: (place, number of the slope) of what it adds."""
         found, count = [], 0
         for slopes in self._slopes:
             listed: list[list[tuple[int, int]]] = [[] for _ in range(slopes.shape[1])]
@@ -87,58 +78,96 @@ class Bundle:
         return found
 
     @cached_property
-    def _function(self) -> Callable[..., tuple[np.ndarray, ...]]:
+    def function(self) -> Callable[..., tuple[np.ndarray, ...]]:
+        """Of arrays (q, c, state, settings): the numbers of all slopes that are not always zero, (Z, 1)."""
         values, at = ca.vertcat(*(ca.SX(s.nz[:]) for s in self._slopes)), self.at
         return vectorize(ca.Function("slopes", [at.q, at.c, at.state, self.symbols], [ca.cse(values)]))
 
+
+@dataclass(frozen=True)
+class Bundle:
+    """Effects whose slopes one function gives.
+
+    members : per effect (k,) numbers of the hypotheses that it stands for, one for each row of the settings
+    settings : (K, S) values of the symbols of all effects side by side; one of fewer than K members repeats its last
+    """
+
+    formulas: Formulas
+    members: tuple[tuple[int, ...], ...]
+    settings: Array
+
+    @property
+    def fixed(self) -> bool:
+        """True if the slopes do not depend on the fitted model."""
+        return self.formulas.fixed
+
     def slopes(self, postures: Array, conditions: Conditions, state: Array) -> Array:
         """(m, K, Z) numbers that are not always zero, for (m, n) postures, their conditions and (m, S) state."""
-        payload = 0.0 if self.at.arm.gravity is None else self.at.arm.gravity.payload
-        table = conditions.table(len(postures), self.at.arm.links, payload, postures if self.at.remembers else None)
-        return self._function(postures[:, None], table[:, None], state[:, None], self.settings[None])[0][..., 0]
+        at = self.formulas.at
+        payload = 0.0 if at.arm.gravity is None else at.arm.gravity.payload
+        table = conditions.table(len(postures), at.arm.links, payload, postures if at.remembers else None)
+        return self.formulas.function(postures[:, None], table[:, None], state[:, None], self.settings[None])[0][..., 0]
 
     def columns(self, levers: Array, slopes: Array) -> Iterator[tuple[int, Array]]:
         """Number of each hypothesis and its (m, d, size) columns, from levers (m, d, P) and slopes (m, K, Z)."""
         m, d, _ = levers.shape
-        for template, places in zip(self.templates, self.places, strict=True):
-            count = len(template.members)
+        for members, places in zip(self.members, self.formulas.places, strict=True):
+            count = len(members)
             block = np.zeros((m, d, count, len(places)))
             for column, listed in enumerate(places):
                 for place, number in listed:
                     block[..., column] += levers[:, :, place, None] * slopes[:, None, :count, number]
-            yield from ((member, block[:, :, k]) for k, member in enumerate(template.members))
+            yield from ((member, block[:, :, k]) for k, member in enumerate(members))
 
 
 def bundles(arm: Arm, effects: Sequence[tuple[int, Effect]]) -> tuple[Bundle, ...]:
     """All effects, each with the number of its hypothesis: those with nothing to scan together (those that depend on
     the fitted model apart), and each scanned one with all its joints and settings."""
-    at = SlopeSymbols(arm, any("past" in effect.needs for _, effect in effects))
+    remembers = any("past" in effect.needs for _, effect in effects)
     plain: dict[bool, list[tuple[int, Effect]]] = {}
     scanned: dict[str, dict[int | None, list[tuple[int, Effect]]]] = {}
     for number, effect in effects:
         if effect.chosen and all(Setting.of(setting).symbolic for setting in effect.settings.values()):
             scanned.setdefault(effect.name, {}).setdefault(effect.joint, []).append((number, effect))
         else:
-            fixed = _plain_bundle(at, [(number, effect)]).fixed
-            plain.setdefault(fixed, []).append((number, effect))
-    return (*(_plain_bundle(at, e) for e in plain.values()), *(_scanned_bundle(at, s) for s in scanned.values()))
+            plain.setdefault(_formulas(arm, remembers, _plain([effect])).fixed, []).append((number, effect))
+    return (
+        *(
+            Bundle(
+                _formulas(arm, remembers, _plain([e for _, e in some])), tuple((n,) for n, _ in some), np.zeros((1, 0))
+            )
+            for some in plain.values()
+        ),
+        *(_scanned_bundle(arm, remembers, by_joint) for by_joint in scanned.values()),
+    )
 
 
-def _plain_bundle(at: SlopeSymbols, effects: Sequence[tuple[int, Effect]]) -> Bundle:
-    templates = tuple(Template(effect, (number,)) for number, effect in effects)
-    return Bundle(at, templates, ca.SX.zeros(0), np.zeros((1, 0)))
+def _plain(effects: Sequence[Effect]) -> tuple[Key, ...]:
+    return tuple((type(effect), effect.joint, tuple(effect.chosen.items())) for effect in effects)
 
 
-def _scanned_bundle(at: SlopeSymbols, by_joint: Mapping[int | None, Sequence[tuple[int, Effect]]]) -> Bundle:
+def _scanned_bundle(arm: Arm, remembers: bool, by_joint: Mapping[int | None, Sequence[tuple[int, Effect]]]) -> Bundle:
     """One effect, its values side by side for all joints."""
-    templates, settings, symbols = [], [], list[ca.SX]()
-    longest = max(map(len, by_joint.values()))
-    for joint, group in by_joint.items():
-        one = group[0][1]
-        chosen: dict[str, Any] = {name: ca.SX.sym(name) for name in one.chosen}
-        members = tuple(number for number, _ in group)
-        templates.append(Template(type(one)(one.lengths, joint, chosen, dimension=one.dimension), members))
-        symbols += chosen.values()
-        values = np.array([[effect.chosen[name] for name in chosen] for _, effect in group])
+    longest, settings = max(map(len, by_joint.values())), []
+    for group in by_joint.values():
+        values = np.array([list(effect.chosen.values()) for _, effect in group])
         settings.append(np.pad(values, ((0, longest - len(group)), (0, 0)), mode="edge"))
-    return Bundle(at, tuple(templates), ca.SX(ca.vertcat(*symbols)), np.hstack(settings))
+    keys = tuple((type(group[0][1]), joint, tuple(group[0][1].chosen)) for joint, group in by_joint.items())
+    members = tuple(tuple(number for number, _ in group) for group in by_joint.values())
+    return Bundle(_formulas(arm, remembers, keys), members, np.hstack(settings))
+
+
+@lru_cache(maxsize=8)
+def _symbols(arm: Arm, remembers: bool) -> SlopeSymbols:
+    return SlopeSymbols(arm, remembers)
+
+
+@lru_cache(maxsize=KEPT)
+def _formulas(arm: Arm, remembers: bool, keys: tuple[Key, ...]) -> Formulas:
+    """Set up once for equal arms."""
+    effects, symbols = [], list[ca.SX]()
+    for cls, joint, settings in keys:
+        chosen: dict[str, Any] = dict(s if isinstance(s, tuple) else (s, ca.SX.sym(s)) for s in settings)
+        symbols += [value for value in chosen.values() if isinstance(value, ca.SX)]
+        effects.append(cls(arm.lengths, joint, chosen, dimension=arm.dimension))
+    return Formulas(_symbols(arm, remembers), tuple(effects), ca.SX(ca.vertcat(*symbols)))

@@ -7,8 +7,8 @@ time of a step) are scanned: each value is a hypothesis, and together they weigh
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
@@ -27,6 +27,7 @@ from identification.model import Model
 
 # reasons: identification/README.md, "Constants"
 UNSEEN = 1e-3  # share of the reach
+KEPT = 128  # effort: models compiled, of some arms
 Slopes = list[Array | None]  # per bundle (m, K, Z), None where they depend on the fitted model
 
 
@@ -87,6 +88,18 @@ class Hypothesis:
         return self.size == 1 and self.effect.parameters[0].lower == 0.0
 
 
+def modelled(arm: Arm) -> Model:
+    """Compiled once for equal arms: searches with other noise, and of other data, ask for the same models again."""
+    known = of_dimension(arm.dimension)
+    return _modelled(arm, tuple(known[spec.name] for spec in arm.effects))
+
+
+@lru_cache(maxsize=KEPT)
+def _modelled(arm: Arm, classes: tuple[type[Effect], ...]) -> Model:
+    """classes : of the effects, which users can register anew"""
+    return Model(arm)
+
+
 def projected(model_basis: Array, members: Sequence[Hypothesis], columns: Columns) -> Dictionary:
     """Hypotheses with their whitened columns, projected off a fitted model: see `f_tests.dictionary`."""
     one_sided = np.array([h.one_sided for h in members], dtype=bool)
@@ -99,14 +112,12 @@ class HypothesisSet:
 
     skipped : effect key -> reason
     aliases : effect name -> what it cannot be distinguished from, for effects that no measurement of the tip can show
-    models : labels of effects -> the arm with them, compiled once for all searches
     """
 
     arm: Arm
     members: tuple[Hypothesis, ...]
     skipped: Mapping[str, str]
     aliases: Mapping[str, str]
-    models: dict[frozenset[str], Model] = field(default_factory=dict, repr=False, compare=False)
 
     @cached_property
     def _places(self) -> dict[str, int]:
@@ -158,11 +169,8 @@ class HypothesisSet:
 
     def model(self, chosen: Sequence[Hypothesis]) -> Model:
         """The arm with the effects of some hypotheses, in the order of the members."""
-        key = frozenset(h.effect.label for h in chosen)
-        if key not in self.models:
-            ordered = sorted(chosen, key=self.place)
-            self.models[key] = Model(self.arm.with_effects(*self.arm.effects, *(h.spec for h in ordered)))
-        return self.models[key]
+        ordered = sorted(chosen, key=self.place)
+        return modelled(self.arm.with_effects(*self.arm.effects, *(h.spec for h in ordered)))
 
     @cached_property
     def unscanned(self) -> tuple[Hypothesis, ...]:

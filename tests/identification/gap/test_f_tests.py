@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from identification.gap.f_tests import Columns, Dictionary, dictionary, eigen_of_pairs
+from identification.gap.f_tests import Columns, Dictionary, dictionary
 from identification.information import column_space
 
 SEEDS = st.integers(0, 10_000)
@@ -127,14 +127,3 @@ def test_columns_in_pieces_are_the_columns() -> None:
     assert sum(1 for _ in columns.chunks(2)) > 2  # pieces of about a million numbers
     assert all(part.start % 2 == 0 for part in columns.chunks(2))
     np.testing.assert_allclose(columns.products[2][7], matrix[:, 14:16].T @ matrix[:, 14:16], rtol=1e-12)
-
-
-def test_eigenvalues_of_pairs_are_those_of_lapack() -> None:
-    generator = np.random.default_rng(5)
-    halves = generator.standard_normal((300, 2, 2)) * 10.0 ** generator.uniform(-5.0, 0.0, (300, 1, 1))
-    special = [np.zeros((2, 2)), np.eye(2), np.diag([1.0, 2.0]), np.diag([2.0, 1.0]), np.ones((2, 2))]
-    matrices = np.concatenate([halves @ halves.transpose(0, 2, 1), special, [[[1.0, -1.0], [-1.0, 1.0]]]])
-    values, vectors = eigen_of_pairs(matrices)
-    np.testing.assert_allclose(values, np.linalg.eigvalsh(matrices), rtol=0, atol=1e-14 * np.abs(matrices).max())
-    np.testing.assert_allclose(vectors * values[:, None, :] @ vectors.transpose(0, 2, 1), matrices, atol=1e-14)
-    np.testing.assert_allclose(vectors.transpose(0, 2, 1) @ vectors - np.eye(2), 0.0, atol=1e-14)
