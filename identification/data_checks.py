@@ -1,7 +1,7 @@
 """Contradictions within a measurement file: units, conventions of orientations, swapped markers, lost beams.
 
 In space base and measured points are found by the closed form, so that what is left of the nominal arm is its errors,
-some millimetres; another unit or another point is off by far more. A planar arm is taken to stand at the origin.
+some millimetres; another unit or another point is off by far more. So it is for a planar arm, its base found.
 """
 
 from __future__ import annotations
@@ -22,7 +22,11 @@ from identification.measurements import POINT, Measurements, distances
 from identification.model import Model
 from identification.placed import placed_model
 
-SMALL_ANGLE, NEAR = np.radians(7.0), 1.0 / 50.0  # [rad]; of the reach: numbers that may be of another unit
+SMALL_ANGLE = np.radians(7.0)  # below which numbers may be radians
+UNITS = {1000.0: "metres", 25.4: "inches"}  # factor to millimetres
+# distances from their middle as shares of the reach: numbers that may be of a larger unit (two reaches, in inches), and
+# farther than any arm moves
+NEAR, BEYOND = 2.0 / 25.4, 2.5
 CLEARLY = 3.0  # times better: another unit is suspected
 FAR = 10.0  # times the median distance: 15 standard deviations of normal errors in three coordinates
 ROUNDS = 5  # of finding rows that are far off, and placing the arm without them
@@ -55,26 +59,35 @@ def gap_notes(measurements: Measurements) -> list[str]:
 
 
 def _units(measurements: Measurements, arm: Arm) -> list[str]:
-    """Radians in `_deg` columns, metres in `_mm` columns, where that fits the arm clearly better.
+    """Radians in `_deg` columns, other units of length in `_mm` columns or in the arm file, where that fits the arm
+    clearly better.
 
-    Suspected only where all angles are below 7 deg, or all positions within 1/50 of the reach.
+    Suspected only where all angles are below 7 deg, or the positions lie within a twelfth of the reach, or some of them
+    farther apart than the arm could reach.
     """
     turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
     small = bool(turning.any() and np.all(np.abs(measurements.postures[:, turning]) < SMALL_ANGLE))
-    middle = 0.0 if arm.chain is None else measurements.positions.mean(axis=0)
-    near = bool(np.all(distances(measurements.positions - middle) < NEAR * arm.reach))
-    if not small and not near:
+    size = float(distances(measurements.positions - measurements.positions.mean(axis=0)).max()) / arm.reach
+    units = UNITS if size < NEAR else {1.0 / f: words for f, words in UNITS.items()} if size > BEYOND else {}
+    if not small and not units:
         return []
-    readings = [(q, p) for q in (False, True)[: 1 + small] for p in (False, True)[: 1 + near]]
-    misfits = [_misfit(measurements, arm, turning & radians, 1000.0 if metres else 1.0) for radians, metres in readings]
+    readings = [(q, f) for q in (False, True)[: 1 + small] for f in (1.0, *units)]
+    misfits = [_misfit(measurements, arm, turning & radians, factor) for radians, factor in readings]
     best = int(np.argmin(misfits))
     if CLEARLY * misfits[best] >= misfits[0]:
         return []
-    radians, metres = readings[best]
+    radians, factor = readings[best]
     said = ["the joint angles look like radians: name the columns q1_rad.. instead of q1_deg.."] if radians else []
-    axes = "xyz"[: arm.dimension]
-    named = " instead of ".join(", ".join(f"{axis}_{unit}" for axis in axes) for unit in ("m", "mm"))
-    return said + ([f"the positions look like metres: name the columns {named}"] if metres else [])
+    return said if factor == 1.0 else [*said, _length_unit(factor, units[factor], "xyz"[: arm.dimension])]
+
+
+def _length_unit(factor: float, unit: str, axes: str) -> str:
+    """What to do about positions that a factor makes millimetres, or about the arm's lengths."""
+    if factor < 1.0:
+        return f"the positions are {1.0 / factor:g} times as large as the arm: the arm file's lengths look like {unit}"
+    names, in_metres = (", ".join(f"{axis}_{end}" for axis in axes) for end in ("mm", "m"))
+    what = f"name the columns {in_metres} instead of {names}" if unit == "metres" else f"multiply {names} by {factor:g}"
+    return f"the positions look like {unit}: {what}"
 
 
 def _orientations(measurements: Measurements, arm: Arm) -> Iterator[str]:
@@ -109,11 +122,13 @@ def _median_angle(measurements: Measurements, arm: Arm, orientations: Array) -> 
 
 
 def _misfit(measurements: Measurements, arm: Arm, radians: NDArray[np.bool_], unit: float) -> float:
-    """Median distance [mm] from the nominal arm, with angles of joints (n,) read as `radians`, positions as `unit`."""
+    """Median distance [mm] from the nominal arm, with angles of joints (n,) read as `radians`, positions in `unit`s."""
     postures = np.where(radians, np.degrees(measurements.postures), measurements.postures)
     read = replace(measurements, postures=postures, positions=measurements.positions * unit)
     if arm.chain is None:
-        return float(np.median(distances(read.positions - joint_points(arm.lengths, postures)[:, -1])))
+        drawn = joint_points(arm.lengths, postures)[:, -1]
+        tip, seen = ((a - a.mean(axis=0)) @ np.array([1.0, 1.0j]) for a in (drawn, read.positions))
+        return float(np.median(np.abs(seen - tip * np.exp(1j * np.angle(np.vdot(tip, seen))))))
     return float(np.median(_distances(arm, read, np.ones(len(read), dtype=bool))))
 
 

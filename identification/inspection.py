@@ -17,8 +17,9 @@ from identification.gap.repeats import NoiseFloor, noise_floor
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
-from identification.readings import Reading, Readings, read_differently
+from identification.readings import Readings, read_differently
 from identification.sessions import with_sessions
+from identification.validate import drawing_residuals
 
 STILL = np.radians(5.0)  # [rad] of a joint's range, below which its own errors are hardly seen
 FAR_ZERO = np.radians(5.0)  # [rad] an offset that is no machining error
@@ -60,7 +61,8 @@ class Inspection:
     rows, postures : how many rows, and how many postures that are not repeats
     given : optional columns;  floor : what repeats scatter by
     readings : the columns as they are, and a better way to read them if there is one
-    fit : the geometry fitted, None with too few rows;  reach : of the arm [mm]
+    drawing : RMS distance [mm] that the drawing leaves with its place in the instrument's frame fitted, as of
+        `validate`;  fit : the geometry fitted, None with too few rows
     units : sentences about units, swapped markers and rows that are far off;  frame : about a base elsewhere
     rest : about copied rows and postures outside the limits;  gaps : about rows that are missing between others
     """
@@ -74,6 +76,7 @@ class Inspection:
     joints: tuple[JointRange, ...]
     floor: NoiseFloor
     readings: Readings
+    drawing: float
     fit: Identification | None
     units: tuple[str, ...]
     frame: tuple[str, ...]
@@ -81,26 +84,15 @@ class Inspection:
     gaps: tuple[str, ...]
 
     @property
-    def drawing(self) -> float:
-        """RMS distance [mm] that the drawing leaves where its place in the instrument's frame is fitted."""
-        return self.readings.written.rms
-
-    @property
     def problems(self) -> tuple[str, ...]:
         """What should be put right before anything is fitted, in sentences."""
-        said = [*self.units] or self._reading() or [*self.frame] or self._offsets()  # a later one may follow from it
+        # a later one may follow from an earlier one
+        said = [*self.units] or self.readings.sentences or [*self.frame] or self._offsets()
         if self.drawing > ROUGH * self.arm.reach and not said:
             said.append(f"the drawing is {self.drawing:.4g} mm off wherever the arm stands: check lengths and columns")
         if self.fit is None:
             said.append("too few rows for a fit of the geometry")
         return (*said, *self.rest)
-
-    def _reading(self) -> list[str]:
-        better: Reading | None = self.readings.better
-        if better is None:
-            return []
-        gain = f"the drawing then leaves {better.rms:.3g} mm instead of {self.drawing:.4g}"
-        return [f"it looks as if {', and '.join(better.words)}: {gain}"]
 
     def _offsets(self) -> list[str]:
         """Joints whose zero is another one than the drawing's, where the drawing alone is far off."""
@@ -147,6 +139,7 @@ class Inspection:
             "better_reading": None if better is None else {"changes": better.words, "rms_mm": better.rms},
             "rms_fitted_mm": None if fit is None else rms_distance(fit.residuals_after),
             "not_identifiable": () if fit is None else fit.not_identifiable,
+            "ok": not self.problems,
             "problems": self.problems,
             "notes": self.notes,
         }
@@ -168,6 +161,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     fit = _fit(arm, measurements)
     units = data_warnings(measurements, arm)
     residual = np.zeros_like(measurements.positions) if fit is None else fit.residuals_after
+    readings = read_differently(arm, measurements)
     floor = noise_floor(residual, measurements, np.ones(len(measurements), dtype=bool), None)
     return Inspection(
         arm=arm,
@@ -178,7 +172,8 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         given=tuple(sorted(measurements.given)),
         joints=_ranges(arm, measurements.postures),
         floor=floor,
-        readings=read_differently(arm, measurements),
+        readings=readings,
+        drawing=_drawing(arm, measurements, readings),
         fit=fit,
         units=tuple(units),
         frame=tuple(another_frame(arm, measurements)),
@@ -193,6 +188,14 @@ def _fit(arm: Arm, measurements: Measurements) -> Identification | None:
         return estimate(Model(with_sessions(arm, measurements)), measurements)
     except InputError:
         return None
+
+
+def _drawing(arm: Arm, measurements: Measurements, readings: Readings) -> float:
+    """[mm] see `Inspection.drawing`; with too few rows for least squares the closed form's."""
+    try:
+        return rms_distance(drawing_residuals(arm, measurements))
+    except InputError:
+        return readings.written.rms
 
 
 def _ranges(arm: Arm, postures: Array) -> tuple[JointRange, ...]:

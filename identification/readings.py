@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
@@ -26,6 +27,7 @@ EQUATIONS = 4  # for each fitted number, below which anything may fit
 KEPT = 4  # effort: readings from which the next kind of change starts
 DRAWN = 0.02  # of the reach: what may well be the drawing's errors, so that nothing more is tried
 MANY = 6  # joints, up to which all combinations of signs are tried
+UPRIGHT, QUARTER = np.radians(20.0), np.radians(45.0)  # a base is this near to the frame's axes; or to a half turn
 PLANE, SPACE = 3, 9  # numbers fitted: a pose in the plane; a pose and a point in space
 
 
@@ -34,7 +36,9 @@ class Reading:
     """One way to read the columns.
 
     order : joint j is in column order[j];  signs : +1 or -1 of each joint
-    quarters : quarter turns to add to each joint;  mirrored : one axis of the positions points the other way
+    quarters : quarter turns to add to each joint
+    mirrored : the positions are those of a mirror image: their last axis is read the other way
+    turn : of the base [rad] that then explains the positions best, in the plane; None: it says nothing
     rms : distance [mm] that the drawing leaves
     """
 
@@ -42,6 +46,7 @@ class Reading:
     signs: tuple[int, ...]
     quarters: tuple[int, ...]
     mirrored: bool = False
+    turn: float | None = None
     rms: float = np.inf
 
     @classmethod
@@ -72,7 +77,18 @@ class Reading:
         turns = {1: 90, 2: 180, 3: -90}
         zeros = enumerate(self.quarters, start=1)
         said += [f"joint {j} has another zero than the drawing: add {turns[k]} deg to it" for j, k in zeros if k]
-        return (*said, *(["an axis of the positions points the other way"] if self.mirrored else []))
+        return (*said, *([self._mirror] if self.mirrored else []))
+
+    @property
+    def _mirror(self) -> str:
+        """What makes a mirror image: with x and y swapped the last axis turned gives back the drawing a quarter turn
+        away, with an axis turned it stands as drawn or half a turn away."""
+        flipped, swapped = "an axis of the positions points the other way", "x_mm and y_mm are swapped"
+        if self.turn is None:
+            return f"two of x_mm, y_mm, z_mm are swapped, or {flipped}"
+        if abs(np.sin(2.0 * self.turn)) > np.sin(2.0 * UPRIGHT):
+            return f"{swapped}, or {flipped}"
+        return flipped if abs(np.cos(self.turn)) > np.cos(QUARTER) else swapped
 
 
 @dataclass(frozen=True)
@@ -81,6 +97,14 @@ class Readings:
 
     written: Reading
     better: Reading | None
+
+    @property
+    def sentences(self) -> list[str]:
+        """What looks wrong, in a sentence; none where nothing does."""
+        if self.better is None:
+            return []
+        gain = f"the drawing then leaves {self.better.rms:.3g} mm instead of {self.written.rms:.4g}"
+        return [f"it looks as if {', and '.join(self.better.words)}: {gain}"]
 
 
 def read_differently(arm: Arm, measurements: Measurements) -> Readings:
@@ -104,7 +128,9 @@ def read_differently(arm: Arm, measurements: Measurements) -> Readings:
             if reading not in known:
                 known[reading] = replace(reading, rms=left(reading))
     best = _simplest(list(known.values()))
-    return Readings(written, best if CLEARLY * best.rms < written.rms else None)
+    if CLEARLY * best.rms >= written.rms:
+        return Readings(written, None)
+    return Readings(written, best if arm.chain is not None else replace(best, turn=_turn(arm, rows, best)))
 
 
 def _simplest(tried: list[Reading]) -> Reading:
@@ -171,12 +197,22 @@ def _distance(arm: Arm, rows: Measurements) -> Callable[[Reading], float]:
         )
 
     def in_plane(reading: Reading) -> float:
-        theta = np.cumsum(reading.postures(rows.postures), axis=1)
-        tip = np.exp(1j * theta) @ arm.lengths
-        measured = reading.positions(rows.positions) @ np.array([1.0, 1.0j])
-        tip, measured = tip - tip.mean(), measured - measured.mean()
+        tip, measured = _in_plane(arm, rows, reading)
         crossed = abs(np.vdot(tip, measured))  # at the best rotation
         squares = np.sum(np.abs(tip) ** 2 + np.abs(measured) ** 2) - 2.0 * crossed
         return float(np.sqrt(max(squares, 0.0) / len(tip)))
 
     return in_plane
+
+
+def _in_plane(arm: Arm, rows: Measurements, reading: Reading) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """(m,) tips as drawn and as measured, each less its mean."""
+    tip = np.exp(1j * np.cumsum(reading.postures(rows.postures), axis=1)) @ arm.lengths
+    measured = reading.positions(rows.positions) @ np.array([1.0, 1.0j])
+    return tip - tip.mean(), measured - measured.mean()
+
+
+def _turn(arm: Arm, rows: Measurements, reading: Reading) -> float:
+    """Angle [rad] of the base in the frame of the positions as they are read."""
+    tip, measured = _in_plane(arm, rows, reading)
+    return float(np.angle(np.vdot(tip, measured)))

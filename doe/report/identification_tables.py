@@ -27,7 +27,7 @@ def identification_tables(found: Identification, hidden: frozenset[str] = frozen
     given = "given" if found.sigma_known else "from the residuals"
     summary = [
         ("method", f"{data['method']}: {found.outcome}"),
-        ("RMS error", f"{number(data['rms_before_mm'])} -> {number(data['rms_after_mm'])} mm (arm file -> identified)"),
+        ("RMS error", f"{number(data['rms_before_mm'])} -> {number(data['rms_after_mm'])} mm ({compared(found)})"),
         ("largest error", f"{number(data['max_before_mm'])} -> {number(data['max_after_mm'])} mm"),
         ("sigma", f"{number(data['sigma_mm'], 5)} mm per axis ({given}), {data['dof']} degrees of freedom"),
     ]
@@ -44,6 +44,12 @@ def identification_tables(found: Identification, hidden: frozenset[str] = frozen
         shown.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         shown.extend(Text(f"  {combination}") for combination in data["not_identifiable"])
     return shown
+
+
+def compared(found: Identification) -> str:
+    """What the errors before and after the fit are those of."""
+    known = found.geometry is None or found.model.arm.calibration is not None
+    return f"{'arm file' if known else 'drawing, its place fitted'} -> identified"
 
 
 def corrected_sheet(rows: Sequence[CorrectedValue]) -> Sheet:

@@ -25,7 +25,7 @@ def inspection_tables(found: Inspection) -> list[Any]:
         lines.append(("measured points", ", ".join(found.markers)))
     if found.floor.source is not None:
         lines.append(("repeats scatter by", f"{found.floor.value:.4g} mm"))
-    lines.append(("the drawing leaves", f"{number(found.drawing)} mm (RMS, with its place in the frame fitted)"))
+    lines.append(("the drawing leaves", f"{number(found.drawing)} mm (RMS; where it stands is fitted, as by validate)"))
     lines.append(("a fit leaves", f"{number(data['rms_fitted_mm'])} mm"))
     rows = [
         [

@@ -5,6 +5,9 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import NamedTuple
 
+import numpy as np
+
+from identification.arrays import Array
 from identification.estimation.checks import Noise
 from identification.estimation.levenberg_marquardt import Solution
 from identification.estimation.plausibility import doubts
@@ -12,7 +15,9 @@ from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import Uncertainty
 from identification.information import Spectrum, identifiability_of
+from identification.kinematics.spatial import BASE, TOOL
 from identification.measurements import Measurements
+from identification.sessions import SESSIONS
 from identification.status import Status
 
 
@@ -23,6 +28,20 @@ class Spread(NamedTuple):
     scatter: float | None
     squares: float
     freedom: int
+
+
+def as_it_was(problem: Problem) -> Array:
+    """(m, d) residuals [mm] of the arm as it was; where nothing says where a spatial arm stands and what is measured on
+    it, these are fitted in least squares (one Gauss-Newton step from the closed form)."""
+    residual, parameters = problem.residuals(problem.start)[0], problem.model.parameters
+    free = [k for k, p in enumerate(parameters) if p.kind in (BASE, TOOL) or p.name.startswith(f"{SESSIONS}.")]
+    if not any(parameters[k].kind in (BASE, TOOL) for k in free):
+        return residual
+    slopes = problem.jacobian(problem.start)[:, free]
+    step = np.linalg.lstsq(slopes, (problem.root_weights * residual).ravel(), rcond=None)[0]
+    there = problem.start.copy()
+    there[free] += step
+    return np.asarray(problem.residuals(there)[0])
 
 
 def identification(
@@ -37,8 +56,8 @@ def identification(
     """What a solution of the problem amounts to, with what is estimable and what is doubtful about it."""
     model, parameters, known = problem.model, solution.parameters[0], noise.sigma is not None
     found = identifiability_of(decomposed, model.names, model.scales)
-    before, after = problem.residuals(problem.start)[0], problem.residuals(parameters)[0]
-    doubtful = doubts(model, parameters, found.identifiable, after, data)
+    before, after = as_it_was(problem), problem.residuals(parameters)[0]
+    doubtful = doubts(model, parameters, found.identifiable, before, after, data)
     status = Status.not_identifiable if found.combinations else solution.status[0]
     return Identification(
         model=model,

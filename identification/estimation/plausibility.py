@@ -15,8 +15,10 @@ from identification.information import RANK_TOLERANCE
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, LENGTH_ERROR
 from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR
+from identification.kinematics.turns import turned_into
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
+from identification.readings import DRAWN, read_differently
 
 # reasons: identification/README.md, "Doubtful fits"
 FLIPPED = 0.5  # of a link's nominal length: no drawing and no machining is that wrong
@@ -37,11 +39,18 @@ class Doubts(NamedTuple):
 
 
 def doubts(
-    model: Model, parameters: Array, identifiable: NDArray[np.bool_], residual: Array, measurements: Measurements
+    model: Model,
+    parameters: Array,
+    identifiable: NDArray[np.bool_],
+    before: Array,
+    residual: Array,
+    measurements: Measurements,
 ) -> Doubts:
-    """What is doubtful about a fit; parameters, identifiable : (p,);  residual : (m, d) [mm]."""
+    """What is doubtful about a fit; parameters, identifiable : (p,);  before, residual : (m, d) [mm], of the arm as it
+    was and as fitted."""
     arm = getattr(model, "arm", None)  # other models have none
-    bad = [*far_off(residual, model.reach), *([] if arm is None else flipped(model, parameters, identifiable))]
+    bad = [] if arm is None or rms_distance(before) <= DRAWN * arm.reach else misread(arm, measurements)
+    bad += [*far_off(residual, model.reach), *([] if arm is None else flipped(model, parameters, identifiable))]
     if arm is None:
         return Doubts(tuple(bad), bool(bad))
     said = [*bad, *another_frame(arm, measurements), *outside_limits(arm, measurements)]
@@ -56,6 +65,11 @@ def far_off(residual: Array, reach: float) -> list[str]:
         return []
     share = f"{100.0 * left / reach:.0f} % of the reach"
     return [f"implausible: the fit leaves {left:.4g} mm RMS, {share}; another arm, frame, unit or order of joints?"]
+
+
+def misread(arm: Arm, measurements: Measurements) -> list[str]:
+    """Columns that look swapped, reversed or mirrored: a fit may hide them in errors of the geometry."""
+    return [f"implausible: {said}; armcal check tells more" for said in read_differently(arm, measurements).sentences]
 
 
 def rounded(residual: Array, measurements: Measurements) -> list[str]:
@@ -135,7 +149,17 @@ def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
     low, high, place = (v[joint] * factor for v in (arm.lower, arm.upper, q[row]))
     count = int(outside.any(axis=1).sum())
     first = f"row {row + 1}: joint {joint + 1} at {place:.5g} {unit[1:]}, allowed {low:g} to {high:g}"
-    return [f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}"]
+    return [f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}{_turns(arm, q)}"]
+
+
+def _turns(arm: Arm, postures: Array) -> str:
+    """Joints that are within their limits if whole turns are taken off, in words."""
+    within = ~beyond_limits(arm, turned_into(postures, arm.lower, arm.upper, arm.joint_types, OVERSHOOT))
+    joints = np.flatnonzero(np.any(beyond_limits(arm, postures) & within, axis=0)) + 1
+    if not joints.size:
+        return ""
+    which = f"joint{'s' if joints.size > 1 else ''} {', '.join(map(str, joints.tolist()))}"
+    return f"; {which} would be within them whole turns (360 deg) away: count these readings from the drawing's zero"
 
 
 def copied_rows(measurements: Measurements) -> list[str]:

@@ -78,7 +78,7 @@ def estimate_with_prior(
 def far_from_drawing(machining: Machining, width: float) -> str:
     """What is doubtful about an arm whose errors are so many times those of its machining."""
     sizes = f"{machining.translation:g} mm and {np.degrees(machining.rotation):g} deg"
-    ask = "; are units, order and signs of the joints right? armcal check tells" if width >= UNUSUAL else ""
+    ask = "; are units, order and signs of joints and coordinates right? armcal check tells" if width >= UNUSUAL else ""
     return f"the arm is farther from its drawing than [machining] says ({sizes}): taken {width:g} times as large{ask}"
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, outside_limits
+from identification.estimation.plausibility import another_frame, copied_rows, far_off, flipped, misread, outside_limits
 from identification.estimation.uncertainty import FittedRows, Uncertainty, uncertainty
 from identification.gap.fit import Fit
 from identification.gap.selection import HypothesisSearch
@@ -40,4 +40,4 @@ def fit_doubts(arm: Arm, measurements: Measurements, found: Fit, left: Array) ->
     estimable = np.ones(len(found.values), dtype=bool)
     bad = [*far_off(left, found.model.reach), *flipped(found.model, found.values, estimable)]
     place = (*another_frame(arm, measurements), *outside_limits(arm, measurements))
-    return (*bad, *place, *copied_rows(measurements))
+    return (*misread(arm, measurements), *bad, *place, *copied_rows(measurements))

@@ -49,6 +49,23 @@ def test_radians_and_metres() -> None:
     assert len(data_warnings(replace(radians, positions=metres.positions), ARM)) == 2
 
 
+INCH = 25.4
+
+
+def test_inches() -> None:
+    data = measured()
+    (said,) = data_warnings(replace(data, positions=data.positions / INCH), ARM)
+    assert said == "the positions look like inches: multiply x_mm, y_mm, z_mm by 25.4"
+    (said,) = data_warnings(replace(data, positions=data.positions * INCH), ARM)
+    assert said == "the positions are 25.4 times as large as the arm: the arm file's lengths look like inches"
+    (said,) = data_warnings(simulated(3.0, lengths=1.0 / INCH), PLANAR)
+    assert said == "the positions look like inches: multiply x_mm, y_mm by 25.4"
+    away = simulated(3.0, lengths=INCH)  # and from a base that stands elsewhere
+    (said,) = data_warnings(replace(away, positions=away.positions + 7e3), PLANAR)
+    assert said.endswith("the arm file's lengths look like inches")
+    assert data_warnings(replace(data, positions=data.positions * [1.0, 1.0, 1.001]), ARM) == []
+
+
 def test_swapped_markers_and_lost_beams_are_named() -> None:
     data = measured()
     markers = data.marker.copy()

@@ -6,11 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
+from identification.estimation import estimate
 from identification.inspection import inspect
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
+from identification.model import Model
+from identification.validate import validate
 
 LENGTHS = np.array([500.0, 400.0, 200.0])
 ARM = Arm(LENGTHS, lower=np.full(3, -2.5), upper=np.full(3, 2.5))
@@ -65,6 +71,15 @@ def test_a_base_away_from_the_origin_asks_for_its_effect() -> None:
     assert inspect(replace(ARM, effects=(EffectSpec("base_offset"),)), away).problems == ()
 
 
+def test_whole_turns_beyond_the_limits_are_said() -> None:
+    good = data()
+    turned = good.postures.copy()
+    turned[3:6, 2] += 2.0 * np.pi
+    (sentence,) = inspect(ARM, replace(good, postures=turned)).problems
+    assert sentence.startswith("3 of 40 postures lie outside the joint limits, the first in row 4: joint 3")
+    assert "; joint 3 would be within them whole turns (360 deg) away" in sentence
+
+
 def test_what_the_data_cannot_say() -> None:
     found = inspect(ARM, data(still=True))
     assert "joint 3 hardly moves: its own errors cannot be seen" in found.notes
@@ -87,3 +102,42 @@ def test_repeats_say_what_the_arm_scatters_by() -> None:
 def test_data_of_another_arm_are_refused() -> None:
     with pytest.raises(InputError, match="3 joints for an arm of 2 links"):
         inspect(Arm(LENGTHS[:2]), data())
+
+
+ROWS = ((0.0, np.pi / 2.0, 350.0), (-400.0, 0.0, 0.0), (-300.0, np.pi / 2.0, 0.0))  # a, alpha, d
+
+
+def points(q: np.ndarray, tool: np.ndarray) -> np.ndarray:
+    """(m, 3) of a three-axis arm, by 4 x 4 matrices."""
+    found = np.empty((len(q), 3))
+    for row, angles in enumerate(q):
+        pose = np.eye(4)
+        for (a, alpha, d), t in zip(ROWS, angles, strict=True):
+            ct, st, ca, sa = np.cos(t), np.sin(t), np.cos(alpha), np.sin(alpha)
+            top = [[ct, -st * ca, st * sa, a * ct], [st, ct * ca, -ct * sa, a * st], [0.0, sa, ca, d]]
+            pose = pose @ np.array([*top, [0.0, 0.0, 0.0, 1.0]])
+        found[row] = (pose @ [*tool, 1.0])[:3]
+    return found
+
+
+def test_the_drawing_leaves_the_same_in_check_identify_and_validate() -> None:
+    """Base and measured point fitted to all rows in least squares, by SciPy on a chain of its own; more rows than the
+    start of a fit looks at."""
+    generator = np.random.default_rng(31)
+    q, tool = generator.uniform(-2.0, 2.0, (900, 3)), np.array([60.0, 20.0, 40.0])
+    turn = Rotation.from_rotvec([0.1, -0.4, 2.0])
+    seen = turn.apply(points(q + np.array([0.0, 0.004, -0.006]), tool)) + np.array([2000.0, -500.0, 700.0])
+    rows = Measurements(q, seen + generator.normal(0.0, 0.3, seen.shape))
+    drawn, along = points(q, np.zeros(3)), [points(q, axis) for axis in np.eye(3)]
+
+    def left(p: np.ndarray) -> np.ndarray:
+        there = drawn + sum(x * (one - drawn) for x, one in zip(p[6:], along, strict=True))
+        return (rows.positions - Rotation.from_rotvec(p[:3]).apply(there) - p[3:6]).ravel()
+
+    best = least_squares(left, [0.1, -0.4, 2.0, 2000.0, -500.0, 700.0, *tool], xtol=1e-14, ftol=1e-14)
+    drawing = pytest.approx(np.sqrt(2.0 * best.cost / len(q)), rel=1e-7)
+    arm = Arm.of_chain(chain_of([DHRow(*row) for row in ROWS]))
+    fitted = estimate(Model(arm), rows)
+    assert inspect(arm, rows).drawing == drawing
+    assert fitted.rms_before == drawing
+    assert validate(fitted.calibrated_arm(), rows).nominal.rms == drawing

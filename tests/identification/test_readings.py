@@ -72,8 +72,30 @@ def test_a_mirrored_frame_in_space(six_axis: tuple[Arm, Measurements]) -> None:
     arm, data = six_axis
     found = read_differently(arm, replace(data, positions=data.positions * [1.0, -1.0, 1.0]))
     assert found.better is not None
-    assert found.better.words == ("an axis of the positions points the other way",)
+    said = "two of x_mm, y_mm, z_mm are swapped, or an axis of the positions points the other way"
+    assert found.better.words == (said,)  # with a base that may stand anywhere both are the same
     assert found.better.rms < 1.0 < 50.0 < found.written.rms
+
+
+@pytest.mark.parametrize("degrees", [0.0, 12.0, -15.0, 180.0])
+def test_swapped_coordinates_are_told_from_a_reversed_axis_in_the_plane(planar: Measurements, degrees: float) -> None:
+    """A base that stands nearly as drawn, or half a turn from it: what has to be undone is then not the same."""
+    z = planar.positions @ np.array([1.0, 1.0j]) * np.exp(1j * np.radians(degrees))
+    for seen, said in (
+        (z.imag + 1j * z.real, "x_mm and y_mm are swapped"),
+        (z.conj(), "an axis of the positions points the other way"),
+        (-z.conj(), "an axis of the positions points the other way"),
+    ):
+        better = read_differently(PLANAR, replace(planar, positions=np.column_stack([seen.real, seen.imag]))).better
+        assert better is not None
+        assert better.words == (said,)
+
+
+def test_a_base_at_any_angle_leaves_both_open(planar: Measurements) -> None:
+    z = planar.positions @ np.array([1.0, 1.0j]) * np.exp(0.8j)
+    better = read_differently(PLANAR, replace(planar, positions=np.column_stack([z.imag, z.real]))).better
+    assert better is not None
+    assert better.words == ("x_mm and y_mm are swapped, or an axis of the positions points the other way",)
 
 
 def test_nothing_is_said_of_arms_with_errors_as_they_are_built() -> None:

@@ -19,6 +19,7 @@ def test_simulated_data_are_fine(folder: Folder) -> None:
     assert done.code == 0, done.err
     assert set(done.data) >= KEYS
     assert done.data["problems"] == []
+    assert done.data["ok"] is True
     assert [joint["limit_high"] for joint in done.data["joints"]] == pytest.approx([180.0, 120.0, 60.0, 90.0])
     assert "Nothing speaks against these data." in folder.armcal("check", "arm.toml", "data.csv").out
 
@@ -28,7 +29,8 @@ def test_a_joint_that_turns_the_other_way(folder: Folder) -> None:
     frame = pl.read_csv(folder.path / "data.csv").with_columns(-pl.col("q3_deg"))
     frame.write_csv(folder.path / "flipped.csv")
     done = folder.armcal("check", "arm.toml", "flipped.csv")
-    assert done.code == 0
+    assert done.code == 1  # something is to be put right first
+    assert folder.armcal("check", "arm.toml", "flipped.csv", "--json").data["ok"] is False
     assert "joint 3 turns the other way" in " ".join(done.out.split())
 
 
