@@ -88,6 +88,8 @@ def said(test: Data) -> str:
     if test["confirmed"]:
         perhaps = "" if test["as_predicted"] else ": the gap shrinks, perhaps not to the prediction"
         return f"The model holds for {where}{perhaps}."
+    if test["shrinks"]:
+        return f"For {where} the gap shrinks, but by less than predicted."
     shrinks = ["the gap does not shrink"] if test["shrinks"] is False else []
     exceeds = ["the gap exceeds the prediction"] if test["as_predicted"] is False else []
     return f"The model does not hold for {where}: {' and '.join(shrinks + exceeds)}."

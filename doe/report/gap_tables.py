@@ -28,7 +28,7 @@ def candidate_sheet(data: Data) -> Sheet:
     rows = [
         [
             " +\n".join(c["effects"]),
-            share(c["probability"]),
+            "its cause is unknown" if is_described(data) else share(c["probability"]),
             *(f"{c[k]:.1f}" for k in ("delta_bic", "f")),
             p_value(c["p_adjusted"]),
         ]
@@ -60,6 +60,11 @@ def estimate_sheets(data: Data) -> list[tuple[str, Sheet]]:
     return [(f"Estimates: {title}" if several else "Estimates", sheet) for title, sheet in found if sheet.rows]
 
 
+def is_described(data: Data) -> bool:
+    """Whether error curves stand for what is unknown: the fitted set is no name for it, and has no probability."""
+    return data["where"] in {f"joint:{curve['joint']}" for curve in data.get("curves", ())}
+
+
 def share(p: float | None) -> str:
     """`0.93`; a probability that is not zero is shown as none."""
     return "< 0.01" if p is not None and 0.0 < p < 0.005 else number(p, 2)
@@ -74,9 +79,11 @@ def probability_sheet(data: Data) -> Sheet:
     """Every explanation that is not unlikely, with those that are no candidates."""
     other = {f"unknown: {' + '.join(found['effects'])}": found["probability"] for found in data["other_sets"]}
     credible = set(data["credible_set"])
+    fitted = {" + ".join(c["effects"]) for c in data["candidates"]} if is_described(data) else set()
     rows = [
         [name, share(p), "yes" if name.removeprefix("unknown: ") in credible else ""]
         for name, p in (data["probabilities"] | other).items()
+        if name not in fitted
     ]
     return Sheet(["explanation", "probability", "in the 90 % set"], rows)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from doe.report.gap_tables import is_described
 from doe.report.page import Action
 from doe.report.terminal import number
 from identification.effects import library
@@ -35,13 +36,23 @@ def missing(data: Data) -> str:
     """The verdict of `armcal diagnose`."""
     sets = [in_words(c["effects"]) or "nothing" for c in data["candidates"]]
     beside = f", beside {in_words(data['effects'])}" if data["effects"] else ""
+    if data["effects"] and is_described(data):
+        beside = f"; {in_words(data['effects'])} describe it, and its cause is open"
     text = {
         "none": "Nothing is missing from the model that these data can show.",
         "named": f"Missing from the model: {in_words(data['effects'])}.",
         "ambiguous": f"{len(sets)} explanations fit about equally well: {'; or '.join(sets[:MOST])}.",
         "unknown": f"Something that the library does not have is missing, at {place(data)}{beside}.",
     }[data["verdict"]]
-    return f"Not confirmed on rows that no fit has seen. {text}" if data["confirmed"] is False else text
+    if data["confirmed"] is not False:
+        return text
+    partly = "Not confirmed as predicted: rows that no fit has seen gain less."
+    return f"{partly if helps(data) else 'Not confirmed on rows that no fit has seen.'} {text}"
+
+
+def helps(data: Data) -> bool:
+    """Whether the error shrinks in rows that were held out, be it by less than predicted."""
+    return bool((data["confirmation"] or {}).get("shrinks"))
 
 
 def place(data: Data) -> str:
@@ -68,7 +79,9 @@ def diagnosis_actions(data: Data, arm: str = "arm.toml", rows: str = "data.csv")
         f"{called} --holdout other.csv",
     )
     if data["confirmed"] is False:
-        return [Action("Do not put this into the controller: rows that no fit has seen speak against it."), confirm]
+        partly = "Do not put this into the controller yet: rows that no fit has seen gain less than predicted."
+        wrong = "Do not put this into the controller: rows that no fit has seen speak against it."
+        return [Action(partly if helps(data) else wrong), confirm]
     if data["verdict"] == "none":
         use = Action("Use the calibration of the geometry:", f"armcal identify {arm} {rows} --out calibrated.toml")
         return [use, correct("calibrated.toml")]

@@ -140,6 +140,8 @@ class Confirmation:
                 else " as far as these rows tell: the gap shrinks, perhaps not to the prediction"
             )
             return f"holds for {self.transfer}{limits}"
+        if self.shrinks:
+            return f"for {self.transfer} the gap shrinks, but by less than predicted"
         grows = ["the gap does not shrink"] if self.shrinks is False else []
         exceeds = ["the gap exceeds the prediction"] if self.as_predicted is False else []
         return f"does not hold for {self.transfer}, {' and '.join(grows + exceeds)}"

@@ -164,6 +164,7 @@ def diagnosis_of(
     gap = gap_of(before, after, there, noise_floor(residuals.after, measurements, kept, arm.sigma))
     estimated = len(fits.after.residual) - fits.after.freedom  # parameters, less what a prior knows of them
     result = named_effects(explained, measurements, residuals, gap, estimated)
+    over_sigma = misfit(residuals.after, estimated, measurements, arm.sigma, kept)
     confirmation = None
     if holdout is not None and there is not None:
         confirmation = confirmation_of(measurements, holdout, there, named)
@@ -172,11 +173,11 @@ def diagnosis_of(
         data=measurements.provenance,
         choice=choice,
         replication=replications(explained.fit, measurements, kept, result.effects),
-        misfit=misfit(residuals.after, estimated, measurements, arm.sigma, kept),
+        misfit=over_sigma,
         confirmation=confirmation,
         cross_validation=cross_validation(fits.base, fits.after, measurements, kept, generator, named),
         warnings=fit_doubts(arm, measurements, fits.after, after),
-        notes=(*result.notes, *notes(arm, measurements, found, holdout, gap), *prior_note(explained.prior)),
+        notes=(*result.notes, *notes(arm, measurements, found, holdout, gap, over_sigma), *prior_note(explained.prior)),
     )
 
 

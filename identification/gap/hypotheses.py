@@ -259,8 +259,9 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
 
 def untested(skipped: Mapping[str, str]) -> list[str]:
     """A sentence for each reason why effects were not tested;  skipped : effect -> reason."""
+    words = {"needs gravity": "needs [gravity] in the arm file", "needs temperature": "needs temperature_C that varies"}
     return [
-        f"not tested, {why}: {', '.join(key for key, reason in skipped.items() if reason == why)}"
+        f"not tested, {words.get(why, why)}: {', '.join(key for key, reason in skipped.items() if reason == why)}"
         for why in dict.fromkeys(skipped.values())
     ]
 

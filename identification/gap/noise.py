@@ -44,11 +44,15 @@ class Finding:
     size: float
 
     def __str__(self) -> str:
+        kind, _, joint = self.name.partition(":")
         what = {
-            "serial_correlation": "lag-1 correlation",
+            "joint_noise": f"larger the farther joint {joint} moves the point, by a relative variance of",
+            "reach_noise": "larger far from the base, by a relative variance of",
+            "time_noise": f"larger {'early' if self.size < 0.0 else 'late'} in the session, by a relative variance of",
+            "serial_correlation": "rows measured one after the other err alike, lag-1 correlation",
             "repeats": "misfit larger than what repeats scatter, by the variance ratio",
-        }.get(self.name, "relative variance")
-        return f"{self.name} ({what} {self.size:.2g}, {in_words(self.p)})"
+        }[kind]
+        return f"{self.name} ({what} {abs(self.size):.2g}, {in_words(self.p)})"
 
 
 def outliers(found: Fit, everything: Rows) -> NDArray[np.bool_]:

@@ -13,6 +13,7 @@ from identification.gap.detectability import EXACT, NEAR, Detectability, likenes
 from identification.gap.holdout import Gap
 from identification.gap.hypotheses import Hypothesis, untested
 from identification.gap.library_prior import LibraryPrior
+from identification.gap.misfit import Misfit
 from identification.gap.search import HypothesisSearch
 from identification.gap.workflow import Findings
 from identification.measurements import Measurements
@@ -70,7 +71,14 @@ def inseparable(joint: int) -> str:
     return f"the parameters of link {joint + 1} cannot be separated from those of link {joint}"
 
 
-def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measurements | None, gap: Gap) -> list[str]:
+def notes(
+    arm: Arm,
+    measurements: Measurements,
+    found: Findings,
+    holdout: Measurements | None,
+    gap: Gap,
+    misfit: Misfit | None,
+) -> list[str]:
     """What a person should know before trusting the verdict."""
     said = untested(found.search.hypotheses.skipped)
     if found.whole is not None:
@@ -86,12 +94,9 @@ def notes(arm: Arm, measurements: Measurements, found: Findings, holdout: Measur
         for j in range(arm.links)
         if np.ptp(measurements.postures[:, j]) == 0.0
     ]
-    if arm.sigma is not None:
-        share = len(fit.residual) / max(fit.freedom, 1)
-        ratio = gap.rms_after * float(np.sqrt(share / min(measurements.dimension, 3))) / arm.sigma
-        if measurements.sigma is None and not 0.67 < ratio < 1.5:
-            of_file = f"{ratio:.2f} times the sigma_mm of the arm file"
-            said.append(f"the residual scatter is {of_file}; the tests use the scatter, not sigma_mm")
+    if misfit is not None and measurements.sigma is None and not 0.67 < misfit.ratio < 1.5:
+        of_file = f"{misfit.ratio:.3g} times the sigma_mm of the arm file"
+        said.append(f"the residual scatter is {of_file}; the tests use the scatter, not sigma_mm")
     if gap.held_out_after is not None and gap.predicted is not None and gap.held_out_after > 3.0 * gap.predicted:
         times = gap.held_out_after / gap.predicted
         said.append(f"the held-out residuals are {times:.2g} times larger than predicted: other postures or set-up?")

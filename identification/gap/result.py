@@ -116,7 +116,10 @@ class Diagnosis:
 
     @property
     def probability(self) -> dict[str, float]:
-        """Of `none`, of every candidate (its title) and of `unknown`, which is anything else; they sum to 1."""
+        """Of `none`, of every candidate (its title) and of `unknown`, which is anything else; they sum to 1.
+
+        Curves that describe what is unknown are no name for it: their set has 0, and `unknown` has what they explain.
+        """
         found = {"none": self.probabilities.none} | {c.title: c.probability or 0.0 for c in self.candidates}
         return found | {"unknown": max(0.0, 1.0 - sum(found.values()))}
 
@@ -124,10 +127,12 @@ class Diagnosis:
     def likely(self) -> str:
         """The probabilities in one line, with the sets of effects that are no candidates but not unlikely."""
         other = ", ".join(f"{name} {p:.2f}" for name, p in self.other_sets.items())
-        text = ", ".join(f"{name} {p:.2f}" for name, p in self.probability.items() if p >= 0.005)
+        short = {c.title: "what is named" for c in self.candidates[:1] if len(c.title) > summary.SHORT}
+        text = ", ".join(f"{short.get(name, name)} {p:.2f}" for name, p in self.probability.items() if p >= 0.005)
         tries = "the tries without a fifth of the rows"
         again = f"; chosen again in {100.0 * self.choice.again:.0f} % of {tries}" if self.choice else ""
-        return f"probability: {text}" + (f" (of that {other})" if other else "") + again
+        curves = ", a cause without a name, which the curves describe" if summary.described(self) else ""
+        return f"probability: {text}{curves}" + (f" (of that {other})" if other else "") + again
 
     @property
     def other_sets(self) -> dict[str, float]:

@@ -9,6 +9,8 @@ from identification.gap.fit import Fit
 from identification.gap.search import Choice, HypothesisSearch
 from identification.measurements import rms_distance
 
+SPELLED = 5  # names of a round that are spelled out
+
 
 @dataclass(frozen=True)
 class Round:
@@ -19,12 +21,18 @@ class Round:
     rms: float
 
     def __str__(self) -> str:
-        changes = [*(f"+ {label}" for label in self.added), *(f"- {label}" for label in self.removed)]
+        changes = [*_signed("+", self.added), *_signed("-", self.removed)]
         return f"{' '.join(changes)}: {self.rms:.4g} mm left"
 
     def to_json(self) -> dict[str, object]:
         """An entry of `rounds` (identification/files/README.md, "JSON keys")."""
         return {"added": list(self.added), "removed": list(self.removed), "rms_mm": self.rms}
+
+
+def _signed(sign: str, labels: tuple[str, ...]) -> list[str]:
+    """The first few, and how many more."""
+    rest = [f"{sign} {len(labels) - SPELLED} more"] if len(labels) > SPELLED else []
+    return [f"{sign} {label}" for label in labels[:SPELLED]] + rest
 
 
 def rounds_of(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from identification.estimation.result import in_words as p_in_words
@@ -23,7 +24,9 @@ VERDICTS = {
 
 def headline(found: Diagnosis) -> str:
     """The verdict alone, what speaks against it first."""
-    options = " | ".join(c.title for c in found.candidates)
+    likeliest = sorted(found.candidates, key=lambda c: -(c.probability or 0.0))
+    options = " | ".join(f"{c.title} {c.probability or 0.0:.2f}" for c in likeliest)
+    options = options if len(options) <= SHORT else " | ".join(c.title for c in likeliest)
     verdict = VERDICTS[found.verdict].format(
         effects=f"{named(found)} {'is' if len(found.effects) == 1 else 'are'}",
         count=len(found.candidates),
@@ -31,13 +34,38 @@ def headline(found: Diagnosis) -> str:
         where=found.where,
         beside=f", beside {named(found)}" if found.effects else "",
     )
+    if found.verdict == "unknown" and described(found):
+        verdict = f"unknown: no effect of the library makes the errors of {place(found)}; {named(found)} describe them"
     return f"not confirmed: {verdict}" if found.confirmed is False else verdict
 
 
+def described(found: Diagnosis) -> bool:
+    """Whether an error curve stands for what is unknown: its size and shape are known, its cause is not."""
+    return found.where in {f"joint:{curve.joint}" for curve in found.curves}
+
+
+def place(found: Diagnosis) -> str:
+    """`joint 3`, `time`."""
+    return (found.where or "").replace(":", " ")
+
+
 def named(found: Diagnosis) -> str:
-    """The effects of the best set, or how many they are."""
-    title = found.named.title
-    return title if len(title) <= SHORT or len(found.effects) == 1 else f"{len(found.effects)} effects"
+    """The effects of the best set, or how many they are; error curves by their joints."""
+    curves = {curve.key for curve in found.curves}
+    others = [name for name in found.effects if name not in curves]
+    said = [f"error curves of {of_joints([curve.joint for curve in found.curves])}"] if found.curves else []
+    title = " + ".join([*said, *others])
+    short = " + ".join([*said, f"{len(others)} effects"])
+    return title if len(title) <= SHORT or len(others) <= 1 else short
+
+
+def of_joints(joints: Sequence[int]) -> str:
+    """`joint 2`, `joints 1 and 3`, `joints 1 to 5`."""
+    if len(joints) == 1:
+        return f"joint {joints[0]}"
+    if len(joints) > 2 and list(joints) == list(range(joints[0], joints[-1] + 1)):
+        return f"joints {joints[0]} to {joints[-1]}"
+    return f"joints {', '.join(map(str, joints[:-1]))} and {joints[-1]}"
 
 
 def findings(found: Diagnosis) -> list[str]:
@@ -60,7 +88,7 @@ def unexplained(found: Diagnosis) -> list[str]:
 
 def rests_on(found: Diagnosis) -> list[str]:
     """What the verdict rests on: the gap, the rows that were held out, and what the scatter does."""
-    lines = [*str(found.gap).splitlines(), *map(str, found.tests)]
+    lines = [str(found.gap).splitlines()[0], *map(str, found.tests)]
     lines += [f"scatter: {finding}" for finding in found.scatter]
     if found.outlier_rows:
         lines.append(f"left out as outliers: rows {', '.join(map(str, found.outlier_rows))}")
@@ -72,7 +100,8 @@ def candidate_lines(candidate: Candidate) -> list[str]:
     figures = f"F = {candidate.f:.1f}, {p_in_words(candidate.p_adjusted)}, Delta BIC = {candidate.delta_bic:.1f}"
     stated = {label: found for label, found in candidate.estimates.items() if found}  # a curve has no parameters
     estimates = [f"  {label}: {', '.join(map(str, found))}" for label, found in stated.items()]
-    return [f"{candidate.title}: {figures}", *estimates, f"  95 % intervals: {candidate.reliance}"]
+    sure = [f"  95 % intervals: {candidate.reliance}"] if stated else []
+    return [f"{candidate.title}: {figures}", *estimates, *sure]
 
 
 def text(found: Diagnosis) -> str:

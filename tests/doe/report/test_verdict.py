@@ -68,3 +68,16 @@ def test_the_other_commands_in_a_sentence_each() -> None:
     assert validation_verdict(figures, "c.toml", "d.csv", seen=True).startswith(
         "On 7 rows of d.csv, which it was fitted to, c.toml leaves 0.1000 mm RMS"
     )
+
+
+def test_what_curves_describe_has_a_size_and_no_cause() -> None:
+    data = said("unknown", "joint_error_curve:3") | {"curves": [{"joint": 3}]}
+    assert diagnosis_verdict(data)[0].endswith("(joint_error_curve:3) describe it, and its cause is open.")
+    elsewhere = data | {"curves": [{"joint": 2}]}
+    assert ", beside " in diagnosis_verdict(elsewhere)[0]
+
+
+def test_a_gain_smaller_than_predicted_is_not_called_wrong() -> None:
+    data = said("named", "backlash:2", confirmed=False) | {"confirmation": TEST | {"shrinks": True}}
+    assert diagnosis_verdict(data)[0].startswith("Not confirmed as predicted: rows that no fit has seen gain less.")
+    assert diagnosis_actions(data)[0].text.endswith("gain less than predicted.")

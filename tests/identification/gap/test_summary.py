@@ -1,0 +1,29 @@
+"""A diagnosis in words: what is short, and what does not contradict the tables below it."""
+
+from __future__ import annotations
+
+import pytest
+
+from identification.gap.rounds import Round
+from identification.gap.summary import of_joints
+
+
+@pytest.mark.parametrize(
+    ("joints", "words"),
+    [
+        ([2], "joint 2"),
+        ([1, 2], "joints 1 and 2"),
+        ([1, 3], "joints 1 and 3"),
+        ([1, 2, 3], "joints 1 to 3"),
+        ([1, 2, 4], "joints 1, 2 and 4"),
+    ],
+)
+def test_joints(joints: list[int], words: str) -> None:
+    assert of_joints(joints) == words
+
+
+def test_a_round_spells_out_a_few_names() -> None:
+    removed = tuple(f"backlash:{j}" for j in range(1, 9))
+    assert str(Round(("gear_ratio:1",), removed, 0.125)) == (
+        "+ gear_ratio:1 - backlash:1 - backlash:2 - backlash:3 - backlash:4 - backlash:5 - 3 more: 0.125 mm left"
+    )
