@@ -1,4 +1,4 @@
-"""Read-only arrays of floats, dataclasses of them that compare by value, eigenvalues of pairs."""
+"""Read-only arrays of floats, dataclasses of them that compare by value, eigenvalues of pairs, rows in words."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+SHOWN = 5  # rows named in a sentence
 
 
 def _read_only_mapping(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
@@ -75,3 +76,10 @@ def eigen_of_pairs(matrices: Array) -> tuple[Array, Array]:
     vectors = np.stack([np.stack([cosine, sine], axis=-1), np.stack([-sine, cosine], axis=-1)], axis=-2)
     order = np.argsort(values, axis=-1)
     return np.take_along_axis(values, order, -1), np.take_along_axis(vectors, order[:, None, :], -1)
+
+
+def rows_in_words(chosen: NDArray[np.bool_]) -> str:
+    """The numbers from 1 of the rows chosen (m,), the first few of many."""
+    numbers = (np.flatnonzero(chosen) + 1).tolist()
+    more = f" and {len(numbers) - SHOWN} more" if len(numbers) > SHOWN else ""
+    return f"row{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:SHOWN]))}{more}"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arm import Arm
-from identification.arrays import Array
+from identification.arrays import Array, rows_in_words
 from identification.errors import InputError
 from identification.kinematics.orientations import from_angles, to_angles
 from identification.kinematics.parameters import REVOLUTE
@@ -30,7 +30,6 @@ NEAR, BEYOND = 2.0 / 25.4, 2.5
 CLEARLY = 3.0  # times better: another unit is suspected
 FAR = 10.0  # times the median distance: 15 standard deviations of normal errors in three coordinates
 ROUNDS = 5  # of finding rows that are far off, and placing the arm without them
-SHOWN = 5  # rows named in a sentence
 
 
 def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
@@ -151,16 +150,10 @@ def _far_rows(measurements: Measurements, arm: Arm) -> Iterator[str]:
         swapped |= far & (_distances(arm, other, kept) <= FAR * usual)
     typical = f"others are {usual:.3g} mm from the nominal arm in the median"
     if swapped.any():
-        yield f"markers look swapped in {_rows(swapped)}: the position is that of another marker; {typical}"
+        yield f"markers look swapped in {rows_in_words(swapped)}: the position is that of another marker; {typical}"
     if (lost := far & ~swapped).any():
         worst = float(distances[lost].max())
-        yield f"a lost beam or another posture in {_rows(lost)}: up to {worst:.4g} mm off; {typical}"
-
-
-def _rows(chosen: NDArray[np.bool_]) -> str:
-    numbers = (np.flatnonzero(chosen) + 1).tolist()
-    more = f" and {len(numbers) - SHOWN} more" if len(numbers) > SHOWN else ""
-    return f"row{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:SHOWN]))}{more}"
+        yield f"a lost beam or another posture in {rows_in_words(lost)}: up to {worst:.4g} mm off; {typical}"
 
 
 def _distances(arm: Arm, measurements: Measurements, kept: NDArray[np.bool_]) -> Array:

@@ -12,7 +12,7 @@ from identification.arrays import Array
 from identification.data_checks import data_warnings, gap_notes
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.estimation.plausibility import another_frame, beyond_limits, copied_rows, outside_limits
+from identification.estimation.plausibility import another_frame, beyond_limits, copied_rows, far_rows, outside_limits
 from identification.gap.repeats import NoiseFloor, noise_floor
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
@@ -90,6 +90,9 @@ class Inspection:
         said = [*self.units] or self.readings.sentences or [*self.frame] or self._offsets()
         if self.drawing > ROUGH * self.arm.reach and not said:
             said.append(f"the drawing is {self.drawing:.4g} mm off wherever the arm stands: check lengths and columns")
+        if self.fit is not None and not said:
+            outlier = np.isin(np.arange(self.rows) + 1, self.fit.outlier_rows)
+            said += far_rows(self.fit.residuals_after, outlier)
         if self.fit is None:
             said.append("too few rows for a fit of the geometry")
         return (*said, *self.rest)

@@ -45,6 +45,9 @@ if TYPE_CHECKING:
     type=click.Choice(["minimal", "all"]),
     help="Of a spatial arm: all errors of its geometry, held by [machining] (left out: this), or as many as are free.",
 )
+@click.option(
+    "--without-outliers", is_flag=True, help="Leave rows out that nothing of the model explains, and say which."
+)
 @click.option("--urdf", type=FILE, metavar="FILE", help="Write the corrected URDF file of a spatial arm.")
 @output_options(out="Write a calibrated arm file (TOML).")
 def command(
@@ -57,6 +60,7 @@ def command(
     prior_from: Path | None,
     only: tuple[str, ...],
     parameters: str | None,
+    without_outliers: bool,
     urdf: Path | None,
     output: Output,
 ) -> Answer:
@@ -76,7 +80,7 @@ def command(
     measurements = read_measurements(data, loaded)
     loaded, errors = with_servo_errors(loaded, measurements), servo_errors(measurements, loaded.joint_types)
     wanted = Wanted(words, prior, prior_from, method, sigma, parameters == "minimal")
-    found, library, said = wanted.fit(loaded, measurements)
+    found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
     before = loaded.calibration if words else None
     answered = answer(found, arm, output, urdf, library, before)
     answered.data |= said
@@ -115,6 +119,20 @@ class Wanted:
         prior = Prior({} if library is None else library.prior.deviations, self.earlier(model))
         return estimate_with_prior(model, data, prior, sigma=self.sigma), library, self.said(model, prior)
 
+    def without_outliers(
+        self, arm: Arm, data: Measurements
+    ) -> tuple[Identification, LibraryPrior | None, dict[str, Any]]:
+        """The fit to the rows that are no outliers of it; key `left_out`: the others, from 1."""
+        import numpy as np
+
+        kept, left_out = list(range(len(data))), list[int]()
+        while True:
+            found = self.fit(arm, data.rows(np.array(kept)))
+            outlier = [kept[row - 1] for row in found[0].outlier_rows]
+            left_out, kept = sorted([*left_out, *outlier]), [row for row in kept if row not in outlier]
+            if not outlier:
+                return found[0], found[1], {**found[2], "left_out": [row + 1 for row in left_out]}
+
     def model(self, arm: Arm, data: Measurements, library: LibraryPrior | None) -> Model:
         """Of everything, or of what --only names; effects of the library are estimated all the same."""
         from identification.model import Model
@@ -148,6 +166,9 @@ class Wanted:
     def sentences(self, said: dict[str, Any]) -> list[str]:
         """The same for people."""
         found = [f"Estimated: {', '.join(self.words)}; the others stay as in the arm file."] if self.words else []
+        if "left_out" in said:
+            rows = ", ".join(map(str, said["left_out"]))
+            found.append(f"Left out as outliers: {f'rows {rows}' if rows else 'no row'}.")
         if (prior := said.get("prior_from")) is not None:
             anew = f"; without a prior: {', '.join(prior['anew'])}" if prior["anew"] else ""
             found.append(f"Prior: {len(prior['parameters'])} parameters from {prior['file']}{anew}.")

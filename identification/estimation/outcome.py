@@ -6,11 +6,13 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.estimation.checks import Noise
 from identification.estimation.levenberg_marquardt import Solution
-from identification.estimation.plausibility import doubts
+from identification.estimation.outlying import limit_of, outlying, scaled
+from identification.estimation.plausibility import doubts, far_rows
 from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import Uncertainty
@@ -19,6 +21,9 @@ from identification.kinematics.spatial import BASE, TOOL
 from identification.measurements import Measurements
 from identification.sessions import SESSIONS
 from identification.status import Status
+
+CLEAR = 0.5  # of the limit: rows this near are looked at with their leverage, which is small where rows are many
+MANY = 20  # equations for each parameter
 
 
 class Spread(NamedTuple):
@@ -58,6 +63,7 @@ def identification(
     found = identifiability_of(decomposed, model.names, model.scales)
     before, after = as_it_was(problem), problem.residuals(parameters)[0]
     doubtful = doubts(model, parameters, found.identifiable, before, after, data)
+    outlier = outlier_rows(problem, parameters, after)
     status = Status.not_identifiable if found.combinations else solution.status[0]
     return Identification(
         model=model,
@@ -77,5 +83,24 @@ def identification(
         provenance=MappingProxyType(data.origin),
         uncertainty=spread.uncertainty,
         scatter=spread.scatter,
-        doubts=doubtful.sentences,
+        doubts=(*doubtful.sentences, *far_rows(after, outlier)),
+        outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),
     )
+
+
+def outlier_rows(problem: Problem, parameters: Array, residual: Array) -> NDArray[np.bool_]:
+    """(m,) rows that the model does not explain, where enough equations are left to tell.
+
+    parameters : (p,) of the fit;  residual : (m, d) [mm]
+    """
+    outlier, used = np.zeros(len(residual), dtype=bool), problem.weights > 0.0
+    white = (problem.root_weights * residual)[used]
+    p, d = len(parameters), white.shape[1]
+    if white.size - p + len(problem.prior_rows) <= p:
+        return outlier
+    if white.size > MANY * p and scaled(np.sum(white**2, axis=1), d).max() < CLEAR * limit_of(d):
+        return outlier
+    columns = problem.jacobian(parameters).reshape(len(used), -1)[used].reshape(white.size, p)
+    held = problem.prior_rows
+    outlier[used] = outlying(white, columns, held, held @ (problem.prior_center - parameters))
+    return outlier

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from identification.arm import Arm
-from identification.arrays import Array
+from identification.arrays import Array, rows_in_words
 from identification.estimation.uncertainty import LEVEL
 from identification.information import RANK_TOLERANCE
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, LENGTH_ERROR
 from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR
 from identification.kinematics.turns import turned_into
-from identification.measurements import Measurements, rms_distance
+from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.readings import DRAWN, read_differently
 
@@ -70,6 +70,18 @@ def far_off(residual: Array, reach: float) -> list[str]:
 def misread(arm: Arm, measurements: Measurements) -> list[str]:
     """Columns that look swapped, reversed or mirrored: a fit may hide them in errors of the geometry."""
     return [f"implausible: {said}; armcal check tells more" for said in read_differently(arm, measurements).sentences]
+
+
+def far_rows(residual: Array, outlier: NDArray[np.bool_]) -> list[str]:
+    """Which rows nothing explains; residual : (m, d) [mm];  outlier : (m,)."""
+    if not outlier.any():
+        return []
+    off = distances(residual[:, POINT])
+    far, usual = f"up to {off[outlier].max():.4g} mm off", f"the others {np.median(off[~outlier]):.3g} mm in the median"
+    return [
+        f"{rows_in_words(outlier)}: {far}, {usual}: a lost beam, an arm that was still moving, or what the model lacks "
+        "there. armcal diagnose tells these apart; identify --without-outliers leaves such rows out"
+    ]
 
 
 def rounded(residual: Array, measurements: Measurements) -> list[str]:

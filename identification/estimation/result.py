@@ -46,6 +46,7 @@ class Identification:
         what is left unexplained
     scatter : standard deviation of one coordinate that the residuals show [mm], None without spare equations
     doubts : what is doubtful about the fit, in sentences
+    outlier_rows : numbers from 1 of rows that the model does not explain, which are in the fit all the same
     """
 
     model: Model
@@ -64,6 +65,7 @@ class Identification:
     uncertainty: Uncertainty
     scatter: float | None
     doubts: tuple[str, ...] = ()
+    outlier_rows: tuple[int, ...] = ()
     iterations: int = 1
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -223,6 +225,7 @@ class Identification:
             "method": self.method,
             "status": self.status.name,
             "warnings": list(self.warnings),
+            "outlier_rows": list(self.outlier_rows),
             "scatter_mm": self.scatter,
             "intervals": self.uncertainty.kind,
             "clusters": self.uncertainty.clusters
@@ -268,17 +271,14 @@ class Identification:
             cells = [_cell(row[key], width) for key, width in zip(_COLUMNS, (12, 10, 12, 12), strict=True)]
             lines.append(f"{name:<32} {' '.join(cells)}  {row['unit']}")
         lines += [f"not identifiable: {combination}" for combination in self.not_identifiable]
-        known = "given" if self.sigma_known else "estimated"
-        sigma = "unknown" if self.sigma is None else f"{self.sigma:.4g} mm ({known})"
+        sigma = f"{self.sigma:.4g} mm ({'given' if self.sigma_known else 'estimated'})" if self.sigma else "unknown"
         chi2 = "" if self.p_value is None else f", chi2 {self.chi2:.4g}, {in_words(self.p_value)}"
-        lines.append(f"sigma {sigma}, {self.dof} degrees of freedom{chi2}")
-        lines.append(f"95 % intervals: {self.uncertainty.sentence}")
-        lines.append(f"RMS {self.rms_before:.4g} -> {self.rms_after:.4g} mm")
-        lines.append(f"max {self.max_before:.4g} -> {self.max_after:.4g} mm")
+        lines += [f"sigma {sigma}, {self.dof} degrees of freedom{chi2}", f"95 % intervals: {self.uncertainty.sentence}"]
+        pairs = ("RMS", self.rms_before, self.rms_after), ("max", self.max_before, self.max_after)
+        lines += [f"{what} {before:.4g} -> {after:.4g} mm" for what, before, after in pairs]
         if self.rms_angles is not None:
             lines.append("orientations, RMS {:.4g} -> {:.4g} deg".format(*np.degrees(self.rms_angles)))
-        lines.append(f"{self.method}: {self.outcome}")
-        return "\n".join(lines)
+        return "\n".join([*lines, f"{self.method}: {self.outcome}"])
 
     __repr__ = __str__
 
@@ -287,7 +287,15 @@ class Identification:
 
 
 _OF_GEOMETRY = ("base", "tools", "geometry", "joint_offsets", "strict_table")
-_NOT_KEPT = ("parameters", "p_value", "status", "warnings", "clusters", *_OF_GEOMETRY)  # by a calibration
+_NOT_KEPT = (
+    "parameters",
+    "p_value",
+    "status",
+    "warnings",
+    "outlier_rows",
+    "clusters",
+    *_OF_GEOMETRY,
+)  # by a calibration
 _COLUMNS = ("value", "std", "low_95", "high_95")
 
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri
 
 from identification.arrays import Array
+from identification.estimation.outlying import outlying
 from identification.estimation.result import in_words
 from identification.gap.fit import Fit
 from identification.gap.omnibus_test import MANY
@@ -23,8 +23,6 @@ from identification.gap.whitening import Rows
 from identification.information import column_space
 
 # reasons: identification/README.md, "Constants"
-OUTLIER = 6.0  # robust standard deviations in a plane, else the same chance; 3 in 10,000 clean data sets have one
-MOST_OUTLIERS = 0.25  # of the rows: the robust scale is then 1.26 times too large; more is structure
 LEVEL = 0.01  # convention: of any finding on white noise, after Holm's correction
 DRAWS = 999  # the smallest p-value times the number of tests must reach LEVEL; raised for many joints
 HINT = 0.2  # tuned: adjusted p-value above which the noise counts as the same everywhere
@@ -56,39 +54,14 @@ class Finding:
 
 
 def outliers(found: Fit, everything: Rows) -> NDArray[np.bool_]:
-    """(m,) rows whose residual no model of this kind can explain.
-
-    The worst row is taken out and the linearised model refitted, until none is farther off than `OUTLIER`: studentised
-    squared residuals of d coordinates, over their robust scale, are chi-square with d degrees of freedom.
+    """(m,) rows whose residual no model of this kind can explain (`outlying`).
 
     found : a fit to these rows or to some of them
     """
     plain = replace(everything, correlation=0.0)  # a posture is judged on its own
     predicted, jacobian = found.model.linearize(everything.postures, found.values, everything.conditions)
     residual = plain.whiten(everything.positions - predicted).reshape(predicted.shape)
-    columns = plain.whiten(jacobian / found.model.scales)
-    kept, limit = np.ones(len(everything), dtype=bool), chdtri(everything.dimension, chdtrc(2, OUTLIER**2))
-    for _ in range(int(MOST_OUTLIERS * len(kept)) + 1):
-        squares = studentised(residual, columns, kept)
-        worst = int(np.argmax(np.where(kept, squares, -1.0)))
-        if squares[worst] <= limit:
-            return ~kept
-        kept[worst] = False
-    return np.zeros(len(kept), dtype=bool)
-
-
-def studentised(residual: Array, columns: Array, kept: NDArray[np.bool_]) -> Array:
-    """(m,) squared residual of each posture in units of its own covariance and of the robust scale of the kept rows."""
-    d, p = residual.shape[1], columns.shape[1]
-    blocks = columns.reshape(len(kept), d, -1)
-    q = column_space(blocks[kept].reshape(-1, p), np.ones(p)).reshape(int(kept.sum()), d, -1)
-    inside = residual[kept].reshape(-1)
-    flat = q.reshape(len(inside), -1)
-    left = (inside - flat @ (flat.T @ inside)).reshape(-1, d)
-    rest = np.eye(d) - q @ q.transpose(0, 2, 1) + 1e-6 * np.eye(d)
-    squares = np.zeros(len(kept))
-    squares[kept] = np.einsum("mi,mi->m", left, np.linalg.solve(rest, left[..., None])[..., 0])
-    return np.asarray(squares / max(np.median(squares[kept]) / chdtri(d, 0.5), 1e-300))  # the median of chi-square
+    return outlying(residual, plain.whiten(jacobian / found.model.scales))
 
 
 def screen(found: Fit, rows: Rows, generator: np.random.Generator) -> tuple[Finding, ...]:

@@ -23,7 +23,7 @@ NONE, ONE, TWO = "none m=50", "one, lambda 6, m=50", "two, lambda 8"
 OUTSIDE, OUTLIERS, SHAKING = "outside, lambda 7", "three outliers, lambda 8", "none, joint noise"
 MEASURES = {NONE: "alarm", ONE: "exact", TWO: "exact", OUTSIDE: "located", OUTLIERS: "exact", SHAKING: "alarm"}
 UNMODELLED = ("unmodelled", "unmodelled_survey", "unmodelled_shapes")
-MODULES = ("selection", "search", "noise", *UNMODELLED, "workflow", "diagnose")
+MODULES = ("selection", "search", "noise", ".estimation.outlying", *UNMODELLED, "workflow", "diagnose")
 
 # module, constant, smaller value, larger value, cells that it acts on
 CONSTANTS: list[tuple[str, str, Any, Any, tuple[str, ...]]] = [
@@ -33,7 +33,7 @@ CONSTANTS: list[tuple[str, str, Any, Any, tuple[str, ...]]] = [
     ("unmodelled", "ODDS", 3.0, 12.0, (OUTSIDE, TWO)),
     ("unmodelled_survey", "BOOTSTRAP_LEVEL", 0.025, 0.1, (OUTSIDE,)),
     ("search", "WAVES", 2, 6, (OUTSIDE,)),
-    ("noise", "OUTLIER", 3.0, 12.0, (OUTLIERS,)),
+    (".estimation.outlying", "OUTLIER", 3.0, 12.0, (OUTLIERS,)),
     ("noise", "HINT", 0.1, 0.4, (SHAKING,)),
     ("noise", "LEVEL", 0.005, 0.02, (SHAKING,)),
     ("search", "LEVEL_FACTOR", 0.25, 1.0, (SHAKING,)),
@@ -50,8 +50,8 @@ CONSTANTS: list[tuple[str, str, Any, Any, tuple[str, ...]]] = [
 @contextmanager
 def changed(module: str, name: str, value: Any) -> Iterator[None]:
     """A constant replaced wherever it was imported to."""
-    loaded = [importlib.import_module(f"identification.gap.{part}") for part in MODULES]
-    before = getattr(importlib.import_module(f"identification.gap.{module}"), name)
+    loaded = [importlib.import_module(f".{part}", "identification.gap") for part in MODULES]
+    before = getattr(importlib.import_module(f".{module}", "identification.gap"), name)
     places = [place for place in loaded if getattr(place, name, None) is before]
     for place in places:
         setattr(place, name, value)

@@ -143,3 +143,34 @@ def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
     wrong = folder.armcal("identify", "arm.toml", "data.csv", "more.csv", "--prior")
     assert (wrong.code, "unexpected extra argument" in wrong.err) == (2, True)
     assert "found no covariance" in folder.armcal(*last[:-1], "arm.toml").err
+
+
+def test_lost_beams_are_named_and_left_out(folder: Folder) -> None:
+    """The same as without their lines; rows keep their numbers."""
+    postures = np.random.default_rng(4).uniform(-90.0, 60.0, (24, 4))
+    rows = [f"{k},{','.join(f'{q:.3f}' for q in row)}" for k, row in enumerate(postures, start=1)]
+    heading = ",".join(["run", *(f"q{j}_deg" for j in range(1, 5))])
+    folder.write("plan.csv", "\n".join([heading, *rows]) + "\n")
+    folder.simulated()
+    lines = (folder.path / "data.csv").read_text().splitlines()
+    head, far = lines[0].split(","), lines.copy()
+    for number in (3, 8):
+        cells = lines[number].split(",")
+        cells[head.index("x_mm")] = f"{float(cells[head.index('x_mm')]) + 7.0:.4f}"
+        far[number] = ",".join(cells)
+    folder.write("far.csv", "\n".join(far) + "\n")
+    folder.write("without.csv", "\n".join(line for k, line in enumerate(lines) if k not in (3, 8)) + "\n")
+    said = folder.armcal("identify", "arm.toml", "far.csv", "--json").data
+    assert said["outlier_rows"] == [3, 8]
+    assert said["warnings"][-1].startswith("rows 3, 8: up to ")
+    assert any(
+        "rows 3, 8: up to" in found
+        for found in folder.armcal("check", "arm.toml", "far.csv", "--json").data["problems"]
+    )
+    left = folder.armcal("identify", "arm.toml", "far.csv", "--without-outliers", "--json").data
+    expected = folder.armcal("identify", "arm.toml", "without.csv", "--without-outliers", "--json").data
+    assert (left.pop("left_out"), expected.pop("left_out")) == ([3, 8], [])
+    assert left["parameters"] == expected["parameters"]
+    assert (
+        "Left out as outliers: rows 3, 8." in folder.armcal("identify", "arm.toml", "far.csv", "--without-outliers").out
+    )

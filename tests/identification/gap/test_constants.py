@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, ncf
 
+from identification.estimation import outlying
 from identification.gap import noise, search, selection, unmodelled, unmodelled_shapes, unmodelled_survey
 from identification.gap.detectability import EXACT, NEAR, POWER, SPARE
 from identification.gap.diagnose import FEWEST_DRAWS
@@ -35,16 +36,17 @@ def test_gaussian_noise_has_no_outliers() -> None:
     rng = np.random.default_rng(17)
     z = np.exp(1j * np.cumsum(rng.uniform(-np.pi, np.pi, (20, 4)), axis=1))
     columns = np.stack([np.hstack([z.real, -z.imag]), np.hstack([z.imag, z.real])], axis=1).reshape(40, 8)
+    basis = np.linalg.qr(columns)[0].reshape(20, 2, 8)
     everything = np.ones(20, dtype=bool)
     drawn = rng.standard_normal((1000, 20, 2))
-    largest = np.array([noise.studentised(residual, columns, everything).max() for residual in drawn])
-    assert np.sum(largest > noise.OUTLIER**2) < 5
+    largest = np.array([outlying.studentised(residual, basis, everything).max() for residual in drawn])
+    assert np.sum(largest > outlying.OUTLIER**2) < 5
     assert np.sum(largest > 4.0**2) >= 5
 
 
 def test_outliers_do_not_spoil_the_robust_scale() -> None:
     """A quarter of huge residuals moves the median of all to the 2/3 quantile of the others (chi-square, 2 degrees)."""
-    clean = 1.0 - noise.MOST_OUTLIERS
+    clean = 1.0 - outlying.MOST_OUTLIERS
     inflation = np.sqrt(chi2.ppf(0.5 / clean, 2) / chi2.ppf(0.5, 2))
     assert inflation == pytest.approx(1.26, abs=0.005)
 

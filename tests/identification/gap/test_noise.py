@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 from identification.arm import Arm
 from identification.gap.fit import fit
-from identification.gap.noise import Finding, holm, outliers, screen, studentised, whitened
+from identification.gap.noise import Finding, holm, outliers, screen, whitened
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from identification.model import Model
@@ -105,20 +104,6 @@ def test_outliers_are_found_and_only_they() -> None:
         false += flagged.sum() - flagged[wrong].sum()
     assert hits == 30  # 15 sigma against a limit of 6
     assert false <= 1
-
-
-@pytest.mark.parametrize("d", [2, 3])
-def test_studentised_squares_are_chi_square_of_all_coordinates(d: int) -> None:
-    """Many rows, few columns: the median of chi-square is scaled to its value, the rest of the distribution follows.
-
-    4000 rows: an empirical quantile's standard error is sqrt(p (1 - p) / 4000) = 0.005 in probability at 0.9; fail
-    beyond 4 of them.
-    """
-    rng = np.random.default_rng(9)
-    residual, columns = 7.0 * rng.normal(size=(4000, d)), rng.normal(size=(4000 * d, 5))
-    squares = studentised(residual, columns, np.ones(4000, dtype=bool))
-    assert np.median(squares) == pytest.approx(chi2.median(d), rel=1e-9)
-    assert np.mean(squares < chi2.ppf(0.9, d)) == pytest.approx(0.9, abs=0.02)
 
 
 def test_holm_by_hand() -> None:

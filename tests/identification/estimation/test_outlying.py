@@ -1,0 +1,90 @@
+"""Rows that a model does not explain: found whatever holds its parameters, and left out where that is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from identification.arm import Arm
+from identification.estimation import estimate
+from identification.estimation.outlying import OUTLIER, limit_of, outlying, studentised
+from identification.information import column_space
+from identification.model import Model
+from identification.simulate import simulate
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_studentised_squares_are_chi_square_of_all_coordinates(d: int) -> None:
+    """Many rows, few columns: the median of chi-square is scaled to its value, the rest of the distribution follows.
+
+    4000 rows: an empirical quantile's standard error is sqrt(p (1 - p) / 4000) = 0.005 in probability at 0.9; fail
+    beyond 4 of them.
+    """
+    rng = np.random.default_rng(9)
+    residual, columns = 7.0 * rng.normal(size=(4000, d)), rng.normal(size=(4000 * d, 5))
+    blocks = column_space(columns, np.ones(5)).reshape(4000, d, -1)
+    squares = studentised(residual, blocks, np.ones(4000, dtype=bool))
+    assert np.median(squares) == pytest.approx(chi2.median(d), rel=1e-9)
+    assert np.mean(squares < chi2.ppf(0.9, d)) == pytest.approx(0.9, abs=0.02)
+
+
+def test_the_limit_is_as_unlikely_in_space_as_in_the_plane() -> None:
+    assert limit_of(2) == pytest.approx(OUTLIER**2)
+    assert chi2.sf(limit_of(3), 3) == pytest.approx(chi2.sf(OUTLIER**2, 2), rel=1e-9)
+
+
+def test_with_a_prior_the_squares_are_those_of_the_prediction_without_the_row() -> None:
+    """What a fit to the other rows says of a row, over the covariance of that difference, is the studentised square.
+
+    Oracle: ridge regression without each row in turn. 12 rows of 3 coordinates, 30 parameters, which the prior holds.
+    """
+    rng = np.random.default_rng(3)
+    m, d, p = 12, 3, 30
+    columns, held, residual = rng.normal(size=(m, d, p)), np.diag(rng.uniform(0.5, 2.0, p)), rng.normal(size=(m, d))
+    left = rng.normal(size=p)
+    expected = []
+    for i in range(m):
+        others = np.arange(m) != i
+        jacobian = np.concatenate([columns[others].reshape(-1, p), held])
+        inverse = np.linalg.inv(jacobian.T @ jacobian)
+        step = inverse @ jacobian.T @ np.concatenate([residual[others].ravel(), left])
+        off, covariance = residual[i] - columns[i] @ step, np.eye(d) + columns[i] @ inverse @ columns[i].T
+        expected.append(off @ np.linalg.solve(covariance, off))
+    squares = np.array(expected) * chi2.median(d) / np.median(expected)
+    basis = column_space(np.concatenate([columns.reshape(-1, p), held]), np.ones(p))
+    blocks, known = basis[: m * d].reshape(m, d, -1), basis[m * d :]
+    found = studentised(residual, blocks, np.ones(m, dtype=bool), known, known.T @ left)
+    np.testing.assert_allclose(found, squares, rtol=1e-4)  # 1e-6 is added to each covariance
+
+
+def test_outliers_that_hide_each_other_are_found() -> None:
+    """Three of one direction and size, in 30 rows: none stands out beside the other two until one is taken out."""
+    rng = np.random.default_rng(1)
+    columns, residual = rng.normal(size=(60, 6)), rng.normal(size=(30, 2))
+    residual[[3, 4, 20]] += 25.0
+    assert np.flatnonzero(outlying(residual, columns)).tolist() == [3, 4, 20]
+
+
+def test_a_third_of_the_rows_is_no_outlier_but_structure() -> None:
+    rng = np.random.default_rng(1)
+    residual, columns = rng.normal(size=(30, 2)), rng.normal(size=(60, 1))
+    residual[:10] *= 1000.0
+    assert not outlying(residual, columns).any()
+    residual[5:10] /= 1000.0
+    assert np.flatnonzero(outlying(residual, columns)).tolist() == list(range(5))
+
+
+def test_a_fit_says_which_rows_it_does_not_explain() -> None:
+    """A beam lost twice in 40 rows of noise 0.1 mm; the other rows of the same draw are explained."""
+    arm, rng = Arm([300.0, 200.0, 150.0], sigma=0.1), np.random.default_rng(5)
+    data = simulate(arm, rng.uniform(-3.0, 3.0, (40, 3)), rng)
+    assert estimate(Model(arm), data).outlier_rows == ()
+    positions = data.positions.copy()
+    positions[[7, 30]] += [[2.0, -1.0], [0.0, 3.0]]
+    found = estimate(Model(arm), replace(data, positions=positions))
+    assert found.outlier_rows == (8, 31)
+    assert found.doubts[-1].startswith("rows 8, 31: up to ")
+    assert found.to_json()["outlier_rows"] == [8, 31]
