@@ -1,23 +1,36 @@
 """How many measurements? Efficiency and expected accuracy against the number of runs.
 
-The number matters more than the solver: 10 runs can be worse than 8 (doe/README.md, "Exact plans").
+The number matters more than the solver: 10 runs can tell less per run than 8 (doe/README.md, "Exact plans"). But the
+more runs the more is known: each plan is begun from the one of fewer runs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from doe.bounds.best_known import bound_that_holds
+from doe.bounds.bound import Bound
+from doe.bounds.every_run import bounds_of_runs
 from doe.design import Design
+from doe.plan.addition import with_additions
+from doe.plan.ascent import climbs
+from doe.plan.plan import Plan
 from doe.plan.tip_error import TipError, robust_or_none, tip_error
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
+from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.parameters import LENGTH_ERROR
 from identification.progress import Progress, silent
+
+FRESH = 5  # random starts beside the plan of fewer runs, where a start climbs on gradients
+SHARE = 0.25  # of the time, at most, for the bounds
+ROUNDING = 1e-9  # relative, of figures that are the same
 
 
 @dataclass(frozen=True)
@@ -95,9 +108,34 @@ def advise(
 ) -> Advice:
     """Design a plan for every number of runs; stop early only by Ctrl-C, which keeps what is there.
 
+    No plan is worse than the one of fewer runs with the best postures added, neither by the criterion of its whole
+    information nor by what it promises if the model is right: another one takes its place only if it is better.
     target : wanted accuracy [mm], see `Advice.accuracy`; needs the arm's sigma
+    seconds_each : times the numbers of runs for everything, of which the bounds may take up to a quarter
     Raises `InputError` for numbers of runs below the fewest possible, or a target without sigma.
     """
+    check_wanted(problem, runs, target)
+    began, seconds = perf_counter(), np.inf if seconds_each is None else seconds_each * len(runs)
+    wide = robust_or_none(problem)
+    bounds = bounds_of_runs(problem, sorted(runs), lambda: perf_counter() > began + SHARE * seconds)
+    found: dict[int, Design] = {}
+    try:
+        for done, m in enumerate(sorted(set(runs))):
+            progress(done, len(runs), f"{m} runs")
+            left = (began + seconds - perf_counter()) / (len(runs) - done)
+            limit = None if seconds_each is None else float(np.clip(left, 0.0, seconds_each))
+            fewer = next(reversed(found.values()), None)
+            found[m] = next_design(problem, m, fewer, bounds[m], wide, seed, limit)
+    except KeyboardInterrupt:
+        if not found:
+            raise
+    designs = tuple(found[m] for m in runs if m in found)
+    errors = () if wide is None else tuple(tip_error(problem, wide, design.plan.postures) for design in designs)
+    return Advice(designs, target, errors)
+
+
+def check_wanted(problem: DesignProblem, runs: Sequence[int], target: float | None) -> None:
+    """Raises `InputError` for numbers of runs below the fewest possible, or a target without sigma."""
     fewest = problem.fewest_runs
     if not runs or min(runs) < fewest:
         raise InputError(f"runs: {min(runs, default=None)}, allowed: >= {fewest} ({problem.parameters} unknowns)")
@@ -105,14 +143,44 @@ def advise(
         raise InputError("target_mm: the arm file has no sigma_mm, allowed: a [measurement] table with sigma_mm")
     if target is not None and not (np.isfinite(target) and target > 0.0):
         raise InputError(f"target_mm: {target}, allowed: > 0")
-    designs: list[Design] = []
-    try:
-        for done, m in enumerate(runs):
-            progress(done, len(runs), f"{m} runs")
-            designs.append(solve(problem, m, seed=seed, seconds=seconds_each))
-    except KeyboardInterrupt:
-        if not designs:
-            raise
-    wide = robust_or_none(problem)
-    errors = () if wide is None else tuple(tip_error(problem, wide, design.plan.postures) for design in designs)
-    return Advice(tuple(designs), target, errors)
+
+
+def next_design(
+    problem: DesignProblem,
+    runs: int,
+    fewer: Design | None,
+    bound: Bound | None,
+    wide: DesignProblem | None,
+    seed: int,
+    seconds: float | None,
+) -> Design:
+    """The best plan found of so many runs, begun from that of fewer runs and its best additions."""
+    begin, known = None, None
+    if fewer is not None:
+        generator = np.random.default_rng([seed, runs])
+        begin = with_additions(problem, fewer.plan.postures, runs - len(fewer.plan), generator)
+        known = promised(problem, fewer.plan.postures, wide)
+
+    def accepted(postures: Array) -> bool:
+        return known is None or bool(np.all(promised(problem, postures, wide) <= known * (1.0 + ROUNDING)))
+
+    design = solve(
+        problem,
+        runs,
+        seed=seed,
+        starts=FRESH if climbs(problem) and begin is not None else None,
+        seconds=seconds,
+        bound=bound or Bound(np.inf, "continuous"),  # none is looked for
+        begin=begin,
+        accepted=accepted,
+    )
+    return replace(design, bound=bound_that_holds(problem, bound, design.plan.postures, design.value))
+
+
+def promised(problem: DesignProblem, postures: Array, wide: DesignProblem | None) -> Array:
+    """(k,) what falls with every run added: expected deviations, and errors of the tip if the model is right."""
+    design = Design(problem, Plan(postures, joint_types=problem.model.joint_types))
+    known = design.deviations
+    deviations = [np.inf, np.inf] if known is None else [known.largest_length, known.largest_angle]
+    errors = [] if wide is None else [tip_error(problem, wide, postures)]
+    return np.array([*deviations, *(figure for error in errors for figure in (error.right, error.worst))])

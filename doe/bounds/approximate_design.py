@@ -132,12 +132,14 @@ def assess(
 ) -> ApproximateDesign:
     """A weighted plan with its certificate, given `largest` >= max tr(G F) over the design space.
 
-    A status other than `converged` gives no bound: the optimum was not reached, and the gap says by how much. The gap
-    and the efficiency hold for any weights, whoever made them. Since a mean is no larger than the largest, a gap below
-    zero is rounding in a matrix that is nearly singular, and proves nothing either.
+    A status other than `converged` gives no bound: the optimum was not reached, and the gap says by how much; but where
+    time alone was short, the bound that the weights so far prove. The gap and the efficiency hold for any weights.
+    Since a mean is no larger than the largest, a gap below zero is rounding in a matrix that is nearly singular, and
+    proves nothing either.
     """
     proven = certify(found.problem, found.information, largest, found.gradient)
-    status = Status.almost_solved if status is Status.converged and not proven.gap >= -ROUNDED else status
+    status = status if status is not Status.converged or proven.gap >= -ROUNDED else Status.almost_solved
+    cut = status is Status.time_limit and proven.gap >= -ROUNDED
     source = "continuous" if candidates is None else "grid"
     return ApproximateDesign(
         found.plan,
@@ -145,7 +147,7 @@ def assess(
         proven.value,
         float(D().value(found.information)),
         proven.gap,
-        Bound(proven.bound, source, rigorous) if status is Status.converged else None,
+        Bound(proven.bound, source, rigorous, cut) if cut or status is Status.converged else None,
         proven.efficiency,
         status,
         solver_status,

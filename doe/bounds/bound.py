@@ -13,15 +13,19 @@ class Bound:
         (the candidates only)
     rigorous : True if it is a theorem (closed form, interval arithmetic, all candidates visited); False if it rests on
         a numerical search for the largest sensitivity, which could have missed a posture
+    cut : True if the time ended before the search for a lower bound did: it holds, and may be far from the best plan
     """
 
     value: float
     source: str
     rigorous: bool = False
+    cut: bool = False
 
     def as_dict(self) -> dict[str, float | str | bool]:
         """The key `bound` (identification/files/README.md, "JSON keys")."""
-        return {"value": self.value, "source": self.source, "rigorous": self.rigorous}
+        known: dict[str, float | str | bool] = {"value": self.value, "source": self.source, "rigorous": self.rigorous}
+        return known | {"cut": True} if self.cut else known
 
     def __str__(self) -> str:
-        return f"{round(self.value, 12) + 0.0:.10g} ({self.source}, {'rigorous' if self.rigorous else 'numerical'})"
+        kind = f"{'rigorous' if self.rigorous else 'numerical'}{', its search was cut' if self.cut else ''}"
+        return f"{round(self.value, 12) + 0.0:.10g} ({self.source}, {kind})"

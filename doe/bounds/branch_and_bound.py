@@ -15,6 +15,7 @@ magnitudes are those before anything cancels.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,10 +50,11 @@ def maximum(
     known: Array,
     tolerance: float = 1e-10,
     most_boxes: int = 100_000,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Maximum:
     """The largest value over lower <= q <= upper, to `tolerance` (absolute).
 
-    known : (k, n) good postures within the box, which save most of the work
+    known : (k, n) good postures within the box, which save most of the work;  stop : asked between batches of boxes
     """
     waves = Waves.of(polynomial)
     values = waves.value(known)
@@ -60,7 +62,7 @@ def maximum(
     center, half = (0.5 * (lower + upper))[None], (0.5 * (upper - lower))[None]
     promise = np.full(1, np.inf)  # upper bound of every box that waits
     boxes, discarded_bound = 0, -np.inf
-    while len(center) and boxes < most_boxes:
+    while len(center) and boxes < most_boxes and not stop():
         order = np.argsort(-promise)
         now, later = order[:BATCH], order[BATCH:]
         boxes += len(now)

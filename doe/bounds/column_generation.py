@@ -7,7 +7,7 @@ the model allows.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from time import perf_counter
 
 import numpy as np
@@ -20,7 +20,7 @@ from doe.bounds.equivalence import largest_sensitivity
 from doe.bounds.pricing import Shortlist, candidate_price, continuous_price
 from doe.bounds.restricted_master import Stage, generate_columns
 from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobian
-from doe.plan.ascent import WIDE, climbs
+from doe.plan.ascent import IN_TIME, WIDE, climbs
 from doe.plan.constrained_ascent import ascent
 from doe.problem.candidates import Candidates, PostureList, spread
 from doe.problem.feasible import random_postures
@@ -40,12 +40,18 @@ MOST_BOXES = 8_000  # of branch and bound; about a second
 
 
 def column_generation(
-    problem: DesignProblem, candidates: Candidates, *, runs: int | None = None, tolerance: float = 1e-9
+    problem: DesignProblem,
+    candidates: Candidates,
+    *,
+    runs: int | None = None,
+    tolerance: float = 1e-9,
+    stop: Callable[[], bool] = IN_TIME,
 ) -> ApproximateDesign:
     """Optimal weights over a finite candidate set of any size, in the memory of one chunk of it.
 
     tolerance : gap max g - tr(G M), relative to tr(G M), at which to stop
     runs : number of new runs, needed where the problem keeps measured postures
+    stop : asked after every pricing; the bound is then that of the weights so far, after a pass over all candidates
     Raises JobError where the candidates do not identify all parameters.
     """
     began = perf_counter()
@@ -58,9 +64,9 @@ def column_generation(
         first = Stage(candidate_price(problem, sample, prior), max(COARSE, tolerance))
         stages = [first, Stage(few.best, tolerance), Stage(few.everything, tolerance, back=1)]
     start = spread(candidates, 6 * problem.parameters)
-    ended, _ = generate_columns(problem, prior, start, stages)
+    ended, _ = generate_columns(problem, prior, start, stages, stop)
     largest = largest_sensitivity(problem, candidates, ended.gradient, prior)
-    return certified(ended, largest, len(candidates), tolerance, began, rigorous=True)
+    return certified(ended, largest, len(candidates), tolerance, began, rigorous=True, cut=stop())
 
 
 def continuous_design(
@@ -70,6 +76,7 @@ def continuous_design(
     tolerance: float = 1e-10,
     proof: float = 1e-10,
     also: Array | None = None,
+    stop: Callable[[], bool] = IN_TIME,
 ) -> ApproximateDesign:
     """Optimal weights over ALL postures within limits and constraints: no grid at all.
 
@@ -77,6 +84,7 @@ def continuous_design(
     proven by branch and bound and `bound.rigorous` is True; else the largest sensitivity is the best of a multistart.
     tolerance : relative gap at which to stop;  proof : relative gap that branch and bound must prove, 0: do not try
     also : (k, n) postures from which the multistart starts as well
+    stop : asked after every pricing; the bound is then that of the weights so far, after a thorough search
     """
     began = perf_counter()
     prior = problem.prior.per_new_run(runs)
@@ -84,26 +92,27 @@ def continuous_design(
     everything = ContinuousSet(problem, prior, also)
     if climbs(problem):
         stages = [Stage(continuous_price(everything, np.random.default_rng(0)), tolerance)]
-        start = np.concatenate([climbed(problem, runs), *([] if also is None else [also])])
+        start = climbed(problem, runs, stop) if also is None else also
     else:
         stages = ascents(everything, tolerance)
         starts = PostureList(everything.starts)
         stages.insert(0, Stage(candidate_price(problem, starts, prior), COARSE))
         start = spread(starts, 6 * problem.parameters)
-    ended, gap = generate_columns(problem, prior, start, stages)
-    largest = max(ended.level + gap, float(everything.best(ended.gradient, ended.plan.postures)[1][0]))
+    ended, gap = generate_columns(problem, prior, start, stages, stop)
+    thorough = np.random.default_rng(0) if stop() and not climbs(problem) else None
+    largest = max(ended.level + gap, float(everything.best(ended.gradient, ended.plan.postures, thorough)[1][0]))
     jacobians = trigonometric_jacobian(problem) if proof > 0.0 and not problem.constraints else None
     rigorous = False
-    if jacobians is not None:
-        proof = max(tolerance, proof)
-        ended, largest, rigorous = prove(everything, jacobians, ended, largest, ascents(everything, tolerance), proof)
-    return certified(ended, largest, None, max(tolerance, proof), began, rigorous=rigorous)
+    if jacobians is not None and not stop():
+        proof, climbs_on = max(tolerance, proof), ascents(everything, tolerance)
+        ended, largest, rigorous = prove(everything, jacobians, ended, largest, climbs_on, proof, stop)
+    return certified(ended, largest, None, max(tolerance, proof), began, rigorous=rigorous, cut=stop())
 
 
-def climbed(problem: DesignProblem, runs: int | None) -> Array:
+def climbed(problem: DesignProblem, runs: int | None, stop: Callable[[], bool] = IN_TIME) -> Array:
     """(k, n) postures of a long plan that was climbed on gradients: nearly the support of the best weights."""
     postures = random_postures(problem, LONG * problem.parameters, np.random.default_rng(0))
-    return ascent(problem, runs or len(postures))(postures[None])[0]
+    return ascent(problem, runs or len(postures))(postures[None], stop=stop)[0]
 
 
 def ascents(everything: ContinuousSet, tolerance: float) -> list[Stage]:
@@ -117,15 +126,12 @@ def ascents(everything: ContinuousSet, tolerance: float) -> list[Stage]:
     ]
 
 
-def continuous_bound(
-    problem: DesignProblem, *, runs: int | None = None, tolerance: float = 1e-8, also: Array | None = None
-) -> Bound:
+def continuous_bound(problem: DesignProblem, *, runs: int | None = None, tolerance: float = 1e-8) -> Bound:
     """No design within limits and constraints is better: a theorem where `rigorous` is True, else numerical.
 
-    also : (k, n) postures that the search must start from
     Raises JobError where the optimum was not reached.
     """
-    design = continuous_design(problem, runs=runs, tolerance=tolerance, proof=tolerance, also=also)
+    design = continuous_design(problem, runs=runs, tolerance=tolerance, proof=tolerance)
     if design.bound is None:
         raise JobError(f"continuous bound: {design.status.name}, gap {design.gap:.2g}; {design.status.value}")
     return design.bound
@@ -143,6 +149,7 @@ def prove(
     largest: float,
     stages: Sequence[Stage],
     tolerance: float,
+    stop: Callable[[], bool] = IN_TIME,
 ) -> tuple[SparseDesign, float, bool]:
     """Branch and bound on the sensitivity; a posture that the multistart missed starts the loop again.
 
@@ -153,14 +160,15 @@ def prove(
         constant = float(prior.mixed(np.zeros(()), ended.gradient))
         polynomial = jacobians.sensitivity(ended.gradient, prior.new_fraction, constant)
         close, known = tolerance * abs(ended.level), ended.plan.postures
-        found = maximum(polynomial, problem.lower, problem.upper, known=known, tolerance=close, most_boxes=MOST_BOXES)
+        box = problem.lower, problem.upper
+        found = maximum(polynomial, *box, known=known, tolerance=close, most_boxes=MOST_BOXES, stop=stop)
         largest = max(largest, found.value)
         if not found.proven:
             return ended, largest, False
         if found.value <= ended.level + close:
             return ended, found.upper, True
         start = np.concatenate([known, found.posture[None]])
-        ended, gap = generate_columns(problem, prior, start, stages)
+        ended, gap = generate_columns(problem, prior, start, stages, stop)
         largest = ended.level + gap
     return ended, found.upper, True
 
@@ -173,6 +181,7 @@ def certified(
     began: float,
     *,
     rigorous: bool,
+    cut: bool = False,
 ) -> ApproximateDesign:
     """The certificate: `largest` >= max tr(G F) over the design space."""
     solved = largest - ended.level <= 10.0 * tolerance * abs(ended.level)
@@ -181,7 +190,7 @@ def certified(
         largest,
         candidates=candidates,
         rigorous=rigorous,
-        status=Status.converged if solved else Status.almost_solved,
+        status=Status.converged if solved else Status.time_limit if cut else Status.almost_solved,
         solver="column_generation",
         solver_status="gap reached" if solved else "gap not reached",
         seconds=perf_counter() - began,

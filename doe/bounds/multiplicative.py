@@ -10,6 +10,7 @@ many effects that is hundreds, and the second-order method of `doe.bounds.interi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from time import perf_counter
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, assess
 from doe.bounds.equivalence import largest_sensitivity, level
 from doe.bounds.restricted_master import check_identified
+from doe.plan.ascent import IN_TIME
 from doe.plan.plan import Plan
 from doe.problem.candidates import Candidates
 from doe.problem.prior import PriorInformation
@@ -32,11 +34,16 @@ CARRIED = 1e-6  # weight, relative to the largest, below which a posture is left
 
 
 def multiplicative(
-    problem: DesignProblem, candidates: Candidates, *, runs: int | None = None, gap: float = GAP
+    problem: DesignProblem,
+    candidates: Candidates,
+    *,
+    runs: int | None = None,
+    gap: float = GAP,
+    stop: Callable[[], bool] = IN_TIME,
 ) -> ApproximateDesign:
     """Weights over a finite candidate set, with a bound that holds whatever the gap.
 
-    runs : number of new runs, needed where anything is known beforehand
+    runs : number of new runs, needed where anything is known beforehand;  stop : asked after every step
     Raises `InputError` for a criterion other than D, A and I, `JobError` where the candidates do not identify all
     parameters.
     """
@@ -47,7 +54,7 @@ def multiplicative(
     prior = problem.prior.per_new_run(runs)
     jacobians = problem.scaled_jacobians(postures)
     check_identified(problem, prior, jacobians)
-    weights = improved(problem, prior, jacobians, gap)
+    weights = improved(problem, prior, jacobians, gap, stop)
     kept = np.flatnonzero(weights > CARRIED * weights.max())
     kept = kept[np.argsort(-weights[kept], kind="stable")]
     plan = Plan(postures[kept], weights[kept] / weights[kept].sum(), problem.model.joint_types)
@@ -59,14 +66,16 @@ def multiplicative(
         largest,
         candidates=len(candidates),
         rigorous=True,
-        status=Status.converged if solved else Status.almost_solved,
+        status=Status.converged if solved else Status.time_limit if stop() else Status.almost_solved,
         solver="multiplicative",
         solver_status="gap reached" if solved else "gap not reached",
         seconds=perf_counter() - began,
     )
 
 
-def improved(problem: DesignProblem, prior: PriorInformation, jacobians: Array, gap: float) -> Array:
+def improved(
+    problem: DesignProblem, prior: PriorInformation, jacobians: Array, gap: float, stop: Callable[[], bool] = IN_TIME
+) -> Array:
     """(k,) weights on scaled Jacobians (k, d, p) from equal ones, until max tr(G F) is within `gap` of tr(G M)."""
     k, d, p = jacobians.shape
     rows = jacobians.reshape(k * d, p)
@@ -75,7 +84,7 @@ def improved(problem: DesignProblem, prior: PriorInformation, jacobians: Array, 
         information = prior.information((rows * np.repeat(weights, d)[:, None]).T @ rows)
         gradient = problem.criterion.gradient(information)
         own = np.einsum("ia,ia->i", rows @ gradient, rows).reshape(k, d).sum(axis=1)
-        if prior.mixed(own, gradient).max() <= (1.0 + gap) * level(gradient, information):
+        if prior.mixed(own, gradient).max() <= (1.0 + gap) * level(gradient, information) or stop():
             break
         weights = weights * own**power
         weights /= weights.sum()

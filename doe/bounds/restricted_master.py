@@ -21,6 +21,7 @@ from doe.bounds.equivalence import level
 from doe.bounds.interior_point import solve_weights
 from doe.bounds.weights import Weights, sparsest
 from doe.criteria import Criterion
+from doe.plan.ascent import IN_TIME
 from doe.plan.plan import Plan
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
@@ -109,9 +110,13 @@ class WorkingSet:
 
 
 def generate_columns(
-    problem: DesignProblem, prior: PriorInformation, start: Array, stages: Sequence[Stage]
+    problem: DesignProblem,
+    prior: PriorInformation,
+    start: Array,
+    stages: Sequence[Stage],
+    stop: Callable[[], bool] = IN_TIME,
 ) -> tuple[SparseDesign, float]:
-    """Optimal weights, and the gap (absolute) that the last pricing of the last stage found."""
+    """Optimal weights, and the gap (absolute) that the last pricing, of the last stage unless `stop` said so, found."""
     accuracy = EXACT  # of the weights; later, far from the end, exact ones would be wasted
     working = WorkingSet.solved(problem, prior, start, problem.scaled_jacobians(start), accuracy)
     finest = EXACT if stages[-1].goal <= FINE else ROUGH * stages[-1].goal
@@ -120,6 +125,8 @@ def generate_columns(
         stage, reached = stages[current], working.level
         offers, largest = stage.price(working.solution.gradient, reached, working.postures)
         gap = largest - reached
+        if stop():
+            break
         stuck = accuracy == finest and working.has(offers)  # a gap that rounding leaves
         if len(offers) and gap > stage.goal * abs(reached) and not stuck:
             accuracy = max(ROUGH * gap / abs(reached), finest)

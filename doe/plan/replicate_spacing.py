@@ -111,7 +111,16 @@ def separated(problem: DesignProblem, postures: Array) -> Array:
 
 def _free_places(problem: DesignProblem, posture: Array, others: Array) -> Array:
     """Feasible places around a posture (n,) that have room for one more beside the `others` (j, n)."""
-    places = around(problem, posture)
+    return with_room(problem, around(problem, posture), others)
+
+
+def with_room(problem: DesignProblem, places: Array, others: Array) -> Array:
+    """Those of the places (k, n) that are feasible and have room for one more beside the `others` (j, n).
+
+    Of a list each posture is another one, and each may be measured once unless repeats are allowed.
+    """
+    if problem.choices is not None and problem.minimum_distance > 0.0:
+        return places[(gaps(places, others) > 0.0).all(axis=1)]
     near = gaps(searched_part(problem, places), searched_part(problem, others)) < problem.minimum_distance / ROUNDING
     places = places[near.sum(axis=1) < replicates_allowed(problem)]
     return places[problem.feasible(places)] if len(places) else places

@@ -66,7 +66,10 @@ def tip_error_table(advice: Advice) -> list[Any]:
     pairs = zip(advice.runs, advice.tip_errors, strict=True)
     rows = ([str(m), *(number(v, 4) for v in (e.right, e.worst, e.missing, e.with_prior))] for m, e in pairs)
     title = "Expected error of the tip (RMS over the workspace; effects of typical size missing in the model)"
-    advised = "Where effects may be missing, choose the postures with armcal design --robust."
+    advised = (
+        "The last two figures may rise with the runs, since these plans do not look for missing effects. Where effects "
+        "may be missing, choose the postures with armcal design --robust."
+    )
     return [table(headings, rows, title), Text(advised)]
 
 

@@ -6,7 +6,7 @@ keeps the best, and ends when the bound is reached, the budget is used up or the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -39,16 +39,21 @@ class SearchResult:
 
 
 def run_search(
-    problem: DesignProblem, offers: Iterator[Offer], budget: Budget, bound: Bound | None, progress: Progress
+    problem: DesignProblem,
+    offers: Iterator[Offer],
+    budget: Budget,
+    bound: Bound | None,
+    progress: Progress,
+    accepted: Callable[[Array], bool] = lambda _: True,
 ) -> SearchResult:
-    """Takes offers until there is a reason to stop."""
+    """Takes offers until there is a reason to stop; after the first only those that are `accepted`."""
     best, value, starts, agreeing, status = None, -np.inf, 0, 0, None
     try:
         for offer in offers:
             postures = separated(problem, problem.clip(offer.postures))
             offered = feasible_value(problem, postures)
             starts += offer.starts
-            if best is None or offered > value:
+            if best is None or (offered > value and accepted(postures)):
                 agreeing = 0 if offered > value + AGREES else agreeing
                 best, value = postures, offered
             agreeing += offer.independent and abs(offered - value) <= AGREES

@@ -56,7 +56,8 @@ class Budget:
         """Starts used, or the share of them that the time used stands for where that is more."""
         if self.deadline is None:
             return starts
-        return max(starts, self.starts * min(1.0, (perf_counter() - self.began) / (self.deadline - self.began)))
+        given = max(self.deadline - self.began, 1e-9)
+        return max(starts, self.starts * min(1.0, (perf_counter() - self.began) / given))
 
     @property
     def out_of_time(self) -> bool:

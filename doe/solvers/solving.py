@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import chain
 from time import perf_counter
@@ -14,6 +14,7 @@ from doe.bounds.bound import Bound
 from doe.bounds.planar_theorem import applies
 from doe.design import Design
 from doe.plan.ascent import climbs
+from doe.plan.constrained_ascent import ascent
 from doe.problem.problem import DesignProblem
 from doe.solvers.driver import SearchResult, design_of, run_search
 from doe.solvers.fedorov import Fedorov
@@ -21,6 +22,7 @@ from doe.solvers.planar_theory import Analytic, nearly_analytic
 from doe.solvers.registry import SOLVERS, solver_named
 from doe.solvers.solvability import check_solvable, identified
 from doe.solvers.solver import LONG_PLAN, Budget, Offer, Solver, time_limit
+from identification.arrays import Array
 from identification.errors import InputError
 from identification.progress import Progress, silent
 from identification.status import Status
@@ -36,6 +38,8 @@ def solve(
     starts: int | None = None,
     seconds: float | None = None,
     bound: Bound | None = None,
+    begin: Array | None = None,
+    accepted: Callable[[Array], bool] = lambda _: True,
     progress: Progress = silent,
     throw: bool = True,
 ) -> Design:
@@ -46,6 +50,7 @@ def solve(
     starts, seconds : budget; left out: the solver's own number of starts, fewer when many of them agree; no time limit
         up to 100 runs, 30 s for more
     bound : upper bound of the criterion; left out: the best that is known, see `doe.bounds.best_known`
+    begin : (m, n) a plan to begin with;  accepted : which plans may take its place
     throw : raise `JobError` where no plan identifies all parameters; False: return the last one, value -inf
 
     Ctrl-C returns the best plan so far, status `interrupted`. Raises `InputError` for too few runs, an unknown name.
@@ -56,12 +61,13 @@ def solve(
     with single_thread():
         late = bound is None and bound_takes_long(problem)
         known = None if late else bound or best_known_bound(problem, runs)
-        result = from_theory(problem, runs, known, seed) if solver is None else None
+        result = from_theory(problem, runs, known, seed, accepted) if solver is None else None
         chosen = chosen if result is None else Analytic()
         if result is None:
             budget = Budget.of(starts, chosen.starts_for(problem), time_limit(runs, starts, seconds), began)
             offers = offers_of(problem, runs, chosen, budget, seed, theory_first=solver is None)
-            result = run_search(problem, offers, budget, known, progress)
+            offers = offers if begin is None else chain(climbing_from(problem, begin, budget), offers)
+            result = run_search(problem, offers, budget, known, progress, accepted)
         known = best_known_bound(problem, runs) if late else known
         design = design_of(problem, result, chosen, known, began, seed)
         if bound is None:
@@ -87,14 +93,24 @@ def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver
     return solver
 
 
-def from_theory(problem: DesignProblem, runs: int, known: Bound | None, seed: int) -> SearchResult | None:
-    """A plan from theory that attains the bound, None without one."""
+def from_theory(
+    problem: DesignProblem, runs: int, known: Bound | None, seed: int, accepted: Callable[[Array], bool]
+) -> SearchResult | None:
+    """A plan from theory that attains the bound and is accepted, None without one."""
     if known is None or problem.choices is not None:
         return None
     budget = Budget(1, may_agree=False)
     offers = Analytic().offers(problem, runs, np.random.default_rng(seed), budget)
     result = run_search(problem, offers, budget, known, silent)
-    return result if result.status is Status.bound_reached else None
+    reached = result.status is Status.bound_reached and result.postures is not None
+    return result if reached and accepted(np.asarray(result.postures)) else None
+
+
+def climbing_from(problem: DesignProblem, plan: Array, budget: Budget) -> Iterator[Offer]:
+    """A plan as it is and, where postures may be chosen freely, climbed from there."""
+    yield Offer(plan)
+    if problem.choices is None and problem.searched_joints:
+        yield Offer(ascent(problem)(plan[None], stop=lambda: budget.out_of_time)[0])
 
 
 def offers_of(

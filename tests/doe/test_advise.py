@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -12,7 +14,8 @@ from doe.problem.problem import DesignProblem
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.reuse import only
-from tests.doe.arms import problem
+from tests.doe.arms import FIVE, FOUR, problem
+from tests.doe.plan.test_addition import whole_information
 
 FREE = problem(Arm([260.0, 180.0, 120.0], sigma=0.1))
 
@@ -58,3 +61,35 @@ def test_one_joint_alone_by_its_lever() -> None:
     assert advice.tip_errors[0].worst == pytest.approx(0.1, rel=1e-3)
     assert np.isfinite(advice.tip_errors[0].missing)
     assert advice.smallest is advice.designs[0]
+
+
+@pytest.mark.parametrize("arm", [FOUR, replace(FIVE, sigma=0.1)], ids=["four", "five"])
+def test_more_runs_never_tell_less(arm: Arm) -> None:
+    """Whole information and its inverse from complex numbers; no posture added to a plan beats the plan of one more."""
+    lengths, n = np.array(arm.lengths), arm.links
+    plans = [d.plan.postures for d in advise(problem(arm), range(n, n + 5), seconds_each=0.3).designs]
+    corners = np.array(list(product(*zip(arm.lower, arm.upper, strict=True))))
+    places = np.concatenate([corners, np.random.default_rng(0).uniform(arm.lower, arm.upper, (300, n))])
+    for fewer, more in pairwise(plans):
+        after, before = whole_information(lengths, more), whole_information(lengths, fewer)
+        added = max(np.linalg.slogdet(before + whole_information(lengths, q[None]))[1] for q in places)
+        assert np.linalg.slogdet(after)[1] >= added - 1e-9
+        now, then = (np.sqrt(np.diag(np.linalg.inv(each))) for each in (after, before))
+        assert now[:n].max() <= then[:n].max() * (1.0 + 1e-8)  # largest deviation of a length
+        assert (now[n:] / lengths).max() <= (then[n:] / lengths).max() * (1.0 + 1e-8)  # and of an angle
+
+
+def test_numbers_of_runs_need_not_be_in_order() -> None:
+    found = advise(problem(FOUR), [9, 4, 6], seconds_each=0.2)
+    assert found.runs == (9, 4, 6)
+    accuracies = [found.accuracy(design) for design in found.designs]
+    assert accuracies[0] is not None
+    assert accuracies[1] is not None
+    assert accuracies[2] is not None
+    assert accuracies[0] <= accuracies[2] <= accuracies[1]
+
+
+def test_no_time_at_all_still_tells_more_with_more_runs() -> None:
+    found = advise(problem(FOUR), range(5, 8), seconds_each=1e-6)
+    accuracies = [found.accuracy(design) or np.inf for design in found.designs]
+    assert accuracies == sorted(accuracies, reverse=True)

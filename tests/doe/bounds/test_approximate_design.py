@@ -49,7 +49,7 @@ def test_certificate_of_any_weights() -> None:
     assert found.bound.value >= 4.0 * np.log(np.sin(np.radians(80.0)))  # the optimum is on this grid
 
 
-@pytest.mark.parametrize("status", [s for s in Status if s is not Status.converged])
+@pytest.mark.parametrize("status", [s for s in Status if s not in (Status.converged, Status.time_limit)])
 def test_no_bound_unless_solved(status: Status) -> None:
     found = judged(FACTORIAL, status)
     assert found.bound is None
@@ -75,3 +75,12 @@ def test_prints_what_matters() -> None:
     assert "gap" in text
     assert "<table>" in judged(FACTORIAL)._repr_html_()
     assert "none" in str(judged(FACTORIAL, Status.almost_solved))
+
+
+def test_where_time_ended_the_search_the_bound_holds_and_says_so() -> None:
+    cut, whole = judged(FACTORIAL, Status.time_limit).bound, judged(FACTORIAL, Status.converged).bound
+    assert cut is not None
+    assert whole is not None
+    assert cut.cut
+    assert not whole.cut
+    assert cut.value == whole.value
