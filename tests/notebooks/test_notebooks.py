@@ -1,10 +1,13 @@
 """Every notebook runs and asserts its own numbers; committed are its outputs, and no traces of a machine.
 
-By default the longest cells have smaller settings, the same assertions though; `-m slow` runs what the reader sees.
+By default the longest cells have smaller settings, the same assertions though, notebooks share a kernel that has
+imported the packages, and notebook 9 calls its commands in that process; `-m slow` runs what the reader sees, each
+notebook in a kernel of its own and each command in a process of its own.
 """
 
 from __future__ import annotations
 
+import asyncio
 import os
 import re
 from collections.abc import Iterator
@@ -12,6 +15,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from jupyter_client import AsyncKernelManager
 from nbclient import NotebookClient
 from nbformat import NotebookNode
 
@@ -23,7 +27,7 @@ SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
     "2": [("figure_2(5_000)", "figure_2(5_000, runs=(4, 12, 20))")],
     "3": [
         ("tolerance=1e-4", "tolerance=1e-2"),
-        ("starts=20", "starts=4"),
+        ("starts=20", "starts=2"),
         ("between=4, pause=2", "between=1, pause=1"),
         ("range(11)", "(0, 3, 9, 10)"),
     ],
@@ -32,38 +36,73 @@ SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
         ("len(rows) == 10", "len(rows) == 4"),
         ("repeats=1,", "repeats=1, starts=[10],"),
     ],
+    "5": [("arm, runs=30)", "arm, runs=30, starts=2)")],
     "6": [
         ("range(4, 13)", "(4, 7, 8, 10, 12)"),
         ("{5: -0.28087, 6: -0.29680, 7: -0.19865, 9: -0.13103, 10: -0.14288}", "{7: -0.19865, 10: -0.14288}"),
     ],
     "7": [("starts=60", "starts=10")],
-    "9": [("--runs 30 --robust", "--runs 40 --solver random")],
+    "9": [("--runs 30 --robust", "--runs 40 --solver random"), ("armcal diagnose", "armcal diagnose --draws 399")],
 }
+OWN_KERNEL = "79"  # they register effects, or change the environment
+IN_PROCESS = """
+import shlex, subprocess
+from click.testing import CliRunner
+from IPython.core.magic import register_cell_magic
+from doe.cli import main
+
+@register_cell_magic
+def sh(line, cell):
+    for command in cell.splitlines():
+        if command.startswith("armcal"):
+            done = CliRunner().invoke(main, shlex.split(command.partition("|")[0])[1:], catch_exceptions=False)
+            assert done.exit_code == 0 and not done.stderr, done.output
+        else:
+            subprocess.run(command, shell=True, check=True)
+"""
 
 by_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
-@pytest.fixture
-def kernel_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A kernel that imports this checkout and leaves nothing in the user's folders."""
-    paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
-    monkeypatch.setenv("PYTHONWARNINGS", "default")
-    monkeypatch.setenv("JUPYTER_PLATFORM_DIRS", "1")
-    for name in ("JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR", "IPYTHONDIR"):
-        monkeypatch.setenv(name, str(tmp_path / name.lower()))
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-        monkeypatch.setenv(name, "1")
+@pytest.fixture(scope="module")
+def shared_kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AsyncKernelManager]:
+    """A kernel that imports this checkout and leaves nothing in the user's folders; its settings hold for others too.
+
+    The first notebook starts it.
+    """
+    paths, folder = [str(ROOT), os.environ.get("PYTHONPATH", "")], tmp_path_factory.mktemp("jupyter")
+    with pytest.MonkeyPatch.context() as settings:
+        settings.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+        settings.setenv("PYTHONWARNINGS", "default")
+        settings.setenv("JUPYTER_PLATFORM_DIRS", "1")
+        for name in ("JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR", "IPYTHONDIR"):
+            settings.setenv(name, str(folder / name.lower()))
+        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+            settings.setenv(name, "1")
+        kernel = AsyncKernelManager(kernel_name="python3")
+        yield kernel
+        if kernel.has_kernel:
+            asyncio.run(kernel.shutdown_kernel(now=True))
 
 
-def execute(path: Path, smaller: bool = False) -> NotebookNode:
-    """The notebook with fresh outputs. Raises `CellExecutionError` where a cell fails, an assertion say."""
-    notebook = nbformat.read(path, as_version=4)
-    for shown, instead in SMALLER.get(path.name[0], ()) if smaller else ():
+def smaller_form(notebook: NotebookNode, name: str) -> None:
+    """Puts the smaller settings into the notebook of this number, before them a cell that empties a shared kernel."""
+    for shown, instead in SMALLER.get(name, ()):
         (cell,) = (cell for cell in code_cells(notebook) if shown in cell.source)
         cell.source = cell.source.replace(shown, instead)
+    notebook.cells.insert(0, nbformat.v4.new_code_cell(IN_PROCESS if name in OWN_KERNEL else "%reset -f"))
+
+
+def execute(path: Path, kernel: AsyncKernelManager | None = None, smaller: bool = False) -> NotebookNode:
+    """The notebook with fresh outputs. Raises `CellExecutionError` where a cell fails, an assertion say."""
+    notebook = nbformat.read(path, as_version=4)
+    if smaller:
+        smaller_form(notebook, path.name[0])
     context = {"metadata": {"path": str(path.parent)}}
-    NotebookClient(notebook, timeout=HANGS, kernel_name="python3", resources=context).execute()
+    client = NotebookClient(notebook, km=kernel, timeout=HANGS, kernel_name="python3", resources=context)
+    client.execute()
+    if kernel:
+        client.kc.stop_channels()
     return notebook
 
 
@@ -82,11 +121,10 @@ def test_all_nine_are_here() -> None:
 
 @pytest.mark.parametrize("smaller", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["smaller", "as it is"])
 @by_notebook
-@pytest.mark.usefixtures("kernel_environment")
 # event loop and sockets of jupyter_client, zmq and nbclient: not our code, and different in every version
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:(jupyter_client|nbclient|zmq|tornado|asyncio).*")
-def test_notebook_runs(path: Path, smaller: bool) -> None:
-    notebook = execute(path, smaller)
+def test_notebook_runs(path: Path, smaller: bool, shared_kernel: AsyncKernelManager) -> None:
+    notebook = execute(path, shared_kernel if smaller and path.name[0] not in OWN_KERNEL else None, smaller)
     complaints = [o.text for o in outputs(notebook) if o.output_type == "stream" and o.name == "stderr"]
     assert not complaints, "a warning in a notebook is a defect"
 
