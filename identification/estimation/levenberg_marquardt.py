@@ -106,7 +106,7 @@ class Solution:
     iterations: Index
 
     def record(self, points: Points, active: NDArray[np.bool_], status: NDArray[np.object_], iteration: int) -> None:
-        """Write down the ends of some searches."""
+        """Store the results of some searches."""
         self.parameters[points.problems], self.squares[points.problems] = points.parameters, points.squares
         self.active[points.problems], self.status[points.problems] = active, status
         self.iterations[points.problems] = iteration

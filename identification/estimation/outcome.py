@@ -58,7 +58,7 @@ def identification(
     noise: Noise,
     spread: Spread,
 ) -> Identification:
-    """What a solution of the problem amounts to, with what is estimable and what is doubtful about it."""
+    """The `Identification` of a solution: what is estimable, the uncertainty, and doubts about the fit."""
     model, parameters, known = problem.model, solution.parameters[0], noise.sigma is not None
     found = identifiability_of(decomposed, model.names, model.scales)
     before, after = as_it_was(problem), problem.residuals(parameters)[0]

@@ -85,7 +85,7 @@ def far_rows(residual: Array, outlier: NDArray[np.bool_]) -> list[str]:
 
 
 def rounded(residual: Array, measurements: Measurements) -> list[str]:
-    """Residuals of the size of the rounding of numbers: data without noise, whose deviations mean nothing."""
+    """True for residuals of the size of rounding: data without noise, for which standard deviations mean nothing."""
     left, largest = rms_distance(residual), float(np.max(np.abs(measurements.positions)))
     if left > ROUNDING * largest:
         return []
@@ -175,7 +175,7 @@ def _turns(arm: Arm, postures: Array) -> str:
 
 
 def copied_rows(measurements: Measurements) -> list[str]:
-    """Rows that repeat posture and position of another to the last digit: no instrument does that."""
+    """Rows that repeat posture and position of another row to the last digit, as no instrument does."""
     _, first, numbers = np.unique(
         np.column_stack([measurements.postures, measurements.positions]), axis=0, return_index=True, return_inverse=True
     )

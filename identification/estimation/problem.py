@@ -93,7 +93,7 @@ class Problem:
 
     @property
     def least_squares(self) -> LeastSquares:
-        """What the solver sees, of tall problems their triangle."""
+        """The problem in the solver's form; tall problems are reduced to their QR triangle."""
 
         def linearize(parameters: Array, index: Index) -> tuple[Array, Array]:
             return compressed(*self.linearize(parameters, index))

@@ -113,7 +113,7 @@ class Identification:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What must be read before the figures."""
+        """Warnings to be read before the results."""
         misfit = (self.misfit,) if self.misfit else ()
         return (*self.doubts, *misfit) if self.status is Status.implausible else (*misfit, *self.doubts)
 
@@ -235,7 +235,7 @@ class Identification:
 
     @cached_property
     def corrected_values(self) -> tuple[CorrectedValue, ...]:
-        """What to type in: nominal and corrected values of lengths, zeros, frames, effects; empty without an arm."""
+        """Values for the controller: nominal and corrected lengths, zeros, frames, effects; empty without an arm."""
         if not isinstance(getattr(self.model, "arm", None), Arm):
             return ()
         found = Calibration(self._everything, self.names, self.covariance)
@@ -304,5 +304,5 @@ def _cell(value: float | None, width: int) -> str:
 
 
 def in_words(p: float) -> str:
-    """`p = 0.012`; a probability below all numbers is no zero."""
+    """`p = 0.012`; a p-value that underflows is not shown as zero."""
     return f"p = {p:.3g}" if p > 0.0 else "p < 1e-300"

@@ -105,7 +105,7 @@ def _floats(values: Any) -> list[float]:
 
 
 def _tidy(value: float) -> float:
-    """15 significant digits: 30 rather than 29.999999999999996, and the same angle in radians to rounding."""
+    """The value to 15 significant digits: 30 rather than 29.999999999999996; the same angle in radians to rounding."""
     return float(f"{value:.15g}")
 
 
@@ -219,7 +219,7 @@ def _covariance(covariance: Array, factors: list[float]) -> list[list[float]]:
 
 
 def _plain(value: Any) -> Any:
-    """`value` in TOML's types; what TOML cannot say (None) and what must not be said (NaN) is left out."""
+    """`value` in TOML's types, without entries that TOML cannot express (None) or that are not allowed (NaN)."""
     if isinstance(value, Mapping):
         items = {str(key): _plain(item) for key, item in value.items()}
         return {key: item for key, item in items.items() if item is not None}

@@ -175,7 +175,7 @@ def _texts(column: Any) -> list[str | None]:
 
 
 def _header(path: PathLike, content: bytes) -> tuple[str, list[str]]:
-    """What separates columns, and their names."""
+    """The separator of the columns, and their names."""
     first = decode(path, content.split(b"\n", 1)[0]).rstrip("\r")
     if "\r" in first:
         raise InputError(f"{path}: lines end with a bare carriage return, allowed: line feeds (LF or CRLF)")
@@ -222,7 +222,7 @@ def _frame(path: PathLike, content: bytes, header: list[str], separator: str) ->
 
 
 def _raise_for_ragged_row(path: PathLike, content: bytes, columns: int, separator: str) -> None:
-    """Also for a row with quotation marks that do not stand around a whole cell."""
+    """Raises `InputError` for a row of another length, or with quotation marks that do not enclose a whole cell."""
     reader = csv.reader(io.StringIO(decode(path, content), newline=""), delimiter=separator, strict=True)
     row, line = -1, 0  # the header
     try:
@@ -238,7 +238,7 @@ def _raise_for_ragged_row(path: PathLike, content: bytes, columns: int, separato
 
 
 def _without_unnamed(path: PathLike, frame: pl.DataFrame) -> pl.DataFrame:
-    """Spreadsheets leave empty columns behind; data without a name is an error."""
+    """The frame without unnamed empty columns, which spreadsheets leave behind; unnamed data are an error."""
     for k, column in enumerate(frame.columns):
         if column.startswith("\n"):
             if frame[column].null_count() < frame.height:

@@ -151,7 +151,7 @@ def _checked_target(path: PathLike, force: bool) -> Path:
 
 
 def _beside(target: Path, stack: ExitStack) -> Path:
-    """A name in the same folder, free now and when the stack is left."""
+    """An unused name in the same folder, removed again when the stack is closed."""
     path = target.with_name(f".{secrets.token_hex(8)}.tmp")
     stack.callback(path.unlink, missing_ok=True)
     return path
@@ -162,7 +162,7 @@ def _copied(target: Path, stack: ExitStack) -> Path:
 
 
 def _place(new: Path, target: Path, *, fresh: bool) -> None:
-    """Gives a complete file its name; a `fresh` one only if no other command has taken the name meanwhile."""
+    """Move a complete file to its final name; a `fresh` one only if no other command has created it meanwhile."""
     if fresh:
         try:
             return os.link(new, target)
@@ -187,7 +187,7 @@ def _write_new(path: Path, content: str | bytes, mode_of: Path) -> None:
 
 
 def _unnamed(folder: Path) -> int | None:
-    """A new file without a name, of which a kill leaves nothing; None where the system has no such files."""
+    """A new unnamed file, of which a killed process leaves nothing; None where the system has no such files."""
     if not (hasattr(os, "O_TMPFILE") and os.path.isdir(DESCRIPTORS)):
         return None
     try:
@@ -197,7 +197,7 @@ def _unnamed(folder: Path) -> int | None:
 
 
 def sync_folder(folder: Path) -> None:
-    """The names in the folder on the disk: those of files just written survive a power failure too."""
+    """Flush the folder's entries to disk, so that files just written survive a power failure."""
     with suppress(OSError):  # not on every system
         descriptor = os.open(folder, os.O_RDONLY)
         try:

@@ -101,12 +101,12 @@ def _shown(detail: Any) -> str:
 
 
 def require_count(key: str, values: list[Any], count: int, what: str = "values for", whose: str = "links") -> None:
-    """Raises `InputError` for another number of values than one for each link, joint or whatever they are of."""
+    """Raises `InputError` unless there is one value for each link, joint or other item."""
     if len(values) != count:
         raise InputError(f"{key}: found {len(values)} {what} {count} {whose}, allowed: {count}")
 
 
 def require_rising(key: str, values: list[float]) -> None:
-    """Raises `ValueError`, for a validator of a table, where the first of two values is not the lower one."""
+    """Raises `ValueError`, as a pydantic validator must, unless the first of two values is the lower one."""
     if values[0] >= values[1]:
         raise ValueError(f"{key}: found [{values[0]:g}, {values[1]:g}], allowed: the lower one first")

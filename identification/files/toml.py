@@ -83,7 +83,7 @@ def _last_table(table: Table) -> Table:
 
 
 def _pop_trailing(table: Table) -> list[Item]:
-    """Takes blank lines and comments off the end: they speak of the table that comes next, not of this one."""
+    """Remove and return trailing blank lines and comments: they belong to the table that follows, not to this one."""
     body = _last_table(table).value.body
     trivia: list[Item] = []
     while body and body[-1][0] is None and isinstance(body[-1][1], Comment | Whitespace):
@@ -97,7 +97,7 @@ def _extend(table: Table, trivia: list[Item]) -> None:
 
 
 def _checked(document: tomlkit.TOMLDocument, wanted: Plain) -> str:
-    """The text, once a second parser reads from it exactly what was meant: a user's file is never spoilt."""
+    """The text, after a second parser has read exactly the intended tables from it: a user's file is never damaged."""
     text = tomlkit.dumps(document)
     if tomllib.loads(text) != wanted:
         message = "write its tables as [table] and [[table]], each in one place"

@@ -42,7 +42,7 @@ class Urdf:
 
     @property
     def root(self) -> str:
-        """The link that hangs on no joint; the first of several."""
+        """The link that is no joint's child; the first of several."""
         return next((link for link in self.links if link not in self.by_child), self.links[0])
 
     @property
@@ -228,7 +228,7 @@ def urdf_text(chain: SpatialChain, name: str) -> str:
 
 
 def _attribute(text: str) -> str:
-    """In double quotes, and in a TOML string between three single ones; neither has control characters."""
+    """An XML attribute in double quotes, safe inside a TOML string in triple single quotes: no control characters."""
     return escape(printable(text), {'"': "&quot;", "'": "&apos;"})
 
 
