@@ -9,7 +9,12 @@ def run() -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     from doe.cli import main
 
-    main(prog_name="armcal")
+    try:
+        main(prog_name="armcal")
+    finally:
+        # if a signal came while a library ran source text, `python -m` would end by SIGINT instead of with our exit
+        # code; Python forgets it once other source text has run
+        exec("")
 
 
 if __name__ == "__main__":

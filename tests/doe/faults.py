@@ -59,7 +59,7 @@ COMMANDS = (
     Command("study", "study study.toml --workers 2", "--resume", ("study.results",)),
     Command(
         "compare",
-        "compare arm.toml --runs 5 --solvers random,exchange --repeats 2 --starts 2 --out compared",
+        "compare arm.toml --runs 5 --solvers random,exchange --repeats 1 --starts 2 --out compared",
         "--resume",
         ("compared",),
     ),

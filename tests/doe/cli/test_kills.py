@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import signal
 import subprocess
@@ -14,11 +15,18 @@ import pytest
 from doe.cli.demo import next_free
 from doe.jobs.row_table import RowTable
 from tests.doe.cli.conftest import Folder
-from tests.doe.faults import COMMANDS, STUDY, Command, Reference, content, prepare, start, verdict
+from tests.doe.faults import COMMANDS, ROOT, STUDY, Command, Reference, content, prepare, start, verdict
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are counted in /proc")
 STUDY_COMMAND, DESIGN = COMMANDS[0], COMMANDS[2]
 SERIAL = Command("study", "study study.toml --workers 1", "--resume", ("study.results",))
+STOPPED = """
+import signal
+import identification.files.arm as file
+from doe.__main__ import run
+file.load_arm = lambda _: exec("signal.raise_signal(signal.SIGTERM)", {"signal": signal})
+run()
+"""
 
 
 @pytest.fixture(scope="module")
@@ -109,3 +117,12 @@ def test_sigterm_is_a_sentence(folder: Folder, monkeypatch: pytest.MonkeyPatch) 
     done = folder.armcal("score", "arm.toml", "plan.csv")
     assert (done.code, done.err) == (1, "armcal: stopped by SIGTERM, nothing was written\n")
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_a_signal_while_a_library_runs_source_text(folder: Folder) -> None:
+    """As those of dataclasses and named tuples: `python -m` ends with our exit code too."""
+    folder.write("stopped.py", STOPPED)
+    words = [sys.executable, "-m", "stopped", "score", "arm.toml", "plan.csv"]
+    system = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(words, cwd=folder.path, env=system, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "armcal: stopped by SIGTERM, nothing was written\n")
