@@ -48,7 +48,6 @@ def command(
     design = _scored(loaded, given, plan, criterion)
     sees, tables = _preflight(loaded, given, plan, aliases)
     pictures: dict[Path | None, Callable[[], Figure]] = {output.picture: lambda: plan_drawing(loaded, given.postures)}
-    output.write_all("", "", pictures if sees is None else pictures | {aliases: lambda: _alias_drawing(sees)})
     problem = DesignProblem.of(Model(loaded))
     indices, values = observability(problem, given.postures), criterion_values(problem, given.postures)
     data = design.to_json() | {
@@ -56,6 +55,7 @@ def command(
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }
+    output.write_all("", "", pictures if sees is None else pictures | {aliases: lambda: _alias_drawing(sees)})
     return Answer(data, [*design_tables(design), criteria_line(values), observability_line(indices), *tables])
 
 

@@ -113,6 +113,18 @@ def test_a_picture_that_is_refused_leaves_no_plan(folder: Folder) -> None:
     assert sorted(folder.path.iterdir()) == before
 
 
+def test_a_score_that_cannot_be_finished_leaves_no_picture(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As that of the arm of a spatial fuzz, whose constraints left no posture for the criterion I."""
+
+    def refuse(*_: object) -> None:
+        raise InputError("constraints: no posture, allowed: constraints that leave some")
+
+    monkeypatch.setattr("doe.plan.observability.criterion_values", refuse)
+    before = sorted(folder.path.iterdir())
+    refused(folder, ["score", "arm.toml", "plan.csv", "--picture", "p.svg"], "no posture, allowed")
+    assert sorted(folder.path.iterdir()) == before
+
+
 @pytest.mark.parametrize("char", ["\n", "\r", "\x1b[31m", "\x07", "\u2028", "\u202e"])
 def test_control_characters_are_not_repeated(folder: Folder, char: str) -> None:
     for words in (["score", f"arm{char}.toml", "plan.csv"], [f"sco{char}re"], ["score", "arm.toml", f"--{char}"]):
