@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from doe.bounds.equivalence import Certificate, certify, largest_sensitivity, sensitivity
+from doe.bounds import equivalence
+from doe.bounds.equivalence import (
+    CERTIFIED,
+    REACHED,
+    CandidateJacobians,
+    Certificate,
+    candidate_sensitivities,
+    certify,
+    largest_sensitivity,
+    sensitivity,
+    without_rounding,
+)
 from doe.bounds.planar_theorem import closed_form_log_det
 from doe.problem.candidates import PostureList
 from doe.problem.problem import DesignProblem
@@ -73,3 +84,39 @@ def test_bound_with_measured_postures(seed: int) -> None:
     fixed = float(np.sum(np.linalg.inv(information) * known))
     assert found.gap == pytest.approx((5.0 * largest + fixed) / 12.0 - case.parameters, rel=1e-9)
     assert certify(case, information, 100.0).bound > found.bound
+
+
+def test_only_rounding_is_taken_off() -> None:
+    assert (CERTIFIED, REACHED) == (0.999999, 0.999999999)
+    for efficiency, shown in ((0.7, 0.7), (1.0, 1.0), (1.0 + 5e-13, 1.0), (1.0 + 1e-11, 1.0 + 1e-11), (2.0, 2.0)):
+        assert without_rounding(efficiency) == shown
+
+
+@pytest.mark.parametrize(("entries", "kept"), [(60 * 2 * 10, True), (60 * 2 * 10 - 1, False)])
+def test_few_jacobians_are_remembered(monkeypatch: pytest.MonkeyPatch, entries: int, kept: bool) -> None:
+    """Up to so many entries, of 60 candidates with 2 coordinates and 10 parameters; the values are the same."""
+    case = problem(FOUR, ECCENTRICITY)
+    assert case.parameters == 10
+    candidates = PostureList(np.random.default_rng(2).uniform(FOUR.lower, FOUR.upper, (60, 4)))
+    monkeypatch.setattr(equivalence, "REMEMBERED", entries)
+    jacobians = CandidateJacobians(case, candidates)
+    (_, first), (_, second) = (next(iter(jacobians)) for _ in range(2))
+    assert (first is second) is kept
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("smallest", [1.0, 0.0])
+def test_sensitivities_of_candidates_are_traces(smallest: float) -> None:
+    """Of a gradient that is definite (by its root) and of one that is singular, with a prior."""
+    kept = np.random.default_rng(3).uniform(FOUR.lower, FOUR.upper, (7, 4))
+    case = problem(FOUR, kept=kept)
+    rotation = np.linalg.qr(np.random.default_rng(4).standard_normal((case.parameters,) * 2))[0]
+    sizes = np.linspace(1.0, 2.0, case.parameters)
+    sizes[0] = smallest
+    gradient = rotation @ np.diag(sizes) @ rotation.T
+    candidates = np.random.default_rng(2).uniform(FOUR.lower, FOUR.upper, (30, 4))
+    jacobians = CandidateJacobians(case, PostureList(candidates))
+    found = np.concatenate([g for _, g in candidate_sensitivities(jacobians, gradient, case.prior.per_new_run(5))])
+    known = sum(b.T @ b for b in case.scaled_jacobians(kept))  # 7 runs beside 5 new ones: M = (5 B^T B + known) / 12
+    for value, b in zip(found, case.scaled_jacobians(candidates), strict=True):
+        assert value == pytest.approx(np.trace(gradient @ (5.0 * b.T @ b + known)) / 12.0, rel=1e-12)

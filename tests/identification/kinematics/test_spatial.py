@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -31,7 +32,13 @@ def twist(motion: Array) -> Array:
 
 
 def tip_by_exponentials(chain: SpatialChain, q: Array, values: dict[str, float], tool: Array) -> Array:
-    """(3,) the measured point, by matrix exponentials of elementary twists."""
+    """(3,) the measured point."""
+    error = np.array([values.get(f"tool[1].{axis}", 0.0) for axis in "xyz"])
+    return np.asarray((places_by_exponentials(chain, q, values)[-1] @ np.r_[tool + error, 1.0])[:3])
+
+
+def places_by_exponentials(chain: SpatialChain, q: Array, values: dict[str, float]) -> list[Array]:
+    """n + 2 poses (4, 4) of base, joints after they moved, and tip, by matrix exponentials of elementary twists."""
 
     def elementary(name: str, k: int) -> Array:
         size = values.get(name, 0.0)
@@ -49,13 +56,14 @@ def tip_by_exponentials(chain: SpatialChain, q: Array, values: dict[str, float],
     place = pose(shift) @ chain.base
     for k in range(3):
         place = place @ expm(turn[k] * twist(np.eye(6)[3 + k])) if turn[k] else place
+    found = [place]
     for j, (joint, angle) in enumerate(zip(chain.joints, q, strict=True), start=1):
         place = place @ joint.origin @ six("translation_", "rotation_", f":{j}")
         along = joint.type == PRISMATIC
         screw = np.r_[joint.axis, np.zeros(3)] if along else np.r_[np.zeros(3), joint.axis]
         place = place @ expm((angle + values.get(f"joint_offset:{j}", 0.0)) * twist(screw))
-    error = np.array([values.get(f"tool[1].{axis}", 0.0) for axis in "xyz"])
-    return np.asarray((place @ chain.end @ np.r_[tool + error, 1.0])[:3])
+        found.append(place)
+    return [*found, place @ chain.end]
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +111,57 @@ def test_jacobian_against_differences(chain: SpatialChain) -> None:
         np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / (2.0 * STEP), atol=2e-5)
 
 
+def test_frames_points_and_orientation_against_exponentials(chain: SpatialChain) -> None:
+    """Of one chain with errors: `points` begins at the base, whose own pose it leaves out."""
+    generator = np.random.default_rng(8)
+    posed = replace(chain, angle_scale=500.0)
+    names = posed.parameters().names
+    values = dict(zip(names, generator.uniform(-0.3, 0.3, len(names)), strict=True))
+    for q in postures(posed, 3):
+        places = places_by_exponentials(posed, q, values)
+        for frame, place in zip(posed.frames(ca.DM(q), values), places, strict=True):
+            np.testing.assert_allclose(ca.evalf(frame.origin).full()[:, 0], place[:3, 3], atol=1e-9)
+            np.testing.assert_allclose(ca.evalf(frame.axes).full(), place[:3, :3], atol=1e-12)
+        measured = places[-1][:3, :3]
+        for k, axis in enumerate("xyz"):
+            measured = measured @ expm(values[f"tool[1].r{axis}"] * twist(np.eye(6)[3 + k]))[:3, :3]
+        seen = ca.evalf(posed.orientation(ca.DM(q), values)).full().reshape(3, 3, order="F")
+        np.testing.assert_allclose(seen, measured, atol=1e-12)
+        from_base = np.linalg.inv(places[0])
+        tip = tip_by_exponentials(posed, q, values, posed.tools["1"])
+        expected = [*(place[:3, 3] for place in places[:-1]), tip]
+        found = posed.points(q, np.array([values[name] for name in names]))
+        np.testing.assert_allclose(found, [(from_base @ np.r_[point, 1.0])[:3] for point in expected], atol=1e-9)
+
+
+def test_points_of_many_postures_and_one_measured_point(chain: SpatialChain) -> None:
+    zeros = np.zeros(len(chain.parameters()))
+    q = postures(chain, 6)
+    every = chain.points(q.reshape(2, 3, -1), zeros)
+    assert every.shape == (2, 3, len(chain) + 2, 3)
+    np.testing.assert_array_equal(every.reshape(6, len(chain) + 2, 3)[4], chain.points(q[4], zeros))
+    point, turn = chain.tip(ca.DM(q[0]), ca.DM(zeros), {"tool": ca.DM.zeros(3)})
+    assert (point.shape, turn.shape) == ((3, 1), (0, 1))
+
+
+def test_links_grow_along_themselves(chain: SpatialChain) -> None:
+    """The origin of every frame behind a link moves by the link's growth along the line to the next joint."""
+    q = postures(chain, 1)[0]
+    lengths = ca.evalf(chain.link_lengths(ca.SX(0, 1))).full()[:, 0]
+    steps = [matrix[:3, 3] for matrix in (*(joint.origin for joint in chain.joints[1:]), chain.end)]
+    np.testing.assert_allclose(lengths, [np.linalg.norm(step) for step in steps], rtol=1e-15)
+    before = [ca.evalf(frame.origin).full()[:, 0] for frame in chain.frames(ca.DM(q), {})]
+    axes = [ca.evalf(frame.axes).full() for frame in chain.frames(ca.DM(q), {})]
+    for j, step in enumerate(steps, start=1):
+        growth = np.where(np.arange(len(chain)) == j - 1, 0.7, 0.0)
+        after = [
+            ca.evalf(f.origin).full()[:, 0] for f in chain.frames(ca.DM(q), {}, {"extensions": ca.SX(ca.DM(growth))})
+        ]
+        shift = 0.7 * axes[j] @ step / np.linalg.norm(step) if step.any() else np.zeros(3)
+        for k, (one, other) in enumerate(zip(before, after, strict=True)):
+            np.testing.assert_allclose(other - one, shift if k > j else np.zeros(3), atol=1e-9)
+
+
 def test_a_million_poses_need_no_axis_to_be_x_y_or_z(chain: SpatialChain) -> None:
     """A tilted axis turns as Rodrigues' formula says: covered by `tilted` above; here its inverse turns back."""
     tilted = next(joint for joint in chain.joints if joint.name == "tilted")
@@ -139,5 +198,6 @@ def _pinocchio(joint: Joint, position: float) -> list[float]:
 def test_bad_joints_are_one_line() -> None:
     with pytest.raises(InputError, match=r"joint a: type 'ball', allowed: revolute or prismatic"):
         Joint("a", np.eye(4), np.array([0.0, 0.0, 1.0]), "ball")
-    with pytest.raises(InputError, match=r"joint a: axis \[0.0, 0.0, 0.0\], allowed: not zero"):
-        Joint("a", np.eye(4), np.zeros(3))
+    for axis, said in (([0.0] * 3, r"\[0.0, 0.0, 0.0\]"), ([0.0, np.nan, 1.0], r"\[0.0, nan, 1.0\]")):
+        with pytest.raises(InputError, match=rf"joint a: axis {said}, allowed: not zero"):
+            Joint("a", np.eye(4), np.array(axis))
