@@ -29,6 +29,7 @@ where study.toml has, for instance (names of files are beside it):
     runs = [10, 20]              # numbers of measurements; a plan file has its own
     sigma_mm = [0.05, 0.1]       # left out: the arm's own
     replications = 10000         # simulated data sets per cell, `block` (10000) of them per task
+
 \b
     [[truths]]                   # what is there; left out: the arm's own calibration and effects
     name = "eccentric"
@@ -36,6 +37,7 @@ where study.toml has, for instance (names of files are beside it):
     joint_offsets_deg = [0.5, -0.5, 0.7, -0.3]
     effects = [{name = "encoder_eccentricity", joint = 2, a_deg = 0.03, b_deg = -0.01}]
     # of spatial arms: values = {"translation_x:3" = 0.5, "joint_offset:2" = 0.2}  # instead of the two lists
+
 \b
     [[models]]                   # what is fitted; left out: the arm's own effects
     name = "base"

@@ -15,27 +15,24 @@ Positions = Callable[[np.ndarray], np.ndarray]  # (m, n) [deg, mm] -> (m, d) [mm
 SIZES = st.sampled_from([300.0, 150.0, 80.0, 500.0, 1e-6, 1e-3, 1e6, 1e9])
 SIGMAS = st.sampled_from([0.1, 0.05, 1e-9, 1e3, 1e9])
 EFFECTS = (
-    'name = "base_offset"',
     'name = "encoder_eccentricity"\njoint = 2',
     'name = "encoder_eccentricity"\njoint = 1\na_deg = 0.05\nb_deg = 0.02',
-    'name = "joint_compliance"',
     'name = "gear_ratio"\njoint = 1',
     'name = "backlash"\njoint = 2',
-    'name = "link_bending"',
     'name = "thermal_growth"',
     'name = "transmission_ripple"\njoint = 1\nk = 7',
     'name = "outliers"\nshare = 0.1\nsize = 10',
-    'name = "joint_noise"\njoint = 1',
+    'name = "joint_noise"\njoint = 1\nstd_deg = 0.01',
     'name = "base_drift"',
     'name = "joint_step"\njoint = 1\nat = 0.5',
     'name = "joint_error_curve"\njoint = 1\nfrom_deg = -20.0\nto_deg = 20.0\nvalues_deg = [0.1, 0.0, 0.1, 0.2]',
-    'name = "session_base"\nsessions = 2',
-    'name = "tool_mass"',
-    'name = "axis_tilt"',
-    'name = "axis_runout"\njoint = 1',
-    'name = "serial_correlation"',
-    'name = "none_such"',
+    'name = "serial_correlation"\nrho = 0.5',
+    'name = "joint_hysteresis"\njoint = 2',
 )
+OF_GRAVITY = ('name = "joint_compliance"', 'name = "tool_mass"', 'name = "gravity_tilt"', 'name = "payload_error"')
+OF_PLANAR = ('name = "base_offset"', 'name = "axis_tilt"\njoint = 1', 'name = "axes_skew"')
+OF_SPATIAL = ('name = "axis_runout"\njoint = 1', 'name = "bearing_compliance"\njoint = 1')
+ODD = ('name = "none_such"', 'name = "session_base"\nsessions = 2', 'name = "link_bending"', *OF_GRAVITY, *OF_PLANAR)
 
 
 @dataclass(frozen=True)
@@ -53,6 +50,11 @@ class ArmText:
     spatial: bool = False
     files: tuple[tuple[str, str], ...] = ()
     masses: bool = False
+
+    @property
+    def markers(self) -> bool:
+        """Whether several points are measured."""
+        return TOOLS in self.text
 
 
 def numbers(values: object) -> str:
@@ -79,7 +81,7 @@ def planar_arms(draw: st.DrawFn) -> ArmText:
     if gravity:
         parts.append(f"[gravity]\nacceleration_m_s2 = [0.0, -9.81]\nlink_masses_kg = {numbers(np.ones(n))}")
     parts += _constraints(draw, float(links.sum()), 2)
-    parts += _effects(draw)
+    parts += _effects(draw, OF_PLANAR + (OF_GRAVITY if gravity else ()))
     if not one_in(draw, 4):
         parts.append(f"[calibration]\nlength_errors_mm = {numbers(0.001 * links)}")
         parts.append(f"joint_offsets_deg = {numbers(np.linspace(-0.5, 0.5, n))}")
@@ -140,13 +142,14 @@ def _constraints(draw: st.DrawFn, reach: float, dimension: int) -> list[str]:
     return found
 
 
-def _effects(draw: st.DrawFn) -> list[str]:
-    """None mostly; those that the arm cannot have are among them."""
+def _effects(draw: st.DrawFn, more: tuple[str, ...]) -> list[str]:
+    """None mostly; those of every arm and `more`, seldom one that this arm cannot have."""
     number = draw(st.sampled_from([0, 0, 0, 0, 0, 1, 1, 2]))
-    return [f"[[effects]]\n{draw(st.sampled_from(EFFECTS))}" for _ in range(number)]
+    return [f"[[effects]]\n{draw(st.sampled_from(ODD if one_in(draw, 12) else EFFECTS + more))}" for _ in range(number)]
 
 
 # -- in space ----------------------------------------------------------------------------------------------------------
+TOOLS = "[tool.1]\nz_mm = 60.0\n[tool.2]\ny_mm = "  # two measured points
 ELBOW = ((0.0, 90.0, 400.0), (-600.0, 0.0, 0.0), (-500.0, 0.0, 0.0), (0.0, 90.0, 150.0), (0.0, -90.0, 120.0))
 
 
@@ -179,16 +182,20 @@ def _spatial_tables(draw: st.DrawFn, n: int) -> list[str]:
         parts[-1] += "\nsigma_deg = " + draw(st.sampled_from(["0.05", "1e-9", "1e9"]))
     if draw(st.booleans()):
         parts.append("[base]\nx_mm = 1500.0\nrz_deg = " + draw(st.sampled_from(["90.0", "1e6"])))
-    tool = draw(st.sampled_from(["", "[tool]\nx_mm = 50.0", "[tool.1]\nz_mm = 60.0\n[tool.2]\ny_mm = 1e9"]))
+    tools = ("", "[tool]\nx_mm = 50.0", "[tool]\ny_mm = 50.0", f"{TOOLS}100.0", f"{TOOLS}1e9")
+    tool = draw(st.sampled_from(tools))
     parts += [tool] if tool else []
     if draw(st.sampled_from(range(4))) == 0:
-        parts.append("[machining]\ntranslation_mm = " + draw(st.sampled_from(["0.1", "1e-12", "1e300"])))
-    if draw(st.sampled_from(range(3))) == 0:
+        sizes = ["0.1", "0.3", "1.0", "1e-12", "1e300"]
+        parts.append("[machining]\ntranslation_mm = " + draw(st.sampled_from(sizes)))
+    gravity = draw(st.sampled_from(range(3))) == 0
+    if gravity:
         parts.append(f"[gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\nlink_masses_kg = {numbers(np.ones(n))}")
     parts += _constraints(draw, 1500.0, 3)
-    parts += _effects(draw)
-    if not one_in(draw, 3):
-        parts.append('[calibration]\nvalues = {"joint_offset:1" = 0.2, "translation_x:' + str(n) + '" = 0.5}')
+    parts += _effects(draw, OF_SPATIAL + (OF_GRAVITY if gravity else ()))
+    if n > 1 and not one_in(draw, 3):
+        name = "base.x" if one_in(draw, 12) else f"translation_x:{n}"  # the base may be known
+        parts.append('[calibration]\nvalues = {"' + name + '" = 0.5}')
     return parts
 
 

@@ -11,12 +11,15 @@ from doe.cli import main
 from doe.cli.options import OUTPUTS
 from doe.cli.options import PICTURES as PICTURE_NAMES
 from tests.fuzz.arms import ArmText, arms
+from tests.fuzz.campaigns import campaigns
 from tests.fuzz.tables import measurements, plans, studies, targets
 from tests.fuzz.texts import mostly_valid, one_in, words
 
 LOOPS = {"loop": "pool", "pool": "loop"}  # links that lead in a circle, in every case's folder
 THERE = {"there.csv": "mine\n", "folder/mine.txt": "mine\n"}  # files of the user's, in every case's folder
 
+CAMPAIGN = ("calibrated.toml", "extended.toml", "arm.toml", "plan.csv", "data.csv")
+SAID = ("design", "score", "identify", "diagnose", "validate")
 # of options and arguments: what makes sense, for some arm at least; of one verb: VERB.NAME
 VALUES = {
     "design.runs": ["12", "8", "20", "4", "3", "1", "100000"],
@@ -60,15 +63,44 @@ VALUES = {
     "calibrated": ["arm.toml"],
     "truth": ["truth.toml", "arm.toml"],
     "plan": ["plan.csv"],
-    "data": ["data.csv"],
+    "data": ["data.csv", "data.csv", "data.csv", "more.csv"],
     "targets": ["targets.csv", "plan.csv"],
+    "files": [
+        "calibrated.toml",
+        "extended.toml",
+        "arm.toml",
+        "plan.csv",
+        "data.csv",
+        *(f"{verb}.json" for verb in SAID),
+    ],
+    "prior_from": ["arm.toml"],
+    "only": ["lengths", "joint_offsets", "base", "tool", "effects", "joint_offset:2", "none"],
     "study": ["study.toml"],
     "keep": ["plan.csv", "data.csv"],
     "candidates": ["candidates.csv", "plan.csv"],
     "test_poses": ["plan.csv"],
     "robot": ["robot.urdf"],
-    "seed": ["0", "7", "-1", "99999999999999999999"],
+    "seed": ["0", "7", "12", "-1", "99999999999999999999"],
 }
+# options that another one asks for
+NEEDS = {
+    "design.draws": ("--uncertain", "average"),
+    "design.loss": ("--discriminating", ""),
+    "design.missing": ("--robust", ""),
+    "relax.missing": ("--robust", ""),
+    "relax.robust": ("--runs", "12"),
+    "relax.runs": ("--robust", ""),
+    "score.missing": ("--robust", ""),
+    "subset": ("--criterion", "Ds"),
+    "test_poses": ("--criterion", "I"),
+    "identify.missing": ("--prior", ""),
+    "diagnose.missing": ("--prior", ""),
+    "base_link": ("--urdf", "robot.urdf"),
+    "tip_link": ("--urdf", "robot.urdf"),
+    "resume": ("--out", "out"),
+}
+OF_SPATIAL = {"identify.urdf", "identify.parameters"}  # options of one kind of arm alone
+OF_PLANAR = {"design.discriminating"}
 RARE = {
     "cluster": 100,
     "resume": 12,
@@ -124,17 +156,22 @@ def cases(draw: st.DrawFn, verbs: frozenset[str] = frozenset(main.commands)) -> 
     """Of these verbs, and now and then of none."""
     weighted = [verb for verb in sorted(verbs) for _ in range(EXPENSIVE.get(verb, 8))]
     verb = draw(st.sampled_from(weighted))
-    line = [verb, *draw(arguments(verb))]
+    arm = draw(arms())
+    line = [verb, *draw(arguments(verb, arm.spatial))]
     if one_in(draw, 50):
         line[draw(st.integers(0, len(line) - 1))] = draw(words)
-    return Case(line, draw(files(frozenset(line))))
+    if verb == "report" or one_in(draw, 6):  # what armcal itself wrote
+        written = draw(campaigns(frozenset(line)))
+        return Case(line, draw(files(frozenset(line), arm)) | written)
+    return Case(line, draw(files(frozenset(line), arm)))
 
 
 @st.composite
-def files(draw: st.DrawFn, line: frozenset[str]) -> dict[str, str]:
-    """Those that a command line or a study names, spoilt one in four."""
-    arm = draw(arms())
+def files(draw: st.DrawFn, line: frozenset[str], arm: ArmText) -> dict[str, str]:
+    """Those that a command line or a study names, spoilt one in seven."""
     found = {"arm.toml": draw(mostly_valid(arm.text)), **dict(arm.files)}
+    if "init" in line and not one_in(draw, 6):  # which writes it
+        del found["arm.toml"]
     if "robot.urdf" in line and "robot.urdf" not in found:
         found["robot.urdf"] = draw(_urdf())
     needed = {*line, *(("plan.csv",) if "study.toml" in line else ())}
@@ -162,23 +199,40 @@ def truth(arm: ArmText) -> str:
 
 
 @st.composite
-def arguments(draw: st.DrawFn, verb: str) -> list[str]:
-    """Words after the verb."""
+def arguments(draw: st.DrawFn, verb: str, spatial: bool) -> list[str]:
+    """Words after the verb, for an arm of this kind."""
     found: list[str] = []
-    for parameter in main.commands[verb].params:
+    needed: dict[str, str] = {}
+    parameters = main.commands[verb].params
+    seldom = 6 if len(parameters) < 15 else 12  # so that some of the longest lines make sense too
+    for parameter in parameters:
         name = str(parameter.name)
+        if f"{verb}.{name}" in (OF_PLANAR if spatial else OF_SPATIAL) and not one_in(draw, 20):
+            continue
         wanted = parameter.required or name in ALWAYS or f"{name}.{verb}" in ALWAYS
-        if one_in(draw, 60) if wanted else not one_in(draw, RARE.get(name, 6)):
+        if one_in(draw, 60) if wanted else not one_in(draw, RARE.get(name, seldom)):
             continue
         option = isinstance(parameter, click.Option)
+        if (need := NEEDS.get(f"{verb}.{name}", NEEDS.get(name))) and not one_in(draw, 6):
+            needed |= dict([need])
         if option and parameter.is_flag:
             found.append(draw(st.sampled_from([*parameter.opts, *parameter.secondary_opts])))
             continue
-        value = draw(value_of(verb, name, parameter))
-        found += [parameter.opts[0], value] if option else [value] * (2 if one_in(draw, 40) else 1)
+        several = parameter.nargs == -1 and one_in(draw, 2 if name == "files" else 8)
+        count = draw(st.integers(2, 6)) if several else 1
+        for value in dict.fromkeys(draw(value_of(verb, name, parameter)) for _ in range(count)):
+            found += [parameter.opts[0], value] if option else [value]
+    for option, value in needed.items():
+        found = with_option(found, option, value)
     if one_in(draw, 60):
         found.append(draw(st.sampled_from(["--none", "--json", "extra", "--help", "-"])))
     return found
+
+
+def with_option(line: list[str], option: str, value: str) -> list[str]:
+    """A line that has the option with this value; "": a flag."""
+    place = line.index(option) if option in line else len(line)
+    return [*line[:place], option, *([value] if value else []), *line[place + (2 if value else 1) :]]
 
 
 def value_of(verb: str, name: str, parameter: click.Parameter) -> st.SearchStrategy[str]:

@@ -165,7 +165,9 @@ def readers(case: Case, name: str) -> Iterator[Callable[[Path], object]]:
     base = next((option for option, value in given.items() if value == name), "--out")
     verb = case.verb
     arm = None
-    if base in ("--picture", "--aliases", "--report") or verb in ("demo", "init", "study", "compare"):
+    if base in ("--picture", "--aliases", "--report") or verb == "report":  # whatever its name
+        return
+    if verb in ("demo", "init", "study", "compare"):
         if name.endswith(".parquet"):
             yield _rows
         elif name.endswith("arm.toml"):

@@ -6,6 +6,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tests.fuzz.arms import ArmText
+from tests.fuzz.texts import one_in
 
 
 def csv(columns: dict[str, np.ndarray | list[str]], european: bool = False) -> str:
@@ -66,6 +67,8 @@ def measurements(draw: st.DrawFn, arm: ArmText) -> str:
     )
     columns: dict = {**named(arm, angles), **{f"{a}_mm": c for a, c in zip("xyz", places.T, strict=False)}}
     columns |= conditions(draw, arm, rows) | extras(draw, arm, angles, rng)
+    if arm.markers and not one_in(draw, 8):
+        columns["marker"] = [str(1 + k % 2) for k in range(rows)]
     return csv(columns, draw(st.sampled_from(range(8))) == 0)
 
 
@@ -106,19 +109,25 @@ def targets(draw: st.DrawFn, arm: ArmText) -> str:
 @st.composite
 def studies(draw: st.DrawFn, arm: ArmText) -> str:
     """A small study of one or two plans."""
-    plan = st.sampled_from(["random", "dft", "plan.csv", "random", "fedorov", "exchange", "none", "../plan.csv"])
+    known = ["random", "best_of_random", "plan.csv", "exchange", *(() if arm.spatial else ("dft",))]
+    plan = st.sampled_from(["fedorov", "none", "../plan.csv"] if one_in(draw, 12) else known)
     lines = [
         'arms = ["arm.toml"]',
         "plans = [" + ", ".join(f'"{draw(plan)}"' for _ in range(draw(st.integers(1, 2)))) + "]",
     ]
-    lines += [f"runs = {draw(st.sampled_from(['[12]', '[8, 20]', '[1]', '[]']))}", "solver_seconds = 0.2"]
+    few = 3 if arm.spatial else 1  # equations of a row make up for the parameters
+    runs = [f"[{12 * few}]", f"[{10 * few}, {20 * few}]", f"[{8 * few}]"]
+    lines += [f"runs = {draw(st.sampled_from(['[1]', '[]'] if one_in(draw, 12) else runs))}", "solver_seconds = 0.2"]
     lines += [f"replications = {draw(st.sampled_from(['1', '5', '20']))}"]
     if draw(st.booleans()):
         lines.append("sigma_mm = [0.1]")
+    planar, spatial = (
+        f"length_errors_mm = [{', '.join(['0.5'] * len(arm.kinds))}]",
+        'values = {"joint_offset:2" = 0.2}',
+    )
     if draw(st.sampled_from(range(3))) == 0:
-        lines.append(f'[[truths]]\nname = "t"\nlength_errors_mm = [{", ".join(["0.5"] * len(arm.kinds))}]')
+        lines.append(f'[[truths]]\nname = "t"\n{spatial if arm.spatial is not one_in(draw, 12) else planar}')
     if draw(st.sampled_from(range(3))) == 0:
-        lines.append('[[truths]]\nname = "v"\nvalues = {"joint_offset:1" = 0.2}')
-    if draw(st.sampled_from(range(3))) == 0:
-        lines.append('[[models]]\nname = "m"\neffects = [{name = "base_offset"}]')
+        effect = "base_drift" if arm.spatial else "base_offset"
+        lines.append(f'[[models]]\nname = "m"\neffects = [{{name = "{effect}"}}]')
     return "\n".join(lines) + "\n"

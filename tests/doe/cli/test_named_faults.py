@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from doe.cli import main
 from doe.cli.progress import lines
 from doe.report.monte_carlo import _cell_table
 from identification.errors import LONGEST_LINE, InputError, in_one_line
@@ -132,6 +133,13 @@ def test_control_characters_are_not_repeated(folder: Folder, char: str) -> None:
         assert done.code == 2
         assert done.err.count("\n") == 1
         assert done.err.strip().isprintable()
+
+
+@pytest.mark.parametrize("name", main.commands)
+def test_help_is_text(folder: Folder, name: str) -> None:
+    done = folder.armcal(name, "--help")
+    assert done.code == 0
+    assert all(char.isprintable() or char == "\n" for char in done.out)
 
 
 def test_names_in_files_do_not_reach_the_terminal_as_they_are(folder: Folder) -> None:
