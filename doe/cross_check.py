@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from time import perf_counter
 from typing import Any
 
 from doe.bounds.approximate_design import ApproximateDesign
@@ -65,12 +66,15 @@ def cross_check(
 
     With a prior over many effects, whose continuous optimum takes hours, beside an exact plan only.
 
-    seconds : for the exact plan; a bound reached ends it sooner
+    seconds : for the exact plan, which a bound reached ends sooner, and again for the continuous optimum
     """
+    end = perf_counter() + 2.0 * seconds
     exact = solve(problem, runs, "exchange_ipopt" if problem.choices is None else None, seed=seed, seconds=seconds)
     theorem = closed_form_bound(problem)
     try:
-        continuous = None if problem.deviations else continuous_design(problem, runs=runs)
+        continuous = (
+            None if problem.deviations else continuous_design(problem, runs=runs, stop=lambda: perf_counter() > end)
+        )
     except JobError:
         continuous = None
     return CrossCheck(relaxed, continuous, exact, None if theorem is None else theorem.value)

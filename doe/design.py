@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -174,10 +175,14 @@ def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = 
     return Design(problem, given_plan(problem, plan), bound)
 
 
-def score_plan(problem: DesignProblem, plan: Plan | ArrayLike) -> Design:
-    """Any plan, judged against the best bound that is known. Raises `InputError` for one that does not fit."""
+def score_plan(problem: DesignProblem, plan: Plan | ArrayLike, *, seconds: float | None = None) -> Design:
+    """Any plan, judged against the best bound that is known. Raises `InputError` for one that does not fit.
+
+    seconds : for the bound; cut by them it holds all the same
+    """
     given = given_plan(problem, plan)
-    return score(problem, given, best_known_bound(problem, len(given)))
+    end = np.inf if seconds is None else perf_counter() + seconds
+    return score(problem, given, best_known_bound(problem, len(given), lambda: perf_counter() > end))
 
 
 def given_plan(problem: DesignProblem, plan: Plan | ArrayLike) -> Plan:

@@ -5,6 +5,7 @@ The value and the bound are recomputed from the weights, whoever found them; a s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from time import perf_counter
 from types import MappingProxyType
 
@@ -17,6 +18,7 @@ from doe.bounds.convex_program import solve_program
 from doe.bounds.equivalence import largest_sensitivity
 from doe.bounds.multiplicative import multiplicative
 from doe.bounds.weights import proper_weights
+from doe.plan.ascent import IN_TIME
 from doe.plan.plan import Plan
 from doe.problem.candidates import Candidates, PostureList, chunks, grid, listed
 from doe.problem.candidates import Grid as CandidateGrid
@@ -49,6 +51,7 @@ def relax(
     solver: str = "column_generation",
     *,
     runs: int | None = None,
+    stop: Callable[[], bool] = IN_TIME,
 ) -> ApproximateDesign:
     """Optimal weights over candidate postures, with a certificate recomputed from the weights.
 
@@ -56,6 +59,7 @@ def relax(
     solver : `clarabel`, `scs`, `multiplicative` (rough, for very many parameters) or `column_generation`, which alone
         has no limit of size
     runs : number of new runs, needed where the problem keeps measured postures
+    stop : asked now and then by column_generation and multiplicative; the bound holds where it ended them early
     Raises InputError for an unknown solver, too many candidates for it, no feasible candidate; JobError where the
     solver returns no weights.
     """
@@ -63,16 +67,18 @@ def relax(
         raise InputError(f"solver: unknown name {solver!r}, {nearest(solver, (*SOLVERS, ROUGH))}")
     chosen = candidate_set(problem, candidates)
     try:
-        return _relaxed(problem, chosen, solver, runs)
+        return _relaxed(problem, chosen, solver, runs, stop)
     except np.linalg.LinAlgError:
         raise JobError(f"{solver}: {SINGULAR}") from None
 
 
-def _relaxed(problem: DesignProblem, chosen: Candidates, solver: str, runs: int | None) -> ApproximateDesign:
+def _relaxed(
+    problem: DesignProblem, chosen: Candidates, solver: str, runs: int | None, stop: Callable[[], bool]
+) -> ApproximateDesign:
     if solver == "column_generation":
-        return column_generation(problem, chosen, runs=runs)
+        return column_generation(problem, chosen, runs=runs, stop=stop)
     if solver == ROUGH:
-        return multiplicative(problem, chosen, runs=runs)
+        return multiplicative(problem, chosen, runs=runs, stop=stop)
     if len(chosen) > LARGEST[solver]:
         raise InputError(
             f"candidates: {len(chosen)} for solver {solver}, allowed: up to {LARGEST[solver]}, where one big program "

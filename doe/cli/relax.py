@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING
 
 import click
 
 from doe.cli.common import Answer, Session, verb
-from doe.cli.options import FILE, Output, grouped, output_options
+from doe.cli.options import FILE, Output, Seconds, grouped, output_options
 from doe.cli.problems import CriterionOptions, PostureOptions, criterion_options, design_problem
 from identification.errors import InputError
 
@@ -27,6 +29,19 @@ class RelaxationOptions:
     solver: str | None
     check: bool
     runs: int | None
+    seconds: float | None
+
+    def limits(self, solver: str) -> tuple[Callable[[], bool], float]:
+        """What ends the weights, at half the time where they are checked, and seconds for each of the two checks."""
+        from doe.bounds.relaxation import LARGEST
+
+        if self.seconds is None:
+            return (lambda: False), 30.0
+        if solver in LARGEST:
+            found, allowed = f"found with --solver {solver}", "column_generation or multiplicative"
+            raise InputError(f"--seconds: {found}, which cannot be stopped, allowed: with {allowed}")
+        end = perf_counter() + self.seconds * (0.5 if self.check else 1.0)
+        return (lambda: perf_counter() > end), 0.25 * self.seconds
 
 
 relaxation_options = grouped(
@@ -41,6 +56,7 @@ relaxation_options = grouped(
     ),
     click.option("--check/--no-check", default=True, show_default=True, help="Cross-check by independent methods."),
     click.option("--runs", type=click.IntRange(min=1), help="Number of measurements m, for --robust and spatial arms."),
+    click.option("--seconds", type=Seconds(), help="Time budget [s]; left out: none but 30 s for the exact plan."),
 )
 
 
@@ -70,12 +86,13 @@ def command(
         progress(0, 2, "weights")
         solver = chosen.solver or ("multiplicative" if criterion.robust else "column_generation")
         new = chosen.runs or (problem.parameters if problem.deviations else None)
-        found = relax(problem, candidates(problem, chosen), solver, runs=new)
+        stop, seconds = chosen.limits(solver)
+        found = relax(problem, candidates(problem, chosen), solver, runs=new, stop=stop)
         data, shown = found.to_json(), relax_tables(found)
         if chosen.check:
             progress(1, 2, "cross-check")
             runs = chosen.runs or max(2 * loaded.links, problem.fewest_runs)
-            compared = cross_check(problem, found, runs, seed=session.seed)
+            compared = cross_check(problem, found, runs, seed=session.seed, seconds=seconds)
             data["cross_check"] = compared.rows()
             shown.append(cross_check_table(compared))
     return Answer(data, [*shown, *output.write(plan_text(found.plan, loaded.joint_types), "plan with weights")])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from doe.cli.common import Answer, Session, verb
-from doe.cli.options import FILE, Output, output_options, plan_drawing
+from doe.cli.options import FILE, Output, Seconds, output_options, plan_drawing
 from doe.cli.problems import CriterionOptions, design_problem, robust_options
 from identification.errors import InputError
 
@@ -30,10 +30,17 @@ if TYPE_CHECKING:
 @click.argument("arm", type=FILE)
 @click.argument("plan", type=FILE)
 @click.option("--aliases", type=FILE, metavar="FILE", help="Draw which effects this plan can hardly distinguish.")
+@click.option("--seconds", type=Seconds(), help="Time budget of the bound [s]; left out: none.")
 @robust_options
 @output_options(picture="Draw the postures (.png, .svg, .pdf).")
 def command(
-    session: Session, arm: Path, plan: Path, aliases: Path | None, criterion: CriterionOptions, output: Output
+    session: Session,
+    arm: Path,
+    plan: Path,
+    aliases: Path | None,
+    seconds: float | None,
+    criterion: CriterionOptions,
+    output: Output,
 ) -> Answer:
     """Score a PLAN of your own: efficiency against the bound, expected standard deviations, effects it could show."""
     from doe.plan.file import load_plan
@@ -45,7 +52,7 @@ def command(
 
     loaded = load_arm(arm)
     given = load_plan(plan, loaded.joint_types)
-    design = _scored(loaded, given, plan, criterion)
+    design = _scored(loaded, given, plan, criterion, seconds)
     sees, tables = _preflight(loaded, given, plan, aliases)
     pictures: dict[Path | None, Callable[[], Figure]] = {output.picture: lambda: plan_drawing(loaded, given.postures)}
     problem = DesignProblem.of(Model(loaded))
@@ -65,7 +72,7 @@ def _alias_drawing(sees: Detectability) -> Figure:
     return alias_figure(sees)
 
 
-def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions) -> Design:
+def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions, seconds: float | None) -> Design:
     """The plan judged. Raises `InputError` if it has too few runs; warns of runs that the arm cannot do."""
     from doe.design import score_plan
     from doe.problem.robust import with_choices
@@ -76,7 +83,7 @@ def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions) -> D
     if len(given) < problem.fewest_runs:
         need = f"allowed: at least {problem.fewest_runs} for {problem.parameters} parameters"
         raise InputError(f"{path}: {len(given)} runs, {need}")
-    design = score_plan(problem, given)
+    design = score_plan(problem, given, seconds=seconds)
     if design.outside:
         found = f"{len(design.outside)} of {len(given)} runs are outside joint limits or constraints, the first is run"
         warnings.warn(f"{path}: {found} {design.outside[0]}: the bound does not apply", UserWarning, stacklevel=2)

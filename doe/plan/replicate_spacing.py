@@ -70,7 +70,7 @@ def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
     near = np.zeros(len(postures))
     blocked = 1 if capacity == 1.0 else 2  # places on a free joint within the distance of a measured posture
     near += blocked * (gaps(searched, searched_part(problem, problem.kept)) < distance).sum(axis=1)
-    if capacity > 1.0:
+    if capacity > 1.0 or len(postures) > MANY:
         most = near + neighbors(searched, distance)
         if most.max() < capacity or len(postures) > MANY:
             return np.flatnonzero(most >= capacity)
@@ -79,6 +79,18 @@ def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
         chunk = gaps(searched[start : start + rows], searched[: start + rows]) < distance
         near[start : start + rows] += np.tril(chunk, k=start - 1).sum(axis=1)
     return np.flatnonzero(near >= capacity)
+
+
+def beside_earlier(points: Array, distance: float) -> NDArray[np.intp]:
+    """Rows whose nearest other row is an earlier one within the distance (in every column): one at least of every two
+    that are so near."""
+    tree = _tree(points)
+    if tree is None:
+        return np.arange(1, len(points))
+    reach, nearest = tree.query(points, k=2, p=np.inf, distance_upper_bound=distance / ROUNDING)
+    rows = np.arange(len(points))
+    other = np.where(nearest[:, 0] == rows, nearest[:, 1], nearest[:, 0])
+    return np.flatnonzero(np.isfinite(reach[:, 1]) & (other < rows))
 
 
 def neighbors(points: Array, distance: float) -> NDArray[np.intp]:

@@ -65,11 +65,12 @@ def summary_table(data: dict[str, Any], sentence: str) -> Table:
     known = bound and not data["outside_limits"]  # no bound applies to a plan outside the limits
     searched = f"{data['starts']} start{'s' * (data['starts'] != 1)}"
     table_1 = data["table_1_max_residual"]
+    cut = ", its search was cut by the time limit" if known and bound.get("cut") else ""
     rows = {
         "criterion": f"{kind}, {data['runs']} runs, {data['links']} links",
         f"value of {kind}": None if kind == "D" else number(data["value"], 7),
         "information (log det M')": number(data["log_det"], 7),
-        "upper bound": f"{number(bound['value'], 7)} ({bound['source']})" if known else "-",
+        "upper bound": f"{number(bound['value'], 7)} ({bound['source']}{cut})" if known else "-",
         "efficiency": number(data["efficiency"] if known else None, 6),
         "certified optimal": certified(data),
         "deviation from orthogonality (Table I)": None if table_1 is None else number(table_1, 6),

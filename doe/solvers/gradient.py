@@ -52,7 +52,7 @@ class Gradient:
             if not first or problem.constraints:  # penalties climb slowly from poor plans
                 pool = np.concatenate([*best, *(started if first else started[:1])])
                 started = exchanged(problem, pool, (count, runs), generator, budget)
-            plans = climb(started, stop=lambda: budget.out_of_time)
+            plans = climb(started, stop=budget.ended)
             for plan in plans:
                 yield Offer(plan, 1, independent=first)
             best = sorted([*best, *plans], key=lambda plan: -problem.objective(plan))[:elite]

@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from doe.bounds.planar_theorem import applies, chain_joints
-from doe.plan.replicate_spacing import free_values, gaps, replicates_allowed, too_near
+from doe.plan.replicate_spacing import beside_earlier, free_values, replicates_allowed, too_near
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import Exchange
 from doe.solvers.planar_characters import CharacterPlan, character_plans, halves
@@ -26,7 +26,7 @@ from identification.arrays import Array
 
 WHOLE = 2048  # runs up to which one group is tried
 SMALL = 48  # runs of the plans that are put together, or as many as the factorial of all joints has
-PATTERNS = 16  # different plans of one size, and places that are tried for each
+PATTERNS = 16  # different plans of one size, and times that those too near others are placed anew
 ATTEMPTS = 8  # plans of one group before smaller ones are put together
 NEARLY = 64  # runs by which a plan may exceed one from theory to be begun from it
 
@@ -105,20 +105,21 @@ class Composition:
             self.patterns = self._small_groups()
         if not self.patterns:
             return None
-        angles, filled = np.empty((self.runs, len(self.joints))), 0
-        for size in composed(list(self.patterns), self.runs, self.generator):
-            angles[filled : filled + size] = self._placed(self.patterns[size], angles[:filled])
-            filled += size
+        sizes = composed(list(self.patterns), self.runs, self.generator)
+        edges = np.cumsum([0, *sizes])
+        angles = np.concatenate([self._drawn(size) for size in sizes])
+        for _ in range(PATTERNS if self.apart > 0.0 else 0):
+            crowded = np.unique(np.searchsorted(edges, beside_earlier(angles, self.apart), side="right")) - 1
+            if not len(crowded):
+                break
+            for group in crowded.tolist():
+                angles[edges[group] : edges[group + 1]] = self._drawn(sizes[group])
         return self._full(angles)
 
-    def _placed(self, patterns: list[CharacterPlan], others: Array) -> Array:
-        """(b, J) a random one of the patterns, at phases that keep it away from the others where some are found."""
-        for _ in range(PATTERNS):
-            pattern = patterns[self.generator.integers(len(patterns))]
-            angles = pattern.placed(self.lower, self.upper, self.generator)
-            if self.apart == 0.0 or np.all(gaps(angles, others) >= self.apart):
-                break
-        return angles
+    def _drawn(self, size: int) -> Array:
+        """(b, J) a random one of the patterns at random phases."""
+        patterns = (self.patterns or {})[size]
+        return patterns[self.generator.integers(len(patterns))].placed(self.lower, self.upper, self.generator)
 
     def _full(self, angles: Array) -> Array:
         """(m, n) postures whose other joints stay in the middle."""

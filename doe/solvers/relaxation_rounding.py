@@ -14,6 +14,8 @@ from doe.solvers.ipopt import Climber, Ipopt
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
 
+HALF = 0.5  # of the time, at most, for the relaxation
+
 
 @dataclass(frozen=True)
 class RelaxRound:
@@ -38,7 +40,7 @@ class RelaxRound:
         """The rounded plan as it is, then one offer per start."""
         from doe.bounds.column_generation import continuous_design  # deferred: it needs scipy.linalg
 
-        first = rounded(continuous_design(problem, runs=runs, proof=0.0).plan, runs)
+        first = rounded(continuous_design(problem, runs=runs, proof=0.0, stop=budget.part(HALF).ended).plan, runs)
         yield Offer(first)
         climb = Climber(problem, runs, self.ipopt, budget)
         started = self._begin(problem, first, budget.starts, generator)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Protocol
 
@@ -63,6 +63,14 @@ class Budget:
     def out_of_time(self) -> bool:
         """True once the time is up."""
         return self.remaining <= 0.0
+
+    def ended(self) -> bool:
+        """As `out_of_time`, for what asks it now and then."""
+        return self.out_of_time
+
+    def part(self, share: float) -> Budget:
+        """The same with that share of the time that is left."""
+        return self if self.deadline is None else replace(self, deadline=perf_counter() + share * self.remaining)
 
 
 def time_limit(runs: int, starts: int | None, seconds: float | None) -> float | None:

@@ -28,6 +28,8 @@ from identification.progress import Progress, silent
 from identification.status import Status
 from identification.threads import single_thread
 
+HALF = 0.5  # of the time: for what comes first, the search or the bound
+
 
 def solve(
     problem: DesignProblem,
@@ -48,7 +50,7 @@ def solve(
     solver : settings object, or name; left out: a plan from theory if that attains the bound, else exchange + IPOPT
     seed : the same seed gives the same plan, unless the time limit binds
     starts, seconds : budget; left out: the solver's own number of starts, fewer when many of them agree; no time limit
-        up to 100 runs, 30 s for more
+        up to 100 runs, 30 s for more. The bound is part of it: whichever of search and bound comes first ends at half
     bound : upper bound of the criterion; left out: the best that is known, see `doe.bounds.best_known`
     begin : (m, n) a plan to begin with;  accepted : which plans may take its place
     throw : raise `JobError` where no plan identifies all parameters; False: return the last one, value -inf
@@ -59,19 +61,21 @@ def solve(
     chosen = chosen_solver(problem, solver)
     check_solvable(problem, runs, seed, every_parameter=throw)
     with single_thread():
-        late = bound is None and bound_takes_long(problem)
-        known = None if late else bound or best_known_bound(problem, runs)
-        result = from_theory(problem, runs, known, seed, accepted) if solver is None else None
+        whole = Budget.of(starts, chosen.starts_for(problem), time_limit(runs, starts, seconds), began)
+        first, late = whole.part(HALF), bound is None and bound_takes_long(problem)
+        known = None if late else bound or best_known_bound(problem, runs, first.ended)
+        result = from_theory(problem, runs, known, seed, accepted, whole) if solver is None else None
         chosen = chosen if result is None else Analytic()
         if result is None:
-            budget = Budget.of(starts, chosen.starts_for(problem), time_limit(runs, starts, seconds), began)
+            budget = first if late else whole
             offers = offers_of(problem, runs, chosen, budget, seed, theory_first=solver is None)
             offers = offers if begin is None else chain(climbing_from(problem, begin, budget), offers)
             result = run_search(problem, offers, budget, known, progress, accepted)
-        known = best_known_bound(problem, runs) if late else known
+        known = best_known_bound(problem, runs, whole.ended) if late else known
         design = design_of(problem, result, chosen, known, began, seed)
         if bound is None:
-            design = replace(design, bound=bound_that_holds(problem, known, design.plan.postures, design.value))
+            held = bound_that_holds(problem, known, design.plan.postures, design.value, whole.ended)
+            design = replace(design, bound=held)
     return identified(design, throw=throw)
 
 
@@ -94,12 +98,17 @@ def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver
 
 
 def from_theory(
-    problem: DesignProblem, runs: int, known: Bound | None, seed: int, accepted: Callable[[Array], bool]
+    problem: DesignProblem,
+    runs: int,
+    known: Bound | None,
+    seed: int,
+    accepted: Callable[[Array], bool],
+    whole: Budget,
 ) -> SearchResult | None:
     """A plan from theory that attains the bound and is accepted, None without one."""
     if known is None or problem.choices is not None:
         return None
-    budget = Budget(1, may_agree=False)
+    budget = replace(whole, starts=1, may_agree=False)
     offers = Analytic().offers(problem, runs, np.random.default_rng(seed), budget)
     result = run_search(problem, offers, budget, known, silent)
     reached = result.status is Status.bound_reached and result.postures is not None
@@ -110,7 +119,7 @@ def climbing_from(problem: DesignProblem, plan: Array, budget: Budget) -> Iterat
     """A plan as it is and, where postures may be chosen freely, climbed from there."""
     yield Offer(plan)
     if problem.choices is None and problem.searched_joints:
-        yield Offer(ascent(problem)(plan[None], stop=lambda: budget.out_of_time)[0])
+        yield Offer(ascent(problem)(plan[None], stop=budget.ended)[0])
 
 
 def offers_of(

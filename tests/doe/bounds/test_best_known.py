@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem, solve
-from doe.bounds.best_known import best_known_bound, bound_that_holds
+from doe.bounds.best_known import best_design, best_known_bound, bound_that_holds
 from doe.bounds.bound import Bound
 from doe.bounds.planar_theorem import closed_form_bound, closed_form_log_det
 from doe.bounds.relaxation import relax
@@ -16,7 +16,10 @@ from doe.criteria import A
 from identification.arm import Arm, EffectSpec
 from identification.model import Model
 from identification.workspace import WorkspaceBox
+from tests.doe.arms import ECCENTRICITY, FOUR
+from tests.doe.arms import problem as of
 
+LIST = np.random.default_rng(3).uniform(FOUR.lower, FOUR.upper, (200, 4))
 BOX = Arm([300.0, 200.0, 150.0], lower=np.radians([-180, -120, -100]), upper=np.radians([180, 60, 90]), sigma=0.1)
 
 
@@ -66,3 +69,18 @@ def test_one_link_without_a_joint_to_choose() -> None:
     """q_1 turns everything: every plan has M = I (2, 2), and -trace M^-1 = -2."""
     problem = DesignProblem.of(Model(Arm([300.0])), criterion=A())
     assert best_known_bound(problem, 5) == Bound(pytest.approx(-2.0, abs=1e-12), "continuous", rigorous=True)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [of(FOUR, ECCENTRICITY), of(FOUR), of(FOUR, choices=LIST)],
+    ids=["continuous", "proven", "list"],
+)
+def test_a_bound_whose_search_is_cut_holds_and_says_so(case: DesignProblem) -> None:
+    """Stopped after its first pricing: above the bound of the whole search, by the equivalence theorem."""
+    cut, whole = (best_design(case, 20, stop=lambda c=c: c).bound for c in (True, False))  # type: ignore[misc]
+    assert cut is not None
+    assert whole is not None
+    assert cut.cut
+    assert not whole.cut
+    assert cut.value >= whole.value - 1e-8

@@ -120,3 +120,21 @@ def test_advise_of_some_parameters(arm: Path) -> None:
     assert found["rows"][0]["largest_length_std_mm"] == 0.0
     shown = armcal("advise", arm, "--only", "joint_offset:2", "--runs", "1").output
     assert "Of joint_offset:2 alone, 1 run or more" in shown
+
+
+def test_a_budget_of_the_bound_cuts_it_and_says_so(arm: Path, tmp_path: Path) -> None:
+    """A cut bound is above that of the whole search, and the value of the plan is the same."""
+    plan, few = tmp_path / "plan.csv", ("--robust", "--missing", "gear_ratio,encoder_eccentricity")
+    answer("design", arm, "--runs", 6, *few, "--out", plan)
+    whole = answer("score", arm, plan, *few)
+    cut = answer("score", arm, plan, *few, "--seconds", 1e-3)
+    assert cut["bound"]["cut"]
+    assert "cut" not in whole["bound"]
+    assert cut["bound"]["value"] >= whole["bound"]["value"]
+    assert cut["value"] == whole["value"]
+    assert "its search was cut" in armcal("score", arm, plan, *few, "--seconds", 1e-3).output
+    relaxed = answer("relax", arm, "--runs", 6, *few, "--seconds", 1e-3)
+    assert relaxed["status"] == "time_limit"
+    assert relaxed["bound"]["value"] >= whole["bound"]["value"]
+    refused = armcal("relax", arm, "--solver", "scs", "--seconds", 1)
+    assert refused.exit_code == 2

@@ -38,3 +38,9 @@ def test_what_is_used_up_is_the_time_where_it_ends_the_search_first() -> None:
     assert Budget(10, now + 1000.0, began=now - 1000.0).used(3) == pytest.approx(5.0, abs=0.1)  # half of the time
     assert Budget(10, now + 1000.0, began=now - 1000.0).used(8) == 8
     assert Budget(10, now - 1.0, began=now - 2.0).used(8) == 10
+
+
+def test_a_part_of_the_budget_is_one_of_what_is_left() -> None:
+    assert Budget(3).part(0.5).deadline is None
+    assert 4.0 < Budget(3, perf_counter() + 10.0).part(0.5).remaining <= 5.0
+    assert Budget(3, perf_counter() - 1.0).part(0.5).ended()
