@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arm import Arm
+from identification.arrays import Array
 from identification.kinematics.turns import turned_into
 from identification.measurements import Measurements
 from identification.model import Model
@@ -23,14 +24,24 @@ def identified(arm: Arm) -> Mapping[str, Any]:
     return {} if arm.calibration is None else arm.calibration.provenance
 
 
-def outside(arm: Arm, measurements: Measurements) -> NDArray[np.bool_] | None:
-    """(m, n) True where a joint is outside the angles of the identification, whole turns aside; None where they are not
-    known."""
+def extrapolation(arm: Arm, postures: Array, what: str = "rows") -> str | None:
+    """How many postures (m, n) are outside the angles of the identification, in a clause; None: none, or not known."""
+    out = outside(arm, postures)
+    if out is None or not out.any():
+        return None
+    joints = ", ".join(f"joint {j + 1} in {int(out[:, j].sum())}" for j in np.flatnonzero(out.any(axis=0)))
+    found = f"{int(out.any(axis=1).sum())} of {len(out)} {what} are outside the angles that the model was identified on"
+    return f"{found} ({joints}): there it extrapolates"
+
+
+def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
+    """(m, n) True where a joint of postures (m, n) is outside the angles of the identification, whole turns aside; None
+    where they are not known."""
     limits = np.array(identified(arm).get("joint_range_deg", ()), dtype=float)
     if limits.shape != (arm.links, 2):
         return None
     (lower, upper), types = np.radians(limits.T), Model(arm).joint_types
-    q = turned_into(measurements.postures, lower, upper, types, READ)
+    q = turned_into(postures, lower, upper, types, READ)
     return (q < lower - READ) | (q > upper + READ)
 
 
@@ -54,7 +65,7 @@ def row_groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str,
     ):
         if there.any():
             yield "workspace", name, np.flatnonzero(there)
-    out = outside(arm, measurements)
+    out = outside(arm, measurements.postures)
     if out is not None and 0 < int(out.any(axis=1).sum()) < m:
         yield "range", "inside", np.flatnonzero(~out.any(axis=1))
         yield "range", "outside", np.flatnonzero(out.any(axis=1))

@@ -22,7 +22,7 @@ from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.refit import placed_values, refit_model, refit_parameters
-from identification.row_groups import identified, outside, row_groups
+from identification.row_groups import extrapolation, identified, row_groups
 
 REFITS = ("base", "offsets", "none")
 END = 0.5  # time at the end of a session, -0.5 to 0.5
@@ -247,13 +247,8 @@ def _notes(arm: Arm, measurements: Measurements, undetermined: int) -> Iterator[
     sha = identified(arm).get("sha256")
     if sha is not None and sha == measurements.provenance.get("sha256"):
         yield "these are the measurements that the model was identified from: this says nothing about others"
-    out = outside(arm, measurements)
-    if out is not None and out.any():
-        joints = ", ".join(f"joint {j + 1} in {int(out[:, j].sum())}" for j in np.flatnonzero(out.any(axis=0)))
-        found = (
-            f"{int(out.any(axis=1).sum())} of {len(out)} rows are outside the angles that the model was identified on"
-        )
-        yield f"{found} ({joints}): there it extrapolates"
+    if far := extrapolation(arm, measurements.postures):
+        yield far
     model = Model(arm)
     for effect in model.effects:
         for need, column in (("temperature", "temperature_C"), ("time", "order or time_s")):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import click
@@ -30,6 +31,7 @@ def command(session: Session, calibrated: Path, targets: Path, output: Output) -
     from identification.files.arm import load_arm
     from identification.files.target import commands_text, load_targets
     from identification.model import Model
+    from identification.row_groups import extrapolation
 
     arm = load_arm(calibrated)
     if arm.calibration is None and not any(effect.values for effect in arm.effects):
@@ -37,6 +39,8 @@ def command(session: Session, calibrated: Path, targets: Path, output: Output) -
     wanted = load_targets(targets, arm)
     allowed = constraints_of(Model(arm)) if arm.constraints else ()
     found = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
+    if far := extrapolation(arm, found.nominal, "targets"):
+        warnings.warn(far, UserWarning, stacklevel=1)
     columns = found.targets, found.errors, arm.joint_types, found.orientations, found.angles, found.reached
     written = output.write(commands_text(found.commands, *columns), "commands")
     return Answer(found.to_json(), [*compensation_tables(found), *written])

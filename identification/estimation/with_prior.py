@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arm import Machining
 from identification.arrays import Array
 from identification.estimation.checks import Noise, check, weighting
-from identification.estimation.levenberg_marquardt import Index, LeastSquares, Solution, levenberg_marquardt
+from identification.estimation.levenberg_marquardt import ITERATIONS, Index, LeastSquares, Solution, levenberg_marquardt
 from identification.estimation.methods import starts
 from identification.estimation.outcome import Spread, identification
 from identification.estimation.prior import Prior, effective_count
@@ -29,6 +29,7 @@ from identification.model import Model
 from identification.placed import placed_model
 from identification.threads import single_thread
 
+FIRST = 2  # steps before the noise is told again: the model is nearly linear
 ROUNDS = 10  # of fit and noise: the model is nearly linear, so that the second changes little
 STEADY = 1e-4  # relative change of the noise, far below its own uncertainty
 SIZES = (0.0, *(2.0 ** (-k / 2.0) for k in range(16, -1, -1)))  # of all effects; the likelihood is flat over a step
@@ -61,9 +62,9 @@ def estimate_with_prior(
     prior = replace(prior, deviations={**model.prior, **prior.deviations})
     check(model, measurements, prior)
     noise = weighting(model, measurements, sigma, weights)
-    problem, solution, width = _solved(replace(Problem.of(model, measurements, noise.weights), prior=prior), noise)
+    whole = replace(Problem.of(model, measurements, noise.weights), prior=prior)
+    problem, solution, width, jacobian = _solved(whole, noise)
     parameters = solution.parameters[0]
-    jacobian = replace(problem, prior=None).least_squares.linearize(parameters[None], np.arange(1))[1][0]
     decomposed = spectrum(np.concatenate([jacobian, problem.prior_rows]), model.scales, problem.tolerance)
     effective = effective_count(jacobian, problem.prior_rows)
     dof = round(model.dimension * np.count_nonzero(problem.weights) - effective)
@@ -82,24 +83,24 @@ def far_from_drawing(machining: Machining, width: float) -> str:
     return f"the arm is farther from its drawing than [machining] says ({sizes}): taken {width:g} times as large{ask}"
 
 
-def _solved(problem: Problem, noise: Noise) -> tuple[Problem, Solution, float]:
-    """The problem with the noise that was found, its solution, and the width of the machining's sizes; in turns until
-    the noise stays."""
+def _solved(problem: Problem, noise: Noise) -> tuple[Problem, Solution, float, Array]:
+    """The problem with the noise that was found, its solution, the width of the machining's sizes, and the Jacobian
+    without the prior; in turns until the noise stays."""
     given, linearized = noise.reliance == "given", _Linearizations(replace(problem, prior=None))
 
-    def solved(at: Array) -> tuple[Problem, Solution, float]:
+    def solved(at: Array, most: int = ITERATIONS) -> tuple[Problem, Solution, float]:
         scale, width = likeliest(Linearized.of(problem, at, *linearized.at(at)), noise, given)
         found = replace(problem, noise=scale, prior=widened(problem, width))
-        return found, levenberg_marquardt(linearized.with_prior(found), at[None]), width
+        return found, levenberg_marquardt(replace(linearized.with_prior(found), iterations=most), at[None]), width
 
-    found, solution, width = solved(starts(problem)[0])
+    found, solution, width = solved(starts(problem)[0], ITERATIONS if given else FIRST)
     for _ in range(0 if given else ROUNDS):
         before, steps = found.noise, solution.iterations
         found, solution, width = solved(solution.parameters[0])
         solution = replace(solution, iterations=solution.iterations + steps)
         if abs(found.noise - before) <= STEADY * before:
             break
-    return found, solution, width
+    return found, solution, width, linearized.at(solution.parameters[0])[1]
 
 
 @dataclass
