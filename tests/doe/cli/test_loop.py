@@ -159,3 +159,11 @@ def test_two_ripples_of_one_joint_in_a_design(folder: Folder) -> None:
     refused = folder.armcal(*words, "transmission_ripple:1.a")
     assert refused.code == 2
     assert "did you mean 'transmission_ripple:1[k=" in refused.err
+
+
+def test_targets_beyond_the_identified_angles_are_said(folder: Folder) -> None:
+    folder.simulated()
+    folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
+    folder.write("targets.csv", "q1_deg,q2_deg,q3_deg,q4_deg\n10,20,30,40\n179.99,20,30,40\n")
+    done = folder.armcal("compensate", "calibrated.toml", "targets.csv", "--json")
+    assert "1 of 2 targets are outside the angles that the model was identified on (joint 1 in 1)" in done.err
