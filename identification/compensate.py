@@ -23,6 +23,7 @@ from identification.kinematics.corrected import standing_in
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
+from identification.row_groups import extrapolated, outside
 from identification.servo import servo_shift
 
 TURNED = 1e-8  # [rad] a pose is reached if the model comes this close
@@ -39,6 +40,7 @@ class Compensation:
     angles : (k,) between the orientation wanted and that of the tool [rad], None: any will do
     joint_types : (n) of the arm, empty: all revolute
     constraints : kinds of those given;  violations : (k, c) by how much each command misses them [mm]
+    outside : (k, n) True where a joint is outside the angles of the identification, None: these are not known
     """
 
     targets: Array
@@ -50,6 +52,7 @@ class Compensation:
     angles: Array | None = None
     constraints: tuple[str, ...] = ()
     violations: Array | None = None
+    outside: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         for name in ("targets", "nominal", "commands", "errors"):
@@ -83,6 +86,12 @@ class Compensation:
         said += [f"constraint {k} ({kind}) is missed by {size:.4g} mm" for k, (kind, size) in numbered if size > 0.0]
         return "; ".join(said)
 
+    @property
+    def warnings(self) -> list[str]:
+        """What must be known of the commands, in sentences."""
+        said = extrapolated(self.outside, "targets")
+        return [] if said is None else [f"{said}, and the error that is left may be larger than it says"]
+
     def to_json(self) -> dict[str, Any]:
         """Counts, largest errors over targets reached and over the others, unreached rows, and a row for each target
         (identification/files/README.md, "JSON keys")."""
@@ -96,6 +105,8 @@ class Compensation:
             **({} if self.angles is None else {"max_error_deg": self._largest_angle}),
             "unreachable": [int(row) + 1 for row in np.flatnonzero(~reached)],
             "unreachable_count": int(np.count_nonzero(~reached)),
+            "outside_identified": self._outside,
+            "warnings": self.warnings,
             "commands_deg": [
                 row if near else None
                 for row, near in zip(self.commands_in_file_units.tolist(), reached.tolist(), strict=True)
@@ -114,6 +125,15 @@ class Compensation:
         }
         rows = zip(*(column.tolist() for column in columns.values()), self.messages, strict=True)
         return [dict(zip(("target", *columns, "message"), (k, *row), strict=True)) for k, row in enumerate(rows, 1)]
+
+    @property
+    def _outside(self) -> dict[str, Any] | None:
+        """Targets and joints, from 1, beyond the angles of the identification; None where these are not known."""
+        if (out := self.outside) is None:
+            return None
+        counts = enumerate(out.sum(axis=0).tolist(), start=1)
+        joints = [{"joint": joint, "targets": count} for joint, count in counts if count]
+        return {"targets": (np.flatnonzero(out.any(axis=1)) + 1).tolist(), "joints": joints}
 
     @property
     def _largest_angle(self) -> float | None:
@@ -184,11 +204,12 @@ def _compensation(arm: Arm, goals: Array, nominal: Array, where: Conditions, con
     commands = reaching(model, goals, nominal, where, constraints)
     missed = violations(constraints, commands)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
+    beyond = outside(arm, commands)
     angles = None if where.orientation is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach
     if where.directions is not None:
         commands = commands - servo_shift(arm, where.directions)
     kinds = tuple(each.kind for each in constraints)
-    figures = commands, distances(left), arm.joint_types, where.orientation, angles, kinds, missed
+    figures = commands, distances(left), arm.joint_types, where.orientation, angles, kinds, missed, beyond
     return Compensation(goals[:, POINT], nominal, *figures)
 
 

@@ -26,7 +26,11 @@ def identified(arm: Arm) -> Mapping[str, Any]:
 
 def extrapolation(arm: Arm, postures: Array, what: str = "rows") -> str | None:
     """How many postures (m, n) are outside the angles of the identification, in a clause; None: none, or not known."""
-    out = outside(arm, postures)
+    return extrapolated(outside(arm, postures), what)
+
+
+def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
+    """The same of `outside`."""
     if out is None or not out.any():
         return None
     joints = ", ".join(f"joint {j + 1} in {int(out[:, j].sum())}" for j in np.flatnonzero(out.any(axis=0)))

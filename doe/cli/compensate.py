@@ -23,7 +23,8 @@ def command(session: Session, calibrated: Path, targets: Path, output: Output) -
     """Joint commands that reach TARGETS (x_mm,y_mm or nominal q1_deg..) on the CALIBRATED arm.
 
     In space with z_mm, and rx_deg, ry_deg, rz_deg or a quaternion where the tool's orientation matters. Commands
-    keep to the joint limits and the [[constraints]] of the arm file; where that cannot be, the row says why.
+    keep to the joint limits and the [[constraints]] of the arm file; where that cannot be, the row says why. A warning
+    counts the targets that need joint angles outside those of the identification, where the model extrapolates.
     """
     from doe.problem.constraints import constraints_of
     from doe.report.identification_tables import compensation_tables
@@ -31,7 +32,6 @@ def command(session: Session, calibrated: Path, targets: Path, output: Output) -
     from identification.files.arm import load_arm
     from identification.files.target import commands_text, load_targets
     from identification.model import Model
-    from identification.row_groups import extrapolation
 
     arm = load_arm(calibrated)
     if arm.calibration is None and not any(effect.values for effect in arm.effects):
@@ -39,8 +39,8 @@ def command(session: Session, calibrated: Path, targets: Path, output: Output) -
     wanted = load_targets(targets, arm)
     allowed = constraints_of(Model(arm)) if arm.constraints else ()
     found = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
-    if far := extrapolation(arm, found.nominal, "targets"):
-        warnings.warn(far, UserWarning, stacklevel=1)
+    for sentence in found.warnings:
+        warnings.warn(sentence, UserWarning, stacklevel=2)
     columns = found.targets, found.errors, arm.joint_types, found.orientations, found.angles, found.reached
     written = output.write(commands_text(found.commands, *columns), "commands")
     return Answer(found.to_json(), [*compensation_tables(found), *written])
