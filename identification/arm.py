@@ -8,7 +8,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from html import escape
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arrays import Array, ByValue, readonly
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
+from identification.html_tables import html_lines, html_table
 from identification.kinematics.parameters import (
     JOINT_OFFSET,
     LENGTH_ERROR,
@@ -235,15 +235,14 @@ def _html(arm: Arm) -> str:
     said = f"{arm.name}: {arm.dimension} coordinates, reach {arm.reach:.6g} mm, sigma {sigma}, effects {effects}"
     said += "" if arm.calibration is None else ", calibrated"
     heads = ("joint", "type", "length [mm]", "lower", "upper")
-    rows = [f"<tr>{''.join(f'<th>{head}</th>' for head in heads)}</tr>"]
+    rows = []
     for j, (kind, *figures) in enumerate(zip(arm.joint_types, arm.lengths, arm.lower, arm.upper, strict=True), start=1):
         length, low, high = figures
         limits = f"{low:g} mm", f"{high:g} mm"
         if kind == REVOLUTE:
             limits = f"{np.degrees(low):.6g} deg", f"{np.degrees(high):.6g} deg"
-        cells = (str(j), kind, f"{length:.6g}", *limits)
-        rows.append(f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>")
-    return f"<p>{escape(said)}</p><table>{''.join(rows)}</table>"
+        rows.append((str(j), kind, f"{length:.6g}", *limits))
+    return html_lines([said]) + html_table(heads, rows)
 
 
 def _joint_limits(

@@ -21,6 +21,7 @@ LAYERS = {
     "identification.status": 0,
     "identification.progress": 0,
     "identification.data_frames": 1,
+    "identification.html_tables": 0,
     "identification.threads": 0,
     "identification.files": 1,
     "identification.kinematics": 1,

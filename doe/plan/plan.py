@@ -10,6 +10,7 @@ import numpy as np
 
 from identification.arrays import Array, ByValue, readonly
 from identification.data_frames import frame_of_columns
+from identification.html_tables import html_lines, html_table
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, REVOLUTE
 
 
@@ -62,12 +63,9 @@ class Plan(ByValue):
 
     def to_html(self, caption: object, heading: str, labels: Iterable[str]) -> str:
         """A caption and a table of the postures for notebooks, each row beginning with its label."""
-        head = "".join(f"<th>q{j} [{unit}]</th>" for j, unit in enumerate(self.units, start=1))
-        rows = "".join(
-            f"<tr><td>{label}</td>" + "".join(f"<td>{position:.2f}</td>" for position in posture) + "</tr>"
-            for label, posture in zip(labels, self.displayed, strict=True)
-        )
-        return f"<pre>{caption}</pre><table><tr><th>{heading}</th>{head}</tr>{rows}</table>"
+        head = (f"q{j} [{unit}]" for j, unit in enumerate(self.units, start=1))
+        rows = ([label, *(f"{q:.2f}" for q in row)] for label, row in zip(labels, self.displayed, strict=True))
+        return html_lines(str(caption).splitlines()) + html_table([heading, *head], rows)
 
     @property
     def _units(self) -> list[str]:

@@ -14,7 +14,7 @@ from doe.report.terminal import NARROW, facts, number, significant, table
 from identification.compensate import Compensation
 from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
-from identification.estimation.result import in_words
+from identification.estimation.shown import in_words
 from identification.kinematics.parameters import REVOLUTE
 from identification.servo import ServoError
 
@@ -55,7 +55,9 @@ def compared(found: Identification) -> str:
 def corrected_sheet(rows: Sequence[CorrectedValue]) -> Sheet:
     """What to type in: nominal and corrected values with their intervals."""
     keys = ("nominal", "corrected", "std", "low_95", "high_95")
-    cells = [[row.name, *(_cell(getattr(row, key), row) for key in keys), row.unit] for row in rows]
+    names = [f"{row.name} *" if row.held_by_prior else row.name for row in rows]
+    figures = ([_cell(getattr(row, key), row) for key in keys] for row in rows)
+    cells = [[name, *values, row.unit] for name, values, row in zip(names, figures, rows, strict=True)]
     return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells)
 
 
@@ -78,7 +80,7 @@ def _cell(value: float | None, row: CorrectedValue) -> str:
 
 
 def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
-    """What the rows mean to a controller, in lines."""
+    """What the rows mean to a controller, and which of them the measurements do not determine, in lines."""
     said = ["Zeros: add to the zero of the joint (real = reading + this), or take off every command."]
     said = said if any(row.name.startswith("zero of") for row in rows) else []
     if spatial:
@@ -86,6 +88,8 @@ def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
             "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.",
             "These values belong together: enter all of them.",
         ]
+    if held := sum(row.held_by_prior for row in rows):
+        said.append(f"* {held} of {len(rows)} are held by the prior: the measurements say next to nothing of them.")
     return said
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from identification.errors import InputError
+from identification.html_tables import html_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,6 +82,7 @@ def page(
     drawn = [vars(s) | {"pictures": [picture(f) for f in s.figures]} for s in sections]
     style, script = (files("doe.report").joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
     return environment.get_template("page.html.j2").render(
+        html_table=html_table,
         title=title,
         verdict=[verdict] if isinstance(verdict, str) else verdict,
         sections=drawn,

@@ -20,6 +20,7 @@ from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENG
 from identification.kinematics.spatial import SpatialChain
 from identification.model import Model
 
+LITTLE = 0.1  # share of its variance before that the measurements take from a value that the prior holds
 STEP = {"mm": 1e-3, "rad": 1e-6}  # of central differences: exact for shifts, to 1e-12 for angles
 UPRIGHT = 89.0  # [deg] of pitch, from which roll and yaw turn about nearly one axis and only their sum is determined
 LINK = "length of the link"
@@ -39,6 +40,8 @@ class CorrectedValue:
     nominal : None where nothing is drawn;  corrected : None where it is not estimable
     std, low_95, high_95 : None where the value is held, or nothing can be said
     convention : what the value means, and what to do with it
+    prior_std : standard deviation before the measurements, None: nothing was known, or not of all that it is made of
+    held_by_prior : the measurements say next to nothing about it (`LITTLE`)
     """
 
     name: str
@@ -50,6 +53,8 @@ class CorrectedValue:
     high_95: float | None
     unit: str
     convention: str
+    prior_std: float | None = None
+    held_by_prior: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `corrected_values` (identification/files/README.md, "JSON keys")."""
@@ -78,23 +83,28 @@ def corrected_values(
     found: Calibration | None = None,
     freedom: Collection[float] = (),
     unknown: Collection[str] = (),
+    known: Array | None = None,
 ) -> tuple[CorrectedValue, ...]:
     """What was estimated or differs from the drawing: geometry, then effects.
 
     found : None: the arm's own calibration
     freedom : degrees of freedom of the variances of `found.parameter_names`; empty: infinite, these are known
     unknown : names of parameters that are not estimable
+    known : (p, r) factor of the covariance of `found.parameter_names` before the measurements, zero where there is none
     """
     model, found = Model(arm), found or arm.calibration or Calibration({})
     values = {**model.fixed, **found.values}
     names = {*found.parameter_names, *unknown}
     geometry = _planar(arm, values) if arm.chain is None else _spatial(arm.chain, values, names)
     spread = np.full(len(found.parameter_names), np.inf) if len(freedom) == 0 else np.array([*freedom])
-    rows = (_row(quantity, found, spread, unknown) for quantity in (*geometry, *_effects(model, values)))
+    before = np.zeros((len(found.parameter_names), 0)) if known is None else known
+    rows = (_row(quantity, found, spread, unknown, before) for quantity in (*geometry, *_effects(model, values)))
     return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
 
 
-def _row(quantity: _Quantity, found: Calibration, freedom: Array, unknown: Collection[str]) -> CorrectedValue:
+def _row(
+    quantity: _Quantity, found: Calibration, freedom: Array, unknown: Collection[str], before: Array
+) -> CorrectedValue:
     slope = np.array([quantity.derivatives.get(name, 0.0) for name in found.parameter_names])
     lost, deviation = any(quantity.derivatives.get(name) for name in unknown), np.nan
     if found.covariance is not None and slope.any() and not lost and quantity.determined:
@@ -104,7 +114,16 @@ def _row(quantity: _Quantity, found: Calibration, freedom: Array, unknown: Colle
     figures = [np.nan if lost else quantity.value, deviation, *limits]
     value, std, low, high = (float(figure) if np.isfinite(figure) else None for figure in figures)
     own = quantity.name, quantity.parameter, quantity.nominal
-    return CorrectedValue(*own, value, std, low, high, quantity.unit, quantity.convention)
+    prior = _prior_std(slope, before)
+    held = std is not None and prior is not None and std**2 > (1.0 - LITTLE) * prior**2
+    return CorrectedValue(*own, value, std, low, high, quantity.unit, quantity.convention, prior, held)
+
+
+def _prior_std(slope: Array, before: Array) -> float | None:
+    """Of a combination (p,) of parameters, None unless each has a prior."""
+    used = slope != 0.0
+    known = bool(used.any() and np.all(np.any(before[used] != 0.0, axis=1)))
+    return float(np.linalg.norm(before.T @ slope)) if known else None
 
 
 # -- what there is -----------------------------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -15,8 +14,11 @@ from scipy.special import chdtrc
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_rows
+from identification.estimation import shown
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.estimation.intervals import limits_95
+from identification.estimation.prior import Prior
+from identification.estimation.shown import in_words
 from identification.estimation.uncertainty import LEVEL, Uncertainty
 from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint
@@ -47,6 +49,7 @@ class Identification:
     scatter : standard deviation of one coordinate that the residuals show [mm], None without spare equations
     doubts : what is doubtful about the fit, in sentences
     outlier_rows : numbers from 1 of rows that the model does not explain, which are in the fit all the same
+    prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it
     """
 
     model: Model
@@ -66,6 +69,8 @@ class Identification:
     scatter: float | None
     doubts: tuple[str, ...] = ()
     outlier_rows: tuple[int, ...] = ()
+    prior: Prior | None = None
+    machining_factor: float | None = None
     iterations: int = 1
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -211,7 +216,7 @@ class Identification:
 
     def _summary(self) -> dict[str, Any]:
         return {
-            "parameters": self._rows(),
+            "parameters": self.rows(),
             "not_identifiable": list(self.not_identifiable),
             "sigma_mm": self.sigma,
             "chi2": self.chi2,
@@ -227,6 +232,7 @@ class Identification:
             "warnings": list(self.warnings),
             "outlier_rows": list(self.outlier_rows),
             "scatter_mm": self.scatter,
+            **({} if self.machining_factor is None else {"machining_factor": self.machining_factor}),
             "intervals": self.uncertainty.kind,
             "clusters": self.uncertainty.clusters
             and {"kind": self.uncertainty.clusters, "count": self.uncertainty.count},
@@ -240,19 +246,20 @@ class Identification:
             return ()
         found = Calibration(self._everything, self.names, self.covariance)
         unknown = [name for name, known in zip(self.names, self.identifiable, strict=True) if not known]
-        return corrected_values(self.model.arm, found, self.uncertainty.freedom, unknown)
+        known = None if self.prior is None else self.prior.factor(self.model.parameters)
+        return corrected_values(self.model.arm, found, self.uncertainty.freedom, unknown, known)
 
     def to_frame(self, kind: str = "polars") -> Any:
         """`corrected_values` as a frame, polars or pandas."""
         return frame_of_rows([row.to_json() for row in self.corrected_values], kind)
 
-    def _rows(self) -> list[dict[str, Any]]:
-        """One entry for each parameter, in file units."""
+    def rows(self) -> list[dict[str, Any]]:
+        """One entry of `parameters` for each parameter, in file units."""
         values = np.where(self.identifiable, self.parameters, np.nan)
         rows = zip(self.model.parameters, values, self.std, *self.intervals.T, strict=True)
         return [
             {"name": p.name, "unit": p.file_unit}
-            | {k: float(v * p.to_file) if np.isfinite(v) else None for k, v in zip(_COLUMNS, figures, strict=True)}
+            | {k: float(v * p.to_file) if np.isfinite(v) else None for k, v in zip(shown.COLUMNS, figures, strict=True)}
             for p, *figures in rows
         ]
 
@@ -263,46 +270,14 @@ class Identification:
         return "Closed form, the exact global minimum." if closed else self.status.value
 
     def __str__(self) -> str:
-        lines = [
-            *self.warnings,
-            f"{'parameter':<32} {'value':>12} {'std':>10} {'95 % low':>12} {'95 % high':>12}  unit",
-        ]
-        for name, row in zip(self.shown_names, self._rows(), strict=True):
-            cells = [_cell(row[key], width) for key, width in zip(_COLUMNS, (12, 10, 12, 12), strict=True)]
-            lines.append(f"{name:<32} {' '.join(cells)}  {row['unit']}")
-        lines += [f"not identifiable: {combination}" for combination in self.not_identifiable]
-        sigma = f"{self.sigma:.4g} mm ({'given' if self.sigma_known else 'estimated'})" if self.sigma else "unknown"
-        chi2 = "" if self.p_value is None else f", chi2 {self.chi2:.4g}, {in_words(self.p_value)}"
-        lines += [f"sigma {sigma}, {self.dof} degrees of freedom{chi2}", f"95 % intervals: {self.uncertainty.sentence}"]
-        pairs = ("RMS", self.rms_before, self.rms_after), ("max", self.max_before, self.max_after)
-        lines += [f"{what} {before:.4g} -> {after:.4g} mm" for what, before, after in pairs]
-        if self.rms_angles is not None:
-            lines.append("orientations, RMS {:.4g} -> {:.4g} deg".format(*np.degrees(self.rms_angles)))
-        return "\n".join([*lines, f"{self.method}: {self.outcome}"])
+        return shown.text(self)
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(str(self))}</pre>"
+        return shown.html(self)
 
 
 _OF_GEOMETRY = ("base", "tools", "geometry", "joint_offsets", "strict_table")
-_NOT_KEPT = (
-    "parameters",
-    "p_value",
-    "status",
-    "warnings",
-    "outlier_rows",
-    "clusters",
-    *_OF_GEOMETRY,
-)  # by a calibration
-_COLUMNS = ("value", "std", "low_95", "high_95")
-
-
-def _cell(value: float | None, width: int) -> str:
-    return f"{'-' if value is None else format(value, '.6g'):>{width}}"
-
-
-def in_words(p: float) -> str:
-    """`p = 0.012`; a p-value that underflows is not shown as zero."""
-    return f"p = {p:.3g}" if p > 0.0 else "p < 1e-300"
+# by a calibration
+_NOT_KEPT = ("parameters", "p_value", "status", "warnings", "outlier_rows", "clusters", *_OF_GEOMETRY)

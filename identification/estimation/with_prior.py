@@ -71,6 +71,7 @@ def estimate_with_prior(
     made = _uncertainty(problem, decomposed.covariance, float(dof), noise)
     spread = Spread(made, problem.noise * (noise.sigma or 1.0), float(problem.squares(parameters)[0]), dof)
     found = identification(problem, measurements, "gauss_newton", solution, decomposed, noise, spread)
+    found = replace(found, prior=problem.prior, machining_factor=width if model.prior else None)
     return (
         found if width == 1.0 else replace(found, doubts=(*found.doubts, far_from_drawing(model.arm.machining, width)))
     )

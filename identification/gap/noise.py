@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.estimation.outlying import outlying
-from identification.estimation.result import in_words
+from identification.estimation.shown import in_words
 from identification.gap.fit import Fit
 from identification.gap.omnibus_test import MANY
 from identification.gap.posture_neighbors import lag_of

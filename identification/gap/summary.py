@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from identification.estimation.result import in_words as p_in_words
+from identification.estimation.shown import in_words as p_in_words
 from identification.gap.order_range import in_words
 from identification.gap.replication import said
+from identification.html_tables import html_lines, html_table
 
 if TYPE_CHECKING:
     from identification.gap.candidate import Candidate
@@ -109,9 +110,30 @@ def text(found: Diagnosis) -> str:
     lines = [f"warning: {w}" for w in found.warnings] + findings(found) + rests_on(found)
     for candidate in found.candidates or (found.named,):
         lines += candidate_lines(candidate) if candidate.effects else []
-    lines += [f"round {k}: {one}" for k, one in enumerate(found.rounds, start=1) if len(found.rounds) > 1]
+    return "\n".join([headline(found), *(f"  {line}" for line in (*lines, *remarks(found)))])
+
+
+def html(found: Diagnosis) -> str:
+    """The same as tables of a notebook."""
+    candidates = [c for c in found.candidates or (found.named,) if c.effects]
+    sets = [[c.title, f"{c.f:.1f}", p_in_words(c.p_adjusted), f"{c.delta_bic:.1f}"] for c in candidates]
+    values = [
+        [c.title, p.name, *(f"{x:.4g}" for x in (p.value, p.low_95, p.high_95)), p.unit]
+        for c in candidates
+        for p in c.parameters
+    ]
+    parts = [html_lines([headline(found), *found.warnings], strong=True)]
+    parts += [html_lines([*findings(found), *rests_on(found)])]
+    parts += [html_table(("effects", "F", "p", "Delta BIC"), sets)] if sets else []
+    headings = ("effects", "parameter", "value", "95 % low", "95 % high", "unit")
+    parts += [html_table(headings, values)] if values else []
+    return "".join([*parts, html_lines(remarks(found))])
+
+
+def remarks(found: Diagnosis) -> list[str]:
+    """What else there is to know: rounds, probabilities, other sessions, what would have been seen, notes."""
+    lines = [f"round {k}: {one}" for k, one in enumerate(found.rounds, start=1) if len(found.rounds) > 1]
     lines += [found.likely, *map(str, found.replication)]
     if not found.effects:
         lines += [f"excluded: {name} > {size}" for name, size in found.excluded.items()]
-    lines += [f"note: {note}" for note in found.notes]
-    return "\n".join([headline(found), *(f"  {line}" for line in lines)])
+    return [*lines, *(f"note: {note}" for note in found.notes)]

@@ -10,11 +10,13 @@ import pytest
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from doe.report.identification_tables import corrected_table
+from doe.report.identification_tables import conventions, corrected_sheet, corrected_table
 from identification.arm import Arm, Calibration, EffectSpec
-from identification.estimation import estimate
+from identification.estimation import estimate, estimate_with_prior
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
+from identification.estimation.prior import Prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.measurements import Measurements
 from identification.model import Model
 from tests.identification.estimation.cases import LENGTHS, arm, data, plan
 
@@ -115,3 +117,35 @@ def test_the_table_fits_80_columns() -> None:
     lines = console.export_text().splitlines()
     assert len([line for line in lines if line.strip()]) == len(rows) + 3  # title, headings, rule: no row is broken
     assert "encoder_eccentricity:2.a" in "".join(lines)
+
+
+@pytest.mark.parametrize(("deviation", "held"), [(0.104, True), (0.107, False), (1.0, False)])
+def test_values_that_only_the_prior_holds_are_marked(deviation: float, held: bool) -> None:
+    """Of one link, m rows measure the length along it: the variance falls from s^2 to 1 / (1 / s^2 + m / sigma^2), by
+    less than a tenth where m s^2 < sigma^2 / 9."""
+    m, model = 10, Model(Arm([300.0], sigma=1.0))
+    q = np.linspace(-3.0, 3.0, m)[:, None]
+    noise = np.random.default_rng(3).normal(0.0, 1.0, (m, 2))
+    rows = Measurements(q, 300.0 * np.column_stack([np.cos(q), np.sin(q)]) + noise)
+    found = estimate_with_prior(model, rows, Prior({"length_error:1": deviation}), sigma="given")
+    length = by_name(found.corrected_values)["length of link 1"]
+    assert length.prior_std == pytest.approx(deviation)
+    assert length.std == pytest.approx((deviation**-2.0 + m) ** -0.5, rel=1e-9)
+    assert length.held_by_prior is held is (m * deviation**2 < 1.0 / 9.0)
+    zero = by_name(found.corrected_values)["zero of joint 1"]
+    assert (zero.prior_std, zero.held_by_prior) == (None, False)
+    shown = corrected_sheet(found.corrected_values).rows[0][0], " ".join(conventions(found.corrected_values, False))
+    assert ("*" in shown[0], "held by the prior" in shown[1]) == (held, held)
+
+
+def test_frames_have_the_prior_of_what_they_are_made_of() -> None:
+    """The origin of a frame along one axis is one translation, of the size of the machining."""
+    generator = np.random.default_rng(5)
+    model = Model(Arm.of_chain(CHAIN, sigma=0.05))
+    q = generator.uniform(-2.0, 2.0, (40, 3))
+    points = model.position(q) + generator.normal(0.0, 0.05, (40, 3))
+    found = estimate(model, Measurements(q, points))
+    assert found.to_json()["machining_factor"] == 1.0
+    second = by_name(found.corrected_values)["joint 2 x"]
+    assert second.prior_std == pytest.approx(1.0, rel=1e-6)  # mm
+    assert by_name(found.corrected_values)["base x"].prior_std is None

@@ -248,7 +248,10 @@ def test_result_is_read_only_and_prints() -> None:
     assert "not identifiable: joint_offset:1 + base_rotation.angle" in text
     assert "nan" not in text
     assert max(map(len, text.splitlines())) <= 130
-    assert found._repr_html_().startswith("<pre>")
+    page = found._repr_html_()
+    assert "<pre>" not in page
+    assert page.count("<tr>") == 1 + len(found.names)
+    assert "<td>joint_offset:2</td>" in page
 
 
 # -- refusals --------------------------------------------------------------------------------------------------------

@@ -1,0 +1,61 @@
+"""An identification as text and as tables of a notebook."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from identification.html_tables import html_lines, html_table
+
+if TYPE_CHECKING:
+    from identification.estimation.result import Identification
+
+COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
+HEADINGS = ("parameter", "value", "std", "95 % low", "95 % high", "unit")
+
+
+def in_words(p: float) -> str:
+    """`p = 0.012`; a p-value that underflows is not shown as zero."""
+    return f"p = {p:.3g}" if p > 0.0 else "p < 1e-300"
+
+
+def text(found: Identification) -> str:
+    """All of it, for a terminal."""
+    name, *figures, unit = HEADINGS
+    widths = (12, 10, 12, 12)
+    lines = [f"{name:<32} {' '.join(f'{h:>{w}}' for h, w in zip(figures, widths, strict=True))}  {unit}"]
+    for name, *cells, unit in table_rows(found):
+        lines.append(f"{name:<32} {' '.join(f'{c:>{w}}' for c, w in zip(cells, widths, strict=True))}  {unit}")
+    return "\n".join([*found.warnings, *lines, *remarks(found)])
+
+
+def html(found: Identification) -> str:
+    """The same as a table between paragraphs."""
+    table = html_table(HEADINGS, table_rows(found))
+    return html_lines(found.warnings, strong=True) + table + html_lines(remarks(found))
+
+
+def table_rows(found: Identification) -> list[list[str]]:
+    """Name, figures and unit of each parameter."""
+    rows = zip(found.shown_names, found.rows(), strict=True)
+    return [[name, *(_cell(row[key]) for key in COLUMNS), row["unit"]] for name, row in rows]
+
+
+def remarks(found: Identification) -> list[str]:
+    """What cannot be told apart, sigma, intervals, errors before and after, and how the fit ended."""
+    lines = [f"not identifiable: {combination}" for combination in found.not_identifiable]
+    known = "given" if found.sigma_known else "estimated"
+    sigma = "unknown" if found.sigma is None else f"{found.sigma:.4g} mm ({known})"
+    chi2 = "" if found.p_value is None else f", chi2 {found.chi2:.4g}, {in_words(found.p_value)}"
+    lines.append(f"sigma {sigma}, {found.dof} degrees of freedom{chi2}")
+    lines.append(f"95 % intervals: {found.uncertainty.sentence}")
+    lines.append(f"RMS {found.rms_before:.4g} -> {found.rms_after:.4g} mm")
+    lines.append(f"max {found.max_before:.4g} -> {found.max_after:.4g} mm")
+    if found.rms_angles is not None:
+        lines.append("orientations, RMS {:.4g} -> {:.4g} deg".format(*np.degrees(found.rms_angles)))
+    return [*lines, f"{found.method}: {found.outcome}"]
+
+
+def _cell(value: Any) -> str:
+    return "-" if value is None else format(value, ".6g")

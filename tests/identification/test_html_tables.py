@@ -1,0 +1,41 @@
+"""Tables in HTML: what a reader's parser makes of them is what was given, whatever the text."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+
+from identification.html_tables import html_lines, html_table
+
+
+class Cells(HTMLParser):
+    """Rows of texts."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rows: list[list[str]] = []
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+
+    def handle_data(self, data: str) -> None:
+        if self.rows and self.rows[-1] and data.strip():
+            self.rows[-1][-1] += data
+
+
+def test_cells_come_out_as_they_went_in() -> None:
+    headings, rows = ("a<b", "x & y"), [["</td><script>", "1"], ["", 'q "7"' * 9]]
+    parser = Cells()
+    parser.feed(html_table(headings, rows))
+    assert parser.rows == [list(headings), *rows]
+
+
+def test_long_cells_may_be_broken() -> None:
+    assert html_table(["h"], [["x" * 25]]).count('class="text"') == 1
+    assert 'class="text"' not in html_table(["h"], [["x" * 24]])
+
+
+def test_lines_are_paragraphs() -> None:
+    assert html_lines(["1 < 2", "two"], strong=True) == "<p><b>1 &lt; 2</b></p>\n<p><b>two</b></p>\n"
