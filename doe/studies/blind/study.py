@@ -44,6 +44,7 @@ AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured 
 MANY_SETS = 1200  # in this cell, of which a third are ambiguous, and where ten sets share an arm and its plan
 NULLS = tuple(bar.cell for bar in BARS if bar.measure == "alarm")
 COMPARED = ("one, lambda 8, m=50", "one, lambda 8, discriminating plan")  # cells whose gap is compared with rivals'
+FURTHER_RUNS = (2, 8, 16)  # more postures for an ambiguous set
 PLANS, TRUTH, DIAGNOSES = "plans.parquet", "truth.parquet", "diagnoses.parquet"
 
 
@@ -203,7 +204,7 @@ def _measured_further(data: DataSet, found: Diagnosis, number: int, draws: int) 
     """The ambiguous set again after 2, 8 and 16 more postures: chosen ones, with two payloads, and random ones."""
     row: Row = {}
     payload = 0.0 if data.arm.gravity is None else data.arm.gravity.payload
-    for runs in (2, 8, 16):
+    for runs in FURTHER_RUNS:
         for how, payloads in (("next", None), ("loaded", (0.0, payload)), ("random", None)):
             longer, chance = _appended(data, found, runs, how == "random", payloads, number)
             again = diagnose(data.arm, longer, seed=number, draws=draws)

@@ -123,7 +123,7 @@ def test_constraints_hold_after_the_swaps() -> None:
     arm = Arm(LENGTHS[:3], np.radians([-180, -120, -100]), np.radians([180, 120, 100]), sigma=0.1)
     box = InsideBox(Model(arm), (-700.0, -150.0), (700.0, 700.0))
     problem = DesignProblem.of(Model(arm), constraints=(box,))
-    found = discrimination_design(problem, arm, 20)
+    found = discrimination_design(problem, arm, 20, starts=2)
     heights = np.sin(np.cumsum(found.design.plan.postures, axis=1)) @ LENGTHS[:3]
     assert heights.min() >= -150.0 - 1e-9
     assert found.wrong < found.best_wrong
@@ -133,7 +133,7 @@ def test_joints_that_play_no_part_do_not_bring_postures_too_near_each_other() ->
     """Two links: D-optimality chooses two angles of joint 2, and joint 1 alone sets the postures apart."""
     arm = Arm(LENGTHS[:2], np.radians([-180, -10]), np.radians([180, 10]), sigma=0.1)
     kept = np.radians([[0.0, 10.0], [1.5, -10.0], [90.0, 10.0]])
-    found = discrimination_design(DesignProblem.of(Model(arm), kept=kept), arm, 60)
+    found = discrimination_design(DesignProblem.of(Model(arm), kept=kept), arm, 60, starts=2)
     postures = np.vstack([kept, found.design.plan.postures])
     apart = np.abs(postures[:, None] - postures).max(axis=-1) + 9.0 * np.eye(len(postures))
     assert np.degrees(apart.min()) >= 1.0 - 1e-6
@@ -164,7 +164,7 @@ def test_ctrl_c_in_the_second_search_gives_the_plan_so_far() -> None:
         if message.startswith("wrong names"):
             raise KeyboardInterrupt
 
-    found = designed([-180, -120, -100, -90], [180, 120, 60, 90], 20, progress=press)
+    found = designed([-180, -120, -100, -90], [180, 120, 60, 90], 20, starts=2, progress=press)
     assert found.design.status is Status.interrupted
     assert found.wrong < found.best_wrong
     assert found.relative_efficiency >= 0.95 - 1e-9
@@ -240,7 +240,7 @@ def test_no_number_of_periods_hides_behind_another_on_joints_that_turn_all_the_w
 
 def test_under_joint_limits_no_two_ripples_are_the_same_and_none_is_an_eccentric_encoder() -> None:
     """Least-squares share of every wave of 1 to 64 periods that every other one explains, joint by joint."""
-    found = designed([-180, -120, -100], [180, 120, 100], 30)
+    found = designed([-180, -120, -100], [180, 120, 100], 30, starts=2)
     for q in found.design.plan.postures.T:
         waves = [np.column_stack([np.cos(k * q), np.sin(k * q)]) for k in range(1, 65)]
         bases = [np.linalg.qr(wave - wave.mean(axis=0))[0] for wave in waves]

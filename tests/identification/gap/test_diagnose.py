@@ -59,14 +59,21 @@ CLEAR = [
 
 
 @pytest.mark.parametrize("name", CLEAR)
-def test_names_a_clear_effect_and_the_extended_arm_has_nothing_missing(name: str) -> None:
+def test_names_a_clear_effect_and_the_extended_arm_has_it(name: str) -> None:
     found = diagnosed(name)
     joint = None if name in hidden_effects.LIBRARY_WHOLE else 2
     settings = "[k=45]" if name == "transmission_ripple" else ""  # as drawn in `measured`
     assert found.effects == (name if joint is None else f"{name}:2{settings}",)
     assert found.gap.rms_after < found.gap.rms_before
-    again = diagnose(found.extended_arm(), measured(name), draws=399)
-    assert again.verdict == "none"
+    refitted = identify(Model(found.extended_arm()), measured(name))
+    assert refitted.rms_before == pytest.approx(found.gap.rms_after, rel=1e-6)  # nothing is lost on the way to the arm
+    assert refitted.rms_after == pytest.approx(found.gap.rms_after, rel=1e-6)  # and it is the best fit
+
+
+@pytest.mark.parametrize("name", ["backlash", "base_drift", "link_bending"])
+def test_the_extended_arm_has_nothing_missing(name: str) -> None:
+    """An effect of a joint, of the whole arm and of all joints; ripples: below."""
+    assert diagnose(diagnosed(name).extended_arm(), measured(name), draws=399).verdict == "none"
 
 
 def test_estimate_is_near_the_truth() -> None:
@@ -354,7 +361,7 @@ def test_poor_data_do_not_crash() -> None:
 def test_hardly_any_rows_do_not_crash(m: int) -> None:
     # 4 links, 8 parameters: from 6 rows on there are the 4 residual degrees of freedom that are asked for, and with an
     # effect named hardly any of them left for shapes
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng([m, seed])
         q = rng.uniform(-2.0, 2.0, (m, 4))
         p = np.exp(1j * np.cumsum(q, axis=1)) @ [260.0, 180.0, 120.0, 100.0] + rng.normal(size=(m, 2)) @ [0.1, 0.1j]
