@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array
 from identification.data_checks import data_warnings
 from identification.estimation import estimate
 from identification.files.arm import load_arm
@@ -24,51 +22,12 @@ from identification.model import Model
 from identification.placed import placed_model
 from identification.simulate import simulate
 from identification.validate import validate
+from tests.identification.exponentials import TABLE, Exponentials, drawing
 
-HALF = np.pi / 2.0
-TABLE = [(0.0, HALF, 300.0), (-420.0, 0.0, 0.0), (-390.0, 0.0, 0.0), (0.0, HALF, 130.0), (0.0, -HALF, 100.0)]
 SIGMA, SIGMA_DEG = 0.05, 0.01
 SCALE = SIGMA / np.radians(SIGMA_DEG)
-SIX = Arm.of_chain(
-    replace(chain_of([DHRow(*row) for row in [*TABLE, (0.0, 0.0, 80.0)]]), angle_scale=SCALE), sigma=SIGMA
-)
+SIX = Arm.of_chain(replace(drawing(), angle_scale=SCALE), sigma=SIGMA)
 HIDDEN = {"base.x": 1500.0, "base.rx": 0.3, "base.rz": 2.0, "tool[1].x": 40.0, "tool[1].z": 50.0, "tool[1].ry": 0.7}
-
-
-def twist(axis: Array, point: Array) -> Array:
-    """(4, 4) generator of a rotation about a line."""
-    x, y, z = axis
-    found = np.zeros((4, 4))
-    found[:3, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
-    found[:3, 3] = -np.cross(axis, point)
-    return found
-
-
-class Exponentials:
-    """An arm of six lines in space, all a little off, that a frame at its end is measured of."""
-
-    def __init__(self, generator: np.random.Generator) -> None:
-        home, lines = np.eye(4), []
-        for a, alpha, d in [*TABLE, (0.0, 0.0, 80.0)]:
-            axis = home[:3, 2] + 2e-3 * generator.standard_normal(3)
-            lines.append(twist(axis / np.linalg.norm(axis), home[:3, 3] + 0.5 * generator.standard_normal(3)))
-            along, across = np.eye(4), np.eye(4)
-            along[2, 3], across[0, 3] = d, a
-            across[1:3, 1:3] = [[np.cos(alpha), -np.sin(alpha)], [np.sin(alpha), np.cos(alpha)]]
-            home = home @ along @ across
-        tool = expm(twist(np.array([0.48, 0.6, 0.64]), np.array([60.0, -40.0, 70.0])))
-        self.base = expm(2.0 * twist(np.array([0.6, 0.64, 0.48]), np.array([900.0, 0.0, 500.0])))
-        self.lines, self.home = lines, home @ tool
-
-    def poses(self, postures: Array) -> Array:
-        """(m, 4, 4)."""
-        found = []
-        for row in postures:
-            place = self.home
-            for line, angle in zip(self.lines[::-1], row[::-1], strict=True):
-                place = expm(line * angle) @ place
-            found.append(self.base @ place)
-        return np.array(found)
 
 
 def measured(arm: Exponentials, count: int, generator: np.random.Generator, noise: float = 1.0) -> Measurements:
@@ -181,7 +140,7 @@ def test_a_planar_arm_with_its_angle() -> None:
 
 
 # -- files -------------------------------------------------------------------------------------------------------------
-ROWS = "".join(f"[[dh]]\na_mm = {a}\nalpha_deg = {np.degrees(alpha):.12g}\nd_mm = {d}\n" for a, alpha, d in TABLE)
+ROWS = "".join(f"[[dh]]\na_mm = {a}\nalpha_deg = {np.degrees(alpha):.12g}\nd_mm = {d}\n" for a, alpha, d in TABLE[:5])
 TEXT = f'kind = "spatial"\n{ROWS}[measurement]\nsigma_mm = 0.05\nsigma_deg = 0.01\n'
 
 

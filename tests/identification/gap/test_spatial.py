@@ -6,54 +6,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from identification.arm import Arm
 from identification.effects import Effect
 from identification.gap.diagnose import diagnose
 from identification.gap.hypotheses import hypotheses, unseen_joints
 from identification.gap.whitening import Rows
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
+from tests.identification.exponentials import Exponentials, drawing
 
-HALF = np.pi / 2.0
-TABLE = [(0.0, HALF, 300.0), (-420.0, 0.0, 0.0), (-390.0, 0.0, 0.0), (0.0, HALF, 130.0), (0.0, -HALF, 100.0)]
-ARM = Arm.of_chain(
-    chain_of(
-        [DHRow(*row) for row in [*TABLE, (0.0, 0.0, 80.0)]],
-    ),
-    sigma=0.05,
-)
-
-
-def twist(axis: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """(4, 4) generator of a rotation about a line."""
-    x, y, z = axis
-    found = np.zeros((4, 4))
-    found[:3, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
-    found[:3, 3] = -np.cross(axis, point)
-    return found
+ARM = Arm.of_chain(drawing(), sigma=0.05)
 
 
 def simulated(effect: str, seed: int, rows: int = 60) -> tuple[Measurements, Measurements]:
     """Data and hold-out of an arm whose axes at home are lines in space (product of exponentials), all a little off."""
-    generator = np.random.default_rng(seed)
-    frames, home = [], np.eye(4)
-    for a, alpha, d in [*TABLE, (0.0, 0.0, 80.0)]:
-        frames.append(home.copy())
-        along, across = np.eye(4), np.eye(4)
-        along[2, 3], across[0, 3] = d, a
-        across[1:3, 1:3] = [[np.cos(alpha), -np.sin(alpha)], [np.sin(alpha), np.cos(alpha)]]
-        home = home @ along @ across
-    axes = [frame[:3, 2] + 2e-3 * generator.standard_normal(3) for frame in frames]
-    points = [frame[:3, 3] + 0.5 * generator.standard_normal(3) for frame in frames]
-    lines = [twist(axis / np.linalg.norm(axis), point) for axis, point in zip(axes, points, strict=True)]
-    tool, base = (
-        home @ [45.0, -70.0, 60.0, 1.0],
-        expm(twist(np.array([0.6, 0.64, 0.48]), np.array([900.0, 0.0, 500.0]))),
-    )
-    offsets = 5e-3 * generator.standard_normal(6)
+    generator, tool = np.random.default_rng(seed), np.eye(4)
+    tool[:3, 3] = [45.0, -70.0, 60.0]
+    arm, offsets = Exponentials(generator, tool), 5e-3 * generator.standard_normal(6)
 
     def measured(count: int) -> Measurements:
         q = generator.uniform(-2.5, 2.5, (count, 6))
@@ -62,13 +32,7 @@ def simulated(effect: str, seed: int, rows: int = 60) -> tuple[Measurements, Mea
             real[:, 1] += 3e-4 * np.cos(9.0 * q[:, 1] + 0.5)
         elif effect == "eccentricity":
             real[:, 2] += 6e-4 * np.sin(q[:, 2] - 1.0)
-        positions = []
-        for row in real:
-            place = tool
-            for line, angle in zip(lines[::-1], row[::-1], strict=True):
-                place = expm(line * angle) @ place
-            positions.append((base @ place)[:3])
-        return Measurements(q, np.array(positions) + 0.05 * generator.standard_normal((count, 3)))
+        return Measurements(q, arm.poses(real)[:, :3, 3] + 0.05 * generator.standard_normal((count, 3)))
 
     return measured(rows), measured(80)
 
