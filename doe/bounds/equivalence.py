@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.problem.candidates import Candidates, chunks
+from doe.problem.candidates import CHUNK, Candidates, chunks
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
@@ -23,6 +23,7 @@ from identification.arrays import Array
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal
 REACHED = 1.0 - 1e-9  # efficiency from which searching on cannot matter
 ROUNDING = 1e-12  # by which an efficiency may exceed 1 where value and bound are the same number but for rounding
+CACHED, FEWEST = 250_000, 1024  # entries of a chunk's Jacobians, which stay in the processor's cache; and postures
 REMEMBERED = 4_000_000  # entries of candidates' Jacobians that are remembered between passes: 32 MB
 
 
@@ -83,9 +84,10 @@ class CandidateJacobians:
         if self._remembered:
             yield from self._remembered
             return
-        entries = len(self.candidates) * self.problem.model.dimension * self.problem.parameters
-        made = ((postures, self.problem.scaled_jacobians(postures)) for _, postures in chunks(self.candidates))
-        if entries > REMEMBERED:
+        each = self.problem.model.dimension * self.problem.parameters
+        some = chunks(self.candidates, int(np.clip(CACHED // each, FEWEST, CHUNK)))
+        made = ((postures, self.problem.scaled_jacobians(postures)) for _, postures in some)
+        if len(self.candidates) * each > REMEMBERED:
             yield from made
             return
         self._remembered.extend(made)
@@ -101,9 +103,8 @@ def candidate_sensitivities(
         if root is None:
             yield postures, prior.sensitivities(some, gradient)
             continue
-        k, d, p = some.shape
-        half = (some.reshape(k * d, p) @ root).reshape(k, -1)  # tr(L L^T B^T B) = |B L|^2
-        yield postures, prior.mixed(np.einsum("ij,ij->i", half, half), gradient)
+        half = root.T @ some.transpose(1, 2, 0)  # (d, p, k) as `vectorize` has it; tr(L L^T B^T B) = |L^T B^T|^2
+        yield postures, prior.mixed(np.square(half, out=half).sum(axis=(0, 1)), gradient)
 
 
 def _positive(gradient: Array) -> bool:

@@ -10,6 +10,8 @@ the sensitivity of the base model is a sum of waves of separate joints, whose ma
 
 from __future__ import annotations
 
+from itertools import combinations_with_replacement
+
 import numpy as np
 
 from doe.bounds.weights import Weights
@@ -90,9 +92,13 @@ def paired(left: Array, right: Array, jacobians: Array, prior: PriorInformation)
 
     tr(L B_i^T B_i R B_j^T B_j) is the scalar product of B_j L B_i^T and B_j R B_i^T.
     """
-    k, d, p = jacobians.shape
-    rows = jacobians.reshape(k * d, p)
-    pairs = ((rows @ left @ rows.T) * (rows @ right @ rows.T)).reshape(k, d, k, d).sum(axis=(1, 3))
+    k, d, _ = jacobians.shape
+    halves = [jacobians @ side for side in ([left] if right is left else [left, right])]
+    pairs = np.zeros((k, k))
+    for one, other in combinations_with_replacement(range(d), 2):
+        products = [half[:, one] @ jacobians[:, other].T for half in halves]
+        both = products[0] * products[-1]
+        pairs += both if one == other else both + both.T
     if prior.empty:
         return np.asarray(pairs)
     known = left @ prior.total @ right

@@ -48,15 +48,24 @@ class Shortlist:
 
     def everything(self, gradient: Array, level: float, near: Array) -> tuple[Array, float]:
         """`Price` of all candidates, which makes the shortlist anew."""
-        postures, values = near[:0], np.empty(0)
+        best: list[tuple[Array, Array]] = []
+        floor, count = -np.inf, 0
         for some, g in candidate_sensitivities(self.all, gradient, self.prior):
-            values, postures = np.concatenate([values, g]), np.concatenate([postures, some])
-            if len(values) > 2 * SHORT:
-                kept = np.argpartition(-values, SHORT)[:SHORT]
-                values, postures = values[kept], postures[kept]
-        kept = np.argsort(-values)[:SHORT]
-        self.short = candidate_price(self.problem, PostureList(postures[kept]), self.prior)
+            above = g > floor
+            best.append((some[above], g[above]))
+            count += len(best[-1][1])
+            if count > 2 * SHORT:
+                best = [_highest(best)]
+                floor, count = float(best[0][1].min()), SHORT
+        self.short = candidate_price(self.problem, PostureList(_highest(best)[0]), self.prior)
         return self.short(gradient, level, near)
+
+
+def _highest(offers: list[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """(SHORT, n) the postures of greatest value of all, and their values, greatest first."""
+    postures, values = (np.concatenate(parts) for parts in zip(*offers, strict=True))
+    order = np.argsort(-values, kind="stable")[:SHORT]
+    return postures[order], values[order]
 
 
 def continuous_price(everything: ContinuousSet, generator: np.random.Generator | None = None) -> Price:
