@@ -53,7 +53,7 @@ class SoftWorst:
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """(s, c) soft minimum of log det (M_k + B_k^T B_k); a singular M_k counts as nearly so."""
-        before = np.stack([D().value(ridged(part)) for part in split(information, self.count)])
+        before = D().value(ridged(np.stack(split(information, self.count))))
         return self._soft_minimum(before[..., None] + gains(information, jacobians, self.count))
 
     def _soft_minimum(self, each: Array) -> Array:
@@ -72,8 +72,13 @@ class SoftWorst:
 
     def gradient(self, information: Array) -> Array:
         """(p, p) block diagonal of s_k M_k^-1, s the weights of the blocks."""
-        weights = np.repeat(self.block_weights(information), len(information) // self.count)
-        return weights[:, None] * Average(self.count).gradient(information)
+        inverses = np.linalg.inv(np.stack(split(information, self.count)))
+        total = np.zeros_like(information)
+        for weight, inverse, place in zip(
+            self.block_weights(information), inverses, split(total, self.count), strict=True
+        ):
+            place[...] = weight * inverse  # a part of `total`
+        return total
 
     def curvature(self, information: Array, directions: Array) -> Array:
         """sum_k s_k phi_k'' - t (sum_k s_k phi_k' phi_k'^T - (sum_k s_k phi_k') (sum_k s_k phi_k')^T)."""
@@ -118,7 +123,7 @@ class Worst(SoftWorst):
 
 def log_dets(information: Array, count: int) -> Array:
     """(K, ...) log det of the blocks."""
-    return np.stack([D().value(part) for part in split(information, count)])
+    return D().value(np.stack(split(information, count)))
 
 
 def gains(information: Array, jacobians: Array, count: int) -> Array:
