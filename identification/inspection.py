@@ -12,17 +12,24 @@ from identification.arrays import Array
 from identification.data_checks import data_warnings, gap_notes
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.estimation.plausibility import another_frame, beyond_limits, copied_rows, far_rows, outside_limits
+from identification.estimation.plausibility import (
+    another_frame,
+    beyond_limits,
+    copied_rows,
+    far_rows,
+    far_zeros,
+    outside_limits,
+)
 from identification.gap.repeats import NoiseFloor, noise_floor
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.readings import Readings, read_differently
 from identification.sessions import with_sessions
+from identification.status import Status
 from identification.validate import drawing_residuals
 
 STILL = np.radians(5.0)  # [rad] of a joint's range, below which its own errors are hardly seen
-FAR_ZERO = np.radians(5.0)  # [rad] an offset that is no machining error
 ROUGH = 0.02  # of the reach: more than a drawing is off by
 
 
@@ -87,7 +94,8 @@ class Inspection:
     def problems(self) -> tuple[str, ...]:
         """What should be put right before anything is fitted, in sentences."""
         # a later one may follow from an earlier one
-        said = [*self.units] or self.readings.sentences or [*self.frame] or self._offsets()
+        zeros = self._offsets()  # several at once, where another reading has one or two
+        said = [*self.units] or ([] if zeros else self.readings.sentences) or [*self.frame] or zeros
         if self.drawing > ROUGH * self.arm.reach and not said:
             said.append(f"the drawing is {self.drawing:.4g} mm off wherever the arm stands: check lengths and columns")
         if self.fit is not None and not said:
@@ -98,12 +106,11 @@ class Inspection:
         return (*said, *self.rest)
 
     def _offsets(self) -> list[str]:
-        """Joints whose zero is another one than the drawing's, where the drawing alone is far off."""
-        if self.fit is None or self.readings.better is not None or self.arm.chain is not None:
+        """Joints whose zero is another one than the drawing's, where the fit takes that up."""
+        fit, better = self.fit, self.readings.better
+        if fit is None or fit.status is Status.implausible or not (better is None or better.moved_zeros):
             return []
-        offsets = enumerate((self.fit.joint_offsets + np.pi) % (2.0 * np.pi) - np.pi, start=1)
-        far = [f"{np.degrees(x):.1f} deg at joint {j}" for j, x in offsets if j > 1 and abs(x) > FAR_ZERO]
-        return [f"zeros differ from the drawing's: {', '.join(far)}"] if far else []
+        return far_zeros(fit.model, fit.parameters)
 
     @property
     def notes(self) -> tuple[str, ...]:

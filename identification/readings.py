@@ -8,24 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import Arm
+from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.data_checks import CLEARLY
-from identification.kinematics.parameters import PRISMATIC
+from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC
 from identification.kinematics.placement import placed
-from identification.measurements import Measurements
-from identification.placed import frames_of_tip
+from identification.measurements import Measurements, rms_distance
+from identification.model import Model
+from identification.placed import frames_of_tip, placed_model, some
 
 ENOUGH = 200  # rows that are looked at: a wrong sign is seen in far fewer
 ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
 EQUATIONS = 4  # for each fitted number, below which anything may fit
 KEPT = 4  # effort: readings from which the next kind of change starts
 DRAWN = 0.02  # of the reach: what may well be the drawing's errors, so that nothing more is tried
+ZEROS = tuple(np.arange(0.0, 4.0, 0.25))  # quarter turns: starts, of which one is near enough to the best
+FINE, WHOLE = 1e-3, 0.02  # quarter turns, 0.1 and 2 deg: how well a zero is found; what is a whole quarter turn
 MANY = 6  # joints, up to which all combinations of signs are tried
 UPRIGHT, QUARTER = np.radians(20.0), np.radians(45.0)  # a base is this near to the frame's axes; or to a half turn
 PLANE, SPACE = 3, 9  # numbers fitted: a pose in the plane; a pose and a point in space
@@ -36,7 +40,7 @@ class Reading:
     """One way to read the columns.
 
     order : joint j is in column order[j];  signs : +1 or -1 of each joint
-    quarters : quarter turns to add to each joint
+    quarters : quarter turns to add to each joint, whole ones or a zero of any angle
     mirrored : the positions are those of a mirror image: their last axis is read the other way
     turn : of the base [rad] that then explains the positions best, in the plane; None: it says nothing
     rms : distance [mm] that the drawing leaves
@@ -44,7 +48,7 @@ class Reading:
 
     order: tuple[int, ...]
     signs: tuple[int, ...]
-    quarters: tuple[int, ...]
+    quarters: tuple[float, ...]
     mirrored: bool = False
     turn: float | None = None
     rms: float = np.inf
@@ -74,10 +78,21 @@ class Reading:
         swaps = sorted({tuple(sorted((a, b))) for a, b in enumerate(self.order) if a != b})
         said = [f"columns of joints {a + 1} and {b + 1} are swapped" for a, b in swaps]
         said += [f"joint {j} turns the other way" for j, sign in enumerate(self.signs, start=1) if sign < 0]
-        turns = {1: 90, 2: 180, 3: -90}
-        zeros = enumerate(self.quarters, start=1)
-        said += [f"joint {j} has another zero than the drawing: add {turns[k]} deg to it" for j, k in zeros if k]
+        zeros = ((j, np.degrees(x)) for j, x in enumerate(self.zeros, start=1) if x)
+        said += [f"joint {j} has another zero than the drawing: add {x:.3g} deg to it" for j, x in zeros]
         return (*said, *([self._mirror] if self.mirrored else []))
+
+    @property
+    def zeros(self) -> tuple[float, ...]:
+        """(n) what to add to each joint [rad], by the shorter way."""
+        return tuple(float(np.radians(180.0 - (180.0 - 90.0 * k) % 360.0)) for k in self.quarters)
+
+    @property
+    def moved_zeros(self) -> bool:
+        """Nothing but zeros of joints that are off by no whole quarter turns: a fit takes them for what they are."""
+        as_written = Reading.as_written(len(self.order))
+        same = replace(self, quarters=as_written.quarters, turn=None, rms=np.inf) == as_written
+        return same and any(k % 1.0 for k in self.quarters)
 
     @property
     def _mirror(self) -> str:
@@ -110,8 +125,8 @@ class Readings:
 def read_differently(arm: Arm, measurements: Measurements) -> Readings:
     """Look for another way to read the columns that explains the positions clearly better (`CLEARLY`).
 
-    Tried are signs, pairs of swapped columns, zeros off by quarter turns, and a mirrored frame. With few rows nothing
-    is tried.
+    Tried are zeros, of one joint at any angle, signs, pairs of swapped columns, zeros off by quarter turns, and a
+    mirrored frame. With few rows nothing is tried.
     """
     rows = _some(measurements)
     left, n = _distance(arm, rows), arm.links
@@ -119,11 +134,13 @@ def read_differently(arm: Arm, measurements: Measurements) -> Readings:
     if rows.positions.size < EQUATIONS * (PLANE if arm.chain is None else SPACE):
         return Readings(written, None)
     known = {replace(written, rms=0.0): written}
-    for stage in (_mirrored, _signs, _swaps, _zeros, _flips, _zeros):
-        kept = sorted(known.values(), key=lambda reading: reading.rms)[:KEPT]
+    zero = partial(_moved_zero, left=left)
+    for stage in (zero, zero, _mirrored, _signs, _swaps, _zeros, _flips, _zeros):
+        kept = sorted(known.values(), key=lambda reading: reading.rms)
         if kept[0].rms < DRAWN * arm.reach:
             break
-        starts = dict.fromkeys((written, *kept))
+        whole = [reading for reading in kept if not reading.moved_zeros][:KEPT]
+        starts = kept[:1] if stage is zero else dict.fromkeys((written, *whole))
         for reading in (other for start in starts for other in stage(replace(start, rms=0.0), arm)):
             if reading not in known:
                 known[reading] = replace(reading, rms=left(reading))
@@ -133,10 +150,44 @@ def read_differently(arm: Arm, measurements: Measurements) -> Readings:
     return Readings(written, best if arm.chain is not None else replace(best, turn=_turn(arm, rows, best)))
 
 
+def placed_with_zeros(model: Model, measurements: Measurements) -> tuple[Model, dict[str, float]]:
+    """The model where the closed form places it, and zeros of joints to start from where they are clearly not those of
+    the drawing: far from them a fit may end with frames turned over."""
+    found = placed_model(model, measurements)
+    if found is model or (arm := model.arm).chain is None or arm.calibration is not None:
+        return found, {}
+    rows = some(measurements, measurements.session_rows[0])  # later ones have another base
+    left = rows.positions - found.position(rows.postures, conditions=rows.conditions)
+    better = read_differently(arm, measurements).better if rms_distance(left) > DRAWN * found.reach else None
+    if better is None or not better.moved_zeros:
+        return found, {}
+    zeros = {f"{JOINT_OFFSET}:{j}": turn for j, turn in enumerate(better.zeros, start=1)}
+    there = placed_model(replace(model, arm=replace(arm, calibration=Calibration(zeros))), measurements)
+    return replace(there, arm=replace(there.arm, calibration=None)), zeros
+
+
 def _simplest(tried: list[Reading]) -> Reading:
     """The reading with the fewest changes of those that leave about as little as the best."""
     least = min(reading.rms for reading in tried)
     return min((r for r in tried if r.rms <= ALIKE * least), key=lambda r: (r.changes, r.rms))
+
+
+def _moved_zero(best: Reading, arm: Arm, left: Callable[[Reading], float]) -> Iterator[Reading]:
+    """The zero of one turning joint where it explains the positions best; a whole quarter turn where it is near one."""
+    for j in (j for j, kind in enumerate(arm.joint_types) if kind != PRISMATIC):
+        yield _best_zero(best, j, left)
+
+
+def _best_zero(best: Reading, joint: int, left: Callable[[Reading], float]) -> Reading:
+    from scipy.optimize import minimize_scalar
+
+    def with_zero(k: float) -> Reading:
+        return replace(best, quarters=tuple(k if i == joint else old for i, old in enumerate(best.quarters)))
+
+    near = min(ZEROS, key=lambda k: left(with_zero(k)))
+    bounds = (near - ZEROS[1], near + ZEROS[1])
+    found = float(minimize_scalar(lambda k: left(with_zero(k)), bounds=bounds, options={"xatol": FINE}).x)
+    return with_zero(round(found) % 4 if abs(found - round(found)) < WHOLE else found)
 
 
 def _mirrored(best: Reading, arm: Arm) -> Iterator[Reading]:

@@ -12,7 +12,7 @@ from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
 from identification.estimation.uncertainty import LEVEL
 from identification.information import RANK_TOLERANCE
-from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, LENGTH_ERROR
+from identification.kinematics.parameters import FILE_UNITS, JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE
 from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR
 from identification.kinematics.turns import turned_into
@@ -24,6 +24,7 @@ from identification.readings import DRAWN, read_differently
 FLIPPED = 0.5  # of a link's nominal length: no drawing and no machining is that wrong
 TURNED = np.radians(30.0)  # of a frame of a spatial arm: no machining is that wrong, a joint with the wrong sign is
 MOVED = 0.1  # of the reach, of a frame of a spatial arm
+FAR_ZERO = np.radians(5.0)  # an offset that is no machining error
 FAR = 0.05  # of the reach: residuals of another arm, frame or unit
 FALL = 2.0  # of the RMS, when the position of the base is added: the data are in another frame
 OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
@@ -49,11 +50,19 @@ def doubts(
     """What is doubtful about a fit; parameters, identifiable : (p,);  before, residual : (m, d) [mm], of the arm as it
     was and as fitted."""
     arm = getattr(model, "arm", None)  # other models have none
-    bad = [] if arm is None or rms_distance(before) <= DRAWN * arm.reach else misread(arm, measurements)
+    read, implausible = Doubts((), False)
+    if arm is not None and rms_distance(before) > DRAWN * arm.reach:
+        read, implausible = misread(arm, measurements)
+    bad = [*read] if implausible else []
     bad += [*far_off(residual, model.reach), *([] if arm is None else flipped(model, parameters, identifiable))]
     if arm is None:
         return Doubts(tuple(bad), bool(bad))
-    said = [*bad, *another_frame(arm, measurements), *outside_limits(arm, measurements)]
+    said = [
+        *bad,
+        *([] if implausible else (read and far_zeros(model, parameters)) or read),
+        *another_frame(arm, measurements),
+        *outside_limits(arm, measurements),
+    ]
     said += [] if residual.size <= parameters.size else rounded(residual, measurements)
     return Doubts(tuple(said), bool(bad))
 
@@ -67,9 +76,22 @@ def far_off(residual: Array, reach: float) -> list[str]:
     return [f"implausible: the fit leaves {left:.4g} mm RMS, {share}; another arm, frame, unit or order of joints?"]
 
 
-def misread(arm: Arm, measurements: Measurements) -> list[str]:
-    """Columns that look swapped, reversed or mirrored: a fit may hide them in errors of the geometry."""
-    return [f"implausible: {said}; armcal check tells more" for said in read_differently(arm, measurements).sentences]
+def misread(arm: Arm, measurements: Measurements) -> Doubts:
+    """Columns that look swapped, reversed or mirrored, which a fit may hide in errors of the geometry, and zeros that
+    are elsewhere, which it finds."""
+    found = read_differently(arm, measurements)
+    if found.better is None or found.better.moved_zeros:
+        return Doubts(tuple(found.sentences), False)
+    return Doubts(tuple(f"implausible: {said}; armcal check tells more" for said in found.sentences), True)
+
+
+def far_zeros(model: Model, parameters: Array) -> list[str]:
+    """Joints whose zero is another one than the drawing's; that of a planar arm's first is the frame's rotation."""
+    values = {p.joint: x for p, x in zip(model.parameters, parameters, strict=True) if p.kind == JOINT_OFFSET}
+    turning = [joint for joint, kind in enumerate(model.arm.joint_types, start=1) if joint > 1 and kind == REVOLUTE]
+    offsets = {j: (values.get(j, 0.0) + np.pi) % (2.0 * np.pi) - np.pi for j in turning}
+    far = [f"{np.degrees(x):.1f} deg at joint {j}" for j, x in offsets.items() if abs(x) > FAR_ZERO]
+    return [f"zeros differ from the drawing's: {', '.join(far)}"] if far else []
 
 
 def far_rows(residual: Array, outlier: NDArray[np.bool_]) -> list[str]:

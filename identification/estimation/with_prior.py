@@ -7,7 +7,9 @@ likelihood, H. D. Patterson, R. Thompson 1971), and no less than a sigma that is
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -24,9 +26,10 @@ from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import Uncertainty
 from identification.information import spectrum
+from identification.kinematics.parameters import JOINT_OFFSET
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.placed import placed_model
+from identification.readings import placed_with_zeros
 from identification.threads import single_thread
 
 FIRST = 2  # steps before the noise is told again: the model is nearly linear
@@ -34,6 +37,9 @@ ROUNDS = 10  # of fit and noise: the model is nearly linear, so that the second 
 STEADY = 1e-4  # relative change of the noise, far below its own uncertainty
 SIZES = (0.0, *(2.0 ** (-k / 2.0) for k in range(16, -1, -1)))  # of all effects; the likelihood is flat over a step
 WIDTHS = tuple(2.0**k for k in range(6))  # factors on the machining's sizes; the likelihood is flat over a step
+ZERO_WIDTHS = (1.0, 4.0, 16.0, 64.0)  # of joint zeros besides, which are set by hand: to 32 deg
+Widths = tuple[float, float]  # factors on the machining's sizes, and one more on those of joint zeros
+AS_STATED: Widths = (1.0, 1.0)
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
 CREDIBLE = 4.0  # difference of -2 log likelihood from the sizes as stated: chi2 of one degree of freedom, 5 %
 LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
@@ -54,16 +60,16 @@ def estimate_with_prior(
         the latter, but no less than what is given
 
     The sizes of the machining are those of the model or, where the data say that the arm is farther from its drawing,
-    a common multiple of them, likeliest together with the noise; `doubts` say so.
+    a common multiple of them, and one of the joint zeros', likeliest together with the noise; `doubts` say so.
 
     Raises `InputError` for data that do not fit the model, and fewer equations than parameters without a prior.
     """
-    model = placed_model(model, measurements)
+    model, zeros = placed_with_zeros(model, measurements)
     prior = replace(prior, deviations={**model.prior, **prior.deviations})
     check(model, measurements, prior)
     noise = weighting(model, measurements, sigma, weights)
     whole = replace(Problem.of(model, measurements, noise.weights), prior=prior)
-    problem, solution, width, jacobian = _solved(whole, noise)
+    problem, solution, widths, jacobian = _solved(whole, noise, zeros)
     parameters = solution.parameters[0]
     decomposed = spectrum(np.concatenate([jacobian, problem.prior_rows]), model.scales, problem.tolerance)
     effective = effective_count(jacobian, problem.prior_rows)
@@ -71,37 +77,45 @@ def estimate_with_prior(
     made = _uncertainty(problem, decomposed.covariance, float(dof), noise)
     spread = Spread(made, problem.noise * (noise.sigma or 1.0), float(problem.squares(parameters)[0]), dof)
     found = identification(problem, measurements, "gauss_newton", solution, decomposed, noise, spread)
-    found = replace(found, prior=problem.prior, machining_factor=width if model.prior else None)
-    return (
-        found if width == 1.0 else replace(found, doubts=(*found.doubts, far_from_drawing(model.arm.machining, width)))
-    )
+    found = replace(found, prior=problem.prior, machining_factor=widths[0] if model.prior else None)
+    return replace(found, doubts=(*found.doubts, *far_from_drawing(model.arm.machining, widths)))
 
 
-def far_from_drawing(machining: Machining, width: float) -> str:
+def far_from_drawing(machining: Machining, widths: Widths) -> list[str]:
     """What is doubtful about an arm whose errors are so many times those of its machining."""
-    sizes = f"{machining.translation:g} mm and {np.degrees(machining.rotation):g} deg"
+    rotation = f"{np.degrees(machining.rotation):g} deg"
+    (width, zeros), sizes = widths, f"{machining.translation:g} mm and {rotation}"
     ask = "; are units, order and signs of joints and coordinates right? armcal check tells" if width >= UNUSUAL else ""
-    return f"the arm is farther from its drawing than [machining] says ({sizes}): taken {width:g} times as large{ask}"
+    said = f"the arm is farther from its drawing than [machining] says ({sizes}): taken {width:g} times as large{ask}"
+    why = f"taken as {width * zeros:g} times as large, as where a motor was changed or a drawing counts from elsewhere"
+    of_zeros = f"zeros of joints are farther from the drawing than [machining] says ({rotation}): {why}"
+    return [sentence for factor, sentence in ((width, said), (zeros, of_zeros)) if factor != 1.0]
 
 
-def _solved(problem: Problem, noise: Noise) -> tuple[Problem, Solution, float, Array]:
-    """The problem with the noise that was found, its solution, the width of the machining's sizes, and the Jacobian
-    without the prior; in turns until the noise stays."""
+def _solved(problem: Problem, noise: Noise, zeros: Mapping[str, float]) -> tuple[Problem, Solution, Widths, Array]:
+    """The problem with the noise that was found, its solution, the widths of the machining's sizes, and the Jacobian
+    without the prior; in turns until the noise stays.
+
+    zeros : parameters to start from elsewhere than at the best known values
+    """
     given, linearized = noise.reliance == "given", _Linearizations(replace(problem, prior=None))
 
-    def solved(at: Array, most: int = ITERATIONS) -> tuple[Problem, Solution, float]:
-        scale, width = likeliest(Linearized.of(problem, at, *linearized.at(at)), noise, given)
-        found = replace(problem, noise=scale, prior=widened(problem, width))
-        return found, levenberg_marquardt(replace(linearized.with_prior(found), iterations=most), at[None]), width
+    def solved(at: Array, most: int = ITERATIONS) -> tuple[Problem, Solution, Widths]:
+        scale, widths = likeliest(Linearized.of(problem, at, *linearized.at(at)), noise, given)
+        found = replace(problem, noise=scale, prior=widened(problem, widths))
+        return found, levenberg_marquardt(replace(linearized.with_prior(found), iterations=most), at[None]), widths
 
-    found, solution, width = solved(starts(problem)[0], ITERATIONS if given else FIRST)
+    parameters = problem.model.parameters
+    elsewhere, values = [p.name in zeros for p in parameters], parameters.vector(zeros, default=0.0)
+    start = np.where(elsewhere, values, starts(problem)[0])
+    found, solution, widths = solved(start, ITERATIONS if given else FIRST)
     for _ in range(0 if given else ROUNDS):
         before, steps = found.noise, solution.iterations
-        found, solution, width = solved(solution.parameters[0])
+        found, solution, widths = solved(solution.parameters[0])
         solution = replace(solution, iterations=solution.iterations + steps)
         if abs(found.noise - before) <= STEADY * before:
             break
-    return found, solution, width, linearized.at(solution.parameters[0])[1]
+    return found, solution, widths, linearized.at(solution.parameters[0])[1]
 
 
 @dataclass
@@ -142,7 +156,7 @@ class Linearized(NamedTuple):
 
     target : (N,) weighted residuals if all parameters with a prior were at its center;  jacobian : (N, p)
     equations : of the data;  factor : (p, r) of the prior's covariance, see `Prior.factor`
-    machined : (p,) those with the prior of the machining
+    machined : (p,) those with the prior of the machining;  zeros : (p,) joint offsets among them
     """
 
     target: Array
@@ -150,6 +164,7 @@ class Linearized(NamedTuple):
     equations: int
     factor: Array
     machined: NDArray[np.bool_]
+    zeros: NDArray[np.bool_]
 
     @classmethod
     def of(cls, problem: Problem, x: Array, residual: Array, jacobian: Array) -> Linearized:
@@ -159,7 +174,9 @@ class Linearized(NamedTuple):
         target = residual + jacobian @ np.where(factor.any(axis=1), x - problem.prior_center, 0.0)
         equations = problem.model.dimension * int(np.count_nonzero(problem.weights))
         own = {} if prior is None else problem.model.prior.keys() & prior.deviations.keys()
-        return cls(target, jacobian, equations, factor, np.array([name in own for name in parameters.names]))
+        machined = np.array([name in own for name in parameters.names])
+        zeros = machined & np.array([p.kind == JOINT_OFFSET for p in parameters])
+        return cls(target, jacobian, equations, factor, machined, zeros)
 
     @property
     def spare(self) -> int:
@@ -178,32 +195,38 @@ class Linearized(NamedTuple):
         return max(float(np.linalg.norm(left)) / np.sqrt(max(self.spare, 1)), 1e-12)
 
 
-def likeliest(problem: Linearized, noise: Noise, given: bool) -> tuple[float, float]:
-    """Noise, no less than a given one, and width of the machining's sizes of the largest marginal likelihood.
+def likeliest(problem: Linearized, noise: Noise, given: bool) -> tuple[float, Widths]:
+    """Noise, no less than a given one, and widths of the machining's sizes of the largest marginal likelihood.
 
     given : the noise is the one given
     """
     known = noise.sigma is not None
     unit = 1.0 if known or given else problem.scatter
     if problem.spare == 0:
-        return unit, 1.0
-    found = {}
-    for width in WIDTHS if problem.machined.any() else WIDTHS[:1]:
-        effects = (problem.jacobian * np.where(problem.machined, width, 1.0)) @ problem.factor
-        likelihood = Restricted.of(problem.target, problem.free, effects, problem.spare)
+        return unit, AS_STATED
+    basis, found = np.linalg.qr(problem.free)[0], {}
+    target, jacobian = (a - basis @ (basis.T @ a) for a in (problem.target, problem.jacobian))
+    for widths in product(WIDTHS if problem.machined.any() else (1.0,), ZERO_WIDTHS if problem.zeros.any() else (1.0,)):
+        sizes = np.where(problem.zeros, widths[1], 1.0) * np.where(problem.machined, widths[0], 1.0)
+        likelihood = Restricted.of(target, basis[:, :0], (jacobian * sizes) @ problem.factor, problem.spare)
         scale = unit if given else likelihood.likeliest_noise(unit if known else unit / LARGEST, LARGEST * unit)
-        found[width] = likelihood.minus_log(scale), scale
-    width = min(found, key=lambda width: found[width][0])
-    width = width if found[1.0][0] - found[width][0] > CREDIBLE else 1.0
-    return found[width][1], width
+        found[widths] = (
+            likelihood.minus_log(scale) + CREDIBLE * np.count_nonzero(np.not_equal(widths, AS_STATED)),
+            scale,
+        )
+    best = min(found, key=lambda widths: found[widths][0])
+    return found[best][1], best
 
 
-def widened(problem: Problem, width: float) -> Prior | None:
+def widened(problem: Problem, widths: Widths) -> Prior | None:
     """The problem's prior with the sizes of the machining so many times as large."""
-    if problem.prior is None or width == 1.0:
+    if problem.prior is None or widths == AS_STATED:
         return problem.prior
-    own, machined = problem.prior.deviations, problem.model.prior
-    return replace(problem.prior, deviations={name: own[name] * (width if name in machined else 1.0) for name in own})
+    factors = {
+        p.name: widths[p.kind == JOINT_OFFSET] for p in problem.model.parameters if p.name in problem.model.prior
+    }
+    own = problem.prior.deviations
+    return replace(problem.prior, deviations={name: own[name] * factors.get(name, 1.0) for name in own})
 
 
 @dataclass(frozen=True)

@@ -40,4 +40,4 @@ def fit_doubts(arm: Arm, measurements: Measurements, found: Fit, left: Array) ->
     estimable = np.ones(len(found.values), dtype=bool)
     bad = [*far_off(left, found.model.reach), *flipped(found.model, found.values, estimable)]
     place = (*another_frame(arm, measurements), *outside_limits(arm, measurements))
-    return (*misread(arm, measurements), *bad, *place, *copied_rows(measurements))
+    return (*misread(arm, measurements).sentences, *bad, *place, *copied_rows(measurements))

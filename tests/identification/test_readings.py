@@ -12,6 +12,7 @@ import pytest
 
 from identification import load_arm, load_measurements
 from identification.arm import Arm
+from identification.inspection import inspect
 from identification.measurements import Measurements
 from identification.readings import read_differently
 
@@ -46,6 +47,7 @@ CASES: list[tuple[Change, tuple[str, ...]]] = [
     (lambda q: q[:, [0, 2, 1]] * [1, 1, -1], ("columns of joints 2 and 3 are swapped", "joint 2 turns the other way")),
     (lambda q: q - [0, np.pi, 0], ("joint 2 has another zero than the drawing: add 180 deg to it",)),
     (lambda q: q - [0, 0, np.pi / 2], ("joint 3 has another zero than the drawing: add 90 deg to it",)),
+    (lambda q: q - [0, np.radians(20), 0], ("joint 2 has another zero than the drawing: add 20 deg to it",)),
 ]
 
 
@@ -66,6 +68,27 @@ SPATIAL: list[tuple[Change, tuple[str, ...]]] = [
 def test_six_axes(six_axis: tuple[Arm, Measurements], change: Change, said: tuple[str, ...]) -> None:
     """The reflector is on the last axis, so that nothing shows which way joint 6 turns."""
     assert words(*six_axis, change) == said
+
+
+@pytest.mark.parametrize("degrees", [8.0, 20.0, 63.0])
+def test_a_zero_of_any_angle_is_found_and_no_reversed_joints(
+    six_axis: tuple[Arm, Measurements], degrees: float
+) -> None:
+    """To a tenth of a degree and what the arm itself is off by, 0.3 deg; a fit takes it up, so it is no misreading."""
+    arm, data = six_axis
+    better = read_differently(arm, replace(data, postures=data.postures + np.radians([0, 0, degrees, 0, 0, 0]))).better
+    assert better is not None
+    assert better.moved_zeros
+    assert (better.signs, better.order) == ((1,) * 6, tuple(range(6)))
+    assert 90.0 * better.quarters[2] % 360.0 == pytest.approx(360.0 - degrees, abs=0.4)
+    assert better.words == (f"joint 3 has another zero than the drawing: add {-degrees:.3g} deg to it",)
+
+
+def test_two_zeros_are_the_fit_s_to_name(six_axis: tuple[Arm, Measurements]) -> None:
+    arm, data = six_axis
+    found = inspect(arm, replace(data, postures=data.postures + np.radians([0, 20, 0, -12, 0, 0])))
+    assert found.problems[0].startswith("zeros differ from the drawing's: -20.")
+    assert found.problems[0].endswith(" at joint 4")
 
 
 def test_a_mirrored_frame_in_space(six_axis: tuple[Arm, Measurements]) -> None:

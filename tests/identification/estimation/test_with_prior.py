@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from identification.estimation import estimate, estimate_with_prior
 from identification.estimation.checks import weighting
 from identification.estimation.prior import Prior
 from identification.estimation.problem import Problem
-from identification.estimation.with_prior import WIDTHS, Linearized, likeliest
+from identification.estimation.with_prior import WIDTHS, ZERO_WIDTHS, Linearized, likeliest
 from identification.gap.library_prior import library_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
@@ -142,23 +143,48 @@ def test_an_arm_far_from_its_drawing_is_fitted_as_well_as_one_near_it(times: flo
         assert any("farther from its drawing" in doubt for doubt in found.doubts) == (times > 1.0)
 
 
-def test_the_width_is_that_of_the_largest_marginal_likelihood() -> None:
-    """Of all rows' covariance at the nominal arm, with the noise given; what has no prior as good as infinite."""
+@pytest.mark.parametrize("factors", [(6.0, 1.0), (1.0, 30.0)])
+def test_the_widths_are_those_of_the_largest_marginal_likelihood(factors: tuple[float, float]) -> None:
+    """Of all rows' covariance at the nominal arm, with the noise given; what has no prior as good as infinite. A width
+    other than 1 must lower -2 log by more than 4. Errors and zeros so many times the machining's sizes."""
     data, *_ = far_off(6.0, np.random.default_rng(32))
     zero = np.zeros(len(SPATIAL.names))
     jacobian = SPATIAL.jacobian(data.postures, zero).reshape(-1, len(zero))
-    residual = jacobian @ (6.0 * SPATIAL.parameters.vector(SPATIAL.prior, 0.0) * np.sin(np.arange(len(zero)) + 1.0))
     sizes = SPATIAL.parameters.vector(SPATIAL.prior, 0.0)
+    offsets = np.array([name.startswith("joint_offset") for name in SPATIAL.names])
+    residual = jacobian @ (np.where(offsets, factors[1], 1.0) * factors[0] * sizes * np.sin(np.arange(len(zero)) + 1.0))
 
-    def minus_log(width: float) -> float:
-        spread = np.where(sizes > 0.0, width * sizes, 1e3 / SPATIAL.scales)
+    def minus_log(widths: tuple[float, float]) -> float:
+        times = np.where(offsets, widths[1], 1.0) * widths[0]
+        spread = np.where(sizes > 0.0, times * sizes, 1e3 / SPATIAL.scales)
         covariance = 0.05**2 * np.eye(len(residual)) + (jacobian * spread**2) @ jacobian.T
-        return float(np.linalg.slogdet(covariance)[1] + residual @ np.linalg.solve(covariance, residual))
+        left = float(np.linalg.slogdet(covariance)[1] + residual @ np.linalg.solve(covariance, residual))
+        return left + 4.0 * sum(width != 1.0 for width in widths)
 
     problem = replace(Problem.of(SPATIAL, data, np.full(len(data), 0.05**-2)), prior=Prior(SPATIAL.prior))
     linear = Linearized.of(problem, zero, residual / 0.05, jacobian / 0.05)
     noise = weighting(SPATIAL, data, 0.05, None)
-    assert likeliest(linear, noise, given=True) == (1.0, min(WIDTHS, key=minus_log))
+    expected = min(product(WIDTHS, ZERO_WIDTHS), key=minus_log)
+    assert (expected[0] > 1.0, expected[1] > 1.0) == (factors[0] > 1.0, factors[1] > 1.0)
+    assert likeliest(linear, noise, given=True) == (1.0, expected)
+
+
+@pytest.mark.parametrize("degrees", [20.0, 110.0])
+def test_a_zero_that_is_elsewhere_moves_nothing_but_itself(degrees: float) -> None:
+    """Joint 2 read so far off: the fit, the errors of the frames and what it says of fresh postures stay."""
+    data, fresh, _ = far_off(1.0, np.random.default_rng(35))
+    turn = np.radians([0.0, degrees, 0.0, 0.0])
+    near, far = estimate(SPATIAL, data), estimate(SPATIAL, replace(data, postures=data.postures - turn))
+    difference = dict(zip(SPATIAL.names, far.parameters - near.parameters, strict=True))
+    assert difference.pop("joint_offset:2") == pytest.approx(np.radians(degrees), abs=np.radians(0.2))
+    held = [difference[name] / SPATIAL.prior[name] for name in difference if name in SPATIAL.prior]
+    assert np.max(np.abs(held)) < 1.0  # of the machining's sizes; a common width of 8 would leave them to the noise
+    error = fresh.positions - far.model.position(fresh.postures - turn, far.parameters)
+    assert np.sqrt(np.mean(error**2)) <= 2.0 * 0.05  # as in the test above
+    zeros = f"{np.degrees(far.parameters[SPATIAL.names.index('joint_offset:2')]):.1f} deg at joint 2"
+    assert far.doubts[0] == f"zeros differ from the drawing's: {zeros}"
+    assert far.doubts[1].startswith("zeros of joints are farther from the drawing than [machining] says (0.5 deg)")
+    assert far.status is Status.converged
 
 
 def test_metres_and_a_joint_of_the_wrong_sign_are_no_result() -> None:
