@@ -35,7 +35,9 @@ def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
         return None
     joints = ", ".join(f"joint {j + 1} in {int(out[:, j].sum())}" for j in np.flatnonzero(out.any(axis=0)))
     found = f"{int(out.any(axis=1).sum())} of {len(out)} {what} are outside the angles that the model was identified on"
-    return f"{found} ({joints}): there it extrapolates"
+    curves = any(spec.curve is not None and out[:, (spec.joint or 1) - 1].any() for spec in arm.effects)
+    instead = "; its error curves are zero there, and the geometry of armcal identify alone may be better"
+    return f"{found} ({joints}): there it extrapolates{instead if curves else ''}"
 
 
 def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:

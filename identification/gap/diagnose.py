@@ -34,7 +34,7 @@ from identification.gap.holdout import (
 from identification.gap.hypotheses import hypotheses
 from identification.gap.library_prior import given_by, library_prior
 from identification.gap.misfit import misfit
-from identification.gap.notes import alias_list, hidden_orders, notes, order_notes, prior_note
+from identification.gap.notes import alias_list, curve_notes, hidden_orders, notes, order_notes, prior_note
 from identification.gap.order_range import order_ranges
 from identification.gap.probabilities import Probabilities
 from identification.gap.repeats import noise_floor, repeat_finding
@@ -212,7 +212,7 @@ def named_effects(
         shapes=order_ranges(explained.fit, found.fits.rows, named.effects),
         probabilities=explained.likely,
         curves=curves,
-        notes=(*overruled(found, explained.likely), *order_notes(hidden)),
+        notes=(*overruled(found, explained.likely), *order_notes(hidden), *curve_notes(curves)),
         prior=explained.prior,
     )
 

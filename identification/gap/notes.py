@@ -9,6 +9,7 @@ import numpy as np
 from identification.arm import Arm
 from identification.data_checks import gap_notes
 from identification.gap.candidate import Candidate
+from identification.gap.curve import Curve
 from identification.gap.detectability import EXACT, NEAR, Detectability, likenesses
 from identification.gap.holdout import Gap
 from identification.gap.hypotheses import Hypothesis, untested
@@ -57,6 +58,18 @@ def order_notes(hidden: tuple[tuple[str, str, float], ...]) -> list[str]:
         listed = ", ".join(other for other, _ in likes[:3])
         said.append(f"at these postures {key} {word} {listed}{more}; to decide, measure at other joint angles")
     return said
+
+
+def curve_notes(curves: tuple[Curve, ...]) -> list[str]:
+    """Where error curves hold."""
+    if not curves:
+        return []
+    ranges = (np.degrees([curve.angles[0], curve.angles[-1]]) for curve in curves)
+    said = ", ".join(
+        f"joint {c.joint} {low:.0f} to {high:.0f} deg" for c, (low, high) in zip(curves, ranges, strict=True)
+    )
+    beyond = "beyond them they are zero, and the geometry of armcal identify alone may be better"
+    return [f"the error curves hold for the angles measured ({said}); {beyond}"]
 
 
 def prior_note(prior: LibraryPrior | None) -> list[str]:

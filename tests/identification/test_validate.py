@@ -10,12 +10,14 @@ import pytest
 from scipy.optimize import least_squares
 
 from identification.arm import Arm, Calibration, EffectSpec
+from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.estimation import estimate
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.row_groups import extrapolation
 from identification.validate import Figures, validate
 
 UR10 = Path(__file__).parents[1] / "data" / "ur10_planar"
@@ -133,6 +135,9 @@ def test_rows_outside_the_identified_range_are_said() -> None:
     assert any("1 of 30 rows are outside the angles" in note and "joint 3 in 1" in note for note in found.notes)
     assert {b.name: b.rows for b in found.blocks if b.kind == "range"} == {"inside": 29, "outside": 1}
     assert not validate(arm, Measurements(q, tip(q))).notes
+    curve = EffectSpec("joint_error_curve", 3, curve=ErrorCurve(-0.5, 0.5, np.zeros(5)))
+    assert "curves are zero there" in (extrapolation(replace(arm, effects=(curve,)), other) or "")
+    assert "curves are zero there" not in (extrapolation(replace(arm, effects=(replace(curve, joint=2),)), other) or "")
 
 
 def test_missing_columns_and_the_same_file_are_said() -> None:

@@ -15,6 +15,7 @@ from identification.gap.cross_validation import cross_validate
 from identification.gap.curve import curves_text
 from identification.gap.curves import Curves, _least_plausible, curve_candidate, find_curves
 from identification.gap.hypotheses import hypotheses
+from identification.gap.notes import curve_notes
 from identification.gap.search import HypothesisSearch
 from identification.gap.unmodelled import Unknown
 from identification.gap.whitening import Rows
@@ -49,6 +50,13 @@ def _curves(seed: int = 1) -> Curves:
     found = find_curves(_found(_data(seed)), _data(seed))
     assert found is not None
     return found
+
+
+def test_where_curves_hold_is_said() -> None:
+    (note,) = curve_notes(_curves().curves)
+    low, high = np.degrees([_data(1).postures[:, 0].min(), _data(1).postures[:, 0].max()])
+    assert f"(joint 1 {low:.0f} to {high:.0f} deg); beyond them they are zero" in note
+    assert curve_notes(()) == []
 
 
 def test_the_curve_is_that_of_the_joint() -> None:
