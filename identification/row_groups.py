@@ -26,7 +26,15 @@ def identified(arm: Arm) -> Mapping[str, Any]:
 
 def extrapolation(arm: Arm, postures: Array, what: str = "rows") -> str | None:
     """How many postures (m, n) are outside the angles of the identification, in a clause; None: none, or not known."""
-    return extrapolated(outside(arm, postures), what)
+    out = outside(arm, postures)
+    found = extrapolated(out, what)
+    if (
+        out is None
+        or found is None
+        or not any(s.curve is not None and out[:, (s.joint or 1) - 1].any() for s in arm.effects)
+    ):
+        return found
+    return f"{found}; its error curves are zero there, and the geometry of armcal identify alone may be better"
 
 
 def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
@@ -35,9 +43,7 @@ def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
         return None
     joints = ", ".join(f"joint {j + 1} in {int(out[:, j].sum())}" for j in np.flatnonzero(out.any(axis=0)))
     found = f"{int(out.any(axis=1).sum())} of {len(out)} {what} are outside the angles that the model was identified on"
-    curves = any(spec.curve is not None and out[:, (spec.joint or 1) - 1].any() for spec in arm.effects)
-    instead = "; its error curves are zero there, and the geometry of armcal identify alone may be better"
-    return f"{found} ({joints}): there it extrapolates{instead if curves else ''}"
+    return f"{found} ({joints}): there it extrapolates"
 
 
 def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
