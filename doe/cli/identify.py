@@ -38,7 +38,12 @@ if TYPE_CHECKING:
     help="What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.",
 )
 @prior_options
-@click.option("--prior-from", type=FILE, metavar="FILE", help="An earlier calibration as the prior; or --prior FILE.")
+@click.option(
+    "--prior-from",
+    type=FILE,
+    metavar="FILE",
+    help="An earlier calibration with its covariance as the prior; --prior FILE is the same.",
+)
 @only_option
 @click.option(
     "--parameters",

@@ -47,7 +47,9 @@ def command(
     else:
         files = planar_files(links or "3") if dh is None else dh_files(dh)
     written = _write(files, out, robot, force)
-    steps = [f"{out / STEPS} says what to do, step by step", f"armcal design {out / ARM} --runs 20 --out plan.csv"]
+    design = next(line for line in files[STEPS].splitlines() if line.startswith("armcal design"))
+    made_up = ["replace what is marked EXAMPLE in " + str(out / ARM)] if "EXAMPLE" in files[ARM] else []
+    steps = [f"{out / STEPS} says what to do, step by step", *made_up, f"in {out}: {design}"]
     return Answer({"directory": out, "files": written, "next": steps}, [f"written: {', '.join(written)}", *steps])
 
 

@@ -157,9 +157,13 @@ prior_options = grouped(
     LibraryEffects,
     "prior",
     click.option(
-        "--prior", is_flag=True, help="Fit the library's effects too, each held by a prior of its typical size."
+        "--prior",
+        "--library-prior",
+        "prior",
+        is_flag=True,
+        help="Fit the library's effects too, each held by a prior of its typical size.",
     ),
-    click.option("--missing", metavar="NAMES", help="Only these effects, for --prior: backlash,gear_ratio"),
+    click.option("--missing", metavar="NAMES", help="Only these effects, for --library-prior: backlash,gear_ratio"),
 )
 only_option = click.option(
     "--only",

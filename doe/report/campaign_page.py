@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from doe.report.gap_figures import workspace_arrows
 from doe.report.gap_sections import corrected_section, curve_sections, further_sections, gap_section, missing_section
 from doe.report.given_files import Given
@@ -26,6 +28,7 @@ from doe.report.verdict import (
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
+from identification.measurements import distances
 from identification.validate import Validation, validate
 
 FIGURES = ("rms_mm", "mean_mm", "p95_mm", "max_mm")
@@ -68,8 +71,8 @@ class Campaign:
 
     @property
     def worse(self) -> list[Action]:
-        """A warning for every set of other measurements that the last model does not improve."""
-        last = ((rows, list(tests.items())[-1]) for rows, tests in self.tests.items())
+        """A warning for every set of other measurements that the chosen model does not improve."""
+        last = ((rows, (self.chosen, tests[self.chosen])) for rows, tests in self.tests.items() if self.chosen)
         return [
             Action(f"Do not use {model} as it is: on {rows} it is no better than the drawing (see there).")
             for rows, (model, test) in last
@@ -77,12 +80,34 @@ class Campaign:
         ]
 
     @property
+    def chosen(self) -> str | None:
+        """The calibrated arm of which commands are made: that of the least error on measurements that none was fitted
+        to, of equal ones and without such measurements the last given; None without any."""
+        others = [tests for rows, tests in self.tests.items() if not self.fitted_to(rows)]
+        squares = {
+            model: sum(float(np.sum(distances(tests[model].residuals) ** 2)) for tests in others)
+            for model in reversed(self.given.calibrated)
+        }
+        return min(squares, key=squares.__getitem__) if squares else None
+
+    @property
+    def choice(self) -> list[str]:
+        """Which of several calibrations is used, and why, in a sentence."""
+        if len(self.given.calibrated) < 2:
+            return []
+        tested = [rows for rows in self.tests if not self.fitted_to(rows)]
+        why = f"it leaves least on {' and '.join(tested)}" if tested else "it is the last given"
+        others = " and ".join(name for name in self.given.calibrated if name != self.chosen)
+        return [f"Of the calibrations the next steps use {self.chosen}: {why}. {others} is shown beside it."]
+
+    @property
     def verdict(self) -> list[str]:
         """In words, the most that is known first."""
         found = [sentence for data in self.said("diagnose") for sentence in diagnosis_verdict(data)]
         for rows, tests in self.tests.items():
-            model, test = list(tests.items())[-1]
-            found.append(validation_verdict(test.to_json(), model, rows, self.fitted_to(rows)))
+            pairs = ((model, test.to_json()) for model, test in tests.items())
+            found += [validation_verdict(data, model, rows, self.fitted_to(rows)) for model, data in pairs]
+        found += self.choice
         found += [] if self.tests else [validation_verdict(data) for data in self.said("validate")]
         found += [identification_verdict(data) for data in self.said("identify")]
         found += [design_verdict(data) for data in self.said("design")]
@@ -107,7 +132,7 @@ class Campaign:
         if diagnoses := self.said("diagnose"):
             return diagnosis_actions(diagnoses[-1], **names)
         if given.calibrated or self.said("identify") or self.said("validate"):
-            return calibrated_actions(**names, calibrated=list(given.calibrated or ["calibrated.toml"])[-1])
+            return calibrated_actions(**names, calibrated=self.chosen or "calibrated.toml")
         if given.measurements:
             return data_actions(**names)
         return plan_actions(names["arm"], next(iter(given.plans), "plan.csv"))
@@ -124,9 +149,12 @@ class Campaign:
         return found + [part for data in diagnoses for part in further_sections(data)]
 
     def corrected(self) -> list[Section]:
-        """Nominal and corrected values of the last calibrated arm, or as `identify` said them."""
-        for name, arm in reversed(self.given.calibrated.items()):
-            return [corrected_section(corrected_values(arm), arm.chain is not None, name)]
+        """Nominal and corrected values of every calibrated arm, or as `identify` said them."""
+        if arms := self.given.calibrated:
+            first = sorted(arms, key=lambda name: name != self.chosen)
+            return [
+                corrected_section(corrected_values(arms[name]), arms[name].chain is not None, name) for name in first
+            ]
         return [
             corrected_section([CorrectedValue(**row) for row in data["corrected_values"]], "geometry" in data, name)
             for name, data in self.given.said["identify"].items()

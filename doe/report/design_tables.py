@@ -109,7 +109,7 @@ def missing_lines(design: Design) -> list[Text]:
     if missing:
         effects = {name.partition(":")[0].partition(".")[0] for name in missing}
         known = f"{len(missing)} parameters of {', '.join(sorted(effects))}"
-        lines.append(Text(f"may be missing, each of its typical size: {known}; identify the arm with --prior"))
+        lines.append(Text(f"may be missing, each of its typical size: {known}; identify the arm with --library-prior"))
         equations = len(design.plan) * problem.model.dimension
         if equations < problem.parameters:
             found = f"{equations} equations for {problem.parameters} parameters"

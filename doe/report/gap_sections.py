@@ -171,7 +171,7 @@ def corrected_section(rows: Sequence[CorrectedValue], spatial: bool, name: str =
         k for k, heading in enumerate(whole.headings) if heading != "std"
     ]  # the interval says it; a phone is narrow
     headings, *lines = ([line[k] for k in shown] for line in (whole.headings, *whole.rows))
-    return Section("Corrected values", text, [Sheet(headings, lines)])
+    return Section(f"Corrected values{f': {name}' if name else ''}", text, [Sheet(headings, lines)])
 
 
 def gap_sections(diagnosis: Diagnosis, nominal: float | None = None) -> Sequence[Section]:

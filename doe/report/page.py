@@ -13,6 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NO_METADATA = ("Date", "Creator", "Format", "Type")
-NARROW = 430.0  # [pt] width of a figure that a phone shows as it is; others keep their size and are scrolled
+NARROW = 430.0  # [pt] width of a figure that a phone shows as it is; columns of wider ones stand below each other
 # colours of figures -> those of the page, light or dark
 COLORS = {"#000000": "var(--ink)", "#ffffff": "none", "#c44e52": "var(--before)", "#2a6f97": "var(--after)"}
 
@@ -95,10 +96,30 @@ def page(
 
 
 def picture(figure: Figure) -> dict[str, Any]:
-    """A figure as the page has it: SVG in the page's colours, and whether it is too wide for a phone."""
+    """A figure as the page has it: SVG in the page's colours, its size, whether it is too wide for a phone, and of one
+    that is the strips (left end, width) that stand below each other there."""
     text = re.sub("|".join(COLORS), lambda found: COLORS[found[0]], svg(figure))
-    width = 72.0 * figure.get_figwidth()
-    return {"svg": text, "width": round(width), "wide": width > NARROW}
+    width, height = 72.0 * figure.get_figwidth(), 72.0 * figure.get_figheight()
+    wide = width > NARROW
+    return {"svg": text, "width": width, "height": height, "wide": wide, "strips": strips(figure) if wide else []}
+
+
+def strips(figure: Figure) -> list[tuple[float, float]]:
+    """Left end and width [pt] of each column of pictures of a figure that has been drawn; none where one of them is as
+    wide as before."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    scale, renderer = 72.0 / figure.dpi, FigureCanvasAgg(figure).get_renderer()
+    boxes = (axis.get_tightbbox(renderer) for axis in figure.axes if axis.get_visible())
+    columns: list[list[float]] = []
+    for low, high in sorted((box.x0 * scale, box.x1 * scale) for box in boxes if box is not None):
+        if columns and low < columns[-1][1]:
+            columns[-1][1] = max(columns[-1][1], high)
+        else:
+            columns.append([low, high])
+    ends = [0.0, *((a[1] + b[0]) / 2.0 for a, b in pairwise(columns)), 72.0 * figure.get_figwidth()]
+    found = [(round(a, 2), round(b - a, 2)) for a, b in pairwise(ends)]
+    return found if len(found) > 1 and max(width for _, width in found) <= NARROW else []
 
 
 def svg(figure: Figure) -> str:

@@ -137,6 +137,8 @@ def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
     alone = folder.armcal("identify", "arm.toml", "data.csv", "--json").data
     for with_prior, without in zip(found[0]["parameters"], alone["parameters"], strict=True):
         assert with_prior["std"] == pytest.approx(without["std"] / np.sqrt(2.0), rel=0.1)  # the same data, twice
+    alias = folder.armcal("identify", "--library-prior", "arm.toml", "data.csv", "--missing", "backlash", "--json").data
+    assert alias == flag
     both = folder.armcal(*named, "--prior", "--missing", "backlash").data
     assert both["prior"]["parameters"] == 4
     assert both["prior_from"]["anew"] == []

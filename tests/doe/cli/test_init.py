@@ -49,6 +49,15 @@ def test_what_is_written_is_read(folder: Folder, words: tuple[str, ...], joints:
         read_table(home / "measurements.csv")
 
 
+def test_the_step_that_is_printed_is_the_first_of_the_campaign(folder: Folder) -> None:
+    for k, words in enumerate((("--links", "4"), ("--dh", "6"), ("--urdf", str(URDF)))):
+        done = folder.armcal("init", *words, "--out", f"cell{k}", "--json")
+        steps = (folder.path / f"cell{k}/README.md").read_text()
+        command = done.data["next"][-1].partition(": ")[2]
+        assert command == next(line for line in steps.splitlines() if line.startswith("armcal design"))
+        assert f"cell{k}/arm.toml" in done.data["next"][1]  # what is made up comes before
+
+
 def test_the_schema_accepts_the_arm_and_refuses_a_misspelt_key() -> None:
     for files in (planar_files("3"), dh_files(6), urdf_files(URDF)):
         tables, schema = tomllib.loads(files["arm.toml"]), json.loads(files["arm.schema.json"])

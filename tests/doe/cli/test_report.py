@@ -132,3 +132,28 @@ def test_files_of_two_arms_are_no_campaign(folder: Folder) -> None:
     done = folder.armcal("report", "one.toml", "other.toml", "--out", "page.html")
     assert done.code == 2
     assert "other.toml: another arm than that of one.toml, allowed: files of one arm" in done.err
+
+
+def test_every_calibration_is_shown_and_the_one_that_is_used_is_said(folder: Folder) -> None:
+    """Fitted to few rows with noise and to many: on others the second is nearer to the arm that they come from."""
+    folder.simulated()
+    lines = folder.read("data.csv").splitlines()
+    for name, rows in (("few", lines[1:6]), ("many", lines[1:9]), ("other", lines[9:])):
+        folder.write(f"{name}.csv", "\n".join([lines[0], *rows]) + "\n")
+    for name in ("many", "few"):
+        assert folder.armcal("identify", "arm.toml", f"{name}.csv", "--out", f"{name}.toml").code == 0
+    words = ["report", "arm.toml", "many.toml", "few.toml", "other.csv", "--out", "page.html", "--json"]
+    done = folder.armcal(*words)
+    assert done.code == 0, done.err
+    left = {
+        name: folder.armcal("validate", f"{name}.toml", "other.csv", "--json").data["rms_mm"]
+        for name in ("many", "few")
+    }
+    best, rest = sorted(left, key=left.__getitem__)
+    said = " ".join(done.data["verdict"])
+    assert f"the next steps use {best}.toml: it leaves least on other.csv. {rest}.toml is shown beside it." in said
+    for name, figure in left.items():
+        assert f"{name}.toml leaves {figure:.4f} mm RMS" in said
+    text = folder.read("page.html")
+    assert text.index(f">Corrected values: {best}.toml<") < text.index(f">Corrected values: {rest}.toml<")
+    assert f"armcal compensate {best}.toml" in text

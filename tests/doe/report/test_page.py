@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from doe.design import score
 from doe.plan.file import load_plan
 from doe.problem.problem import DesignProblem
-from doe.report.page import Action, Section, Sheet, page
+from doe.report.page import Action, Section, Sheet, page, picture
 from identification.files.arm import load_arm
 from identification.model import Model
 from tests.doe.cli.conftest import Folder
@@ -167,3 +169,30 @@ def efficiencies(arm: Path, postures: np.ndarray, order: list[int]) -> list[floa
     every = log_det(list(range(len(postures))))
     parts = [order, *([other for other in order if other != run] for run in order)]
     return [float(np.exp((log_det(part) - every) / problem.parameters)) for part in parts]
+
+
+def test_wide_pictures_are_stacked_on_a_phone(pages: Folder, opened: Any) -> None:
+    """The columns of a picture stand below each other in the width of the phone, and nothing is scrolled sideways."""
+    address = (pages.path / "page.html").as_uri()
+    for width, shown in ((390, True), (1200, False)):
+        watched = Watched(opened, address, viewport={"width": width, "height": 800})
+        strips = watched.page.locator(".strip").all()
+        assert strips
+        boxes = [strip.bounding_box() for strip in strips if strip.is_visible()]
+        assert len(boxes) == (len(strips) if shown else 0)
+        assert all(box["x"] >= 0.0 and box["x"] + box["width"] <= width and box["width"] > 250.0 for box in boxes)
+        watched.close(address)
+
+
+def test_strips_part_a_picture_between_its_columns() -> None:
+    figure = Figure(figsize=(10.0, 3.0), layout="constrained")
+    figure.subplots(2, 3)
+    ends = picture(figure)["strips"]
+    assert len(ends) == 3
+    assert sum(width for _, width in ends) == pytest.approx(720.0, abs=0.1)
+    for (left, width), (after, _) in pairwise(ends):
+        assert left + width == pytest.approx(after, abs=0.02)
+    assert picture(Figure(figsize=(5.0, 3.0)))["strips"] == []  # narrow enough
+    lonely = Figure(figsize=(10.0, 3.0))
+    lonely.subplots()
+    assert picture(lonely)["strips"] == []  # nothing to part
