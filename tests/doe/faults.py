@@ -56,7 +56,7 @@ class Command:
 
 
 COMMANDS = (
-    Command("study", "study study.toml --workers 2", "--resume", ("study.results",)),
+    Command("study", "study study.toml --workers 2", "--resume --workers 1", ("study.results",)),
     Command(
         "compare",
         "compare arm.toml --runs 5 --solvers random,exchange --repeats 1 --starts 2 --out compared",

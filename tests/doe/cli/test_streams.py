@@ -29,9 +29,7 @@ def test_the_command_is_a_module_too(folder: Folder) -> None:
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="no full device here")
-@pytest.mark.parametrize(
-    "words", ["score arm.toml plan.csv", "score arm.toml plan.csv --json", "--help", "score --help"]
-)
+@pytest.mark.parametrize("words", ["effects backlash", "effects backlash --json", "--help", "score --help"])
 def test_a_full_device(folder: Folder, words: str) -> None:
     done = shell(folder, words, f"> {FULL}")
     assert done.returncode == 1, done.stderr
@@ -46,10 +44,10 @@ def test_a_closed_output(folder: Folder) -> None:
 
 
 def test_closed_errors_and_a_pipe_that_ends_early(folder: Folder) -> None:
-    done = shell(folder, "score arm.toml plan.csv --json", "2>&-")
+    done = shell(folder, "effects backlash --json", "2>&-")
     assert done.returncode == 0
     assert done.stdout.startswith("{")
-    done = shell(folder, "score arm.toml plan.csv --json", "| true")
+    done = shell(folder, "effects --json", "| true")
     assert without_progress(done.stderr) == ""
 
 

@@ -46,8 +46,8 @@ def test_average_and_worst_are_what_they_say() -> None:
 def test_design_for_the_prior_beats_the_design_for_one_guess(kind: str) -> None:
     plain = DesignProblem.of(MODEL)
     problem = ensemble_problem(plain, DRAWS, kind)
-    design = solve(problem, 9, starts=20)
-    one_guess = solve(plain, 9, starts=20)
+    design = solve(problem, 9, starts=10)
+    one_guess = solve(plain, 9, starts=10)
     judge = np.sum if kind == "average" else np.min
     assert judge(each_log_det(design.plan.postures)) >= judge(each_log_det(one_guess.plan.postures))
     assert design.bound is not None

@@ -111,7 +111,7 @@ def test_derivatives() -> None:
 @pytest.mark.parametrize("solver", ["exchange", "ipopt", "exchange_ipopt", Random(20)])
 def test_every_solver_honours_them(solver: str | Random) -> None:
     problem = DesignProblem.of(Model(ARM))
-    design = solve(problem, 8, solver, starts=3, bound=closed_form_bound(problem))  # a loose one, which takes no time
+    design = solve(problem, 8, solver, starts=2, bound=closed_form_bound(problem))  # a loose one, which takes no time
     assert np.isfinite(design.value)
     for posture in design.plan.postures:  # judged by points along the links
         links = link_points(posture)
@@ -125,7 +125,7 @@ def test_users_own_expression() -> None:
     """Elbow up, and the tip above the elbow: only what the user said, in a function of CasADi symbols."""
     above = Expression(lambda q: ca.vertcat(ca.sin(q[0]), 180 * ca.sin(q[0] + q[1])), 4, "elbow")
     problem = DesignProblem.of(Model(FOUR), constraints=(above,))
-    design = solve(problem, 6, starts=20)
+    design = solve(problem, 6, starts=4, bound=closed_form_bound(problem))
     q1, q2 = design.plan.postures.T[:2]
     assert np.all(np.sin(q1) >= 0)
     assert np.all(np.sin(q1 + q2) >= 0)

@@ -55,6 +55,6 @@ def test_single_link() -> None:
 def test_the_papers_criterion_leaves_accuracy_behind() -> None:
     """D* is reached (its bound is zero) by plans that are poor for D: the length-angle block S' is not looked at."""
     case = problem(FOUR, criterion=DStar(((0, 1, 2, 3), (4, 5, 6, 7))))
-    found = [solve(case, 12, starts=25, seed=seed) for seed in range(3)]  # one such plan or another, by the last digit
-    assert [design.value for design in found] == pytest.approx([0.0] * 3, abs=1e-6)
+    found = [solve(case, 12, starts=25, seed=seed) for seed in range(2)]  # one such plan or another, by the last digit
+    assert [design.value for design in found] == pytest.approx([0.0] * 2, abs=1e-6)
     assert min(design.log_det for design in found) < -0.5  # against -0.0612 that the D-optimal plan has

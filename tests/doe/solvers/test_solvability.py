@@ -26,7 +26,7 @@ def test_what_no_posture_tells_apart_is_named() -> None:
 
 def test_candidates_that_cannot_identify_are_no_plan() -> None:
     """One posture gives two equations; det M is 0 but for rounding, whatever the angles."""
-    for posture in ([0.0, 0.0, 0.0, 0.0], [0.3, 0.7, -0.5, 0.2], [0.0, 1.5, 0.0, 0.0], [0.1, 0.2, 0.4, 0.8]):
+    for posture in ([0.0, 0.0, 0.0, 0.0], [0.3, 0.7, -0.5, 0.2]):
         case = problem(FOUR, choices=np.array([posture]), minimum_distance=0.0)
         with pytest.raises(JobError, match="1 candidates cannot identify all 8 parameters"):
             solve(case, 8, starts=5)
