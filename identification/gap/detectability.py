@@ -19,6 +19,7 @@ from identification.gap.whitening import Rows
 from identification.information import column_space
 from identification.measurements import Conditions, directions_from_order, past_from_order, session_time
 from identification.model import Model
+from identification.threads import single_thread
 
 # reasons: identification/README.md, "Constants"
 SPARE = 4  # residual degrees of freedom; with fewer an effect of two parameters is found at no size
@@ -96,6 +97,7 @@ class Detectability:
         return "\n".join(lines)
 
 
+@single_thread()  # the same bits, whatever the number of threads
 def detectability(
     arm: Arm,
     postures: Array,

@@ -118,7 +118,7 @@ def homoscedastic(found: Fit, rows: Rows, generator: np.random.Generator) -> boo
 
 
 def variance_forms(rows: Rows, position: Array, levers: Array) -> dict[str, Array]:
-    """Finding -> (m, d, d) shape of the extra covariance, of mean trace d.
+    """Finding -> (m, d, d) shape of the extra covariance, of mean trace d; none of a joint that does not move the tip.
 
     Joint noise moves the tip along the joint's lever (`Model.joint_levers`, (m, d, n)); reach noise grows with the
     distance from the base; time noise with the time in the session.
@@ -129,7 +129,8 @@ def variance_forms(rows: Rows, position: Array, levers: Array) -> dict[str, Arra
     forms["reach_noise"] = np.sum(position**2, axis=1)[:, None, None] * np.eye(d)
     time = rows.conditions.time if rows.conditions.time is not None else np.zeros(len(rows))
     forms["time_noise"] = (time - time.min() + 1e-9)[:, None, None] * np.eye(d)
-    return {name: form * (d * len(form) / np.einsum("mii->", form)) for name, form in forms.items()}
+    traces = {name: float(np.einsum("mii->", form)) for name, form in forms.items()}
+    return {name: form * (d * len(form) / traces[name]) for name, form in forms.items() if traces[name] > 0.0}
 
 
 def _values(

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.doe.faults import ROOT, prepare
@@ -19,6 +20,13 @@ COMMANDS = (
     "identify arm.toml data.csv",
     "diagnose arm.toml data.csv --draws 399",
 )
+SPATIAL = (
+    "design six.toml --runs 16 --starts 2 --solver random",
+    "score six.toml plan.csv",
+    "identify six.toml measured.csv",
+    "diagnose six.toml measured.csv --draws 399",
+)
+ELBOW = ((0, 90, 400), (-600, 0, 0), (-500, 0, 0), (0, 90, 150), (0, -90, 120), (0, 0, 90))
 CODE = """
 import sys
 from click.testing import CliRunner
@@ -28,13 +36,33 @@ for words in sys.argv[1:]:
 """
 
 
-def answers(folder: Path, kernel: str, threads: int, hash_seed: int) -> list[dict[str, Any]]:
+def prepare_six(folder: Path) -> Path:
+    """An arm of six axes, a plan of 30 postures, and what a truth with other offsets measures there."""
+    rows = "".join(f"[[dh]]\na_mm = {a}.0\nalpha_deg = {alpha}.0\nd_mm = {d}.0\n" for a, alpha, d in ELBOW)
+    tool = "[tool]\nx_mm = 60.0\ny_mm = 20.0\nz_mm = 30.0\n"
+    arm = f'kind = "spatial"\n{rows}{tool}[measurement]\nsigma_mm = 0.05\n'
+    (folder / "six.toml").write_text(arm)
+    true = '[calibration]\nvalues = {"joint_offset:2" = 0.3, "joint_offset:5" = -0.2, "translation_x:4" = 0.4}\n'
+    (folder / "truth.toml").write_text(arm + true)
+    generator = np.random.default_rng(4)
+    lines = [",".join(["run", *(f"q{j}_deg" for j in range(1, 7))])]
+    lines += [",".join(map(repr, [k, *generator.uniform(-150.0, 150.0, 6).tolist()])) for k in range(1, 31)]
+    (folder / "plan.csv").write_text("\n".join(lines) + "\n")
+    words = ["simulate", "six.toml", "plan.csv", "--truth", "truth.toml", "--out", "measured.csv"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, "-m", "doe", *words], cwd=folder, env=environment, check=True, capture_output=True)
+    return folder
+
+
+def answers(
+    folder: Path, kernel: str, threads: int, hash_seed: int, commands: tuple[str, ...] = COMMANDS
+) -> list[dict[str, Any]]:
     """The JSON objects of the commands, without times, on an OpenBLAS kernel (where the machine has it)."""
     narrow = (folder / "arm.toml").read_text().replace("180.0", "60.0")
     (folder / "narrow.toml").write_text(narrow)
     system = {"OPENBLAS_CORETYPE": kernel, "OPENBLAS_NUM_THREADS": str(threads), "PYTHONHASHSEED": str(hash_seed)}
     environment = {**os.environ, **system, "PYTHONPATH": str(ROOT)}
-    words = [sys.executable, "-c", CODE, *COMMANDS]
+    words = [sys.executable, "-c", CODE, *commands]
     done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=True)
     return [without_times(json.loads(line)) for line in done.stdout.splitlines()]
 
@@ -64,12 +92,22 @@ def test_the_same_answer_on_an_older_processor(tmp_path: Path) -> None:
     compared(answers(folder, "Haswell", 1, 0), answers(folder, "Prescott", 2, 7))
 
 
+def test_six_axes_on_an_older_processor(tmp_path: Path) -> None:
+    folder = prepare_six(prepare(tmp_path / "work"))
+    fit = SPATIAL[1:3]
+    first = answers(folder, "Haswell", 1, 0, fit)
+    assert json.dumps(first) == json.dumps(answers(folder, "Haswell", 2, 3, fit))
+    compared(first, answers(folder, "Prescott", 2, 7, fit))
+
+
 @pytest.mark.slow
-def test_same_seed_same_bytes_and_many_kernels(tmp_path: Path) -> None:
-    folder = prepare(tmp_path / "work")
-    first = answers(folder, "Haswell", 1, 0)
+@pytest.mark.parametrize("commands", [COMMANDS, SPATIAL], ids=["plane", "space"])
+def test_same_seed_same_bytes_and_many_kernels(tmp_path: Path, commands: tuple[str, ...]) -> None:
+    folder = prepare_six(prepare(tmp_path / "work"))
+    first = answers(folder, "Haswell", 1, 0, commands)
+    assert len(first) == len(commands)
     for threads, hash_seed in ((1, 1), (2, 7)):
-        assert json.dumps(first) == json.dumps(answers(folder, "Haswell", threads, hash_seed))
+        assert json.dumps(first) == json.dumps(answers(folder, "Haswell", threads, hash_seed, commands))
     for kernel in ("Prescott", "Nehalem", "Sandybridge", "Zen", "SkylakeX"):
         for threads in (1, 2):
-            compared(first, answers(folder, kernel, threads, threads))
+            compared(first, answers(folder, kernel, threads, threads, commands))

@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.gap.fit import fit
-from identification.gap.noise import Finding, holm, outliers, screen, whitened
+from identification.gap.noise import Finding, holm, outliers, screen, variance_forms, whitened
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from identification.model import Model
@@ -108,3 +108,14 @@ def test_outliers_are_found_and_only_they() -> None:
 
 def test_holm_by_hand() -> None:
     assert holm({"a": 0.01, "b": 0.04, "c": 0.03}) == pytest.approx({"a": 0.03, "b": 0.06, "c": 0.06})
+
+
+def test_a_joint_that_does_not_move_the_tip_has_no_noise() -> None:
+    """As the last joint of an arm whose measured point lies on its axis."""
+    generator = np.random.default_rng(1)
+    data = Measurements(generator.uniform(-1.0, 1.0, (9, 2)), generator.standard_normal((9, 2)))
+    levers = np.stack([generator.standard_normal((9, 2)), np.zeros((9, 2))], axis=2)
+    forms = variance_forms(Rows.of(data), data.positions, levers)
+    assert sorted(forms) == ["joint_noise:1", "reach_noise", "time_noise"]
+    for form in forms.values():
+        assert np.einsum("mii->", form) == pytest.approx(18.0)
