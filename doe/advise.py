@@ -61,8 +61,8 @@ class Advice:
         return bool(problem.deviations) or not any(p.kind == LENGTH_ERROR for p in problem.model.parameters)
 
     def accuracy(self, design: Design) -> float | None:
-        """Of one of the designs the largest expected standard deviation of a length of the arm's geometry [mm], or the
-        expected error of the tip if the model is right (`of_tip`); None without sigma."""
+        """Accuracy of a design [mm]: the largest expected standard deviation of a length of the arm's geometry, or
+        (`of_tip`) the expected error of the tip if the model is right. None without sigma."""
         if self.of_tip:
             return next(e.right for d, e in zip(self.designs, self.tip_errors, strict=True) if d is design)
         return None if design.deviations is None else design.deviations.largest_length

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import polars as pl
-
 from identification.errors import InputError
 
 KINDS = ("polars", "pandas")
@@ -18,6 +16,8 @@ def frame_of_columns(columns: Mapping[str, Any], kind: str = "polars") -> Any:
         raise InputError(f"frame: unknown kind {kind!r}, allowed: {' or '.join(KINDS)}")
     lists = {name: values.tolist() if hasattr(values, "tolist") else list(values) for name, values in columns.items()}
     if kind == "polars":
+        import polars as pl  # takes longer to load than numpy: nothing else needs it to design or to fit
+
         return pl.DataFrame(lists, strict=False)
     try:
         import pandas as pd  # an optional one

@@ -26,7 +26,7 @@ ROUGH = 1e-3  # the same for models of many parameters: some seconds instead of 
 
 
 def best_known_bound(problem: DesignProblem, runs: int, stop: Callable[[], bool] = IN_TIME) -> Bound | None:
-    """The closed form; without one, or where constraints or a list of postures loosen it, the lower of both.
+    """The closed form if it applies and is tight, otherwise the lower of it and the numerical bound.
 
     None where the continuous problem cannot be solved; the bound over a list of choices is the relaxation's. Without a
     joint to choose, every plan has the same value. Where `stop` ends the search early the bound holds all the same.

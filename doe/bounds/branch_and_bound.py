@@ -171,7 +171,7 @@ class Waves:
         return np.linalg.eigvalsh(middle)[:, -1] + radius.sum(axis=2).max(axis=1) + 1e-14 * largest
 
     def _newton(self, point: Array, center: Array, half: Array) -> Array:
-        """One step of Newton's method towards the maximum, kept within the box; joints without width stay."""
+        """One Newton step towards the maximum, clipped to the box; joints of zero width do not move."""
         n = self.frequencies.shape[1]
         slope = self._slope(point)
         free = (half > 0.0).astype(float)
@@ -183,7 +183,7 @@ class Waves:
         return np.clip(point + step, center - half, center + half)
 
     def split(self, center: Array, half: Array) -> tuple[Array, Array]:
-        """Every box cut in two across the joint that its polynomial depends on most."""
+        """Every box bisected along the joint that its polynomial depends on most."""
         importance = half * (self.amplitudes @ np.abs(self.frequencies))
         rows, widest = np.arange(len(center)), np.argmax(importance, axis=1)
         smaller, shift = half.copy(), np.zeros_like(half)

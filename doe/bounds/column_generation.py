@@ -116,7 +116,7 @@ def climbed(problem: DesignProblem, runs: int | None, stop: Callable[[], bool] =
 
 
 def ascents(everything: ContinuousSet, tolerance: float) -> list[Stage]:
-    """Cheap climbs and thorough ones in turn, to a relative gap of `tolerance`."""
+    """The pricing stages: a cheap multistart, then a thorough one, to a relative gap of `tolerance`."""
     climb, thorough = continuous_price(everything), continuous_price(everything, np.random.default_rng(0))
     return [
         Stage(climb, max(FINE, tolerance)),

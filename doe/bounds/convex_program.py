@@ -28,7 +28,7 @@ from identification.information import significant
 
 @dataclass(frozen=True)
 class Answer:
-    """A solver's weights (N,), None if it has none; its status in its own word; (p, p) gradient where it is a dual."""
+    """A solver's weights (N,), None if it returned none; its own name for its status; (p, p) gradient from the dual."""
 
     weights: Array | None
     status: str

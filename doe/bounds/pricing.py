@@ -18,7 +18,7 @@ PARTS = 256  # of the candidates, of which each may offer one posture per round:
 
 
 def candidate_price(problem: DesignProblem, candidates: Candidates, prior: PriorInformation) -> Price:
-    """Every candidate is visited; each part of them offers its best."""
+    """Price of a candidate set: every candidate is evaluated, and each chunk offers its best."""
     part = max(16, -(-len(candidates) // PARTS))
     jacobians = CandidateJacobians(problem, candidates)
 
@@ -35,7 +35,7 @@ def candidate_price(problem: DesignProblem, candidates: Candidates, prior: Prior
 
 
 class Shortlist:
-    """The best of very many candidates at the last pass over all of them: prices that need no further pass."""
+    """The best candidates found in the last full pass over a very large set; pricing them needs no further pass."""
 
     def __init__(self, problem: DesignProblem, candidates: Candidates, prior: PriorInformation) -> None:
         self.problem, self.prior = problem, prior
@@ -43,7 +43,7 @@ class Shortlist:
         self.short: Price | None = None
 
     def best(self, gradient: Array, level: float, near: Array) -> tuple[Array, float]:
-        """`Price` of the shortlist; of all where there is none yet."""
+        """`Price` of the shortlist, or of all candidates while there is no shortlist yet."""
         return self.everything(gradient, level, near) if self.short is None else self.short(gradient, level, near)
 
     def everything(self, gradient: Array, level: float, near: Array) -> tuple[Array, float]:

@@ -88,7 +88,7 @@ def _relaxed(
 
 
 def candidate_set(problem: DesignProblem, candidates: int | ArrayLike | Candidates) -> Candidates:
-    """A grid of so many levels, a list of postures, or the candidates as they are."""
+    """`Candidates` from the levels of a grid, from a list of postures, or unchanged."""
     if isinstance(candidates, CandidateGrid | PostureList):
         return candidates
     if isinstance(candidates, int | np.integer):

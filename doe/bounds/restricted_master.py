@@ -66,7 +66,7 @@ class WorkingSet:
     def solved(
         cls, problem: DesignProblem, prior: PriorInformation, postures: Array, jacobians: Array, accuracy: float
     ) -> WorkingSet:
-        """With optimal weights. Raises `JobError` where the postures do not identify all parameters."""
+        """A working set with optimal weights. Raises `JobError` if the postures do not identify all parameters."""
         check_identified(problem, prior, jacobians)
         weights = optimal_weights(jacobians, problem.criterion, prior, accuracy)
         return cls(problem, prior, postures, jacobians, weights)
@@ -76,7 +76,7 @@ class WorkingSet:
         return self.solved(self.problem, self.prior, self.postures, self.jacobians, accuracy)
 
     def extended(self, offers: Array, accuracy: float, *, purge: bool) -> WorkingSet:
-        """With new postures, without those that need not carry weight where `purge` says so, solved again."""
+        """The set with new postures added and, if `purge`, those that need no weight removed; with new weights."""
         carrying = np.flatnonzero(self.sparse > 0.0) if purge else np.arange(len(self.postures))
         postures = np.concatenate([self.postures[carrying], offers])
         jacobians = np.concatenate([self.jacobians[carrying], self.problem.scaled_jacobians(offers)])
@@ -84,7 +84,7 @@ class WorkingSet:
         return self.solved(self.problem, self.prior, postures[once], jacobians[once], accuracy)
 
     def has(self, offers: Array) -> bool:
-        """True where no posture offered is a new one."""
+        """True if every posture offered is in the set already."""
         comparable = self.problem.comparable
         own = comparable(self.postures)
         return all(np.abs(own - comparable(offer)).max(axis=1).min() <= SAME for offer in offers)

@@ -34,7 +34,7 @@ UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))
 
 @dataclass
 class Answer:
-    """What a verb found: `data` for --json, `shown` (rich renderables or strings) for people."""
+    """The result of a verb: `data` for --json, `shown` (rich renderables or strings) for the terminal."""
 
     data: dict[str, Any]
     shown: list[Any] = field(default_factory=list)
@@ -57,7 +57,7 @@ class Session:
 
 
 def tables_on_terminal() -> bool:
-    """True where a person reads the tables, in which warnings stand too: standard error need not repeat them."""
+    """True if the tables go to a terminal: they contain the warnings, so standard error need not repeat them."""
     return not click.get_current_context().params["as_json"] and sys.stdout.isatty()
 
 
@@ -237,7 +237,7 @@ def _deliver(answer: Answer, as_json: bool) -> None:
 
 
 def no_output(error: OSError) -> NoReturn:
-    """Ends with one line because standard output cannot be written."""
+    """Exit with one line on standard error: standard output cannot be written."""
     say(f"standard output cannot be written ({error.strerror})")
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries again when it ends
     sys.exit(1)
@@ -257,12 +257,12 @@ def _print(answer: Answer, as_json: bool) -> None:
 
 
 def shown(text: str) -> str:
-    """`text` with a question mark for every character that is not printable, line feeds aside."""
+    """`text` with every unprintable character except line feeds replaced by a question mark."""
     return "".join(char if char.isprintable() or char == "\n" else "?" for char in text)
 
 
 def plain(value: Any) -> Any:
-    """JSON types only: arrays to lists, paths to text, what is not a finite number to null."""
+    """The value in JSON types: arrays as lists, paths as strings, infinities and NaN as null."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):

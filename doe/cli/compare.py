@@ -36,7 +36,7 @@ def whole_numbers(context: click.Context, parameter: click.Parameter, value: str
 
 @dataclass(frozen=True)
 class ComparisonOptions:
-    """What is compared, as on the command line."""
+    """The options that define the comparison."""
 
     runs: list[int]
     solvers: str | None
@@ -120,7 +120,7 @@ def command(session: Session, arms: tuple[Path, ...], compared: ComparisonOption
 
 
 def rows_file(out: Path | None) -> Path | None:
-    """Where the rows go: into the folder `out`, which is created, or `out` itself if it is a Parquet file."""
+    """The Parquet file of the rows: `out` itself if it names one, else a file in the folder `out`, which is created."""
 
     from doe.jobs.row_table import made
 

@@ -42,7 +42,7 @@ def command(session: Session, spatial: bool, out: Path | None, force: bool) -> A
 
 
 def next_free(path: Path) -> Path:
-    """`path`, or `path-2`, `path-3`, ... : the first that does not exist, made, so that nobody else gets it."""
+    """Create and return the first of `path`, `path-2`, `path-3`, ... that does not exist; two runs never share one."""
     others = (path.with_name(f"{path.name}-{number}") for number in count(2))
     return next(free for free in chain([path], others) if _claimed(free))
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """How the plan is looked for, and in which order it is measured."""
+    """Settings of the search, and the order of measurement."""
 
     runs: int
     solver: str | None
@@ -100,7 +100,7 @@ def command(
 def _searched(
     session: Session, problem: DesignProblem, arm: Arm, search: SearchOptions
 ) -> tuple[Design, dict[str, Any], list[Any]]:
-    """The design, and what a discriminating one adds to the JSON object and to what is shown."""
+    """The design, with the JSON keys and tables that a discriminating design adds."""
     from doe.solvers import solve
 
     effort = search.effort | {"seed": session.seed}
@@ -115,7 +115,7 @@ def _searched(
 
 
 def _ordered(design: Design, order: str, seed: int, data: dict[str, Any], extra: list[Any]) -> Design:
-    """The same runs in the order asked for; its travel is added to `data` and `extra`."""
+    """The same runs in the requested order; adds the travel to `data` and `extra`."""
     from doe.plan.order import ordered
     from doe.report.design_tables import order_line
 

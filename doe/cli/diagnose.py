@@ -86,7 +86,7 @@ def command(
 def parts(
     data: tuple[Path, ...], holdout: Path | float | None, arm: Arm, seed: int
 ) -> tuple[Measurements, Measurements | None]:
-    """What is diagnosed, and what is held out."""
+    """The measurements to diagnose, and those held out."""
     import numpy as np
 
     from identification.gap.holdout import split
@@ -98,9 +98,9 @@ def parts(
 
 
 def write(found: Diagnosis, arm: Path, output: Output, more: Mapping[Path | None, str]) -> list[str]:
-    """Writes the files that are asked for, all or none; the lines that say so.
+    """Write the requested files, all or none, and return the lines that report them.
 
-    more : report and curves, by their names; None: not asked for
+    more : name -> content of the report and the curves; None: not requested
     """
     from identification.files.arm_text import urdf_beside, with_calibration, with_effects
     from identification.files.io import PathLike, read_text, write_together

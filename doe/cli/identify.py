@@ -95,7 +95,7 @@ def command(
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a fit is to estimate, and with what prior.
+    """What to estimate, and with which prior.
 
     words : of --only, empty: everything;  minimal : a minimal set of a spatial arm's parameters
     """
@@ -139,7 +139,7 @@ class Wanted:
                 return found[0], found[1], {**found[2], "left_out": [row + 1 for row in left_out]}
 
     def model(self, arm: Arm, data: Measurements, library: LibraryPrior | None) -> Model:
-        """Of everything, or of what --only names; effects of the library are estimated all the same."""
+        """The model of all parameters, or of those that --only names; the library's effects are always estimated."""
         from identification.model import Model
         from identification.reuse import only
 
@@ -147,7 +147,7 @@ class Wanted:
         return only(arm, [*self.words, *added], data) if self.words else Model(arm)
 
     def earlier(self, model: Model) -> Earlier | None:
-        """What --prior-from says of the model's parameters."""
+        """The prior of the model's parameters from the calibration that --prior-from names."""
         from identification.files.arm import load_arm
         from identification.reuse import earlier
 
@@ -160,7 +160,7 @@ class Wanted:
             raise InputError(f"{self.prior_from}: {error}") from None
 
     def said(self, model: Model, prior: Prior | None = None) -> dict[str, Any]:
-        """Keys `only` and `prior_from`, where they are asked for."""
+        """The JSON keys `only` and `prior_from`, if these options were given."""
         found: dict[str, Any] = {"only": self.words} if self.words else {}
         if prior is not None and prior.earlier is not None:
             names = list(prior.earlier.names)
@@ -189,7 +189,7 @@ def check_with_prior(minimal: bool, method: str | None) -> None:
 
 
 def with_commands(said: Answer, errors: tuple[ServoError, ...]) -> Answer:
-    """An answer with what the controller leaves between commands and readings, where the data have both."""
+    """The answer with the servo errors (readings less commands) added, if the data have both."""
     from doe.report.identification_tables import servo_table
 
     if errors:
@@ -199,7 +199,7 @@ def with_commands(said: Answer, errors: tuple[ServoError, ...]) -> Answer:
 
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:
-    """The model with as many parameters as measurements distinguish; warns of those that they hardly do."""
+    """The model reduced to parameters that the measurements determine; warns of those that are hardly determined."""
     from identification.minimal import PRACTICAL, minimal
     from identification.placed import placed_model
 
@@ -219,9 +219,9 @@ def answer(
     library: LibraryPrior | None = None,
     before: Calibration | None = None,
 ) -> Answer:
-    """What is said of a fit, and the files with it where they are asked for and the fit is worth it.
+    """The answer for a fit; writes the requested files unless the fit is not good enough (`no_file`).
 
-    before : the calibration of which what is not estimated keeps its covariance
+    before : the earlier calibration; parameters that were not estimated keep its covariance
     """
     from doe.report.identification_tables import identification_tables
 
@@ -249,7 +249,7 @@ def write(
     hidden: frozenset[str],
     before: Calibration | None = None,
 ) -> list[str]:
-    """Writes the calibrated arm and the corrected URDF file, all or none; the lines that say so."""
+    """Write the calibrated arm and the corrected URDF file, all or none, and return the lines that report them."""
     from identification.files.arm_text import urdf_beside
     from identification.files.io import PathLike, write_together
 
@@ -272,7 +272,7 @@ def write(
 
 
 def arm_file(found: Identification, path: Path, hidden: frozenset[str], before: Calibration | None = None) -> str:
-    """The text of the arm file with the calibration, and with the effects that the fit has beyond the file's.
+    """Text of the arm file with the calibration added, and with effects of the fit that the file lacks.
 
     hidden : parameters whose covariance is left out;  before : see `answer`
     """
@@ -288,7 +288,7 @@ def arm_file(found: Identification, path: Path, hidden: frozenset[str], before: 
 
 
 def no_file(found: Identification, force: bool) -> str | None:
-    """Why a fit is not written into an arm file, None where it is."""
+    """The reason why a fit is not written into an arm file, or None if it is."""
     if found.not_identifiable:
         return "not every parameter is estimable from the data"
     if found.status is not Status.implausible:

@@ -54,7 +54,7 @@ def command(
 
 
 def _write(files: dict[str, str], folder: Path, source: Path | None, force: bool) -> list[str]:
-    """All of the files or none, but for a URDF file that is there already; their paths."""
+    """Write all of the files or none, except a URDF file that exists already, and return their paths."""
     kept = {} if source is None else {source.name: source}
     paths = {folder / name: text for name, text in files.items()}
     new: dict[PathLike, str | bytes] = {

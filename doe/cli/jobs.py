@@ -52,9 +52,9 @@ def job_options(*, workers: int | None, out: str) -> Decorator:
 
 
 def one_thread_each() -> None:
-    """One thread of linear algebra per process, unless the user says otherwise: before numpy is imported.
+    """Limit BLAS to one thread per process, unless the user has set a number. Call it before numpy is imported.
 
-    Matrices here are small: more threads cost time (five times, measured), and the tasks use the cores already.
+    The matrices are small: more threads made it five times slower (measured), and the tasks use all cores already.
     """
     from doe.jobs.isolated import SINGLE_THREAD
 
@@ -64,7 +64,7 @@ def one_thread_each() -> None:
 
 @contextmanager
 def interruptible(out: Path | None) -> Iterator[None]:
-    """Ctrl-C or SIGTERM as a sentence that says what is kept, and how to go on."""
+    """Report Ctrl-C or SIGTERM in one sentence: what was kept, and how to resume."""
     try:
         yield
     except KeyboardInterrupt as error:

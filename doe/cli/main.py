@@ -58,7 +58,7 @@ class Verbs(click.Group):
         return list(self.commands)
 
     def make_context(self, info_name: str | None, args: list[str], *more: Any, **options: Any) -> click.Context:
-        """As in click, with usage errors of one line; the words typed are kept."""
+        """As in click, but usage errors take one line; the words of the command line are kept."""
         words = tuple(args)
         with one_line_errors():
             if any("\0" in word for word in words):  # no shell can pass one on; a program that calls this can
@@ -68,7 +68,7 @@ class Verbs(click.Group):
         return context
 
     def invoke(self, ctx: click.Context) -> Any:
-        """As in click, with usage errors of one line."""
+        """As in click, but usage errors take one line."""
         with one_line_errors():
             return super().invoke(ctx)
 

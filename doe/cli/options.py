@@ -56,10 +56,10 @@ class FileOrShare(click.Path):
 
 
 class PriorOrFile(click.Command):
-    """`--prior FILE` is `--prior-from FILE`: so it is read where --prior as a flag leaves a word too many."""
+    """A command that reads `--prior FILE` as `--prior-from FILE`, since the flag --prior leaves a word too many."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """As in click, the second time with the file's option."""
+        """As in click; if that fails, parse again with --prior-from in the place of --prior."""
         words = list(args)
         try:
             return super().parse_args(ctx, args)
@@ -76,7 +76,7 @@ class PriorOrFile(click.Command):
 
 
 def grouped(kind: type, name: str, *options: Decorator) -> Decorator:
-    """A decorator that adds click options and hands their values on as one object, the argument `name`.
+    """A decorator that adds click options and passes their values as one object, the argument `name`.
 
     kind : a dataclass with a field for each option; fields of options that are not there keep their defaults
     """
@@ -104,17 +104,17 @@ class Output:
     force: bool = False
 
     def write(self, text: str, what: str) -> list[str]:
-        """Writes `out` if it is asked for; the lines that say so."""
+        """Write `out` if requested, and return the lines that report it."""
         return self.write_all(text, what, {})
 
     def draw(self, figure: Callable[[], Figure]) -> None:
-        """Saves the figure if a picture is asked for."""
+        """Save the figure if a picture was requested."""
         self.write_all("", "", {self.picture: figure})
 
     def write_all(self, text: str, what: str, figures: Mapping[Path | None, Callable[[], Figure]]) -> list[str]:
-        """Writes `out` and pictures (file -> figure), those that are asked for, all or none; the lines that say so.
+        """Write `out` and the pictures (file -> figure) if requested, all or none, and return the lines on them.
 
-        what : `out` has; nothing: it is not of this call
+        what : describes the content of `out`; empty: `out` is not written by this call
         """
         files: dict[PathLike, str | bytes] = {self.out: text} if what and self.out is not None else {}
         for path, figure in figures.items():
@@ -135,7 +135,7 @@ def plan_drawing(arm: Arm, postures: Array) -> Figure:
 
 @dataclass(frozen=True)
 class LibraryEffects:
-    """Whether a fit has the library's effects in its model, each with a prior of its typical size, and which."""
+    """Whether the model of a fit includes effects of the library, with priors of their typical sizes, and which."""
 
     prior: bool = False
     missing: str | None = None
@@ -149,7 +149,7 @@ class LibraryEffects:
 
     @property
     def names(self) -> list[str] | None:
-        """Of the effects, None: all that arm and rows can show."""
+        """Names of the effects; None: all that this arm and these rows can show."""
         return None if self.missing is None else [word.strip() for word in self.missing.split(",")]
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CriterionOptions:
-    """What is to be estimated well, and whether effects may be missing in the model."""
+    """The criterion, and whether the model may lack effects."""
 
     criterion: str | None = None
     test_poses: Path | None = None
@@ -29,7 +29,7 @@ class CriterionOptions:
 
     @property
     def name(self) -> str:
-        """Of the criterion: as asked for, else D, or I where effects may be missing."""
+        """Name of the criterion: the one given, else D, or I if effects may be missing."""
         return self.criterion or ("I" if self.robust else "D")
 
     @property
@@ -44,7 +44,7 @@ class CriterionOptions:
 
 @dataclass(frozen=True)
 class PostureOptions:
-    """Which postures there are to choose from, and for which arms."""
+    """Which postures may be chosen, and for which arms."""
 
     keep: Path | None = None
     candidates: Path | None = None
@@ -128,7 +128,7 @@ def _robust(wanted: CriterionOptions, problem: DesignProblem) -> DesignProblem:
 
 
 def _restrictions(arm: Arm, postures: PostureOptions) -> dict[str, Any]:
-    """Arguments of `DesignProblem.of`, those left out not among them."""
+    """Arguments of `DesignProblem.of`, without those that were not given."""
     import numpy as np
 
     from identification.files.csv import read_table

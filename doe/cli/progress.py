@@ -18,7 +18,7 @@ INTERVAL = 10.0  # seconds between lines in a log
 
 @contextmanager
 def shown_progress(title: str, quiet: bool) -> Iterator[Progress]:
-    """What a job is to call: see `identification.progress`. Nothing is shown in the first half second."""
+    """The callback for a job (see `identification.progress`). Nothing is shown in the first half second."""
     if quiet or sys.stderr is None:  # None: closed, as by 2>&-
         yield silent
     elif sys.stderr.isatty():
@@ -31,7 +31,7 @@ def shown_progress(title: str, quiet: bool) -> Iterator[Progress]:
 
 @contextmanager
 def bar(title: str) -> Iterator[Progress]:
-    """A bar with the time used and, where the size of the whole job is known, the time left."""
+    """A progress bar with the elapsed time and, if the total is known, the remaining time."""
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
@@ -55,7 +55,7 @@ def bar(title: str) -> Iterator[Progress]:
 
 @dataclass
 class Lines:
-    """The last that a job told, as a line for a log."""
+    """The latest report of a job, formatted as a line of a log."""
 
     title: str
     started: float = field(default_factory=time.monotonic)
@@ -64,7 +64,7 @@ class Lines:
     message: str = ""
 
     def tell(self, done: float, total: float | None, message: str) -> None:
-        """Keeps what the job tells."""
+        """Store a report of the job."""
         self.done, self.total, self.message = done, total, message
 
     def text(self) -> str:
@@ -79,7 +79,7 @@ class Lines:
 
 @contextmanager
 def lines(title: str, interval: float = INTERVAL) -> Iterator[Progress]:
-    """A line every `interval` seconds, also while the job is silent."""
+    """Print a line every `interval` seconds, even while the job reports nothing."""
     told, ended = Lines(title), threading.Event()
 
     def speak() -> None:

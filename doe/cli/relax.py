@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RelaxationOptions:
-    """Which postures may get weight, and by which solver."""
+    """The candidate postures and the solver."""
 
     grid: int | None
     candidates: Path | None
@@ -99,9 +99,9 @@ def command(
 
 
 def check_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, held: bool) -> None:
-    """Raises `InputError` where what is known beforehand needs the number of runs, and where nothing uses it.
+    """Raises `InputError` if prior information needs a number of runs and none is given, or one is given for nothing.
 
-    held : the prior of machining holds the geometry of a spatial arm
+    held : the geometry of a spatial arm has the machining prior
     """
     if criterion.robust and chosen.runs is None:
         raise InputError("--robust: found without --runs, allowed: with the number of measurements")

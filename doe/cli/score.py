@@ -73,7 +73,7 @@ def _alias_drawing(sees: Detectability) -> Figure:
 
 
 def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions, seconds: float | None) -> Design:
-    """The plan judged. Raises `InputError` if it has too few runs; warns of runs that the arm cannot do."""
+    """The plan as a `Design`. Raises `InputError` for too few runs; warns of runs that the arm cannot reach."""
     from doe.design import score_plan
     from doe.problem.robust import with_choices
 
@@ -91,7 +91,7 @@ def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions, seco
 
 
 def _preflight(arm: Arm, given: Plan, path: Path, aliases: Path | None) -> tuple[Detectability | None, list[Any]]:
-    """Which effects the plan could show, also as tables; None where it has too few runs, if no picture is asked for."""
+    """Which effects the plan could show, with tables; None if it has too few runs and no picture was requested."""
     from doe.problem.spatial import without_prior
     from doe.report.detectability_tables import preflight_tables
     from identification.gap.detectability import detectability

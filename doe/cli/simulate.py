@@ -55,7 +55,7 @@ def command(session: Session, arm: Path, plan: Path, truth: Path, out: Path, for
 
 
 def without_values(truth: Arm) -> list[str]:
-    """A sentence for every effect on the mean that neither its own values nor the calibration make more than zero."""
+    """A sentence for every effect whose values are all zero, in its table and in the calibration."""
     from identification.effects import build_all
 
     given = {} if truth.calibration is None else truth.calibration.effects

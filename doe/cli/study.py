@@ -114,7 +114,7 @@ def _blind(replications: int | None, folder: Path, workers: Workers, options: Op
 
 
 def _tables_answer(found: BlindStudy | PaperStudy, folder: Path, shown: list[Any]) -> Answer:
-    """The tables as JSON; exit code 1 if the study did not come out as it must."""
+    """The tables as JSON; exit code 1 if the study missed one of its targets."""
     rows = {name: frame.to_dicts() for name, frame in found.tables.items()}
     return Answer({"out": folder, "passed": found.passed, **rows}, shown, exit_code=0 if found.passed else 1)
 

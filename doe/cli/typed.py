@@ -17,7 +17,7 @@ WORDS = "armcal.words"  # in the context's `meta`: what was typed after `armcal`
 
 
 def origin(seed: int, files: Iterable[Path | None]) -> Origin:
-    """Of a page that the running command makes of these files."""
+    """The command line and input files, for a page that the running command makes."""
     from doe.report.origin import Origin
 
     words = click.get_current_context().meta.get(WORDS, ())
