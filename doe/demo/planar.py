@@ -38,7 +38,7 @@ RUNS = 20
 
 
 def planar() -> Scenario:
-    """The demo of the plane."""
+    """The scenario of the planar demo."""
     model = Model(arm_from_tables(tomllib.loads(ARM + TRUTH)))
     values = model.best_known
     hidden = {p.name: values[p.name] * p.to_file for p in model.all_parameters}

@@ -139,7 +139,7 @@ class Run:
     files: list[str] = field(default_factory=list)
 
     def demo(self) -> Demo:
-        """Step by step."""
+        """Run every step and collect the results."""
         self.step("arm files")
         for name, text in self.scenario.files.items():
             self.write(name, text)
@@ -166,11 +166,11 @@ class Run:
         return Demo(self.scenario, arm, problem, design, data, fresh, *found, tuple(self.files))
 
     def step(self, name: str) -> None:
-        """Says where the run is."""
+        """Report progress: the step that begins."""
         self.progress(STEPS.index(name), len(STEPS), name)
 
     def write(self, name: str, text: str) -> None:
-        """A file of the demo."""
+        """Write a file of the demo."""
         write_whole(self.directory / name, text, force=self.force)
         self.files.append(name)
 
@@ -182,7 +182,7 @@ class Run:
         return load_measurements(self.directory / name, arm)
 
     def arm_files(self, base: Identification, diagnosis: Diagnosis, extended: Identification) -> None:
-        """Both calibrations; of a URDF file the corrected one, which has no effects in it."""
+        """Write both calibrated arm files and, for an arm from a URDF file, the corrected URDF (without effects)."""
         from identification.files.arm_spatial import corrected_urdf
 
         text = self.scenario.files["arm.toml"]
@@ -193,7 +193,7 @@ class Run:
             self.write("corrected.urdf", corrected_urdf(self.directory / "arm.toml", base.geometry.real))
 
     def commands(self, extended: Identification, postures: Array) -> Compensation:
-        """What brings the real arm to where the drawing would be at these postures."""
+        """Commands that take the real arm to the positions where the nominal arm would be at these postures."""
         found = compensate(extended.calibrated_arm(), postures=postures)
         self.write("targets.csv", plan_text(Plan(postures)))
         self.write("commands.csv", commands_text(found.commands, found.targets, found.errors))

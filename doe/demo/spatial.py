@@ -75,7 +75,7 @@ def _three(values: Array) -> str:
 
 
 def hidden_arm() -> LinesInSpace:
-    """What the demo hides."""
+    """The real arm, with errors that the fits do not know."""
     generator = np.random.default_rng(SEED)
     points, axes = moved(POINTS, AXES, generator, SHIFT, LEAN)
     offsets = OFFSET * generator.standard_normal(len(POINTS))
@@ -108,7 +108,7 @@ def hidden_text(real: LinesInSpace) -> str:
 
 
 def spatial(runs: int = RUNS) -> Scenario:
-    """The demo of six axes."""
+    """The scenario of the six-axis demo."""
     real = hidden_arm()
     files = {"robot.urdf": urdf(), "arm.toml": ARM, "hidden.toml": hidden_text(real)}
     effect = f"encoder_eccentricity:{HIDDEN_JOINT}."

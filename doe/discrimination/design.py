@@ -173,7 +173,7 @@ def partly_random(problem: DesignProblem, postures: Array, least: float, generat
 
 
 def seen(problem: DesignProblem, library: EffectLibrary, postures: Array) -> Detectability | None:
-    """What the postures and those measured already could show of missing effects."""
+    """Detectability of missing effects by these postures and those measured already."""
     return None if library.preflight is None else library.preflight(np.vstack([problem.kept, postures]))
 
 

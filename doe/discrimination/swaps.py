@@ -133,7 +133,7 @@ class Swaps:
         self.slack = feasible_value(self.problem, self.postures) - self.least
 
     def draw(self, generator: np.random.Generator) -> None:
-        """A new pool."""
+        """Draw a new pool of postures."""
         self.pool = pool_of(self.problem, POOL, generator)
         if self.problem.choices is None:
             near = self.postures[generator.integers(len(self.postures), size=POOL)]

@@ -104,7 +104,7 @@ class RowTable:
             self.rows.pop(key, None)
 
     def arrange(self, keys: Iterable[Key]) -> None:
-        """Puts the rows of these keys first, in their order, whichever finished first."""
+        """Sort the rows of these keys to the front in the order of the keys, whichever finished first."""
         first = [text for key in keys if (text := canonical(key)) in self.rows]
         self.rows = {text: self.rows[text] for text in dict.fromkeys([*first, *self.rows])}
 
@@ -164,7 +164,7 @@ def read_rows(path: PathLike) -> polars.DataFrame:
 
 
 def made(folder: PathLike) -> Path:
-    """A folder to write into, which is made if it is not there. Raises `InputError`."""
+    """The folder, created if it does not exist. Raises `InputError` if that fails."""
     try:
         Path(folder).mkdir(exist_ok=True)
     except OSError as error:
@@ -173,7 +173,7 @@ def made(folder: PathLike) -> Path:
 
 
 def short_hash(content: str | bytes) -> str:
-    """Twelve digits that stand for a long input in the keys of tasks."""
+    """Twelve hexadecimal digits that identify a long input in the keys of tasks."""
     return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()[:12]
 
 
@@ -193,7 +193,7 @@ def _target(path: PathLike) -> Path:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[FileIO]:
-    """The journal, open for this process only. An empty one is not left behind."""
+    """The journal, opened and locked for this process. An empty journal is deleted on exit."""
     stream = _opened(path)
     while not _is_named(stream, path):  # another run ended, and took its journal away, while this one waited
         stream.close()
@@ -221,7 +221,7 @@ def _opened(path: Path) -> FileIO:
 
 
 def _is_named(stream: FileIO, path: Path) -> bool:
-    """Whether the open file is still the one of this name."""
+    """True if the open file is still the one at this path."""
     return path.exists() and os.path.samestat(os.fstat(stream.fileno()), path.stat())
 
 

@@ -83,7 +83,7 @@ def _check_seeds(keys: Sequence[Key], table: RowTable, seed: int) -> None:
 
 @dataclass(frozen=True)
 class Job:
-    """Several tables of rows that belong together, and who fills them."""
+    """Several tables of rows that belong together, and the workers that fill them."""
 
     tables: Mapping[str, RowTable]
     workers: Workers | None
@@ -119,7 +119,7 @@ class Job:
 
 
 def _work(state: _Dispatcher, workers: Workers, ahead: int) -> None:
-    """Opens executors until the queue is empty."""
+    """Work through the queue, opening a new executor whenever one breaks."""
     before = state.done
     for opened in count(1):
         if not state.queue:
@@ -206,7 +206,7 @@ class _Dispatcher:
 
 
 def perform(function: Function, key: dict[str, Any], seed: int, *payload: Any) -> list[Row]:
-    """What a worker does with a task: the rows of its key, or one row that says how it failed."""
+    """Run a task on a worker: the rows of its key, or one row that says how it failed."""
     started = time.perf_counter()
     try:
         rows = function(key, seed_of(key, seed), *payload)

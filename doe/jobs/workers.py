@@ -33,7 +33,7 @@ class Workers:
 
 
 class _Serial(Executor):
-    """Runs a task when it is submitted."""
+    """An executor that runs each task in this process when it is submitted."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -119,7 +119,7 @@ def _process_pool(number: int) -> Iterator[Executor]:
 
 
 class _Pool(ProcessPoolExecutor):
-    """Its processes start with Ctrl-C held back: before they know what to do with it they would show a traceback."""
+    """A pool whose processes start with SIGINT blocked: one that arrived during start-up would show a traceback."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
         with _ctrl_c_waits():
@@ -128,7 +128,7 @@ class _Pool(ProcessPoolExecutor):
 
 @contextmanager
 def _ctrl_c_waits() -> Iterator[None]:
-    """Ctrl-C comes afterwards; processes started meanwhile have it held back until they ask for it."""
+    """Block SIGINT in this block; processes started meanwhile inherit that until they unblock it."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

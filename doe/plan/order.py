@@ -28,7 +28,7 @@ Path = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Ordered:
-    """A plan in the order asked for, and what the order costs.
+    """A plan in the requested order, and its travel.
 
     before, after : sum over the moves of the largest joint travel [rad], in the order given and in this one; with
         joint speeds the time [s]
@@ -131,7 +131,7 @@ def improved(cost: Array, path: Path) -> Path:
 
 
 def exact_path(cost: Array) -> Path | None:
-    """The shortest open path, proven; None if HiGHS or the rounds of cuts do not get there."""
+    """The shortest open path with proof of optimality; None if HiGHS or the rounds of cuts do not finish."""
     from scipy.optimize import LinearConstraint, milp
 
     m = len(cost)

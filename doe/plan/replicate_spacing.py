@@ -108,7 +108,7 @@ def _tree(points: Array) -> Any:
 
 
 def separated(problem: DesignProblem, postures: Array) -> Array:
-    """The same plan with every repeat moved to the best free place around it; unchanged where there is none."""
+    """The same plan with every repeat moved to the best free posture near it; unchanged where there is none."""
     plan = np.array(postures)
     crowded = too_near(problem, plan)
     for row in crowded if len(crowded) * len(plan) <= CHUNK else ():
@@ -170,7 +170,7 @@ def spread_free_joints(problem: DesignProblem, postures: Array, generator: np.ra
 
 
 def set_apart(problem: DesignProblem, postures: Array, generator: np.random.Generator) -> Array:
-    """(m,) places of the widest free joint: of evenly spaced places the least used that no alike posture has yet."""
+    """(m,) values of the widest free joint: of evenly spaced ones the least used that no equal posture has yet."""
     joint, count = free_joints(problem)[0], int(replicates_allowed(problem))
     searched, kept = searched_part(problem, postures), searched_part(problem, problem.kept)
     width, distance = problem.upper[joint] - problem.lower[joint], problem.minimum_distance / ROUNDING

@@ -42,7 +42,7 @@ class TipError:
 
 
 def tip_error(problem: DesignProblem, wide: DesignProblem, postures: Array, poses: Array | None = None) -> TipError:
-    """Of a plan (m, n), postures measured already included; infinite where it does not identify the model.
+    """Expected tip error of a plan (m, n) and the postures measured already; infinite if the model is not identified.
 
     problem : of the model as it is, whose parameters may have a prior, as a spatial arm's geometry has
     wide : `robust_problem` of it, whose added parameters come last

@@ -44,7 +44,7 @@ class EnsembleModel(DerivedModel):
 
     @cached_property
     def parameters(self) -> ParameterSet:
-        """(K p) as of the model, with the number of the draw in their names."""
+        """(K p) parameters of the model, with the number of the draw in their names."""
         draws = range(1, len(self.draws) + 1)
         return ParameterSet.of(replace(p, name=f"{p.name} [draw {k}]") for k in draws for p in self.model.parameters)
 

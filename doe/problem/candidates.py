@@ -148,7 +148,7 @@ def _axes(problem: DesignProblem, levels: int) -> tuple[Array, ...]:
 
 
 def listed(problem: DesignProblem, postures: ArrayLike) -> PostureList:
-    """Those of the (N, n) `postures` [rad] that are within the limits and satisfy the constraints.
+    """The (N, n) `postures` [rad] that are within the limits and satisfy the constraints, as a list.
 
     Raises InputError for another number of joints and where no candidate is left.
     """

@@ -43,7 +43,7 @@ class Constraint(Protocol):
 
 
 class Chain(Protocol):
-    """Where the arm is: what geometric constraints need of a model."""
+    """Interface to a model for geometric constraints: the points of the arm."""
 
     @property
     def dimension(self) -> int:

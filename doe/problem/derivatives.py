@@ -97,7 +97,7 @@ class ConstraintDerivatives:
 
 
 def constraint_derivatives(problem: DesignProblem, joints: Sequence[int]) -> Derivatives:
-    """Of the symbolic forms of all constraints, which are kept >= 0."""
+    """Derivatives of the symbolic forms of all constraints, which are kept >= 0."""
     q, values = _constraints(problem)
     active = q[list(joints)]
     first = ca.jacobian(values, active)

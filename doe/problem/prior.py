@@ -25,7 +25,7 @@ from identification.kinematics.parameters import ParameterSet
 
 @dataclass(frozen=True, eq=False)
 class PriorInformation:
-    """K and k.
+    """Information known before the new runs: K and k of the module's formula.
 
     total : (p, p) sum of B^T B, positive semidefinite, or 0;  runs : how many runs it counts as, >= 0
     """

@@ -41,12 +41,12 @@ class EveryPoint(DerivedModel):
 
     @property
     def parameters(self) -> ParameterSet:
-        """As of the model."""
+        """The parameters of the model."""
         return self.model.parameters
 
     @property
     def points(self) -> int:
-        """How many."""
+        """Number of measured points."""
         chain = self.model.arm.chain
         return 1 if chain is None else len(chain.tools)
 

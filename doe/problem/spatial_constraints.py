@@ -141,7 +141,7 @@ def angle(one: Array, other: Array) -> Array:
 
 
 def circle_across(axis: Array) -> tuple[Array, Array]:
-    """Two unit vectors (3,) across an axis and each other."""
+    """Two unit vectors (3,) perpendicular to an axis and to each other."""
     unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     one = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
     one /= np.linalg.norm(one)

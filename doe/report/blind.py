@@ -83,7 +83,7 @@ MANY = ("error / true", "effects named", "false names", "intervals, all", "false
 
 
 def further_tables(cells: pl.DataFrame) -> list[Table]:
-    """What further postures make of ambiguous sets."""
+    """What becomes of ambiguous sets after further postures."""
     rows = {row["measure"]: row for row in cells.iter_rows(named=True) if row["measure"].split(" ")[0] in WAYS}
     if not rows:
         return []
@@ -112,7 +112,7 @@ WAYS = {
 
 
 def reliability_tables(found: BlindStudy) -> list[Table]:
-    """What was said with which probability, and how often it was right."""
+    """Stated probabilities, and the share of verdicts that were right at each."""
     if not len(found.reliability):
         return []
     rows = (
@@ -158,7 +158,7 @@ def write_pictures(folder: Path, found: BlindStudy) -> None:
 
 
 def reliability_figure(rows: pl.DataFrame) -> Figure:
-    """Share that was right against the probability that was said, bars of two standard errors, and number of sets."""
+    """Reliability diagram: share right against stated probability, bars of two standard errors, and number of sets."""
     said, right, count = (rows[name].to_numpy() for name in ("said", "right", "count"))
     error = 2.0 * np.sqrt(np.maximum(right * (1.0 - right), 0.25 / count) / count)
     figure = Figure(figsize=(5.0, 5.6), layout="constrained")

@@ -44,7 +44,7 @@ SIGNED = (
 
 @dataclass(frozen=True)
 class Campaign:
-    """What is given, and what every calibrated arm leaves of every set of measurements."""
+    """The files given, and the residuals of every calibrated arm on every set of measurements."""
 
     given: Given
     tests: dict[str, dict[str, Validation]]  # measurements -> arm -> what it leaves
@@ -65,7 +65,7 @@ class Campaign:
         return [calibration.provenance.get("sha256") for calibration in found if calibration]
 
     def fitted_to(self, rows: str) -> bool:
-        """Whether a model was fitted to these measurements, as far as it says so."""
+        """True if the calibration names these measurements as those that it was fitted to."""
         digest = self.given.measurements[rows].provenance.get("sha256")
         return digest is not None and digest in self.digests
 
@@ -102,7 +102,7 @@ class Campaign:
 
     @property
     def verdict(self) -> list[str]:
-        """In words, the most that is known first."""
+        """The verdict in sentences, the most advanced result first."""
         found = [sentence for data in self.said("diagnose") for sentence in diagnosis_verdict(data)]
         for rows, tests in self.tests.items():
             pairs = ((model, test.to_json()) for model, test in tests.items())
@@ -202,7 +202,7 @@ def new_effects(arm: Arm, before: Arm | None) -> dict[int, str]:
 
 
 def _blocks(data: Any) -> Section:
-    """What `validate` said, block by block."""
+    """The result of `validate`, block by block."""
     rows = [["all", "", str(data["rows"]), number(data["rms_nominal_mm"]), *(number(data[key]) for key in FIGURES)]]
     rows += [
         [b["kind"], b["name"], str(b["rows"]), number(b["rms_nominal_mm"]), *(number(b[key]) for key in FIGURES)]

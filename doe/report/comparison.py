@@ -81,7 +81,7 @@ def label(setting: Setting) -> str:
 
 
 def _with_time_ratios(rows: pl.DataFrame) -> pl.DataFrame:
-    """The rows with `ratio`, their time over the fastest hit's of the instance; infinite where a run is no hit."""
+    """The rows with `ratio`: time over that of the fastest hit of the instance; infinite if the run is no hit."""
     time = pl.when("hit").then("seconds").otherwise(float("inf"))
     rows = with_hits(rows).with_columns(time.alias("time"))
     ratio = pl.col("time") / pl.col("time").min().over(*PROBLEM, "repeat")

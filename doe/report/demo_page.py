@@ -140,7 +140,7 @@ def plan_sections(demo: Demo) -> list[Section]:
 
 
 def found_sections(demo: Demo) -> list[Section]:
-    """What the measurements say, and whether it is true."""
+    """The estimates, and how they compare with the hidden truth."""
     identified = (
         "From simulated measurements of an arm whose true errors the fit does not know. Below: the 200 fresh postures, "
         "red without what was named, blue with it; each residual as the error of that joint which would explain most "

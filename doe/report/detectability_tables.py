@@ -34,7 +34,7 @@ def preflight_tables(sees: Detectability) -> list[Any]:
 
 
 def discriminating_tables(found: DiscriminationDesign) -> list[Any]:
-    """What the plan gives up, and what it shows for it."""
+    """The efficiency that the plan gives up, and what it can detect in return."""
     lines = [
         f"D-efficiency relative to the best plan found: {found.relative_efficiency:.4f}",
         f"probability that a missing effect gets a wrong name: at most {found.wrong:.3f} "

@@ -152,7 +152,7 @@ def signed_section(diagnosis: Diagnosis) -> Section:
 
 
 def places(diagnosis: Diagnosis) -> dict[int, str]:
-    """Joint -> what is named there."""
+    """Joint -> effects named there."""
     found: dict[int, list[str]] = {}
     for label, spec in zip(diagnosis.effects, diagnosis.named.specs, strict=True):
         if spec.joint is not None:
@@ -161,7 +161,7 @@ def places(diagnosis: Diagnosis) -> dict[int, str]:
 
 
 def corrected_section(rows: Sequence[CorrectedValue], spatial: bool, name: str = "") -> Section:
-    """What to type in.
+    """The corrected values to enter in the controller.
 
     name : of the file that has it
     """

@@ -66,12 +66,12 @@ def is_described(data: Data) -> bool:
 
 
 def share(p: float | None) -> str:
-    """`0.93`; a probability that is not zero is shown as none."""
+    """`0.93`; a small probability is never rounded to zero."""
     return "< 0.01" if p is not None and 0.0 < p < 0.005 else number(p, 2)
 
 
 def p_value(p: float) -> str:
-    """`0.012`; a probability below all numbers is no zero."""
+    """`0.012`; a p-value that underflows is not shown as zero."""
     return f"{p:.2g}" if p > 0.0 else "< 1e-300"
 
 
@@ -121,7 +121,7 @@ def excluded_sheet(data: Data) -> Sheet:
 
 
 def alias_sheet(data: Data) -> Sheet:
-    """What looks like what on these postures."""
+    """Effects that are nearly collinear at these postures."""
     rows = [[pair["effect"], pair["like"], f"{pair['likeness']:.3f}"] for pair in data["aliases"]]
     return Sheet(["effect", "looks like", "likeness"], rows)
 

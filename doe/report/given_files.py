@@ -1,4 +1,4 @@
-"""The files of a campaign, whatever is there: arms, plans, measurements, and what commands said with --json."""
+"""The files of a campaign, whichever are given: arms, plans, measurements, and output of commands with --json."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def read_given(paths: Sequence[Path]) -> Given:
 
 
 def _read(path: Path, name: str, found: Given) -> str:
-    """The kind of a file, which is added to `found`."""
+    """Read a file into `found` and return its kind."""
     ending = path.suffix.lower()
     if ending == ".toml":
         found.arms[name] = arm = load_arm(path)

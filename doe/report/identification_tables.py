@@ -53,7 +53,7 @@ def compared(found: Identification) -> str:
 
 
 def corrected_sheet(rows: Sequence[CorrectedValue]) -> Sheet:
-    """What to type in: nominal and corrected values with their intervals."""
+    """The values to enter in the controller: nominal and corrected, with intervals."""
     keys = ("nominal", "corrected", "std", "low_95", "high_95")
     names = [f"{row.name} *" if row.held_by_prior else row.name for row in rows]
     figures = ([_cell(getattr(row, key), row) for key in keys] for row in rows)
@@ -94,7 +94,7 @@ def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
 
 
 def servo_table(errors: Sequence[ServoError]) -> Table:
-    """What is read beyond a command, of each joint."""
+    """Servo error of each joint: reading less command."""
     keys = ("offset", "reversal", "rms", "largest", "rest")
     rows = []
     for data in (error.to_json() for error in errors):

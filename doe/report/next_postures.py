@@ -1,4 +1,4 @@
-"""The next postures of an ambiguous diagnosis: for people, scripts, and as a plan file."""
+"""The next postures of an ambiguous diagnosis: as tables, as JSON, and as a plan file."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def _pointed(cell: str, table: Table) -> str:
 
 
 def rounded(values: Array, digits: int) -> Any:
-    """Nested lists of numbers of so many significant digits."""
+    """Nested lists of numbers rounded to this many significant digits."""
     array = np.asarray(values, dtype=float)
     flat = [float(f"{value:.{digits}g}") for value in array.ravel()]
     return np.array(flat).reshape(array.shape).tolist()

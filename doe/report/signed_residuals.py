@@ -79,7 +79,7 @@ def fitted_curves(postures: Array, levers: Array, change: Array, joints: Collect
 
 
 def by_others(curves: Mapping[int, Curve], levers: Array, joint: int) -> Array:
-    """(m, d) change [mm] by the curves of all joints but one."""
+    """(m, d) change [mm] due to the curves of all joints but one."""
     return np.sum([levers[:, :, k] * at[:, None] for k, (_, _, at) in curves.items() if k != joint], axis=0)
 
 

@@ -15,7 +15,7 @@ NARROW: dict[str, Any] = {"box": SIMPLE_HEAD, "padding": (0, 0, 0, 1)}  # style 
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """A figure for a table; a dash for what cannot be given."""
+    """A number formatted for a table; a dash for None."""
     return "-" if value is None or not np.isfinite(value) else f"{value:z.{digits}f}"  # no -0.0000
 
 

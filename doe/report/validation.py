@@ -1,4 +1,4 @@
-"""What a calibrated model leaves of other measurements: tables for a terminal, and a picture."""
+"""Residuals of a calibrated model on other measurements: tables for a terminal, and a picture."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ def design_verdict(data: Data) -> str:
 
 
 def identification_verdict(data: Data) -> str:
-    """What a calibration leaves on its own data."""
+    """Residuals of a calibration on the data that it was fitted to."""
     figures = f"{number(data['rms_before_mm'])} to {number(data['rms_after_mm'])} mm"
     return f"On its own data the calibration takes the RMS error from {figures}."
 
@@ -117,7 +117,7 @@ def identification_verdict(data: Data) -> str:
 def validation_verdict(
     data: Data, model: str = "the model", rows: str = "other measurements", seen: bool = False
 ) -> str:
-    """What a calibrated model leaves of measurements beside the drawing."""
+    """Residuals of a calibrated model on other measurements, compared with the drawing's."""
     which = ", which it was fitted to" if seen else ""
     figures = f"{number(data['rms_mm'])} mm RMS (95 % below {number(data['p95_mm'])} mm)"
     drawn = f"where the drawing leaves {number(data['rms_nominal_mm'])} mm"

@@ -30,7 +30,7 @@ AGREES = 1e-7  # difference of criterion values that counts as none
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What a search came to: the best plan (m, n), its value, how it ended, starts used."""
+    """Result of a search: the best plan (m, n), its value, how the search ended, starts used."""
 
     postures: Array | None
     value: float
@@ -69,7 +69,7 @@ def run_search(
 
 
 def feasible_value(problem: DesignProblem, postures: Array) -> float:
-    """Criterion value of a plan, -inf if a posture breaks a constraint or repeats another that it may not repeat."""
+    """Criterion value of a plan; -inf if a posture violates a constraint or is a repeat that is not allowed."""
     if not problem.feasible(postures).all() or len(too_near(problem, postures)):
         return -np.inf
     return problem.objective(postures)
@@ -78,7 +78,7 @@ def feasible_value(problem: DesignProblem, postures: Array) -> float:
 def reason_to_stop(
     problem: DesignProblem, value: float, bound: Bound | None, starts: int, agreeing: int, budget: Budget
 ) -> Status | None:
-    """Why to take no further offer, None: no reason."""
+    """The status with which the search ends, or None if it goes on."""
     if bound is not None and problem.criterion.efficiency(value, bound.value, problem.parameters) >= REACHED:
         return Status.bound_reached
     if starts >= budget.starts:

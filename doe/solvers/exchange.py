@@ -41,7 +41,7 @@ class Exchange:
     name: str = "exchange"
 
     def starts_for(self, problem: DesignProblem) -> int:
-        """Thirty per pair of joints: the local optima multiply with them. Fewer of a wide model: each costs p^3."""
+        """Thirty per pair of joints, as local optima grow with them; fewer for many parameters, as each costs p^3."""
         wanted = max(2 * self.batch, 30 * len(problem.searched_joints) ** 2)
         return max(10, round(wanted * min(1.0, (WIDE / problem.parameters) ** 2)))
 
@@ -111,7 +111,7 @@ class Batch:
         self.running = self.running[~(values <= before + IMPROVEMENT) | np.isneginf(before)]
 
     def exchange(self, run: int) -> None:
-        """Puts one run of every running start at the best posture in reach."""
+        """Move one run of every running start to the best reachable posture."""
         raise NotImplementedError
 
     def _information(self, starts: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -131,7 +131,7 @@ class GridBatch(Batch):
             self.running = self.running[:0]
 
     def exchange(self, run: int) -> None:
-        """Puts one run of every running start at the best posture in reach."""
+        """Move one run of every running start to the best reachable posture."""
         old = self.jacobians[self.running, run]
         without = self.information[self.running] - information_of_each(old) / self.total
         postures = self.neighbors(self.plans[self.running, run])

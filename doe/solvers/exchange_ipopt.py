@@ -41,7 +41,7 @@ class ExchangeIpopt:
     def offers(
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
     ) -> Iterator[Offer]:
-        """Per batch its best plan as it is, then polished ones."""
+        """For each batch the best plan unchanged, then the polished ones."""
         if runs * len(problem.searched_joints) > MOST:
             yield from self.exchange.offers(problem, runs, generator, budget)
             return
@@ -71,7 +71,7 @@ class ExchangeIpopt:
         return np.where(kept[..., None], np.array(best)[generator.integers(len(best), size=len(plans))], plans)
 
     def _elite(self, best: list[tuple[float, Array]], value: float, plan: Array) -> list[tuple[float, Array]]:
-        """The best plans so far, best first, each value once."""
+        """The best plans so far, best first, without repeated values."""
         if not np.isfinite(value) or any(abs(value - other) <= SAME for other, _ in best):
             return best
         return sorted([*best, (value, plan)], key=lambda pair: -pair[0])[: self.elite]

@@ -81,7 +81,7 @@ class ListBatch(Batch):
         self.offered, self.chosen = offered, chosen
 
     def exchange(self, run: int) -> None:
-        """Puts one run of every running start at the best posture of the list."""
+        """Move one run of every running start to the best posture of the list."""
         for start in self.running:
             self._exchange(int(start), run)
 

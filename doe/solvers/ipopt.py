@@ -114,7 +114,7 @@ class Climber:
         return plan
 
     def _build(self) -> dict[str, ca.Callback]:
-        """What `casadi.nlpsol` is made of: f and g, grad f, jac g, the Lagrangian's Hessian, and the stop."""
+        """Functions for `casadi.nlpsol`: f and g, grad f, jac g, the Hessian of the Lagrangian, and the stop."""
         size, rows = self.function.size, self.function.runs * self.constraints.rows
         x, scalar = ca.Sparsity.dense(size, 1), ca.Sparsity.dense(1, 1)
         g = ca.Sparsity.dense(rows, 1) if rows else ca.Sparsity(0, 1)

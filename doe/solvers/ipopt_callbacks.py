@@ -16,7 +16,7 @@ from identification.arrays import Array
 
 
 class Watch(Protocol):
-    """Who called IPOPT: its budget, and whether the user pressed Ctrl-C."""
+    """State shared with the caller of IPOPT: the budget, and whether the user pressed Ctrl-C."""
 
     budget: Budget
     interrupted: bool

@@ -30,7 +30,7 @@ def check_solvable(problem: DesignProblem, runs: int, seed: int, *, every_parame
 
 
 def check_runs(problem: DesignProblem, runs: int) -> None:
-    """Raises `InputError` for fewer equations than unknowns, and for what is no number of runs."""
+    """Raises `InputError` for fewer equations than unknowns, and for an invalid number of runs."""
     if isinstance(runs, bool) or not isinstance(runs, int | np.integer):
         raise InputError(f"runs: {runs!r:.40}, allowed: a whole number")
     if runs < problem.fewest_runs:

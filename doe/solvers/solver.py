@@ -53,7 +53,7 @@ class Budget:
         return float("inf") if self.deadline is None else self.deadline - perf_counter()
 
     def used(self, starts: int) -> float:
-        """Starts used, or the share of them that the time used stands for where that is more."""
+        """Starts used, or the fraction of the time limit used times the number of starts, whichever is more."""
         if self.deadline is None:
             return starts
         given = max(self.deadline - self.began, 1e-9)
@@ -74,7 +74,7 @@ class Budget:
 
 
 def time_limit(runs: int, starts: int | None, seconds: float | None) -> float | None:
-    """[s] as asked for; long plans have one where neither starts nor seconds are given."""
+    """[s] as given; long plans get a limit if neither starts nor seconds are given."""
     return LONG_PLAN_SECONDS if runs > LONG_PLAN and starts is None and seconds is None else seconds
 
 
@@ -90,7 +90,7 @@ class Solver(Protocol):
     def name(self) -> str: ...
 
     def starts_for(self, problem: DesignProblem) -> int:
-        """Starts that are used when the caller does not say."""
+        """Default number of starts."""
         ...
 
     def offers(

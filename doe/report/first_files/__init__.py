@@ -164,5 +164,5 @@ def _numbers(values: Sequence[float]) -> str:
 
 
 def _text(value: str) -> str:
-    """As a TOML string: JSON's escapes are TOML's, which has one more."""
+    """The text as a TOML string: TOML accepts the escapes of JSON and has one more."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
