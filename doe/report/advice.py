@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -75,11 +76,26 @@ def tip_error_table(advice: Advice) -> list[Any]:
 
 def sentence(advice: Advice) -> str:
     """What to do, in one line."""
-    good = ", ".join(map(str, advice.efficient_runs()))
+    good = ", ".join(spans(advice.efficient_runs()))
     efficient = f"Plans within 0.1 % of the bound exist for m = {good}." if good else NONE
     if advice.target is None:
         return efficient
     smallest = advice.smallest
     if smallest is None:
         return f"No number of runs up to {max(advice.runs)} reaches {advice.target:g} mm. {efficient}"
-    return f"{len(smallest.plan)} runs suffice for {advice.target:g} mm. {efficient}"
+    of = "at the tip" if advice.of_tip else "in each length"
+    errors = (e for design, e in zip(advice.designs, advice.tip_errors, strict=False) if design is smallest)
+    missing = "".join(f"; at the tip {number(e.missing, 4)} mm if effects of typical size are missing" for e in errors)
+    suffice = f"{len(smallest.plan)} runs suffice for {advice.target:g} mm {of}, if the model is right{missing}."
+    return f"{suffice} {efficient}"
+
+
+def spans(runs: Sequence[int]) -> list[str]:
+    """`4`, `6 to 40`: stretches of rising whole numbers, each said once."""
+    found: list[list[int]] = []
+    for m in sorted(runs):
+        if found and m - found[-1][-1] == 1:
+            found[-1].append(m)
+        else:
+            found.append([m])
+    return [str(part[0]) if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in found]

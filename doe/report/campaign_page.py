@@ -64,10 +64,15 @@ class Campaign:
         found = (arm.calibration for arm in self.given.calibrated.values())
         return [calibration.provenance.get("sha256") for calibration in found if calibration]
 
-    def fitted_to(self, rows: str) -> bool:
-        """True if the calibration names these measurements as those that it was fitted to."""
+    def fitted(self, rows: str) -> list[str]:
+        """The calibrated arms that name these measurements as those that they were fitted to."""
         digest = self.given.measurements[rows].provenance.get("sha256")
-        return digest is not None and digest in self.digests
+        pairs = zip(self.given.calibrated, self.digests, strict=True)
+        return [model for model, fitted in pairs if digest is not None and fitted == digest]
+
+    def fitted_to(self, rows: str) -> bool:
+        """True if a calibration was fitted to these measurements."""
+        return bool(self.fitted(rows))
 
     @property
     def worse(self) -> list[Action]:
@@ -106,7 +111,7 @@ class Campaign:
         found = [sentence for data in self.said("diagnose") for sentence in diagnosis_verdict(data)]
         for rows, tests in self.tests.items():
             pairs = ((model, test.to_json()) for model, test in tests.items())
-            found += [validation_verdict(data, model, rows, self.fitted_to(rows)) for model, data in pairs]
+            found += [validation_verdict(data, model, rows, model in self.fitted(rows)) for model, data in pairs]
         found += self.choice
         found += [] if self.tests else [validation_verdict(data) for data in self.said("validate")]
         found += [identification_verdict(data) for data in self.said("identify")]
@@ -124,7 +129,8 @@ class Campaign:
         """What to do next, from the farthest step that was reached."""
         given = self.given
         arm = next((name for name, one in given.arms.items() if one.calibration is None), None)
-        data = sorted(given.measurements, key=self.fitted_to, reverse=True) or ["data.csv"]
+        seen = {rows: self.fitted(rows) for rows in given.measurements}
+        data = sorted(seen, key=lambda rows: (self.chosen not in seen[rows], not seen[rows])) or ["data.csv"]
         names = {"arm": arm or next(iter(given.arms), "arm.toml"), "rows": data[0]}
         if self.worse:
             pooled = " ".join(["armcal diagnose", names["arm"], *data])
@@ -173,7 +179,7 @@ class Campaign:
         notes = new_effects(last.arm, None if other is None else other.arm)
         compared = Compared(last.arm, measured.postures, before, last.residuals, measured.conditions, notes=notes)
         used = "" if None in self.digests else "No model given here names this file as what it was fitted to. "
-        used = "A model was fitted to these rows. " if self.fitted_to(rows) else used
+        used = f"Fitted to these rows: {', '.join(self.fitted(rows))}. " if self.fitted_to(rows) else used
         found = "".join(f"{note[:1].upper()}{note[1:]}. " for note in last.notes if "identified from" not in note)
         return Section(
             f"Error on {rows}",

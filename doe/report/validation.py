@@ -30,6 +30,8 @@ def validation_tables(found: Validation) -> list[Any]:
     figures_of = ("RMS", "mean", "95 % below", "largest")
     rows = ((name, *_cells(figures)) for name, figures in (("drawing", found.nominal), ("model", found.model)))
     shown: list[Any] = [summary, table(("", *figures_of), rows, "Distances in mm", left=("",))]
+    if found.model.rms >= found.nominal.rms:
+        shown.append("On these rows the model is no better than the drawing.")
     if blocks := found.blocks:
         lines = (
             [block.kind, block.name, str(block.rows), number(block.nominal.rms), *_cells(block.model)]

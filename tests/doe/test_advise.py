@@ -11,6 +11,7 @@ import pytest
 
 from doe.advise import advise
 from doe.problem.problem import DesignProblem
+from doe.report.advice import sentence, spans
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.reuse import only
@@ -29,6 +30,13 @@ def test_lengths_are_known_to_sigma_over_the_root_of_the_runs() -> None:
     assert found.smallest is not None
     assert len(found.smallest.plan) == 7
     assert found.efficient_runs() == found.runs
+    said = sentence(found)
+    assert said.startswith("7 runs suffice for 0.04 mm in each length, if the model is right; at the tip ")
+    assert said.endswith(
+        f" {found.tip_errors[3].missing:.4f} mm if effects of typical size are missing. "
+        "Plans within 0.1 % of the bound exist for m = 4 to 9."
+    )
+    assert spans([9, 4, 6, 7]) == ["4", "6 to 7", "9"]
     data = json.loads(json.dumps(found.to_json(), allow_nan=False))
     assert data["smallest_runs"] == 7
     assert [row["runs"] for row in data["rows"]] == list(found.runs)

@@ -157,3 +157,15 @@ def test_every_calibration_is_shown_and_the_one_that_is_used_is_said(folder: Fol
     text = folder.read("page.html")
     assert text.index(f">Corrected values: {best}.toml<") < text.index(f">Corrected values: {rest}.toml<")
     assert f"armcal compensate {best}.toml" in text
+
+
+def test_each_calibration_is_said_to_be_fitted_to_its_own_rows(campaign: Folder) -> None:
+    assert campaign.armcal("identify", "arm.toml", "other.csv", "--out", "cal2.toml").code == 0
+    names = ("arm.toml", "cal.toml", "cal2.toml", "data.csv", "other.csv")
+    done = campaign.armcal("report", *names, "--out", "two.html", "--json")
+    assert done.code == 0, done.err
+    own = {sentence for sentence in done.data["verdict"] if "which it was fitted to" in sentence}
+    assert {("data.csv" in said, "cal.toml" in said) for said in own} == {(True, True), (False, False)}
+    assert len(own) == 2
+    assert "Fitted to these rows: cal.toml." in campaign.read("two.html")
+    assert "armcal diagnose arm.toml other.csv" in campaign.read("two.html")  # the data of the one that is used

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
@@ -29,5 +30,8 @@ def test_tables_and_picture() -> None:
     for figure in (*vars(found.model).values(), *vars(found.nominal).values()):
         assert f"{figure:.4f}" in text
     assert "monday" in text
+    assert "no better than the drawing" not in text
+    swapped = replace(found, residuals=found.nominal_residuals, nominal_residuals=found.residuals)
+    assert "On these rows the model is no better than the drawing." in validation_tables(swapped)
     figure = validation_figure(found)
     assert figure.axes[1].get_title().startswith(f"drawing: RMS {found.nominal.rms:.4g} mm")
