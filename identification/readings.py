@@ -108,10 +108,14 @@ class Reading:
 
 @dataclass(frozen=True)
 class Readings:
-    """written : as the columns say;  better : one that explains the positions clearly better, or None."""
+    """written : as the columns say;  better : one that explains the positions clearly better, or None;
+    alike : others as simple that explain them as well: at a wrist whose axes meet, joint 5 reversed and joint 4 half
+    a turn away are the same
+    """
 
     written: Reading
     better: Reading | None
+    alike: tuple[Reading, ...] = ()
 
     @property
     def sentences(self) -> list[str]:
@@ -119,7 +123,8 @@ class Readings:
         if self.better is None:
             return []
         gain = f"the drawing then leaves {self.better.rms:.3g} mm instead of {self.written.rms:.4g}"
-        return [f"it looks as if {', and '.join(self.better.words)}: {gain}"]
+        ways = (", and ".join(reading.words) for reading in (self.better, *self.alike))
+        return [f"it looks as if {', or '.join(ways)}: {gain}"]
 
 
 def read_differently(arm: Arm, measurements: Measurements) -> Readings:
@@ -147,7 +152,11 @@ def read_differently(arm: Arm, measurements: Measurements) -> Readings:
     best = _simplest(list(known.values()))
     if CLEARLY * best.rms >= written.rms:
         return Readings(written, None)
-    return Readings(written, best if arm.chain is not None else replace(best, turn=_turn(arm, rows, best)))
+    if arm.chain is None:
+        return Readings(written, replace(best, turn=_turn(arm, rows, best)))
+    flips = (replace(flip, rms=left(flip)) for flip in _flips(replace(written, rms=0.0), arm))
+    half_turn = best.changes == 1 and 2.0 in best.quarters
+    return Readings(written, best, tuple(r for r in flips if half_turn and r.rms <= ALIKE * best.rms))
 
 
 def placed_with_zeros(model: Model, measurements: Measurements) -> tuple[Model, dict[str, float]]:

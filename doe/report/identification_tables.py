@@ -134,6 +134,7 @@ def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     return [
         reached,
         table(headings, rows, title, most=most, caption=caption, **(NARROW if fine else NARROW | {"padding": 0})),
+        *([] if fine else [Text("Rounded to 0.01 deg here; --out and --json give every digit.")]),
         *map(Text, said[:most]),
         *more,
     ]

@@ -136,3 +136,24 @@ def test_nothing_is_said_of_arms_with_errors_as_they_are_built() -> None:
 def test_few_rows_are_not_read_in_other_ways(planar: Measurements) -> None:
     five = replace(planar.rows(slice(0, 5)), postures=planar.postures[:5] * [1.0, -1.0, 1.0])
     assert read_differently(PLANAR, five).better is None
+
+
+ROWS = ((0.0, 90.0, 400.0), (-400.0, 0.0, 0.0), (0.0, 90.0, 0.0), (0.0, -90.0, 500.0), (0.0, 90.0, 0.0), (0.0, 0.0, 90))
+
+
+def test_a_wrist_whose_axes_meet_has_two_explanations(tmp_path: Path) -> None:
+    """Half a turn about axis 4 reverses axis 5, and comes out behind it as half a turn that the reflector takes."""
+    text = "".join(f"[[dh]]\na_mm = {a}\nalpha_deg = {alpha}\nd_mm = {d}\n" for a, alpha, d in ROWS)
+    (tmp_path / "arm.toml").write_text(f'kind = "spatial"\n{text}')
+    q = np.random.default_rng(0).uniform(-2.0, 2.0, (60, 6))
+    measured = []
+    for posture in q:
+        point = np.array([60.0, 20.0, 40.0])
+        for (a, alpha, d), angle in reversed(list(zip(ROWS, posture, strict=True))):
+            cos, sin = np.cos(np.radians(alpha)), np.sin(np.radians(alpha))
+            x, y, z = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]]) @ point + [a, 0.0, d]
+            point = np.array([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y, z])
+        measured.append(point)
+    data = Measurements(q * [1, 1, 1, 1, -1, 1], np.array(measured))
+    (said,) = read_differently(load_arm(tmp_path / "arm.toml"), data).sentences
+    assert "joint 4 has another zero than the drawing: add 180 deg to it, or joint 5 turns the other way" in said
