@@ -42,6 +42,7 @@ Widths = tuple[float, float]  # factors on the machining's sizes, and one more o
 AS_STATED: Widths = (1.0, 1.0)
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
 CREDIBLE = 4.0  # difference of -2 log likelihood from the sizes as stated: chi2 of one degree of freedom, 5 %
+ENOUGH = 3000  # equations: of more, rows show the same misfits again, and widths are chosen as from so many
 LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
 
 
@@ -204,18 +205,20 @@ def likeliest(problem: Linearized, noise: Noise, given: bool) -> tuple[float, Wi
     unit = 1.0 if known or given else problem.scatter
     if problem.spare == 0:
         return unit, AS_STATED
-    basis, found = np.linalg.qr(problem.free)[0], {}
+    basis = np.linalg.qr(problem.free)[0]
     target, jacobian = (a - basis @ (basis.T @ a) for a in (problem.target, problem.jacobian))
-    for widths in product(WIDTHS if problem.machined.any() else (1.0,), ZERO_WIDTHS if problem.zeros.any() else (1.0,)):
+
+    def fitted(widths: Widths, share: float = 1.0) -> tuple[float, float]:
+        """-2 log of the likelihood, and the noise, from a share of the rows."""
         sizes = np.where(problem.zeros, widths[1], 1.0) * np.where(problem.machined, widths[0], 1.0)
-        likelihood = Restricted.of(target, basis[:, :0], (jacobian * sizes) @ problem.factor, problem.spare)
-        scale = unit if given else likelihood.likeliest_noise(unit if known else unit / LARGEST, LARGEST * unit)
-        found[widths] = (
-            likelihood.minus_log(scale) + CREDIBLE * np.count_nonzero(np.not_equal(widths, AS_STATED)),
-            scale,
-        )
-    best = min(found, key=lambda widths: found[widths][0])
-    return found[best][1], best
+        effects, spare = (jacobian * sizes) @ problem.factor, max(round(share * problem.spare), 1)
+        likelihood = Restricted.of(np.sqrt(share) * target, basis[:, :0], np.sqrt(share) * effects, spare)
+        noise = unit if given else likelihood.likeliest_noise(unit if known else unit / LARGEST, LARGEST * unit)
+        return likelihood.minus_log(noise) + CREDIBLE * np.count_nonzero(np.not_equal(widths, AS_STATED)), noise
+
+    tried = product(WIDTHS if problem.machined.any() else (1.0,), ZERO_WIDTHS if problem.zeros.any() else (1.0,))
+    best = min(tried, key=lambda widths: fitted(widths, min(1.0, ENOUGH / problem.equations))[0])
+    return fitted(best)[1], best
 
 
 def widened(problem: Problem, widths: Widths) -> Prior | None:
