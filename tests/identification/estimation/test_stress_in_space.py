@@ -114,9 +114,9 @@ def test_a_fit_is_the_maximum_of_the_likelihood_or_says_why_not(
         open_combination = max(sigma, rounding) / (values[-1] * np.sqrt(len(q))) > 0.5 * LARGEST_SHARE * model.arm.reach
         assert open_angle or open_combination or lengths.min() < 1e-7 * lengths.sum()
         return
-    # what the gradient's tolerance may leave, amplified by how alike the columns are
+    # what the gradient's tolerance and rounding may leave, amplified by how alike the columns are
     step = right.T @ ((left.T @ residual) / values) / sizes
-    allowed = DIGITS * np.linalg.norm(residual) * np.sqrt(len(sizes)) / values[-1]
-    assert np.max(np.abs(step) / deviations) <= (allowed + rounding) / sigma
+    allowed = (DIGITS * np.linalg.norm(residual) + rounding) * np.sqrt(len(sizes)) / values[-1]
+    assert np.max(np.abs(step) / deviations) <= allowed / sigma
     if rounding < 0.1 * sigma:  # else the scatter is that of rounding
         np.testing.assert_allclose(found.std, deviations, rtol=1e-6)
