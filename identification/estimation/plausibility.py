@@ -54,7 +54,7 @@ def doubts(
     if arm is not None and rms_distance(before) > DRAWN * arm.reach:
         read, implausible = misread(arm, measurements)
     bad = [*read] if implausible else []
-    bad += [*far_off(residual, model.reach), *([] if arm is None else flipped(model, parameters, identifiable))]
+    bad += [*far_off(residual, model), *([] if arm is None else flipped(model, parameters, identifiable))]
     if arm is None:
         return Doubts(tuple(bad), bool(bad))
     said = [
@@ -67,10 +67,11 @@ def doubts(
     return Doubts(tuple(said), bool(bad))
 
 
-def far_off(residual: Array, reach: float) -> list[str]:
-    """Residuals that no effect of an arm explains."""
-    left = rms_distance(residual)
-    if left <= FAR * reach:
+def far_off(residual: Array, model: Model) -> list[str]:
+    """Residuals that no effect of an arm explains, nor the noise that its file gives."""
+    left, reach = rms_distance(residual), model.reach
+    noise = getattr(getattr(model, "arm", None), "sigma", None) or 0.0
+    if left <= max(FAR * reach, 2.0 * noise * np.sqrt(model.dimension)):
         return []
     share = f"{100.0 * left / reach:.0f} % of the reach"
     return [f"implausible: the fit leaves {left:.4g} mm RMS, {share}; another arm, frame, unit or order of joints?"]

@@ -38,6 +38,6 @@ def certainty(search: HypothesisSearch, found: Fit) -> Uncertainty:
 def fit_doubts(arm: Arm, measurements: Measurements, found: Fit, left: Array) -> tuple[str, ...]:
     """What is doubtful about the data and about a model fitted to them, in sentences;  left : (m, d) residuals [mm]."""
     estimable = np.ones(len(found.values), dtype=bool)
-    bad = [*far_off(left, found.model.reach), *flipped(found.model, found.values, estimable)]
+    bad = [*far_off(left, found.model), *flipped(found.model, found.values, estimable)]
     place = (*another_frame(arm, measurements), *outside_limits(arm, measurements))
     return (*misread(arm, measurements).sentences, *bad, *place, *copied_rows(measurements))
