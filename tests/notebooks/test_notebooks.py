@@ -27,7 +27,7 @@ SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
     "2": [("figure_2(5_000)", "figure_2(5_000, runs=(4, 12, 20))")],
     "3": [
         ("tolerance=1e-4", "tolerance=1e-2"),
-        ("starts=20", "starts=2"),
+        ("starts=20", "starts=3"),
         ("between=4, pause=2", "between=1, pause=1"),
         ("range(11)", "(0, 3, 9, 10)"),
     ],
@@ -56,7 +56,7 @@ def sh(line, cell):
     for command in cell.splitlines():
         if command.startswith("armcal"):
             done = CliRunner().invoke(main, shlex.split(command.partition("|")[0])[1:], catch_exceptions=False)
-            assert done.exit_code == 0 and not done.stderr, done.output
+            assert (done.exit_code == 0 or "||" in command) and not done.stderr, done.output
         else:
             subprocess.run(command, shell=True, check=True)
 """
