@@ -42,6 +42,16 @@ def test_data_in_the_frame_of_a_tracker_are_offered_a_base_offset() -> None:
     assert abs(taken.joint_offsets[0] - (TRUTH[4] + 1.2)) < 0.002
 
 
+def test_residuals_that_the_given_noise_explains_are_not_doubted() -> None:
+    """A tenth of the reach: no doubt if that is the noise of the arm file, another arm if that is smaller."""
+    sigma = 0.1 * float(np.sum(LENGTHS))
+    measured = data(Model(arm()), plan(200))
+    noise = sigma * np.random.default_rng(3).standard_normal(measured.positions.shape)
+    noisy = replace(measured, positions=measured.positions + noise)
+    words = {s: " ".join(estimate(Model(replace(arm(), sigma=s)), noisy).doubts) for s in (sigma, 0.1 * sigma)}
+    assert ["implausible: the fit leaves" in said for said in words.values()] == [False, True]
+
+
 def test_a_small_offset_of_the_base_is_left_to_the_diagnosis() -> None:
     """The RMS must fall to half; an offset of the size of the noise does less."""
     measured = moved(data(Model(arm()), plan(60)), (0.08, 0.08))
