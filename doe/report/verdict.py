@@ -90,7 +90,9 @@ def diagnosis_actions(data: Data, arm: str = "arm.toml", rows: str = "data.csv")
         again = Action("Add the new rows to the data, and diagnose again:", called)
         return [Action("Measure the postures that tell the explanations apart:", apart), again]
     keep = Action("Keep the extended model:", f"{called} --out extended.toml")
-    look = Action(f"Look for a cause at {place(data)}; the named part may be used meanwhile.")
+    part = "the error curves, within the angles measured," if is_described(data) else "the named part"
+    meanwhile = f"; {part} may be used meanwhile" if data["effects"] else ""
+    look = Action(f"Look for a cause at {place(data)}{meanwhile}.")
     unknown = [look] if data["verdict"] == "unknown" else []
     return [*unknown, *([] if data["confirmed"] else [confirm]), keep, correct("extended.toml")]
 

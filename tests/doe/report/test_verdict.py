@@ -73,7 +73,11 @@ def test_the_other_commands_in_a_sentence_each() -> None:
 def test_what_curves_describe_has_a_size_and_no_cause() -> None:
     data = said("unknown", "joint_error_curve:3") | {"curves": [{"joint": 3}]}
     assert diagnosis_verdict(data)[0].endswith("(joint_error_curve:3) describe it, and its cause is open.")
+    meanwhile = "Look for a cause at joint 3; the error curves, within the angles measured, may be used meanwhile."
+    assert diagnosis_actions(data)[0].text == meanwhile
     elsewhere = data | {"curves": [{"joint": 2}]}
+    assert diagnosis_actions(elsewhere)[0].text.endswith("; the named part may be used meanwhile.")
+    assert diagnosis_actions(said("unknown"))[0].text == "Look for a cause at joint 3."
     assert ", beside " in diagnosis_verdict(elsewhere)[0]
 
 
