@@ -24,7 +24,7 @@ from identification.gap.repeats import NoiseFloor, noise_floor
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
-from identification.readings import Readings, read_differently
+from identification.readings import Readings, out_of_step, read_differently
 from identification.sessions import with_sessions
 from identification.status import Status
 from identification.validate import drawing_residuals
@@ -71,6 +71,7 @@ class Inspection:
     drawing : RMS distance [mm] that the drawing leaves with its place in the instrument's frame fitted, as of
         `validate`;  fit : the geometry fitted, None with too few rows
     units : sentences about units, swapped markers and rows that are far off;  frame : about a base elsewhere
+    step : about positions beside another posture
     rest : about copied rows and postures outside the limits;  gaps : about rows that are missing between others
     """
 
@@ -87,6 +88,7 @@ class Inspection:
     fit: Identification | None
     units: tuple[str, ...]
     frame: tuple[str, ...]
+    step: tuple[str, ...]
     rest: tuple[str, ...]
     gaps: tuple[str, ...]
 
@@ -97,7 +99,8 @@ class Inspection:
         zeros = self._offsets()  # several at once, where another reading has one or two
         said = [*self.units] or ([] if zeros else self.readings.sentences) or [*self.frame] or zeros
         if self.drawing > ROUGH * self.arm.reach and not said:
-            said.append(f"the drawing is {self.drawing:.4g} mm off wherever the arm stands: check lengths and columns")
+            off = f"the drawing is {self.drawing:.4g} mm off wherever the arm stands: check lengths and columns"
+            said += self.step or [off]
         if self.fit is not None and not said:
             outlier = np.isin(np.arange(self.rows) + 1, self.fit.outlier_rows)
             said += far_rows(self.fit.residuals_after, outlier)
@@ -187,6 +190,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         fit=fit,
         units=tuple(units),
         frame=tuple(another_frame(arm, measurements)),
+        step=tuple(out_of_step(arm, measurements)),
         rest=(*copied_rows(measurements), *outside_limits(arm, measurements)),
         gaps=tuple(gap_notes(measurements)),
     )

@@ -136,7 +136,7 @@ def read_differently(arm: Arm, measurements: Measurements) -> Readings:
     rows = _some(measurements)
     left, n = _distance(arm, rows), arm.links
     written = replace(Reading.as_written(n), rms=left(Reading.as_written(n)))
-    if rows.positions.size < EQUATIONS * (PLANE if arm.chain is None else SPACE):
+    if _few(arm, rows):
         return Readings(written, None)
     known = {replace(written, rms=0.0): written}
     zero = partial(_moved_zero, left=left)
@@ -157,6 +157,26 @@ def read_differently(arm: Arm, measurements: Measurements) -> Readings:
     flips = (replace(flip, rms=left(flip)) for flip in _flips(replace(written, rms=0.0), arm))
     half_turn = best.changes == 1 and 2.0 in best.quarters
     return Readings(written, best, tuple(r for r in flips if half_turn and r.rms <= ALIKE * best.rms))
+
+
+def _few(arm: Arm, rows: Measurements) -> bool:
+    """Whether another reading would fit by chance."""
+    return rows.positions.size < EQUATIONS * (PLANE if arm.chain is None else SPACE)
+
+
+def out_of_step(arm: Arm, measurements: Measurements) -> list[str]:
+    """Positions that stand beside the posture of another row, in a sentence; none where no step explains them."""
+    as_written = Reading.as_written(arm.links)
+    if _few(arm, some := _some(measurements)):
+        return []
+    written = _distance(arm, some)(as_written)
+    first, last = measurements.rows(slice(None, -1)), measurements.rows(slice(1, None))
+    for postures, positions, when in ((first, last, "late"), (last, first, "early")):
+        rows = _some(replace(postures, positions=positions.positions))
+        if CLEARLY * (left := _distance(arm, rows)(as_written)) < written:
+            gain = f"the drawing then leaves {left:.3g} mm instead of {written:.4g}"
+            return [f"it looks as if each position stands one row too {when}, beside another posture: {gain}"]
+    return []
 
 
 def placed_with_zeros(model: Model, measurements: Measurements) -> tuple[Model, dict[str, float]]:

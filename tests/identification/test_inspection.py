@@ -42,6 +42,13 @@ def test_good_data_have_no_problem() -> None:
     assert any("no posture is repeated" in note for note in found.notes)
 
 
+@pytest.mark.parametrize(("step", "when"), [(1, "late"), (-1, "early")])
+def test_positions_beside_another_posture(step: int, when: str) -> None:
+    good = data()
+    (sentence,) = inspect(ARM, replace(good, positions=np.roll(good.positions, step, axis=0))).problems
+    assert sentence.startswith(f"it looks as if each position stands one row too {when}, beside another posture")
+
+
 def test_each_fault_has_its_sentence() -> None:
     good = data()
     flipped = inspect(ARM, replace(good, postures=good.postures * [1.0, 1.0, -1.0]))
