@@ -90,14 +90,16 @@ def corrected_values(
     found : None: the arm's own calibration
     freedom : degrees of freedom of the variances of `found.parameter_names`; empty: infinite, these are known
     unknown : names of parameters that are not estimable
-    known : (p, r) factor of the covariance of `found.parameter_names` before the measurements, zero where there is none
+    known : (p, r) factor of the covariance of `found.parameter_names` before the measurements, 0 where there is none;
+        None: that of the arm's machining, where all that it says something of was estimated
     """
     model, found = Model(arm), found or arm.calibration or Calibration({})
     values = {**model.fixed, **found.values}
     names = {*found.parameter_names, *unknown}
     geometry = _planar(arm, values) if arm.chain is None else _spatial(arm.chain, values, names)
     spread = np.full(len(found.parameter_names), np.inf) if len(freedom) == 0 else np.array([*freedom])
-    before = np.zeros((len(found.parameter_names), 0)) if known is None else known
+    prior = model.prior if {*model.prior} <= {*found.parameter_names} else {}
+    before = np.diag([prior.get(name, 0.0) for name in found.parameter_names]) if known is None else known
     rows = (_row(quantity, found, spread, unknown, before) for quantity in (*geometry, *_effects(model, values)))
     return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
 

@@ -149,3 +149,20 @@ def test_frames_have_the_prior_of_what_they_are_made_of() -> None:
     second = by_name(found.corrected_values)["joint 2 x"]
     assert second.prior_std == pytest.approx(1.0, rel=1e-6)  # mm
     assert by_name(found.corrected_values)["base x"].prior_std is None
+
+
+def test_a_calibrated_file_marks_the_values_that_its_fit_marked() -> None:
+    """The prior is that of the machining, in the fit as in the file; of a fit without a prior nothing is marked."""
+    generator = np.random.default_rng(5)
+    chain = replace(CHAIN, base=np.eye(4), tools={"1": np.array([60.0, 20.0, 30.0])})
+    model, q = Model(Arm.of_chain(chain, sigma=0.05)), generator.uniform(-2.0, 2.0, (25, 3))
+    sizes = model.parameters.vector(model.prior, 0.0)
+    truth = 0.5 * sizes * generator.standard_normal(len(sizes))
+    rows = Measurements(q, model.position(q, truth) + 0.05 * generator.standard_normal((25, 3)))
+    found = estimate(model, rows, sigma="given")
+    made = found.calibrated_arm()
+    said = {row.name: row.held_by_prior for row in found.corrected_values}
+    assert {row.name: row.held_by_prior for row in corrected_values(made)} == said
+    assert {*said.values()} == {True, False}
+    part = replace(made.calibration, parameter_names=found.names[:20], covariance=found.covariance[:20, :20])
+    assert not any(row.held_by_prior for row in corrected_values(replace(made, calibration=part)))
