@@ -52,11 +52,12 @@ def command(
     with session.progress() as progress:
         numbers = run_range(runs, problem.fewest_runs)
         advice = advise(problem, numbers, target=target_mm, seed=session.seed, seconds_each=seconds, progress=progress)
-    output.draw(lambda: advice_figure(advice))
     said = {"only": words, "fewest_runs": problem.fewest_runs} if words else {}
     fewest = f"{problem.fewest_runs} run{'' if problem.fewest_runs == 1 else 's'}"
     lines = [f"Of {', '.join(words)} alone, {fewest} or more:"] if words else []
-    return Answer(advice.to_json() | said, [*lines, *advice_tables(advice)])
+    answer = Answer(advice.to_json() | said, [*lines, *advice_tables(advice)])
+    output.draw(lambda: advice_figure(advice))
+    return answer
 
 
 def given(option: str) -> bool:

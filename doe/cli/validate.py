@@ -39,7 +39,8 @@ def command(session: Session, model: Path, data: Path, refit: str, output: Outpu
 
     arm = load_arm(model)
     found = validate(arm, read_measurements(data, arm), refit)
+    answer = Answer(found.to_json(), validation_tables(found))
     output.draw(lambda: validation_figure(found))
     for note in found.notes:
         warnings.warn(f"{data}: {note}", UserWarning, stacklevel=1)
-    return Answer(found.to_json(), validation_tables(found))
+    return answer

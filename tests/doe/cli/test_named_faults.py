@@ -126,6 +126,29 @@ def test_a_score_that_cannot_be_finished_leaves_no_picture(folder: Folder, monke
     assert sorted(folder.path.iterdir()) == before
 
 
+@pytest.mark.parametrize(
+    ("words", "tables"),
+    [
+        (["validate", "calibrated.toml", "data.csv"], "validation.validation_tables"),
+        (["advise", "arm.toml", "--runs", "4"], "advice.advice_tables"),
+    ],
+)
+def test_an_answer_that_cannot_be_given_leaves_no_picture(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch, words: list[str], tables: str
+) -> None:
+    """As that of data with a marker that the calibrated arm does not have."""
+
+    def refuse(*_: object) -> None:
+        raise InputError("measurements.marker: unknown name '2', allowed: 1")
+
+    folder.simulated()
+    folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
+    monkeypatch.setattr(f"doe.report.{tables}", refuse)
+    before = sorted(folder.path.iterdir())
+    refused(folder, [*words, "--picture", "p.svg"], "unknown name '2', allowed: 1")
+    assert sorted(folder.path.iterdir()) == before
+
+
 @pytest.mark.parametrize("char", ["\n", "\r", "\x1b[31m", "\x07", "\u2028", "\u202e"])
 def test_control_characters_are_not_repeated(folder: Folder, char: str) -> None:
     for words in (["score", f"arm{char}.toml", "plan.csv"], [f"sco{char}re"], ["score", "arm.toml", f"--{char}"]):
