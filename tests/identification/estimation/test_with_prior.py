@@ -149,6 +149,7 @@ def test_copies_of_many_rows_are_no_new_evidence_of_an_arm_far_from_its_drawing(
     data = Measurements(generator.uniform(-2.5, 2.5, (1000, len(CHAIN))), np.zeros((1000, 3)))
     jacobian = SPATIAL.jacobian(data.postures, zero).reshape(-1, len(zero)) / 0.05
     sizes = SPATIAL.parameters.vector(SPATIAL.prior, 0.0)
+    # 20 mm: so large that the rows once leave the machining's errors open, and ten times do not
     misfit = 400.0 * generator.standard_normal(len(jacobian))
     problem = replace(Problem.of(SPATIAL, data, np.full(1000, 0.05**-2)), prior=Prior(SPATIAL.prior))
 
