@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import wraps
@@ -56,9 +56,10 @@ class Session:
         return nullcontext(self.report)
 
 
-def tables_on_terminal() -> bool:
-    """True if the tables go to a terminal: they contain the warnings, so standard error need not repeat them."""
-    return not click.get_current_context().params["as_json"] and sys.stdout.isatty()
+def warn_beside_json(sentences: Iterable[str]) -> None:
+    """Warnings about a result, which its tables contain: with --json on standard error besides the key `warnings`."""
+    for sentence in sentences if click.get_current_context().params["as_json"] else ():
+        warnings.warn(sentence, UserWarning, stacklevel=2)
 
 
 def read_measurements(path: Path, arm: Arm) -> Measurements:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import click
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, Session, verb, warn_beside_json
 from doe.cli.options import FILE, Output, output_options
 from identification.errors import InputError
 
@@ -39,8 +38,7 @@ def command(session: Session, calibrated: Path, targets: Path, output: Output) -
     wanted = load_targets(targets, arm)
     allowed = constraints_of(Model(arm)) if arm.constraints else ()
     found = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
-    for sentence in found.warnings:
-        warnings.warn(sentence, UserWarning, stacklevel=2)
+    warn_beside_json(found.warnings)
     columns = found.targets, found.errors, arm.joint_types, found.orientations, found.angles, found.reached
     written = output.write(commands_text(found.commands, *columns), "commands")
     return Answer(found.to_json(), [*compensation_tables(found), *written])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.common import Answer, Session, read_measurements, read_sessions, say, verb
+from doe.cli.common import Answer, Session, read_measurements, read_sessions, say, verb, warn_beside_json
 from doe.cli.options import FILE, FileOrShare, LibraryEffects, Output, output_options, prior_options
 from doe.cli.typed import origin
 from identification.errors import InputError
@@ -68,11 +68,9 @@ def command(
     with session.progress() as progress:
         more = (session.seed, draws, progress)
         found = diagnose(loaded, measurements, held_out, *more, prior=prior.held, missing=prior.names)
-    for sentence in found.warnings:
-        warnings.warn(sentence, UserWarning, stacklevel=2)
+    refuted = [f"not confirmed: {found.confirmation}"] if found.confirmed is False else []
+    warn_beside_json([*found.warnings, *refuted])
     answer = Answer(found.to_json(), diagnosis_tables(found))
-    if found.confirmed is False:
-        warnings.warn(f"not confirmed: {found.confirmation}", UserWarning, stacklevel=2)
     try:
         named = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
         page = gap_page(found, measurements, origin(session.seed, named)) if report else ""

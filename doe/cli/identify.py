@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from doe.cli.common import Answer, Session, read_measurements, tables_on_terminal, verb
+from doe.cli.common import Answer, Session, read_measurements, verb, warn_beside_json
 from doe.cli.options import FILE, LibraryEffects, Output, PriorOrFile, only_option, output_options, prior_options
 from identification.errors import InputError
 from identification.status import Status
@@ -128,15 +128,16 @@ class Wanted:
         self, arm: Arm, data: Measurements
     ) -> tuple[Identification, LibraryPrior | None, dict[str, Any]]:
         """The fit to the rows that are no outliers of it; key `left_out`: the others, from 1."""
-        import numpy as np
+        from identification.estimation import without_outliers
 
-        kept, left_out = list(range(len(data))), list[int]()
-        while True:
-            found = self.fit(arm, data.rows(np.array(kept)))
-            outlier = [kept[row - 1] for row in found[0].outlier_rows]
-            left_out, kept = sorted([*left_out, *outlier]), [row for row in kept if row not in outlier]
-            if not outlier:
-                return found[0], found[1], {**found[2], "left_out": [row + 1 for row in left_out]}
+        fits = []
+
+        def fit(rows: Measurements) -> Identification:
+            fits.append(self.fit(arm, rows))
+            return fits[-1][0]
+
+        found, left_out = without_outliers(fit, data)
+        return found, fits[-1][1], {**fits[-1][2], "left_out": list(left_out)}
 
     def model(self, arm: Arm, data: Measurements, library: LibraryPrior | None) -> Model:
         """The model of all parameters, or of those that --only names; the library's effects are always estimated."""
@@ -225,8 +226,7 @@ def answer(
     """
     from doe.report.identification_tables import identification_tables
 
-    for sentence in () if tables_on_terminal() else found.warnings:
-        warnings.warn(sentence, UserWarning, stacklevel=2)
+    warn_beside_json(found.warnings)
     hidden, data = frozenset(library.prior.deviations if library else ()), found.to_json()
     shown = identification_tables(found, hidden)
     if library is not None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import click
 
-from doe.cli.common import Answer, Session, read_measurements, verb
+from doe.cli.common import Answer, Session, read_measurements, verb, warn_beside_json
 from doe.cli.options import FILE, Output, output_options
 
 REFITS = ("base", "offsets", "none")
@@ -41,6 +40,5 @@ def command(session: Session, model: Path, data: Path, refit: str, output: Outpu
     found = validate(arm, read_measurements(data, arm), refit)
     answer = Answer(found.to_json(), validation_tables(found))
     output.draw(lambda: validation_figure(found))
-    for note in found.notes:
-        warnings.warn(f"{data}: {note}", UserWarning, stacklevel=1)
+    warn_beside_json(f"{data}: {note}" for note in found.notes)
     return answer

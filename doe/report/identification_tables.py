@@ -133,6 +133,7 @@ def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     more = [f"... and {len(said) - most} more not reached; --out writes all"] if len(said) > most else []
     return [
         reached,
+        *(Text(warning, style="bold") for warning in found.warnings),
         table(headings, rows, title, most=most, caption=caption, **(NARROW if fine else NARROW | {"padding": 0})),
         *([] if fine else [Text("Rounded to 0.01 deg here; --out and --json give every digit.")]),
         *map(Text, said[:most]),

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from rich.text import Text
 
 from doe.report.gap_figures import binned_rms
 from doe.report.pictures import AFTER, BEFORE, MANY, draw_residual_arrows, projections, workspace_axes
@@ -32,6 +33,7 @@ def validation_tables(found: Validation) -> list[Any]:
     shown: list[Any] = [summary, table(("", *figures_of), rows, "Distances in mm", left=("",))]
     if found.model.rms >= found.nominal.rms:
         shown.append("On these rows the model is no better than the drawing.")
+    shown += [Text(note, style="bold") for note in found.notes]
     if blocks := found.blocks:
         lines = (
             [block.kind, block.name, str(block.rows), number(block.nominal.rms), *_cells(block.model)]

@@ -1,11 +1,13 @@
 """From measurements to parameters with their uncertainty: `estimate` is the only entry point for one data set,
-`estimate_batch` for many data sets on one plan, `estimate_each` for many with a plan of its own each."""
+`estimate_batch` for many data sets on one plan, `estimate_each` for many with a plan of its own each, and
+`without_outliers` repeats any fit until it explains every row that is left."""
 
 from identification.estimation.batch import BatchFit, estimate_batch, estimate_each
 from identification.estimation.estimate import estimate
 from identification.estimation.methods import METHODS
 from identification.estimation.result import Identification
 from identification.estimation.with_prior import estimate_with_prior
+from identification.estimation.without_outliers import without_outliers
 
 __all__ = [
     "METHODS",
@@ -15,4 +17,5 @@ __all__ = [
     "estimate_batch",
     "estimate_each",
     "estimate_with_prior",
+    "without_outliers",
 ]
