@@ -1,7 +1,8 @@
-"""Consistency of verdict and probabilities: no effect is named that its own probability denies.
+"""Make the verdict consistent with the posterior probabilities: no effect is named that they rule out.
 
-Tests hold false alarms at their level, whatever the effects' sizes; probabilities weigh what is named against nothing
-at all and against shapes outside the library. Where one of these alone makes the credible set, it is the verdict.
+The tests control the rate of false alarms, whatever the sizes of the effects. The probabilities weigh the named
+effects against two alternatives: nothing is missing, and a shape outside the library. Where one alternative alone
+forms the 90 % credible set, it becomes the verdict.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from identification.gap.workflow import Findings
 
 
 def agreeing(found: Findings, likely: Probabilities) -> Findings:
-    """The findings, or without a name where 90 % say that nothing is missing, or something outside the library."""
+    """The findings, with the named effects withdrawn where an alternative alone forms the credible set."""
     credible, unknown = list(likely.credible), found.unknown
     if not unknown.chosen or unknown.place is not None or len(credible) != 1:
         return found
@@ -29,7 +30,7 @@ def agreeing(found: Findings, likely: Probabilities) -> Findings:
 
 
 def overruled(found: Findings, likely: Probabilities) -> list[str]:
-    """What a test says against the verdict that nothing is missing, as a note."""
+    """A note naming the most significant effect where the verdict is `none` although its test is significant."""
     test = found.selection.first.omnibus_test
     if found.unknown.chosen or found.unknown.place is not None or not test.p.size:
         return []

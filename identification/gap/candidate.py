@@ -1,4 +1,4 @@
-"""`Candidate`: a set of effects that explains the data about as well as the best, with its estimates."""
+"""`Candidate`: one member of the ambiguity set, a set of effects with its estimates and their intervals."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from identification.arm import Calibration, EffectSpec
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter with its 95 % interval, in the unit of files and tables."""
+    """Estimate of one parameter with its 95 % interval; all figures in `unit`, the unit of files and tables."""
 
     name: str
     unit: str
@@ -22,7 +22,7 @@ class Estimate:
 
     @property
     def short(self) -> str:
-        """The name inside its effect: `a`."""
+        """Parameter name without its effect: `a`."""
         return self.name.rpartition(".")[2]
 
     def __str__(self) -> str:
@@ -32,16 +32,17 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A set of effects that explains the data about as well as the best.
+    """A set of effects whose BIC is within the window of the best set.
 
-    effects : labels, `transmission_ripple:2[k=17]`;  specs : in the same order, as they stand in an arm file
-        (settings, no estimates)
-    f, p_adjusted : F statistic and adjusted p-value of the member that enters last
-    parameters : estimates of the effects' parameters;  calibration : everything estimated, with its covariance
-    probability : that these effects are missing and no others; None where it was not computed
-    intervals, reliance : what the 95 % intervals rely on, as in `estimation.uncertainty`, and in words
+    effects : labels such as `transmission_ripple:2[k=17]`
+    specs : entries of an arm file in the same order (settings, no estimates)
+    classes : classes of the effects, sorted;  delta_bic : BIC less the lowest BIC
+    f, p_adjusted : F statistic and adjusted p-value of the effect that enters last
+    parameters : estimates of the effects' parameters;  calibration : all estimates with their covariance
+    probability : posterior probability that exactly these effects are missing; None where it was not computed
+    intervals, reliance : basis of the 95 % intervals, as a keyword of `estimation.uncertainty` and in words
     freedom : degrees of freedom of each variance in the calibration's covariance; empty: those of the residuals
-    held : effects that the calibration has beside them, each as far as its prior allows
+    held : further effects of the calibration, shrunk by their prior
     """
 
     effects: tuple[str, ...]
@@ -60,17 +61,17 @@ class Candidate:
 
     @property
     def title(self) -> str:
-        """The effects with the settings that were found: `axes_skew + transmission_ripple:2[k=18]`."""
+        """All effects with their settings: `axes_skew + transmission_ripple:2[k=18]`."""
         return " + ".join(self.effects)
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """What and where, without the settings: `transmission_ripple:2`."""
+        """Names and joints without settings: `transmission_ripple:2`."""
         return tuple(spec.key for spec in self.specs)
 
     @property
     def estimates(self) -> Mapping[str, tuple[Estimate, ...]]:
-        """Effect (its label) -> the estimates of its parameters."""
+        """Label of each effect -> estimates of its parameters."""
         owners = [p.name.rpartition(".")[0] for p in self.parameters]
         rows = list(zip(owners, self.parameters, strict=True))
         return {
@@ -93,7 +94,7 @@ class Candidate:
         }
 
     def _settings(self) -> dict[str, float]:
-        """`transmission_ripple:2.k` -> 17: the settings, named as the parameters of the same effect are."""
+        """`transmission_ripple:2.k` -> 17: settings under the name that the effect's parameters have."""
         owners = {p.name.rpartition(".")[0] for p in self.parameters}
         named = zip(self.effects, self.specs, strict=True)
         prefixes = [(label if label in owners else spec.key, spec) for label, spec in named]

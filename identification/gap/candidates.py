@@ -1,4 +1,4 @@
-"""The sets of effects that explain the data, with their estimates, and the test of every effect that was tried."""
+"""Turn the ambiguity set and the tests of single effects into results: `Candidate` and `Trial`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from identification.measurements import joint_range
 
 
 def candidate_list(found: Findings, draws: int, generator: np.random.Generator) -> tuple[Candidate, ...]:
-    """The ambiguity set as results; with an unknown effect, only what stays named beside it."""
+    """The ambiguity set as results; where an unknown effect was found, only the effects named beside it."""
     rivals = found.selection.rivals
     if found.unknown.place is not None:
         rivals = ((found.unknown.chosen, 0.0),) if found.unknown.chosen else ()
@@ -36,9 +36,10 @@ def candidate(
     draws: int,
     generator: np.random.Generator,
 ) -> Candidate:
-    """A set of effects with its estimates.
+    """A set of effects as a result.
 
-    search : the tests;  fits : the fits, perhaps to more rows;  delta : its BIC less the lowest
+    search : provides the tests;  fits : provides the fits, possibly to more rows;  delta : BIC less the lowest BIC
+    draws, generator : of the bootstrap
     """
     found = fits.fit(chosen)
     test = trial_of(search, chosen, draws, generator)
@@ -46,9 +47,10 @@ def candidate(
 
 
 def candidate_of(found: Fit, added: int, test: tuple[float, float], sure: Uncertainty, delta: float = 0.0) -> Candidate:
-    """The effects that a fit has in its model beside the arm's own, with their estimates.
+    """The last `added` effects of a fitted model as a result.
 
-    added : their number;  test : F statistic and adjusted p-value;  delta : BIC less the lowest
+    test : F statistic and adjusted p-value;  sure : covariance and degrees of freedom of the estimates
+    delta : BIC less the lowest BIC
     """
     own = len(found.model.effects) - added  # the arm's own come first
     effects, specs = found.model.effects[own:], found.model.arm.effects
@@ -68,7 +70,7 @@ def candidate_of(found: Fit, added: int, test: tuple[float, float], sure: Uncert
 
 
 def estimates(found: Fit, sure: Uncertainty, names: set[str]) -> tuple[Estimate, ...]:
-    """Estimates of the parameters of these names."""
+    """Estimates and 95 % intervals of the parameters with these names."""
     parameters, deviations = found.model.parameters, np.sqrt(np.diag(sure.covariance))
     limits = limits_95(parameters, found.values, deviations, sure.freedom)
     figures = np.column_stack([found.values, deviations, limits])
@@ -77,7 +79,7 @@ def estimates(found: Fit, sure: Uncertainty, names: set[str]) -> tuple[Estimate,
 
 
 def trial_list(found: Findings) -> tuple[Trial, ...]:
-    """Every effect against the base model, strongest first; of a scanned setting the best."""
+    """Every effect tested against the base model, lowest BIC first; of a scanned setting only the best value."""
     test = found.selection.first
     best: dict[str, Trial] = {}
     for k, h in enumerate(test.members):

@@ -1,4 +1,4 @@
-"""Uncertainty of a diagnosis's estimates, by the same rule as in `identify`, and warnings about its fit."""
+"""Uncertainty of the estimates of a diagnosis, by the rule that `identify` uses, and warnings about its fit."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ from identification.measurements import Measurements
 
 
 def certainty(search: HypothesisSearch, found: Fit) -> Uncertainty:
-    """Covariance and degrees of freedom of a fit's estimates, an active bound left aside: it hides the value behind it.
+    """Covariance and degrees of freedom of a fit's estimates, computed as if no bound were active.
 
-    The sigma that is given counts as long as no noise model was estimated from the residuals; then it is the sandwich,
-    which holds whether that model is right or not. With a prior it is the
-    scatter: what is known beforehand of the parameters is no repeated measurement.
+    A given sigma is used unless a noise model was estimated from the residuals; in that case the sandwich covariance
+    is used, which holds whether or not the noise model is right. A fit with a prior uses the scatter of its residuals.
     """
     rows = search.rows
     if found.prior_rows is not None:
@@ -36,7 +35,7 @@ def certainty(search: HypothesisSearch, found: Fit) -> Uncertainty:
 
 
 def fit_doubts(arm: Arm, measurements: Measurements, found: Fit, left: Array) -> tuple[str, ...]:
-    """What is doubtful about the data and about a model fitted to them, in sentences;  left : (m, d) residuals [mm]."""
+    """Warnings about the data and about a model fitted to them, one sentence each;  left : (m, d) residuals [mm]."""
     estimable = np.ones(len(found.values), dtype=bool)
     bad = [*far_off(left, found.model), *flipped(found.model, found.values, estimable)]
     place = (*another_frame(arm, measurements), *outside_limits(arm, measurements))

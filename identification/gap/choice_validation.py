@@ -1,8 +1,8 @@
-"""Cross-validation of the choice itself: effects are chosen anew without a part of the rows, and predict that part.
+"""Cross-validate the choice of effects: repeat it without a part of the rows and predict that part.
 
-Rows that chose an effect flatter it: what it leaves of them is less than what it leaves of new rows, and without a
-fifth of them another one may be chosen. `cross_validation` keeps the name and refits; here as many effects as were
-named are chosen again, one at a time by BIC, in the model that is linear about the base fit.
+Residuals of rows that were used to choose an effect are optimistic, and without a fifth of them another effect may be
+chosen. `cross_validation` keeps the chosen effects and refits their parameters; here the choice itself is repeated:
+as many effects as were named, one at a time by BIC, in the model linearized about the base fit.
 """
 
 from __future__ import annotations
@@ -31,8 +31,10 @@ MOST_ROWS = 500  # effort: of more, a fifth left out hardly changes a choice
 
 @dataclass(frozen=True)
 class ChoiceValidation:
-    """again : share of the folds that choose a candidate again, with its settings
-    excess : mean square distance [mm^2] of rows that did not choose, beyond what the named model predicts; >= 0
+    """Result of the cross-validation.
+
+    again : fraction of the folds in which one of the candidates is chosen again, with its settings
+    excess : mean square distance [mm^2] of the rows left out, beyond what the named model predicts; >= 0
     """
 
     again: float
@@ -40,7 +42,11 @@ class ChoiceValidation:
 
 
 class _Fold(NamedTuple):
-    """labels : of the effects chosen;  squares : of the distances left out;  expected : what their fit predicts"""
+    """One part of the rows, k of them, left out.
+
+    labels : effects chosen without it;  squares : (k,) squared distances of its rows [mm^2]
+    expected : (k,) the part of them due to the uncertainty of the parameters [mm^2]
+    """
 
     labels: frozenset[str]
     squares: Array
@@ -50,7 +56,7 @@ class _Fold(NamedTuple):
 def validate_choice(
     found: Findings, measurements: Measurements, generator: np.random.Generator
 ) -> ChoiceValidation | None:
-    """None where nothing was chosen, or where rows are so many or so few that nothing can be learnt."""
+    """Cross-validate the choice; None where nothing was chosen, with fewer than `2 FOLDS` or over `MOST_ROWS` rows."""
     chosen = found.unknown.chosen
     rows = Rows.of(measurements).pick(~found.outlier)
     if not chosen or not 2 * FOLDS <= len(rows) <= MOST_ROWS:
@@ -77,7 +83,7 @@ def _folds(search: HypothesisSearch, size: int, generator: np.random.Generator) 
 
 
 def _without(search: HypothesisSearch, jacobian: Array, residual: Array, out: NDArray[np.bool_], size: int) -> _Fold:
-    """What is chosen without the coordinates `out` (N,), and how well it predicts them."""
+    """Choose `size` effects without the coordinates in `out` (N,), and predict those."""
     columns, members = search.base_columns, search.hypotheses.members
     kept = Columns(columns.matrix[~out], columns.sizes)
     chosen: Choice = ()
@@ -98,7 +104,7 @@ def _without(search: HypothesisSearch, jacobian: Array, residual: Array, out: ND
 
 
 def _predicted(model: Array, residual: Array, out: NDArray[np.bool_], d: int) -> tuple[Array, Array]:
-    """(k,) squared distances of the rows left out, and the part of them that uncertain parameters make."""
+    """(k,) squared distances of the rows left out [mm^2], and the part due to the uncertainty of the parameters."""
     lengths = np.linalg.norm(model[~out], axis=0)
     unit = model / np.where(lengths > 0.0, lengths, 1.0)
     inverse = np.linalg.pinv(unit[~out], rcond=1e-9)
@@ -110,8 +116,10 @@ def _predicted(model: Array, residual: Array, out: NDArray[np.bool_], d: int) ->
 
 
 def disagreement(found: Findings, likely: Probabilities, rows: Measurements, there: Conditions) -> float:
-    """Mean square distance [mm^2] in other rows between the named model and the other explanations, each with its
-    probability: the candidates and the base model."""
+    """Mean square distance [mm^2] between the named model and its alternatives in other rows.
+
+    The alternatives are the candidates and the base model, weighted by their probabilities.
+    """
     search, chosen = found.fits, found.unknown.chosen
     rivals = [((), likely.none), *((rival, likely.of(h.key for h in rival)) for rival, _ in found.selection.rivals)]
     named = search.fit(chosen).position_residuals(rows, there)

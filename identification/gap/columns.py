@@ -1,8 +1,9 @@
-"""How the tip moves when a missing effect is added: the columns of all hypotheses, whatever their place and settings.
+"""Jacobian columns of all hypotheses: derivatives of the tip position with respect to their parameters.
 
-An effect adds something at places of the chain. Its column is the lever of the place (derivative of the position by
-what is added there, the same for all effects) times the slope (derivative of what is added by the effect's parameter).
-One CasADi function with the settings as arguments gives the slopes of one effect at all joints for all values tried.
+An effect adds something at places of the chain. Its column is the lever of the place (derivative of the position with
+respect to what is added there, the same for all effects) times the slope (derivative of what is added with respect to
+the effect's parameter). One CasADi function with the settings as arguments gives the slopes of one effect at all
+joints for all values tried.
 """
 
 from __future__ import annotations
@@ -29,14 +30,15 @@ Key = tuple[type[Effect], int | None, tuple[str, ...] | tuple[tuple[str, float],
 
 
 class SlopeSymbols(Symbols):
-    """Symbols of posture, conditions and state, and slopes that are kept."""
+    """Symbols of posture, conditions and state, with a cache of the slopes of each effect."""
 
     def __init__(self, arm: Arm, remembers: bool) -> None:
         super().__init__(arm, remembers)
         self._known: dict[Effect, ca.SX] = {}
 
     def slopes(self, effect: Effect) -> ca.SX:
-        """(P, size) derivative of what an effect adds at all places by its parameters, nothing being known of these."""
+        """(P, size) derivative of what an effect adds at all places with respect to its parameters, at their neutral
+        values."""
         if effect not in self._known:
             added, v = self.added(effect)
             start = ca.DM([p.neutral for p in effect.parameters])
@@ -46,9 +48,9 @@ class SlopeSymbols(Symbols):
 
 @dataclass(frozen=True)
 class Formulas:
-    """Slopes of some effects.
+    """Symbolic slopes of some effects.
 
-    effects : with CasADi symbols for their settings where they are scanned;  symbols : (S,) of them
+    effects : with CasADi symbols in place of scanned settings;  symbols : (S,) these symbols
     """
 
     at: SlopeSymbols
@@ -57,17 +59,17 @@ class Formulas:
 
     @cached_property
     def _slopes(self) -> list[ca.SX]:
-        """Per effect (P, size)."""
+        """(P, size) for each effect."""
         return [self.at.slopes(effect) for effect in self.effects]
 
     @cached_property
     def fixed(self) -> bool:
-        """True if the slopes do not depend on the fitted model."""
+        """True if the slopes do not depend on the state, so that one evaluation serves all fitted models."""
         return not any(ca.depends_on(ca.vec(s), self.at.state) for s in self._slopes)
 
     @cached_property
     def places(self) -> list[list[list[tuple[int, int]]]]:
-        """Per effect and parameter: (place, number of the slope) of what it adds."""
+        """For each effect and parameter the pairs (place, index of the slope) of its nonzero slopes."""
         found, count = [], 0
         for slopes in self._slopes:
             listed: list[list[tuple[int, int]]] = [[] for _ in range(slopes.shape[1])]
@@ -79,17 +81,17 @@ class Formulas:
 
     @cached_property
     def function(self) -> Callable[..., tuple[np.ndarray, ...]]:
-        """Of arrays (q, c, state, settings): the numbers of all slopes that are not always zero, (Z, 1)."""
+        """Function of arrays (q, c, state, settings) that returns the Z slopes not identically zero, (..., Z, 1)."""
         values, at = ca.vertcat(*(ca.SX(s.nz[:]) for s in self._slopes)), self.at
         return vectorize(ca.Function("slopes", [at.q, at.c, at.state, self.symbols], [ca.cse(values)]))
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """Effects whose slopes one function gives.
+    """Effects whose slopes are evaluated by one function.
 
-    members : per effect (k,) numbers of the hypotheses that it stands for, one for each row of the settings
-    settings : (K, S) values of the symbols of all effects side by side; one of fewer than K members repeats its last
+    members : for each effect the indices of its hypotheses, one for each row of `settings`
+    settings : (K, S) values of the symbols of all effects side by side; the last value of a shorter scan is repeated
     """
 
     formulas: Formulas
@@ -98,18 +100,18 @@ class Bundle:
 
     @property
     def fixed(self) -> bool:
-        """True if the slopes do not depend on the fitted model."""
+        """As `Formulas.fixed`."""
         return self.formulas.fixed
 
     def slopes(self, postures: Array, conditions: Conditions, state: Array) -> Array:
-        """(m, K, Z) numbers that are not always zero, for (m, n) postures, their conditions and (m, S) state."""
+        """(m, K, Z) slopes at (m, n) postures [rad], their conditions and (m, S) state."""
         at = self.formulas.at
         payload = 0.0 if at.arm.gravity is None else at.arm.gravity.payload
         table = conditions.table(len(postures), at.arm.links, payload, postures if at.remembers else None)
         return self.formulas.function(postures[:, None], table[:, None], state[:, None], self.settings[None])[0][..., 0]
 
     def columns(self, levers: Array, slopes: Array) -> Iterator[tuple[int, Array]]:
-        """Number of each hypothesis and its (m, d, size) columns, from levers (m, d, P) and slopes (m, K, Z)."""
+        """Index of each hypothesis with its (m, d, size) columns, from levers (m, d, P) and slopes (m, K, Z)."""
         m, d, _ = levers.shape
         for members, places in zip(self.members, self.formulas.places, strict=True):
             count = len(members)
@@ -121,8 +123,13 @@ class Bundle:
 
 
 def bundles(arm: Arm, effects: Sequence[tuple[int, Effect]]) -> tuple[Bundle, ...]:
-    """All effects, each with the number of its hypothesis: those with nothing to scan together (those that depend on
-    the fitted model apart), and each scanned one with all its joints and settings."""
+    """Group effects so that each group is evaluated by one function.
+
+    effects : pairs (index of the hypothesis, effect)
+
+    Effects without scanned settings form two groups, with and without dependence on the state; each scanned effect
+    forms one group with all its joints and settings.
+    """
     remembers = any("past" in effect.needs for _, effect in effects)
     plain: dict[bool, list[tuple[int, Effect]]] = {}
     scanned: dict[str, dict[int | None, list[tuple[int, Effect]]]] = {}
@@ -147,7 +154,7 @@ def _plain(effects: Sequence[Effect]) -> tuple[Key, ...]:
 
 
 def _scanned_bundle(arm: Arm, remembers: bool, by_joint: Mapping[int | None, Sequence[tuple[int, Effect]]]) -> Bundle:
-    """One effect, its values side by side for all joints."""
+    """The group of one scanned effect, its settings side by side for all joints."""
     longest, settings = max(map(len, by_joint.values())), []
     for group in by_joint.values():
         values = np.array([list(effect.chosen.values()) for _, effect in group])
@@ -164,7 +171,7 @@ def _symbols(arm: Arm, remembers: bool) -> SlopeSymbols:
 
 @lru_cache(maxsize=KEPT)
 def _formulas(arm: Arm, remembers: bool, keys: tuple[Key, ...]) -> Formulas:
-    """Set up once for equal arms."""
+    """Symbolic slopes of these effects, built once for equal arms."""
     effects, symbols = [], list[ca.SX]()
     for cls, joint, settings in keys:
         chosen: dict[str, Any] = dict(s if isinstance(s, tuple) else (s, ca.SX.sym(s)) for s in settings)

@@ -1,10 +1,10 @@
-"""Is the named model confirmed by rows that were not used: does the gap shrink, and to what was predicted?
+"""Test the named model on rows that were not used for the fits: does the gap shrink, and as far as predicted?
 
-Rows of one posture or of one stretch of time share errors that no model explains, so a mean over m rows is not known to
-1 / sqrt(m). The rows are put into up to eight groups, by stretches of time and by regions of posture, and the group
-means are compared by Student's t (R. Ibragimov, U. K. Mueller, "t-statistic based correlation and heterogeneity robust
-inference", 2010: valid whatever the dependence within groups). Of the two groupings the one that is less sure counts,
-and none is surer than white Gaussian noise would be.
+Rows of one posture or of one interval of time share errors that no model explains, so the standard error of a mean over
+m rows exceeds sigma / sqrt(m). The rows are divided into up to eight groups, by time and by region of posture, and the
+group means are compared by Student's t (R. Ibragimov, U. K. Mueller, "t-statistic based correlation and heterogeneity
+robust inference", 2010: valid for any dependence within groups). The larger variance of the two groupings is used, and
+never less than that of white Gaussian noise.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ Groups = NDArray[np.int64]
 
 
 class Mean(NamedTuple):
-    """A mean, the variance of this mean, and the degrees of freedom that the variance is known from."""
+    """A mean, the variance of this mean, and the degrees of freedom of that variance."""
 
     value: float
     variance: float
     freedom: float
 
     def __sub__(self, other: Mean) -> Mean:
-        """Of the difference of two independent means (B. L. Welch, 1947)."""
+        """Difference of two independent means, with Welch's degrees of freedom (B. L. Welch, 1947)."""
         variance = self.variance + other.variance
         parts = sum(m.variance**2 / m.freedom for m in (self, other) if m.variance < np.inf)
         freedom = variance**2 / parts if parts > 0.0 and variance < np.inf else min(self.freedom, other.freedom)
         return Mean(self.value - other.value, variance, freedom)
 
     def p_above(self, limit: float = 0.0) -> float:
-        """Probability of a mean at least this large if the truth is `limit`."""
+        """One-sided p-value: probability of a mean at least this large if the true mean is `limit`."""
         if not 0.0 < self.variance < np.inf:
             return 1.0 if self.variance else float(self.value <= limit)
         return float(stdtr(self.freedom, (limit - self.value) / np.sqrt(self.variance)))
 
     def detects(self, size: float) -> bool:
-        """Whether a truth of this size would be seen with the probability `POWER`."""
+        """Whether a test at `LEVEL` would detect a true mean of this size with power `POWER`."""
         if not self.variance < np.inf:
             return False
         quantiles = stdtrit(self.freedom, 1.0 - LEVEL / 2.0) + stdtrit(self.freedom, POWER)
@@ -56,7 +56,7 @@ class Mean(NamedTuple):
 
 
 def mean_of(values: Array, groupings: Sequence[Groups], least: float = 0.0) -> Mean:
-    """The mean of (m,) values, with the largest of the variances that the groupings give, and at least this one."""
+    """Mean of (m,) values with the largest variance over the groupings, and at least the variance `least`."""
     found = max((_grouped(values, groups) for groups in groupings), key=lambda mean: mean.variance)
     return found._replace(variance=max(found.variance, least))
 
@@ -70,9 +70,9 @@ def _grouped(values: Array, groups: Groups) -> Mean:
 
 
 def groupings(postures: Array, repeats: Groups, time: Array) -> tuple[Groups, Groups]:
-    """(m,) group of each row by stretch of time, and by region of posture: up to `GROUPS` of equal size.
+    """(m,) group of each row by interval of time, and by region of posture: up to `GROUPS` groups of equal size.
 
-    postures : (m, n);  repeats : (m,) rows of one number are one posture;  time : (m,)
+    postures : (m, n) [rad];  repeats : (m,) equal numbers mark repeats of one posture;  time : (m,)
     """
     stretches = np.empty(len(time), dtype=np.int64)
     for group, rows in enumerate(np.array_split(np.argsort(time, kind="stable"), min(GROUPS, len(time)))):
@@ -82,7 +82,7 @@ def groupings(postures: Array, repeats: Groups, time: Array) -> tuple[Groups, Gr
 
 
 def regions(postures: Array) -> Groups:
-    """(m,) region of each posture: halves of halves of halves, each cut at the median of the joint that moves most."""
+    """(m,) region of each posture, by repeated bisection at the median of the joint with the widest range."""
     found = np.zeros(len(postures), dtype=np.int64)
     for _ in range(min(int(np.log2(GROUPS)), int(np.log2(len(postures))))):
         halves = np.zeros_like(found)
@@ -97,15 +97,14 @@ def regions(postures: Array) -> Groups:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """What rows that were not used for the fit say of the named model.
+    """Result of the test of the named model on rows that were not used for the fit.
 
-    transfer : where these rows come from: `other postures`, `a later time`, `another session` ..
-    by : `holdout` or `cross-validation`;  rows, groups : how many, and how many count as independent
-    before, after : root mean square distances [mm] of base and named model in these rows;  predicted : for `after`
-    p_shrinks, p_exceeds : one-sided, of a gap that shrinks by so much if in truth it does not, and that exceeds the
-        prediction by so much if in truth it does not
-    shrinks, as_predicted : the answers; None where the rows are too few for one
-    named : False if the named model is the base model, which has nothing to shrink
+    transfer : origin of these rows: `other postures`, `a later time`, `another session` ..
+    by : `holdout` or `cross-validation`;  rows, groups : number of rows and of independent groups
+    before, after : RMS distance [mm] of base and named model in these rows;  predicted : expected value of `after`
+    p_shrinks, p_exceeds : one-sided p-values of "the gap does not shrink" and of "the gap is as predicted"
+    shrinks, as_predicted : conclusions; None where the rows are too few
+    named : False if no effect was named, so that no gap has to shrink
     """
 
     transfer: str
@@ -123,14 +122,14 @@ class Confirmation:
 
     @property
     def confirmed(self) -> bool | None:
-        """True, False, or None: too few rows."""
+        """Overall conclusion; None where the rows are too few."""
         if self.shrinks is False or self.as_predicted is False:
             return False
         return self.shrinks if self.named else self.as_predicted
 
     @property
     def answer(self) -> str:
-        """In words."""
+        """The conclusion in words."""
         if self.confirmed is None:
             return f"too few rows to say whether it holds for {self.transfer}"
         if self.confirmed:
@@ -159,10 +158,10 @@ class Confirmation:
 
 
 class HeldOut(NamedTuple):
-    """Squared distances (m,) [mm^2] of base and named model in rows that the fits did not use.
+    """Squared distances of base and named model in m rows that the fits did not use.
 
-    predicted : mean square to expect of the named model, with its uncertainty
-    moved : (m,) squared distance between the two models;  sigma : of one of the d coordinates [mm]
+    before, after : (m,) [mm^2];  predicted : expected mean of `after`, with its uncertainty
+    moved : (m,) squared distance between the two models [mm^2];  sigma : noise of one of the d coordinates [mm]
     """
 
     before: Array
@@ -181,9 +180,9 @@ def confirm(
     level: float = LEVEL,
     named: bool = True,
 ) -> Confirmation:
-    """Test whether the gap shrinks, and whether it exceeds the prediction, each at half this level to one side.
+    """Test whether the gap shrinks and whether it exceeds the prediction, each one-sided at half of `level`.
 
-    named : False where nothing was named, so that nothing has to shrink
+    by_groups : groupings of the rows, (m,) each;  transfer, by, named : as in `Confirmation`
     """
     m, variance = len(rows.after), rows.sigma**2
     gained = mean_of(rows.before - rows.after, by_groups, 4.0 * variance * float(np.mean(rows.moved)) / m)
@@ -208,13 +207,13 @@ def confirm(
 
 
 def shrinks(gained: Mean, rows: HeldOut, level: float) -> bool | None:
-    """Whether the gap shrinks.
+    """Whether the gap shrinks; None where the rows are too few to say.
 
-    gained : before less after, mean of squares
+    gained : mean of `before` less `after`
 
-    If the named model is right, the gain of m rows is normal with mean R = mean of `moved` and variance
-    4 sigma^2 R / m, so no gain at all has the probability Phi(-sqrt(m R) / 2 sigma); where that is small, it is no
-    chance.
+    If the named model is right, the mean gain of m rows is normal with mean R = mean of `moved` and variance
+    4 sigma^2 R / m. The absence of any gain then has probability Phi(-sqrt(m R) / 2 sigma); where that is below the
+    level, a gain that is not positive refutes the model.
     """
     if gained.p_above() <= level / 2.0:
         return True

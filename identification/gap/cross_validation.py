@@ -1,9 +1,9 @@
-"""Without a hold-out: every part of the rows is predicted by fits to the other parts.
+"""Cross-validation without a hold-out: each part of the rows is predicted by a fit to the other parts.
 
-The fits are not repeated from the start: with residuals r and Jacobian J of the fit to all rows, the fit without part g
-is one Gauss-Newton step away, (S - S_g)^-1 (v - v_g) with S = J^T J and v = J^T r. For a linear model this is exact.
+No fit is repeated from the start: with residuals r and Jacobian J of the fit to all rows, the fit without part g is one
+Gauss-Newton step away, (S - S_g)^-1 (v - v_g) with S = J^T J and v = J^T r. For a linear model this is exact.
 
-The name of an effect was chosen with all rows, so cross-validation can refute it and cannot confirm it.
+The effects were chosen with all rows, so cross-validation can refute them but cannot confirm them.
 """
 
 from __future__ import annotations
@@ -28,19 +28,22 @@ QUESTIONS = 2  # transfers that are tested, over which the level is divided
 
 
 class CrossValidated(NamedTuple):
-    """Residuals (m, d) [mm] of rows by fits to the other parts, and (m,) the mean square distance that these fits
-    predict for the rows of the same part."""
+    """Predictions of the rows by fits to the other parts.
+
+    residual : (m, d) measured less predicted [mm]
+    predicted : (m,) mean square distance [mm^2] that each fit expects in the part it predicts
+    """
 
     residual: Array
     predicted: Array
 
 
 class Linearized(NamedTuple):
-    """A fit as linear least squares: m rows with weights of their own, n free parameters, of which the data determine
-    `determined`.
+    """A fit of n free parameters to m rows, linearized about its solution.
 
-    left : (m, d) [mm];  columns : (m, d, n);  white_left, white : the same, whitened
-    normal, moment : (n, n) and (n,) of the prior
+    left : (m, d) residuals [mm];  columns : (m, d, n) Jacobian;  white_left, white : both whitened
+    normal, moment : (n, n) normal matrix and (n,) right-hand side of the prior
+    determined : effective number of parameters
     """
 
     left: Array
@@ -53,7 +56,7 @@ class Linearized(NamedTuple):
 
     @classmethod
     def of(cls, found: Fit) -> Linearized:
-        """About the fit's solution."""
+        """Linearize a fit; serial correlation of its rows is ignored."""
         rows, left = replace(found.rows, correlation=0.0), found.left
         columns, prior, left_by_prior = found.regression()
         even = rows.spread is None
@@ -64,7 +67,7 @@ class Linearized(NamedTuple):
 
 
 def cross_validate(found: Fit | Linearized, folds: Groups) -> CrossValidated:
-    """Predict each part of the rows of a fit from the others;  folds : (m,) number of each row's part."""
+    """Predict each part of the rows of a fit from the other parts;  folds : (m,) index of each row's part."""
     problem = found if isinstance(found, Linearized) else Linearized.of(found)
     parts = [np.flatnonzero(folds == fold) for fold in np.unique(folds)]
     own = [_normal(problem.white[part], problem.white_left[part]) for part in parts]
@@ -80,9 +83,10 @@ def cross_validate(found: Fit | Linearized, folds: Groups) -> CrossValidated:
 
 
 def _predicted(problem: Linearized, part: NDArray[np.int64], moved: Array, step: Array, inverse: Array) -> float:
-    """Mean square distance of a part's rows that the other rows predict: their noise, and errors of the parameters.
+    """Mean square distance [mm^2] expected in one part: noise plus the uncertainty of the parameters.
 
-    moved : (m, d) left of all rows after the step from all rows to the others;  inverse : of their normal matrix
+    moved : (m, d) residuals of all rows with the parameters of the other parts [mm]
+    step : (n,) change of the parameters;  inverse : (n, n) inverse normal matrix of the other parts
     """
     others = np.ones(len(moved), dtype=bool)
     others[part] = False
@@ -94,7 +98,7 @@ def _predicted(problem: Linearized, part: NDArray[np.int64], moved: Array, step:
 
 
 def _normal(jacobian: Array, residual: Array) -> tuple[Array, Array]:
-    """J^T J (n, n) and J^T r (n,) of some rows (k, d, n) and (k, d)."""
+    """J^T J (n, n) and J^T r (n,) of k rows: Jacobian (k, d, n) and residuals (k, d)."""
     return _gram(jacobian), jacobian.reshape(-1, jacobian.shape[2]).T @ residual.reshape(-1)
 
 
@@ -104,9 +108,9 @@ def _gram(jacobian: Array) -> Array:
 
 
 def _inverse(square: Array, whole: Array) -> Array:
-    """Pseudo-inverse of a normal matrix: combinations that the rows do not determine stay as they are.
+    """Pseudo-inverse of a normal matrix; combinations that its rows do not determine get no step.
 
-    whole : (n,) its diagonal for all rows; of a column that is in the part left out alone, subtraction leaves rounding
+    whole : (n,) diagonal for all rows, to recognize columns of which the subtraction left only rounding
     """
     own = np.diag(square)
     lengths = np.sqrt(np.where(own > CONDITION * whole, own, np.inf))
@@ -127,9 +131,9 @@ def cross_validation(
     generator: np.random.Generator,
     anything: bool = True,
 ) -> tuple[Confirmation, ...]:
-    """Whether the named model holds for other postures, and for another stretch of time of the same session.
+    """Test whether the named model holds for other postures, and for another interval of time of the same session.
 
-    base, named : fits to the rows that are kept;  anything : False where nothing was named
+    base, named : fits to the kept rows;  kept : (m,) rows that are no outliers;  anything : False if nothing was named
     """
     by_groups = groups_of(measurements, kept)
     postures = np.unique(measurements.posture_numbers[kept], return_inverse=True)[1]

@@ -1,4 +1,7 @@
-"""Before any data: what a plan could show (identification/README.md, "Gap workflow", step 1)."""
+"""Pre-flight analysis of a plan: which effects it could detect, and at which size, before any data are taken.
+
+See identification/README.md, "Gap workflow", step 1.
+"""
 
 from __future__ import annotations
 
@@ -30,13 +33,13 @@ LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen with
 
 @dataclass(frozen=True)
 class Size:
-    """A parameter size in the unit of files and tables; None if no size can be seen."""
+    """Size of a parameter in the unit of files and tables; None if no size can be detected."""
 
     value: float | None
     unit: str
 
     def order(self) -> float:
-        """For comparison: what cannot be seen at any size is the largest."""
+        """Sort key: the value, infinite where no size can be detected."""
         return np.inf if self.value is None else self.value
 
     def __str__(self) -> str:
@@ -47,12 +50,14 @@ class Size:
 
 @dataclass(frozen=True)
 class Detectability:
-    """What a plan can show of each effect.
+    """Detectability of each effect in a plan.
 
-    names : (H) effects, unscanned;  norm_fractions : (H,) of the columns' norm left after projection (worst direction)
+    names : H effects without scanned settings
+    norm_fractions : (H,) fraction of the columns' norm left after projection off the base model (worst direction)
     likeness : (H, H) root mean square fraction of effect h (row) that effect g (column) explains after projection
-    detectable : effect -> smallest size (of its least visible combination) found with 90 % power
-    freedom : degrees of freedom the base model leaves
+    detectable : effect -> smallest size, of its least visible combination of parameters, found with 90 % power
+    freedom : residual degrees of freedom of the base model
+    skipped : effect -> why it cannot be tested;  aliases : effect -> base parameters it cannot be distinguished from
     """
 
     names: tuple[str, ...]
@@ -64,7 +69,7 @@ class Detectability:
     aliases: Mapping[str, str]
 
     def pairs(self, level: float = NEAR) -> list[tuple[str, str, float]]:
-        """Effects that another explains to at least `level`, strongest first."""
+        """Pairs (effect, effect like it, likeness) with a likeness of at least `level`, strongest first."""
         rows, columns = np.nonzero((self.likeness >= level) & ~np.eye(len(self.names), dtype=bool))
         found = [(self.names[i], self.names[j], float(self.likeness[i, j])) for i, j in zip(rows, columns, strict=True)]
         return sorted(found, key=lambda pair: -pair[2])
@@ -105,11 +110,13 @@ def detectability(
     sigma: float | None = None,
     library: HypothesisSet | None = None,
 ) -> Detectability:
-    """What measuring the arm at (m, n) postures [rad] could show.
+    """Which effects measurements at (m, n) postures [rad] could detect, and at which size.
 
-    sigma : [mm], default the arm's, else 1 (sizes are then per millimetre of noise). Temperature is taken into account
-    if `conditions` has it. library : the arm's hypotheses, for many plans of one arm. Raises `InputError` with fewer
-    than 4 residual degrees of freedom.
+    conditions : of the rows; thermal effects are included only if it has temperatures
+    sigma : noise of one coordinate [mm]; None: that of the arm, else 1 (sizes are then per millimetre of noise)
+    library : hypotheses of the arm, to be shared by many plans
+
+    Raises `InputError` with fewer than 4 residual degrees of freedom.
     """
     given = frozenset() if conditions is None or conditions.temperature is None else frozenset({"temperature"})
     rows = _planned(postures, conditions, Model(arm).dimension)
@@ -128,7 +135,7 @@ def _planned(postures: Array, conditions: Conditions | None, dimension: int) -> 
 
 
 def require_spare(freedom: int, rows: int) -> None:
-    """Refuse to test with fewer than `SPARE` residual degrees of freedom."""
+    """Raise `InputError` with fewer than `SPARE` residual degrees of freedom."""
     if freedom < SPARE:
         raise InputError(
             f"measurements: {rows} rows leave {freedom} residual degrees of freedom for tests, "
@@ -144,7 +151,11 @@ def assess(
     sigma: float,
     level: float | None = None,
 ) -> Detectability:
-    """The pre-flight figures at given base parameters; level : weighted p-value the omnibus test asks for."""
+    """Detectability at given base parameters.
+
+    jacobian : (m, d, p) of the base model at `values`;  sigma : noise of one coordinate [mm]
+    level : weighted p-value below which the omnibus test is significant; None: Bonferroni's for all hypotheses
+    """
     white = rows.whiten(jacobian)
     model_basis = column_space(white, library.base.scales)
     freedom = len(white) - model_basis.shape[1]
@@ -173,7 +184,7 @@ def assess(
 
 
 def likenesses(tested: Dictionary, members: list[int]) -> Array:
-    """(H, H) root mean square fraction of each member's visible space that each other member's space holds."""
+    """(H, H) root mean square fraction of the projected columns of one member (row) in the span of another (column)."""
     sizes = tested.sizes[members]
     bases = np.hstack([np.zeros((len(tested.model_basis), 0)), *(tested.block(k) for k in members)])
     owner = np.repeat(np.eye(len(members)), sizes, axis=0)  # (D, H)
@@ -196,11 +207,13 @@ def _detectable(hypothesis: Hypothesis, tested: Dictionary, k: int, sigma: float
 
 @lru_cache(4096)  # hundreds of hypotheses share a few cases
 def detectable_lambda(size: int, freedom: int, level: float, one_sided: bool = False) -> float:
-    """Length lambda (in standard deviations) of a projected effect that a test at `level` finds with 90 % power.
+    """Length lambda, in standard deviations, of a projected effect that a test at `level` detects with 90 % power.
+
+    size : parameters of the effect;  freedom : residual degrees of freedom with it in the model
 
     The power of an F test is the tail of the noncentral F distribution with noncentrality lambda^2, that of a
-    one-sided t test the tail of the noncentral t with lambda; both grow with lambda, so bisection finds it. (The
-    inverses in `scipy.special` are good to 1e-5 only; to import `brentq` takes longer than all that is done here.)
+    one-sided t test the tail of the noncentral t with lambda; both increase with lambda, so bisection finds it. (The
+    inverses in `scipy.special` are accurate to 1e-5 only; importing `brentq` takes longer than the whole computation.)
     """
     # quantiles of the upper tail, as the level may be far below the rounding of 1; F by the incomplete beta function
     tail = betaincinv(0.5 * freedom, 0.5 * size, level)

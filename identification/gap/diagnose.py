@@ -1,4 +1,4 @@
-"""`diagnose`: the eight steps of the gap workflow in order (identification/README.md, "Gap workflow")."""
+"""`diagnose`: find out which effect is missing in a model (identification/README.md, "Gap workflow", 8 steps)."""
 
 from __future__ import annotations
 
@@ -70,17 +70,17 @@ def diagnose(
 ) -> Diagnosis:
     """Whether model and measurements disagree, which effect is missing, and whether adding it closes the gap.
 
-    arm : effects in it are part of the base model, everything they do not fix is estimated again
-        A spatial arm has the smallest set of geometric parameters that measurements tell, without a prior, and stands
-        where the closed form puts it (`practical`).
-    measurements : of one session, or of several that their column `session` names, each with a base of its own
-    holdout : measurements of the same arm that are used for nothing but the confirmation
-    seed, draws : of the bootstrap; the same seed gives the same diagnosis, at least 399 draws
-    prior : once effects are named, fit the best set with the rest of the library beside it, each held by a prior of
-        its typical size;  missing : only these effects
+    arm : its effects are part of the base model; whatever they do not fix is estimated again. A spatial arm is given a
+        minimal set of identifiable geometric parameters, without a prior, and the base that the closed form finds
+        (`practical`).
+    measurements : of one session, or of several distinguished by their column `session`, each with its own base
+    holdout : measurements of the same arm, used for the confirmation only
+    seed, draws : of the bootstrap; the same seed gives the same diagnosis; at least 399 draws
+    prior : once effects are named, fit the best set together with the rest of the library, each effect with a normal
+        prior of its typical size;  missing : restrict the prior to these effects
 
     Raises `InputError` for data of another arm, effects without the data they need, fewer than 4 residual degrees of
-    freedom, one posture or one position only, a hold-out of another arm or one that shares rows with the data, unknown
+    freedom, a single posture or position, a hold-out of another arm or one that shares rows with the data, and unknown
     names in `missing`.
     """
     check_input(arm, measurements, holdout, draws)
@@ -105,7 +105,7 @@ def findings_of(
     generator: np.random.Generator,
     progress: Progress,
 ) -> Findings:
-    """Steps 1 to 5: what is missing in the model. Raises `InputError` for too few rows, a hold-out of another arm."""
+    """Steps 1 to 5: which effects are missing. Raises `InputError` for too few rows or a hold-out of another arm."""
     rows = Rows.of(measurements)
     library = hypotheses(arm, varying(measurements), rows)
     first = HypothesisSearch(library, rows).fit(())
@@ -119,7 +119,7 @@ def findings_of(
 
 
 def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:
-    """A diagnosis of several sessions without the bases of the later ones: the arm stands as in the first."""
+    """A diagnosis of several sessions with the base of the first session only."""
 
     def single(found: Candidate) -> Candidate:
         return replace(found, calibration=without_sessions(found.calibration))
@@ -129,7 +129,7 @@ def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:
 
 
 def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | None, draws: int) -> None:
-    """Raise `InputError` for too few draws, for data that do not belong to the arm or lack what its effects need."""
+    """Raise `InputError` for too few draws and for data that do not fit the arm or lack what its effects need."""
     if draws < FEWEST_DRAWS:
         raise InputError(f"draws: {draws}, allowed: at least {FEWEST_DRAWS}, or no effect can pass the strictest test")
     check(Model(arm), measurements)
@@ -141,7 +141,7 @@ def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | No
 
 
 def varying(measurements: Measurements) -> frozenset[str]:
-    """Optional columns that are given and not constant: a constant one cannot show anything."""
+    """Names of the optional columns that are given and not constant."""
     names = ("temperature", "payload", "order")
     given = {name: getattr(measurements, name) for name in names if getattr(measurements, name) is not None}
     return frozenset(name for name, values in given.items() if np.ptp(values) > 0.0)
@@ -154,7 +154,7 @@ def diagnosis_of(
     fits: Fits,
     generator: np.random.Generator,
 ) -> Diagnosis:
-    """Steps 6 to 8: what was found, the gap before and after, and what rows say that were not used for the fits."""
+    """Steps 6 to 8: the verdict, the gap before and after, and the tests on rows that were not used for the fits."""
     found, arm, named = explained.found, fits.base.model.arm, bool(explained.named.effects)
     kept = ~found.outlier
     choice = None if explained.smooth else validate_choice(found, measurements, generator)
@@ -162,7 +162,7 @@ def diagnosis_of(
     residuals = show_residuals(arm, measurements, fits.base, fits.after)
     before, after = residuals.before[kept], residuals.after[kept]
     gap = gap_of(before, after, there, noise_floor(residuals.after, measurements, kept, arm.sigma))
-    estimated = len(fits.after.residual) - fits.after.freedom  # parameters, less what a prior knows of them
+    estimated = len(fits.after.residual) - fits.after.freedom  # effective number of parameters
     result = named_effects(explained, measurements, residuals, gap, estimated)
     over_sigma = misfit(residuals.after, estimated, measurements, arm.sigma, kept)
     confirmation = None
@@ -184,9 +184,9 @@ def diagnosis_of(
 def named_effects(
     explained: Explanation, measurements: Measurements, residuals: Residuals, gap: Gap, estimated: int
 ) -> Diagnosis:
-    """The verdict with its candidates and aliases, and what every test said.
+    """The verdict with its candidates, aliases and tests.
 
-    estimated : parameters of the best set, less what a prior knows of them
+    estimated : effective number of parameters of the best set
     """
     found, named, unknown = explained.found, explained.named, explained.found.unknown
     curves = explained.smooth.curves if explained.smooth else ()
@@ -224,7 +224,7 @@ def held_out_rows(
     measurements: Measurements,
     holdout: Measurements | None,
 ) -> HeldOut | None:
-    """What the models leave in the hold-out, None without one."""
+    """Squared residuals of both models in the hold-out, with their prediction; None without a hold-out."""
     if holdout is None:
         return None
     smooth, found = explained.smooth, explained.found
@@ -239,8 +239,11 @@ def mismatch_of(
     measurements: Measurements,
     holdout: Measurements | None,
 ) -> float:
-    """Mean square distance [mm^2] that the choice of the named model adds in the hold-out: what cross-validation of
-    the choice shows, or what other explanations predict there, whichever is more."""
+    """Mean square distance [mm^2] in the hold-out due to a possibly wrong choice of effects.
+
+    The larger of two estimates: the excess in the cross-validation of the choice, and the disagreement between the
+    named model and its alternatives in the hold-out.
+    """
     if validated is None or holdout is None:
         return 0.0
     there = held_out_conditions(measurements, holdout)
@@ -257,7 +260,7 @@ def verdict_of(found: Findings) -> str:
 
 
 def assess_data(found: Findings, sigma: float) -> Detectability:
-    """What these data could show beside the base model, at the noise they really have."""
+    """Detectability of every effect in these data, at the noise estimated from them."""
     search = found.search
     base = search.fit(())
     jacobian = base.model.jacobian(search.rows.postures, base.values, search.rows.conditions)
@@ -267,7 +270,7 @@ def assess_data(found: Findings, sigma: float) -> Detectability:
 
 
 def show_residuals(arm: Arm, measurements: Measurements, base: Fit, named: Fit) -> Residuals:
-    """Residuals before and after with what they can be drawn against."""
+    """Residuals before and after, with the quantities they can be plotted against."""
     conditions = measurements.conditions
     against: dict[str, Array] = {f"joint {j + 1} [rad]": measurements.postures[:, j] for j in range(arm.links)}
     against["time"] = np.zeros(len(measurements)) if conditions.time is None else conditions.time

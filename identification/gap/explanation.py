@@ -1,4 +1,4 @@
-"""What explains the data: candidates with probabilities, error curves, and the fits before and after."""
+"""Assemble the explanation of the data: candidates with probabilities, error curves, fits before and after."""
 
 from __future__ import annotations
 
@@ -24,9 +24,12 @@ from identification.model import Model
 
 @dataclass(frozen=True)
 class Explanation:
-    """found : with the noise that holds beside curves;  chosen : effects in the best set, beside curves
-    candidates, named : the ambiguity set, and the best set;  fit : of the best set alone;  smooth : the curves
-    prior : what is held beside them in `Fits`, None without
+    """The effects that explain the data best.
+
+    found : findings, with the noise model that applies if there are error curves
+    chosen : effects of the best set other than curves;  candidates, named : ambiguity set, and best set
+    fit : of the best set, without a prior;  likely : probabilities of all explanations
+    smooth : error curves, None without;  prior : of the further effects in `Fits`, None without
     """
 
     found: Findings
@@ -40,7 +43,7 @@ class Explanation:
 
 
 def explanation(found: Findings, measurements: Measurements, draws: int, generator: np.random.Generator) -> Explanation:
-    """The ambiguity set and the best set, in which error curves take the place of names that they explain better."""
+    """The ambiguity set and the best set; error curves replace named effects where they explain the data better."""
     likely = probabilities(found)
     found = agreeing(found, likely)
     chosen = found.unknown.chosen
@@ -62,14 +65,14 @@ def explanation(found: Findings, measurements: Measurements, draws: int, generat
 
 @dataclass(frozen=True)
 class Fits:
-    """base : as `identify` fits it;  after : of the best set; both to all rows but outliers"""
+    """Fits to all rows but outliers: the base model as `identify` fits it, and the best set."""
 
     base: Fit
     after: Fit
 
 
 def fits_of(explained: Explanation, measurements: Measurements) -> Fits:
-    """The model before and after."""
+    """Fits of the base model and of the best set."""
     found = explained.found
     base = fit(found.search.hypotheses.base, Rows.of(measurements).pick(~found.outlier))
     return Fits(base, explained.fit if explained.chosen or explained.smooth else base)
@@ -83,9 +86,9 @@ def explained_fits(
     prior: bool = False,
     names: Sequence[str] | None = None,
 ) -> tuple[Explanation, Fits]:
-    """What explains the data, and the model before and after.
+    """The explanation of the data, and the fits before and after.
 
-    prior : with the rest of the library held by its prior;  names : of effects in that library, None: all
+    prior : add the rest of the library with its prior;  names : restrict it to these effects, None: all
     """
     explained = explanation(found, measurements, draws, generator)
     fits = fits_of(explained, measurements)
@@ -95,9 +98,9 @@ def explained_fits(
 def with_prior(
     explained: Explanation, fits: Fits, measurements: Measurements, names: Sequence[str] | None
 ) -> tuple[Explanation, Fits]:
-    """The same with the rest of the library held by its prior in the fits of candidates and of the best set.
+    """Add the rest of the library with its prior to the fits of the candidates and of the best set.
 
-    names : of effects, None: all
+    names : restrict it to these effects, None: all
     """
     used = measurements.rows(~explained.found.outlier)
     after, library = held(fits.after, used, names)

@@ -1,10 +1,10 @@
 """F statistics of all hypotheses at once, for one residual vector or for many.
 
 The columns of a hypothesis, projected off the Jacobian of the fitted model, span what only this hypothesis can
-explain. With U an orthonormal basis of that (N, d), the sum of squares falls by |U^T r|^2 when it is added, and
-F = (|U^T r|^2 / d) / ((|r|^2 - |U^T r|^2) / (dof - d)). All hypotheses share one matrix product, however many, and U is
-never formed: with Q the basis of the model and X the columns, U = (X - Q Q^T X) T with small blocks T, so that
-U^T r = T^T (X^T r - (Q^T X)^T Q^T r) needs products of the columns as they are.
+explain. With U (N, d) an orthonormal basis of that space, adding the hypothesis reduces the sum of squares by
+|U^T r|^2, and F = (|U^T r|^2 / d) / ((|r|^2 - |U^T r|^2) / (dof - d)). All hypotheses share one matrix product, and U
+is never formed: with Q the basis of the model and X the columns, U = (X - Q Q^T X) T with small blocks T, so that
+U^T r = T^T (X^T r - (Q^T X)^T Q^T r) needs only products of the original columns.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ CHUNK = 2**20  # numbers worked on at once: eight megabytes
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Columns of hypotheses side by side, which many fitted models can share.
+    """Columns of all hypotheses side by side, shared by many fitted models.
 
-    matrix : (N, C);  sizes : (H,) how many belong to each hypothesis
+    matrix : (N, C);  sizes : (H,) number of columns of each hypothesis
     """
 
     matrix: Array
@@ -41,23 +41,23 @@ class Columns:
 
     @classmethod
     def of(cls, columns: Sequence[Array], rows: int) -> Columns:
-        """From the columns (N, d) of each hypothesis."""
+        """Stack the columns (N, d) of each hypothesis;  rows : N."""
         sizes = np.array([c.shape[1] for c in columns], dtype=np.int64)
         return cls(np.concatenate([np.zeros((rows, 0)), *columns], axis=1), sizes)
 
     @cached_property
     def starts(self) -> NDArray[np.int64]:
-        """(H,) where each hypothesis begins."""
+        """(H,) index of the first column of each hypothesis."""
         return np.cumsum(self.sizes) - self.sizes
 
     def places(self, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(h,) hypotheses of a size and (h, size) where their columns are."""
+        """(h,) indices of the hypotheses of a size, and (h, size) indices of their columns."""
         members = np.flatnonzero(self.sizes == size)
         return members, self.starts[members][:, None] + np.arange(size)
 
     @cached_property
     def products(self) -> dict[int, Array]:
-        """Size -> (h, size, size) products of the columns of each hypothesis of that size with one another."""
+        """Size -> (h, size, size) Gram matrices of the h hypotheses of that size."""
         found = {}
         for size in np.unique(self.sizes).tolist():
             index = self.places(size)[1]
@@ -68,16 +68,16 @@ class Columns:
         return found
 
     def chunks(self, multiple: int = 1) -> Iterator[slice]:
-        """Slices of the rows of about `CHUNK` numbers each, starting at multiples."""
+        """Slices of rows with about `CHUNK` numbers each, each starting at a multiple of `multiple` rows."""
         step = max(CHUNK // max(self.matrix.shape[1], 1) // multiple, 1) * multiple
         return (slice(k, k + step) for k in range(0, len(self.matrix), step))
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Hypotheses of one size, sign and prior weight.
+    """Hypotheses of equal size, sign and prior weight.
 
-    members : (h,) their numbers;  starts : (h,) where the basis of each begins
+    members : (h,) their indices;  starts : (h,) index of the first basis vector of each
     """
 
     size: int
@@ -87,14 +87,14 @@ class Group:
     starts: NDArray[np.int64]
 
     def reductions(self, scores: Array) -> Array:
-        """(h, B) of the sum of squares by each, from the scores (D, B) of all; 0 for the forbidden sign."""
+        """(h, B) reduction of the sum of squares by each, from the scores (D, B) of all; 0 for a forbidden sign."""
         found = np.square(self._rows(scores, 0))
         for further in range(1, self.size):
             found += np.square(self._rows(scores, further))
         return np.where(self._rows(scores, 0) > 0.0, found, 0.0) if self.one_sided else found
 
     def _rows(self, scores: Array, further: int) -> Array:
-        """(h, B) scores with that basis vector of each; equally spaced ones are not copied."""
+        """(h, B) scores of basis vector number `further` of each; a view where they are equally spaced."""
         first, last = int(self.starts[0]), int(self.starts[-1])
         step = (last - first) // (len(self.starts) - 1) if len(self.starts) > 1 else 1
         if step > 0 and np.array_equal(self.starts, np.arange(first, last + 1, step)):
@@ -106,12 +106,12 @@ class Group:
 class Dictionary:
     """Hypotheses projected off a fitted model.
 
-    columns : of these and perhaps of other hypotheses;  model_basis : (N, r) orthonormal, of the model
-    inside : (r, C) what the model has of each column
+    columns : of these and possibly of further hypotheses;  model_basis : (N, r) orthonormal basis Q of the model
+    inside : (r, C) products Q^T X with the columns
     index, turn : (D, w) basis vector k is sum_j turn[k, j] times the projected column index[k, j]
-    starts, sizes : (H,) where the basis of each hypothesis begins among the D vectors, how many it has
-    norm_fractions : (H,) of the columns' norm left after projection off the model
-    one_sided : (H,) physics allows one sign only;  weights : (H,) prior weights
+    starts, sizes : (H,) index of the first of each hypothesis's basis vectors among all D, and their number
+    norm_fractions : (H,) fraction of the columns' norm left after projection off the model
+    one_sided : (H,) True where physics allows one sign only;  weights : (H,) prior weights
     """
 
     columns: Columns
@@ -130,11 +130,11 @@ class Dictionary:
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom the fitted model leaves."""
+        """Residual degrees of freedom of the fitted model."""
         return len(self.model_basis) - self.model_basis.shape[1]
 
     def subset(self, keep: NDArray[np.int64]) -> Dictionary:
-        """Only some of the hypotheses."""
+        """The dictionary of some of the hypotheses, by their indices."""
         widths = self.sizes[keep]
         starts = np.cumsum(widths) - widths
         chosen = np.repeat(self.starts[keep] - starts, widths) + np.arange(int(widths.sum()))
@@ -162,7 +162,7 @@ class Dictionary:
         return self.columns.matrix[:, used] @ turn - self.model_basis @ (self.inside[:, used] @ turn)
 
     def products(self, k: int) -> tuple[Array, Array]:
-        """(d, d) products of the columns of hypothesis k of `columns`, before and after projection off the model."""
+        """(d, d) Gram matrices of the columns of hypothesis k of `columns`, before and after projection."""
         places = self.columns.starts[k] + np.arange(self.columns.sizes[k])
         before = self.columns.matrix[:, places].T @ self.columns.matrix[:, places]
         return before, before - self.inside[:, places].T @ self.inside[:, places]
@@ -173,13 +173,13 @@ class Dictionary:
 
     @cached_property
     def vectors(self) -> Array:
-        """(D, N) orthonormal bases of all hypotheses in single precision, half the time and memory of draws by the
-        thousand: products with them are good to six digits, and noise is compared with noise."""
+        """(D, N) orthonormal bases of all hypotheses in single precision, for thousands of draws of noise: half the
+        time and memory, and six digits suffice where noise is compared with noise."""
         return self.scores(self.columns.matrix.T, self.model_basis.T).astype(np.float32)
 
     @cached_property
     def _turns(self) -> csr_array:
-        """(D, C) of what projected columns each basis vector consists."""
+        """(D, C) sparse matrix T^T: coefficients of the projected columns in each basis vector."""
         from scipy.sparse import csr_array
 
         vector, j = np.nonzero(self.turn)
@@ -187,7 +187,7 @@ class Dictionary:
         return csr_array((self.turn[vector, j], place), shape=(len(self.index), self.columns.matrix.shape[1]))
 
     def reductions(self, residuals: Array) -> Array:
-        """(H, B) reduction of the sum of squares of residuals (N, B); 0 for the forbidden sign."""
+        """(H, B) reduction of the sum of squares of residuals (N, B); 0 for a forbidden sign."""
         return self.reductions_of(self.scores(self.columns.matrix.T @ residuals, self.model_basis.T @ residuals))
 
     def reductions_of(self, scores: Array) -> Array:
@@ -201,7 +201,7 @@ class Dictionary:
 
     @cached_property
     def groups(self) -> list[Group]:
-        """Hypotheses of one size, sign and weight: in a group the largest reduction has the smallest p-value."""
+        """Hypotheses by size, sign and weight: within a group the largest reduction has the smallest p-value."""
         order = np.lexsort((self.weights, self.one_sided, self.sizes))
         keys = [values[order] for values in (self.sizes, self.one_sided, self.weights)]
         new = np.any([np.diff(values) != 0 for values in keys], axis=0)
@@ -212,14 +212,14 @@ class Dictionary:
         ]
 
     def p_values(self, reductions: Array, squares: Array) -> Array:
-        """(H, B) p-value of each hypothesis on its own, from the `reductions` (H, B) and the sums of squares (B)."""
+        """(H, B) p-value of each hypothesis by itself, from `reductions` (H, B) and sums of squares (B,)."""
         result = np.ones_like(reductions)
         for group in self.groups:
             result[group.members] = self._p(group, reductions[group.members], squares)
         return result
 
     def smallest_weighted(self, scores: Array, squares: Array) -> Array:
-        """(B,) smallest p-value divided by prior weight over all hypotheses, from the scores (D, B)."""
+        """(B,) smallest ratio of p-value to prior weight over all hypotheses, from the scores (D, B)."""
         best = np.full(scores.shape[1], np.inf)
         for group in self.groups:
             largest = group.reductions(scores).max(axis=0)
@@ -247,13 +247,14 @@ def dictionary(
     weights: Array,
     inside: Array | None = None,
 ) -> Dictionary:
-    """Project the columns of each hypothesis off a fitted model and orthonormalise them.
+    """Project the columns of each hypothesis off a fitted model and orthonormalize them.
 
     model_basis : (N, r) orthonormal basis of the columns of the model's Jacobian, `information.column_space`
-    inside : (r, C) its products with the columns, where they are known
+    one_sided, weights : (H,) as in `Dictionary`
+    inside : (r, C) products of the basis with the columns; None: computed here
 
-    Directions of which less than `VISIBLE` survives are dropped; a hypothesis that has none left gets size 0, and the
-    caller must leave it out.
+    Directions whose length falls below the fraction `VISIBLE` are dropped; a hypothesis without any is given size 0,
+    and the caller must leave it out.
     """
     inside = model_basis.T @ columns.matrix if inside is None else inside
     widest = int(columns.sizes.max(initial=1))
@@ -274,10 +275,12 @@ def dictionary(
 
 
 def _orthonormal(products: Array, inside: Array) -> tuple[Array, Array]:
-    """(h, d, d) what turns the projected columns of each hypothesis into a basis of their span, a row for each basis
-    vector, and (h, d) the lengths of those vectors in columns of unit length, ascending.
+    """Coefficients of an orthonormal basis in the projected columns of each hypothesis.
 
-    products : (h, d, d) of the columns;  inside : (h, d, r) what the model has of them
+    products : (h, d, d) Gram matrices of the columns;  inside : (h, d, r) their products with the model's basis
+
+    Returns (h, d, d) coefficients, one row for each basis vector, and (h, d) singular values of the projected columns
+    scaled to unit length before projection, ascending.
     """
     norms = np.sqrt(np.einsum("hdd->hd", products))
     unit = 1.0 / np.where(norms > 0.0, norms, 1.0)

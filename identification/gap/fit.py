@@ -1,4 +1,4 @@
-"""A model fitted to whitened rows within its physical bounds, and what follows from the fit."""
+"""`fit`: least squares of one model to whitened rows within physical bounds, and quantities derived from the fit."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ Linearization = Callable[[Array], tuple[Array, Array]]  # (p,) parameters -> pos
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted model, in whitened coordinates (N = m d). Many fits are kept, so none holds its (N, p) Jacobian.
+    """A model fitted to m rows, in N = m d whitened coordinates. The (N, p) Jacobian is not stored: many fits are kept.
 
-    rows : it is fitted to;  values : (p,) parameters;  residual : (N,);  free : (p,) no bound is active
-    triangle : (p, p) or (N, p) with the products J^T J of the Jacobian's columns
-    count : number of values estimated, fewer than p if some are tied to be equal
-    prior_rows : (r, p) of a prior, in units of the noise (see `Prior.rows`); None without one
+    rows : data of the fit;  values : (p,) parameters [API units];  residual : (N,) whitened
+    triangle : (p, p) or (N, p) matrix R with R^T R = J^T J for the whitened Jacobian J
+    free : (p,) False where a bound is active;  count : number of values estimated, less than p with ties
+    prior_rows : (r, p) rows of the prior, in units of the noise (see `Prior.rows`); None without a prior
     """
 
     model: Model
@@ -51,12 +51,12 @@ class Fit:
 
     @property
     def left(self) -> Array:
-        """(m, d) measured less computed positions [mm] of its rows, not whitened."""
+        """(m, d) measured less computed positions [mm] of the rows of the fit, not whitened."""
         return self.position_residuals(self.rows, self.rows.conditions)
 
     @property
     def jacobian(self) -> Array:
-        """(N, p) derivative of the whitened positions by the parameters."""
+        """(N, p) derivative of the whitened positions with respect to the parameters."""
         return self.rows.whiten(self.model.jacobian(self.rows.postures, self.values, self.rows.conditions))
 
     @property
@@ -71,12 +71,12 @@ class Fit:
 
     @cached_property
     def effective(self) -> float:
-        """Number of parameters that the data determine: the rank, less what a prior determines."""
+        """Effective number of parameters: the rank, less the part determined by the prior."""
         return self.rank if self.prior_rows is None else effective_count(self.triangle, self.prior_rows)
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom left; directions that the data do not determine cost none."""
+        """Residual degrees of freedom; parameter combinations that the data do not determine cost none."""
         return len(self.residual) - round(self.effective)
 
     @property
@@ -95,10 +95,10 @@ class Fit:
         return measurements.positions - position
 
     def covariance(self, bounded: bool = True) -> Array:
-        """(p, p) of the estimates, [unit of row x unit of column].
+        """(p, p) covariance of the estimates [unit of row x unit of column].
 
-        bounded : parameters with an active bound count as known, their rows and columns are zero, which suits
-        predictions; False: as without bounds, which suits intervals: an active bound hides the value behind it
+        bounded : True for predictions: a parameter with an active bound counts as known, its row and column are zero;
+            False for intervals: computed as if there were no bounds
         """
         free = self.free if bounded else np.ones(len(self.values), dtype=bool)
         full = np.zeros((len(self.values), len(self.values)))
@@ -106,8 +106,8 @@ class Fit:
         return full
 
     def regression(self) -> tuple[Array, Array, Array]:
-        """The linear model at the fit: (m, d, q) columns at its rows, not whitened; (k, q) rows of the prior, in units
-        of the whitened noise, and (k,) what they leave. Parameters at a bound are left out."""
+        """The model linearized at the fit, without parameters at a bound: (m, d, q) columns, not whitened; (k, q) rows
+        of the prior in units of the whitened noise, and (k,) their residuals."""
         scales = self.model.scales[self.free]
         columns = self.model.jacobian(self.rows.postures, self.values, self.rows.conditions)[:, :, self.free] / scales
         if self.prior_rows is None:
@@ -115,7 +115,7 @@ class Fit:
         return columns, self.prior_rows[:, self.free] / scales, -self.prior_rows @ self.values
 
     def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
-        """(m, d, q) what errors of the q estimates change in computed positions, and their (q, q) covariance."""
+        """(m, d, q) derivative of the positions with respect to the q estimates, and their (q, q) covariance."""
         return self.model.jacobian(postures, self.values, conditions), self.covariance()
 
     def _spectrum(self, free: NDArray[np.bool_]) -> Spectrum:
@@ -131,11 +131,11 @@ def fit(
     prior: Prior | None = None,
     noise: float = 1.0,
 ) -> Fit:
-    """Least squares within the parameters' bounds.
+    """Fit a model to whitened rows by least squares within the bounds of its parameters.
 
-    start : parameter name -> value, zero where missing; None: see `estimation.methods.starts`
-    ties : groups of parameters that are equal
-    prior : of the parameters, weighed against noise of this scale of the whitened residuals [mm]
+    start : parameter name -> value, zero where missing; None: as `estimation.methods.starts` finds it
+    ties : groups of parameters that share one value
+    prior : of the parameters;  noise : scale of the whitened residuals [mm] against which the prior is weighted
     """
     weights = np.ones(len(rows))
     plain = Problem(model, rows.postures, rows.conditions, rows.positions[None], weights, prior=prior, noise=noise)
@@ -164,7 +164,7 @@ def fit(
 
 
 def _linearization(model: Model, rows: Rows) -> Linearization:
-    """Positions and Jacobian at parameters (p,); the last are kept, for starts and ends of fits are asked for twice."""
+    """Function of parameters (p,) -> positions and Jacobian; the last result is cached, as it is needed twice."""
     last: dict[bytes, tuple[Array, Array]] = {}
 
     def at(values: Array) -> tuple[Array, Array]:
@@ -177,9 +177,9 @@ def _linearization(model: Model, rows: Rows) -> Linearization:
 
 
 def _better_start(problem: Problem, values: Array, at: Linearization) -> Array:
-    """(p,) the start, or the closed form's where that is better by far: with a base offset it is in any frame.
+    """(p,) the start, or the closed form's where that is far better: with a base offset it holds in any frame.
 
-    at : positions and Jacobian, which the fit needs anyway: to compile another function takes longer
+    at : positions and Jacobian; used here because compiling a second function would take longer than the fit
     """
 
     def left(there: Array) -> float:

@@ -1,8 +1,8 @@
-"""Waves that the library has, but of an order that is not tried at first: found outside the tests, named inside.
+"""Extend the search to gear ripples of further orders, where a general shape shows one in the residuals.
 
-Gears make waves of hundreds of periods per turn and of orders that are no whole numbers. To try all of them in every
-test would cost power and time. The general shapes have them all; where one of those is what is left at a joint, it is
-added to the hypotheses with the weight of one order among all orders of that scan, and the search is made again.
+Gears cause waves with hundreds of periods per turn and of orders that are not whole numbers. Testing all of them would
+cost power and time. The general shapes include them all: where one of those explains the residuals at a joint, it is
+added to the hypotheses with the weight of one order among all orders of that scan, and the search is repeated.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LOOKUPS = 4  # effort
 
 @dataclass(frozen=True)
 class Explained:
-    """What a search names, and what is left beside it."""
+    """A search with the effects it selected and the unknown effect beside them, if any."""
 
     search: HypothesisSearch
     selection: Selection
@@ -37,7 +37,7 @@ class Explained:
 
 
 def explained(search: HypothesisSearch, selection: Selection, draws: int, generator: np.random.Generator) -> Explained:
-    """What is left beside the selection; where that is a wave of a gear, searched again with it in the library."""
+    """Look for an unknown effect beside a selection; where that is a gear ripple, search again with it included."""
     found = Explained(search, selection, find_unmodelled(search, selection.chosen, generator))
     for _ in range(LOOKUPS):
         wave = wave_of(found.unknown)
@@ -53,7 +53,7 @@ def explained(search: HypothesisSearch, selection: Selection, draws: int, genera
 
 
 def wave_of(unknown: Unknown) -> tuple[int, float] | None:
-    """Joint and order of an unknown shape that is a wave of a gear."""
+    """Joint (from 1) and order of an unknown shape that could be a gear ripple; None for any other."""
     order = WAVES.get(unknown.shape or "", 0.0)
     if unknown.place is None or not unknown.place.startswith("joint:") or order < LOWEST:
         return None
@@ -61,7 +61,7 @@ def wave_of(unknown: Unknown) -> tuple[int, float] | None:
 
 
 def with_orders(known: HypothesisSet, joint: int, order: float) -> HypothesisSet:
-    """The hypotheses with waves of this order, and of some around it, at a joint (from 1)."""
+    """The hypotheses extended by ripples of this and of neighboring orders at a joint (from 1)."""
     arm, there = known.arm, {h.label for h in known.members}
     weight = WEIGHT / (np.sqrt(arm.links) * len(FREE_ORDERS))
     added = []

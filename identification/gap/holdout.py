@@ -1,4 +1,4 @@
-"""Step 8: does the gap shrink on data that were not used?"""
+"""Step 8 of the workflow: confirm the named model on held-out data, and split data for that purpose."""
 
 from __future__ import annotations
 
@@ -19,13 +19,11 @@ SESSION = "another session"
 
 @dataclass(frozen=True)
 class Gap:
-    """Root mean square distances between model and measurement [mm]; None where there is nothing to say.
+    """RMS distances between model and measurement [mm]; None where not available.
 
-    rms_before : what `identify` leaves, the base model fitted by least squares
-    rms_after : what the named model leaves;  both without outlier rows
-    held_out_before, held_out_after : the same two models on the held-out data
-    predicted : what the named model should leave on held-out data
-    floor : what no model can go below, where that is known
+    rms_before, rms_after : of the base model as `identify` fits it, and of the named model; both without outliers
+    held_out_before, held_out_after : of the same two models on the held-out data;  predicted : expected held-out value
+    floor : noise floor, which no model can go below
     """
 
     rms_before: float
@@ -37,7 +35,7 @@ class Gap:
 
     @property
     def noise_floor(self) -> float | None:
-        """Known without any model, from repeats or the instrument's sigma; None where neither exists."""
+        """Noise floor [mm] from repeats or the instrument's sigma; None where neither is available."""
         return self.floor.value
 
     def __str__(self) -> str:
@@ -54,8 +52,10 @@ class Gap:
 
 
 def held_out_conditions(measurements: Measurements, holdout: Measurements) -> Conditions:
-    """Conditions of the hold-out, its temperature counted from the mean of the identification data, and its time on
-    their scale if it belongs to the same session."""
+    """Conditions of the hold-out on the scales of the data.
+
+    Temperatures are relative to the mean of the data; time is on the scale of the data if both are of one session.
+    """
     conditions = holdout.conditions
     if measurements.temperature is not None and holdout.temperature is not None:
         conditions = replace(conditions, temperature=holdout.temperature - np.mean(measurements.temperature))
@@ -66,10 +66,10 @@ def held_out_conditions(measurements: Measurements, holdout: Measurements) -> Co
 
 
 def transfer_of(measurements: Measurements, holdout: Measurements) -> str:
-    """What a hold-out tests, as far as the order of measurement tells.
+    """Kind of transfer that a hold-out tests, judged by the order of measurement.
 
-    A number of the order stands for one row of a session, so numbers in both mean two sessions, as does a pause between
-    them that is longer than the data took.
+    An order number identifies one row of a session, so numbers that occur in both mean two sessions; so does a pause
+    between them that is longer than the data.
     """
     own, other = measurements.order, holdout.order
     if own is None or other is None:
@@ -83,7 +83,7 @@ def transfer_of(measurements: Measurements, holdout: Measurements) -> str:
 
 
 def gap_of(before: Array, after: Array, there: HeldOut | None, floor: NoiseFloor) -> Gap:
-    """The gap of residuals (m, d) [mm] before and after, and the gap in the hold-out."""
+    """The gap from residuals (m, d) [mm] before and after, and from the held-out rows if there are any."""
     own = rms_distance(before), rms_distance(after), floor
     if there is None:
         return Gap(*own)
@@ -92,7 +92,7 @@ def gap_of(before: Array, after: Array, there: HeldOut | None, floor: NoiseFloor
 
 
 def confirmation_of(measurements: Measurements, holdout: Measurements, there: HeldOut, named: bool) -> Confirmation:
-    """Whether the hold-out confirms the named model;  named : False where nothing was named."""
+    """Test the named model on the hold-out;  named : False if nothing was named."""
     every = np.ones(len(holdout), dtype=bool)
     return confirm(there, groups_of(holdout, every), transfer_of(measurements, holdout), named=named)
 
@@ -105,16 +105,17 @@ def held_out(
     holdout: Measurements,
     mismatch: float = 0.0,
 ) -> HeldOut:
-    """What the two models leave in the hold-out, and what the named one should.
+    """Squared residuals of two models in the hold-out, and the mean expected of the named one.
 
-    mismatch : mean square distance [mm^2] that the choice of the named model adds
+    kept : (m,) rows of the data that are no outliers
+    mismatch : mean square distance [mm^2] due to a possibly wrong choice of effects
     """
     there = held_out_conditions(measurements, holdout)
     before, after = (fit.position_residuals(holdout, there)[:, POINT] for fit in (base, named))
     own = np.square(named.position_residuals(measurements, measurements.conditions)[kept, POINT]).sum(axis=1)
     white = 2.0 * float(np.mean(own)) ** 2 / max(named.freedom, 1)  # the variance that white Gaussian noise gives
     left = mean_of(own, groups_of(measurements, kept), white)
-    # parameters are adapted to their own rows, where they leave less than in new ones
+    # parameters are fitted to their own rows, so residuals in new rows are larger
     scale = len(own) * named.model.dimension / max(named.freedom, 1)
     added = parameter_part(named, holdout, there)
     return HeldOut(
@@ -128,14 +129,14 @@ def held_out(
 
 
 def groups_of(measurements: Measurements, kept: NDArray[np.bool_]) -> tuple[Groups, Groups]:
-    """Groups of rows that count as independent, among those that are no outliers."""
+    """Groups of rows that count as independent, among the kept rows: by time and by region, see `groupings`."""
     turn = np.empty(len(measurements))
     turn[measurements.sequence] = np.arange(len(measurements))
     return groupings(measurements.postures[kept], measurements.posture_numbers[kept], turn[kept])
 
 
 def parameter_part(found: Fit, rows: Measurements, there: Conditions) -> Mean:
-    """Mean square distance [mm^2] in other rows that the errors of the parameters make.
+    """Mean square distance [mm^2] in other rows due to errors of the parameters.
 
     With G = mean of J_i^T J_i over the rows and C the covariance, the mean of |J_i e|^2 is e^T G e: its expectation is
     tr(G C), its variance 2 tr(G C G C).
@@ -147,10 +148,10 @@ def parameter_part(found: Fit, rows: Measurements, there: Conditions) -> Mean:
 
 
 def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements) -> None:
-    """Refuse a hold-out that the arm calibrated on the data misses by far more than any effect would make it.
+    """Raise `InputError` for a hold-out whose residuals are larger than any missing effect could make them.
 
-    The limit is ten times what the base model should leave, and a hundredth of the reach: another payload or another
-    part of the workspace stays below, other links or another set-up of base and instrument do not.
+    The limit is the larger of ten times the expected residual of the base model and a hundredth of the reach: another
+    payload or part of the workspace stays below it; other links or another set-up of base and instrument do not.
     """
     there = held_out_conditions(measurements, holdout)
     left = distances(base.position_residuals(measurements, measurements.conditions)) ** 2
@@ -166,7 +167,7 @@ def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements)
 
 
 def _distance_to_data(measurements: Measurements, holdout: Measurements) -> Array:
-    """(m,) largest difference to the most similar row of the data, in units of 1e-5 rad and 1e-3 mm."""
+    """(m,) maximum difference from the most similar row of the data, in units of 1e-5 rad and 1e-3 mm."""
     from scipy.spatial import KDTree
 
     data, rows = (np.column_stack([d.postures / 1e-5, d.positions / 1e-3]) for d in (measurements, holdout))
@@ -176,9 +177,11 @@ def _distance_to_data(measurements: Measurements, holdout: Measurements) -> Arra
 def split(
     measurements: Measurements, share: float, generator: np.random.Generator
 ) -> tuple[Measurements, Measurements]:
-    """Data and hold-out: random postures with about this share of the rows are held out, each with all its repeats.
+    """Split into data and hold-out: random postures with about this share of the rows, each with all its repeats.
 
-    Raises `InputError` for a share that is not between 0 and 1, and for rows of one posture only.
+    share : between 0 and 1
+
+    Raises `InputError` for any other share, and for rows of a single posture.
     """
     if not 0.0 < share < 1.0:
         raise InputError(f"holdout: {share:g}, allowed: a share of the rows between 0 and 1")
@@ -195,7 +198,7 @@ def split(
 
 
 def check_holdout(measurements: Measurements, holdout: Measurements) -> None:
-    """Refuse a hold-out of another arm, or one that is (in part) the data itself."""
+    """Raise `InputError` for a hold-out of another arm, or one that contains rows of the data."""
     if holdout.links != measurements.links:
         raise InputError(f"holdout: {holdout.links} joints, allowed: {measurements.links} as in the data")
     if holdout.dimension != measurements.dimension:

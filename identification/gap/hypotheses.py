@@ -1,7 +1,7 @@
-"""What could be missing: every effect of the library that this arm and these data can show, with its columns.
+"""The hypotheses of a diagnosis: every effect of the library that this arm and these data can show.
 
-A hypothesis is one effect at one joint (or of the whole arm). Effects with settings (the order k of a gear ripple, the
-time of a step) are scanned: each value is a hypothesis, and together they weigh as much as one unscanned effect.
+A hypothesis is one effect at one joint, or of the whole arm. Effects with settings (the order k of a gear ripple, the
+time of a step) are scanned: each value is a hypothesis, and together they have the weight of one unscanned effect.
 """
 
 from __future__ import annotations
@@ -35,11 +35,10 @@ Slopes = list[Array | None]  # per bundle (m, K, Z), None where they depend on t
 class Hypothesis:
     """One effect that might be missing.
 
-    weight : prior weight; 1 for an effect of the whole arm, n^(-1/2) at each of n joints (between one for each joint
-        and one for all joints together), and of that 1/K for each of K settings that are scanned; all times the
-        effect's own `prior`
-    tied : all parameters of a family are taken as equal. Compliance in every joint is seen long before each joint's own
-        compliance is, so it is tried with one parameter too; when it is named, each joint gets its own.
+    weight : prior weight: 1 for an effect of the whole arm, n^(-1/2) at each of n joints (between one for each joint
+        and one for all joints together), divided by the number of scanned settings, times the effect's own `prior`
+    tied : the parameters of a family are equal. Compliance of all joints together is detected long before that of each
+        joint, so it is tested with a single parameter too; once named, each joint has its own parameter.
     """
 
     effect: Effect
@@ -49,17 +48,17 @@ class Hypothesis:
 
     @property
     def free(self) -> Hypothesis:
-        """The hypothesis that is named when this one is found."""
+        """The same hypothesis without the tie: the one that is named when this one is found."""
         return replace(self, tied=False) if self.tied else self
 
     @property
     def scanned(self) -> bool:
-        """True if it has a setting."""
+        """True if the effect has a scanned setting."""
         return bool(self.effect.chosen)
 
     @cached_property
     def key(self) -> str:
-        """`name` or `name:joint`: what and where, whatever is scanned."""
+        """`name` or `name:joint`, without the scanned setting."""
         return self.spec.key
 
     @cached_property
@@ -69,7 +68,7 @@ class Hypothesis:
 
     @property
     def family(self) -> str:
-        """The class in which it is merged with those that look alike."""
+        """The class in which it is merged with similar effects."""
         return self.effect.family or self.effect.name
 
     @cached_property
@@ -79,24 +78,24 @@ class Hypothesis:
 
     @cached_property
     def one_sign(self) -> bool:
-        """True if physics keeps all parameters from being negative."""
+        """True if no parameter can be negative."""
         return all(p.lower == 0.0 for p in self.effect.parameters)
 
     @cached_property
     def one_sided(self) -> bool:
-        """True for one parameter that physics keeps from being negative."""
+        """True for a single parameter that cannot be negative."""
         return self.size == 1 and self.effect.parameters[0].lower == 0.0
 
 
 def modelled(arm: Arm) -> Model:
-    """Compiled once for equal arms: searches with other noise, and of other data, ask for the same models again."""
+    """Model of an arm, cached: searches with other noise models or data use the same models again."""
     known = of_dimension(arm.dimension)
     return _modelled(arm, tuple(known[spec.name] for spec in arm.effects))
 
 
 @lru_cache(maxsize=KEPT)
 def _modelled(arm: Arm, classes: tuple[type[Effect], ...]) -> Model:
-    """classes : of the effects, which users can register anew"""
+    """classes : of the arm's effects, part of the key as users can redefine an effect"""
     return Model(arm)
 
 
@@ -108,10 +107,10 @@ def projected(model_basis: Array, members: Sequence[Hypothesis], columns: Column
 
 @dataclass(frozen=True)
 class HypothesisSet:
-    """All hypotheses for an arm, and why the other effects of the library are left out.
+    """All hypotheses for an arm, and the reasons why other effects of the library are not among them.
 
     skipped : effect key -> reason
-    aliases : effect name -> what it cannot be distinguished from, for effects that no measurement of the tip can show
+    aliases : effect name -> base parameters it cannot be distinguished from by any measurement of the tip
     """
 
     arm: Arm
@@ -124,7 +123,7 @@ class HypothesisSet:
         return {h.label: k for k, h in enumerate(self.members)}
 
     def place(self, hypothesis: Hypothesis) -> int:
-        """Place of a hypothesis among the members, the order in which effects stand in models, results and files."""
+        """Index of a hypothesis among the members, which is the order of effects in models, results and files."""
         return self._places.get(hypothesis.label, len(self.members))
 
     @cached_property
@@ -138,14 +137,14 @@ class HypothesisSet:
 
     @cached_property
     def _with_label(self) -> dict[str, list[int]]:
-        """Label of an effect -> its members: one, or free and tied."""
+        """Label of an effect -> indices of its hypotheses: one, or free and tied."""
         found: dict[str, list[int]] = {}
         for k, h in enumerate(self.members):
             found.setdefault(h.effect.label, []).append(k)
         return found
 
     def places_of(self, chosen: Sequence[Hypothesis]) -> list[int]:
-        """Members with the effects of some hypotheses."""
+        """Indices of all members with the effects of these hypotheses, tied ones included."""
         return [k for h in chosen for k in self._with_label.get(h.effect.label, ())]
 
     def projected(self, model_basis: Array, columns: Columns, inside: Array | None = None) -> Dictionary:
@@ -159,26 +158,26 @@ class HypothesisSet:
 
     @cached_property
     def families(self) -> frozenset[str]:
-        """Keys of effects that have a parameter at every joint, alike in size."""
+        """Keys of effects with one parameter for each joint, of similar size."""
         return frozenset(h.key for h in self.members if h.tied)
 
     @cached_property
     def base(self) -> Model:
-        """The arm as it is modelled now."""
+        """Model of the arm without further effects."""
         return self.model(())
 
     def model(self, chosen: Sequence[Hypothesis]) -> Model:
-        """The arm with the effects of some hypotheses, in the order of the members."""
+        """Model of the arm with the effects of these hypotheses, in the order of the members."""
         ordered = sorted(chosen, key=self.place)
         return modelled(self.arm.with_effects(*self.arm.effects, *(h.spec for h in ordered)))
 
     @cached_property
     def unscanned(self) -> tuple[Hypothesis, ...]:
-        """Hypotheses without a scanned setting that can act on the arm as it is modelled now."""
+        """Hypotheses without a scanned setting that can act on the base model."""
         return tuple(h for h in self.members if not h.scanned and not h.tied and self.acts(h))
 
     def acts(self, hypothesis: Hypothesis) -> bool:
-        """False for what only changes other effects (`Effect.through`) where the arm's model has none of those."""
+        """False if the effect only changes others (`Effect.through`) and the base model has none of those."""
         through = hypothesis.effect.through
         return not through or any(through in effect.needs for effect in self.base.effects)
 
@@ -187,14 +186,14 @@ class HypothesisSet:
         return bundles(self.arm, [(number, h.effect) for number, h in enumerate(self.members) if not h.tied])
 
     def slopes(self, rows: Rows) -> Slopes:
-        """The part of the columns that needs no fit, to be computed once for all fits to the same rows."""
+        """The part of the columns that does not depend on the fit, shared by all fits to the same rows."""
         state = np.zeros((len(rows), state_size(self.arm.links, self.arm.dimension)))
         return [b.slopes(rows.postures, rows.conditions, state) if b.fixed else None for b in self._bundles]
 
     def matrix(
         self, rows: Rows, values: Mapping[str, float], slopes: Slopes | None = None, model: Model | None = None
     ) -> Columns:
-        """`columns` of all members side by side, whitened; of many rows built a few at a time."""
+        """`columns` of all members side by side, whitened; built in parts of about `CHUNK` numbers."""
         stacked = np.empty((len(rows), rows.dimension, int(self.sizes.sum())))
         step = max(CHUNK // max(stacked[0].size, 1), 1)
         for part in (slice(k, k + step) for k in range(0, len(rows), step)):
@@ -205,10 +204,10 @@ class HypothesisSet:
     def columns(
         self, rows: Rows, values: Mapping[str, float], slopes: Slopes | None = None, model: Model | None = None
     ) -> list[Array]:
-        """Per member, (m, d, size) derivative of the position by its parameters.
+        """For each member the (m, d, size) derivative of the position with respect to its parameters.
 
-        At these values of a model (None: of the arm as it is), and where nothing is known of the effect's own
-        parameters: 0, or what their bounds allow.  slopes : of these rows, from the method of that name
+        values : parameters of `model` (None: the base model); the effect's own are at their neutral values
+        slopes : of these rows, from the method of that name
         """
         model = model or self.base
         at = (rows.postures, model.parameters.vector(values), rows.conditions)
@@ -223,10 +222,10 @@ class HypothesisSet:
 
 
 def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> HypothesisSet:
-    """Every effect that arm and data can show.
+    """All effects that an arm and its data can show.
 
-    given : what the data have beyond `BY_ORDER`: `temperature`
-    rows : the data, from which the values of settings may follow; None: those that suit any data
+    given : conditions that the data have beyond `BY_ORDER`: `temperature`
+    rows : the data, on which scanned settings may depend; None: settings that suit any data
     """
     available = set(BY_ORDER | (given & {"temperature"}))
     available -= FOLLOWING if rows is not None and not rows.conditions.follow else set()
@@ -258,7 +257,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
 
 
 def untested(skipped: Mapping[str, str]) -> list[str]:
-    """A sentence for each reason why effects were not tested;  skipped : effect -> reason."""
+    """One sentence for each reason why effects were not tested;  skipped : effect -> reason."""
     words = {"needs gravity": "needs [gravity] in the arm file", "needs temperature": "needs temperature_C that varies"}
     return [
         f"not tested, {words.get(why, why)}: {', '.join(key for key, reason in skipped.items() if reason == why)}"
@@ -267,10 +266,11 @@ def untested(skipped: Mapping[str, str]) -> list[str]:
 
 
 def unseen_joints(model: Model, rows: Rows) -> frozenset[int]:
-    """Joints, from 1, of a spatial arm that slide, or whose lever, as RMS over the rows, is nothing beside the reach.
+    """Joints (from 1) of a spatial arm at which no joint effect is tested.
 
-    The effects of joints are those of encoders and gears that turn. A reflector on the last axis does not see that
-    joint, and a share of a micrometre would make its errors degrees.
+    These are prismatic joints, since joint effects describe rotary encoders and gears, and joints with an RMS lever
+    below `UNSEEN` times the reach: a reflector on the last axis does not move with that joint, and a fraction of a
+    micrometre would correspond to degrees.
     """
     if rows.dimension == 2:
         return frozenset()

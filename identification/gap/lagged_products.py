@@ -1,9 +1,9 @@
-"""Products of columns over parts of the rows, for any serial correlation at once.
+"""Gram matrices of columns over parts of the rows, for any serial correlation from a single pass.
 
-Rows x_i in the order of measurement, less what a correlation r predicts from the row before, are
-(x_i - r x_(i-1)) / (1 - r^2)^(1/2), the first row stays as it is. The products of these with one another are
-(A - r L + r^2 B) / (1 - r^2) with A, L, B the products of rows with themselves, of each row with the one before (both
-ways), and of the rows before with themselves; so one pass over the rows serves every r.
+Decorrelated for a lag-1 correlation r, rows x_i in the order of measurement become
+(x_i - r x_(i-1)) / (1 - r^2)^(1/2), with the first row unchanged. Their Gram matrix is
+(A - r L + r^2 B) / (1 - r^2), where A sums the products of each row with itself, L those of each row with the row
+before (symmetrized), and B those of the rows before with themselves.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from identification.arrays import Array
 
 
 class LaggedProducts(NamedTuple):
-    """(folds, n, n) each, over the rows of every fold.
+    """The sums of products over each fold of the rows, (folds, n, n) each.
 
-    first : of the first row;  own : of the others;  across, before : with the row before, None: not needed
+    first : of the first row;  own : A, of the other rows;  across, before : L and B, None: not needed
     """
 
     first: Array
@@ -28,9 +28,9 @@ class LaggedProducts(NamedTuple):
     before: Array | None = None
 
     def add(self, columns: Array, fold: NDArray[np.int64], d: int) -> None:
-        """More rows of d coordinates in the order of measurement, in place.
+        """Add rows of d coordinates, in the order of measurement, in place.
 
-        columns : (N, n), or (d + N, n) with the row before the first of them;  fold : (N,)
+        columns : (N, n), or (d + N, n) with the row before the first of them;  fold : (N,) fold of each
         """
         started = len(columns) > len(fold)
         rows = columns[d:] if started else columns

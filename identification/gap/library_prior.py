@@ -1,10 +1,10 @@
-"""Every effect of the library at once, none of them likely to be large: a normal prior of typical sizes.
+"""A normal prior on all effects of the library, with typical sizes as standard deviations.
 
-What is missing in the model of a real arm is not known, but what such effects amount to is (identification/README.md,
-"Typical sizes"). Each parameter is taken as normal with zero mean and its typical size as standard deviation. An effect
-with a setting that is not known (the order of a ripple) stands as K effects, one for each setting, each with 1/K of the
-variance: the same mean and covariance of the tip as one effect with a setting drawn at random. In the same way an
-effect that few arms have has its share of the variance, `Effect.prior`.
+Which effects are missing in the model of a real arm is unknown, but their typical sizes are not
+(identification/README.md, "Typical sizes"). Each parameter is normal with zero mean and its typical size as standard
+deviation. An effect with an unknown setting (the order of a ripple) is represented by K effects, one for each setting,
+with 1/K of the variance each: the mean and covariance of the tip are those of one effect with a random setting.
+Likewise the variance of an effect that few arms have is multiplied by its `Effect.prior`.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from identification.model import Model
 
 @dataclass(frozen=True)
 class LibraryPrior:
-    """An arm with the library's effects added to its own, and how large those may be.
+    """An arm with the effects of the library added to its own, and the prior of their parameters.
 
-    arm : the arm with all effects, those `added` last;  prior : of their parameters
-    left_out : effect -> why it is not among them;  size : factor on the typical sizes
+    arm : with all effects, those `added` last;  prior : of the parameters of `added`
+    left_out : effect -> why it was not added;  size : factor on the typical sizes
     """
 
     arm: Arm
@@ -43,7 +43,7 @@ class LibraryPrior:
     size: float = 1.0
 
     def times(self, size: float) -> LibraryPrior:
-        """With all sizes times a factor; with none of the effects if it is zero."""
+        """The same with all standard deviations multiplied by `size`; without the added effects if it is zero."""
         if size == 0.0:
             own = self.arm.effects[: len(self.arm.effects) - len(self.added)]
             return replace(self, arm=self.arm.with_effects(*own), added=(), prior=Prior({}), size=size)
@@ -57,12 +57,12 @@ class LibraryPrior:
 
     @property
     def effects(self) -> list[str]:
-        """Those added, `name` or `name:joint`."""
+        """Keys of the added effects, `name` or `name:joint`."""
         return list(dict.fromkeys(spec.key for spec in self.added))
 
     @property
     def sentence(self) -> str:
-        """What is in the prior, in words."""
+        """Description of the prior for people."""
         kinds = dict.fromkeys(spec.name for spec in self.added)
         if not kinds:
             return "without the rest of the library: the data leave no room for it"
@@ -84,11 +84,11 @@ def library_prior(
     *,
     required: bool = True,
 ) -> LibraryPrior:
-    """All effects of the library that the arm may have and that rows with the data `given` can show.
+    """A prior on all effects of the library that the arm may have and that rows with the data `given` can show.
 
-    given : of `time`, `directions`, `past`, `temperature`, what rows have;  names : of effects, None: all
-    most_settings : of one effect at one joint; of more, as many are taken at even distances
-    required : raise `InputError` where no effect is left
+    given : those of `time`, `directions`, `past`, `temperature` that the rows have;  names : of effects, None: all
+    most_settings : maximum number of settings of one effect at one joint, taken evenly from a longer scan; None: all
+    required : raise `InputError` if no effect remains
 
     Raises `InputError` for names that are not in the library.
     """
@@ -115,13 +115,13 @@ def library_prior(
 
 
 def given_by(measurements: Measurements) -> frozenset[str]:
-    """What rows have: time, directions and earlier motions follow from their order, where that has no gaps."""
+    """Conditions that the rows have: time, directions and past follow from their order if that has no gaps."""
     given = BY_ORDER if measurements.conditions.follow else BY_ORDER - FOLLOWING
     return given | ({"temperature"} if measurements.temperature is not None else set())
 
 
 def _once(members: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Effects of one joint are left out where the same effect stands for all joints; ties of parameters, too."""
+    """The free hypotheses, without those at single joints of an effect that is also given for all joints."""
     whole = {h.effect.name for h in members if h.effect.joint is None}
     free = (h for h in members if not h.tied)
     return [h for h in free if h.effect.joint is None or h.effect.name not in whole]
@@ -135,7 +135,7 @@ def _why_not(effect: Effect, given: frozenset[str]) -> str | None:
 
 
 def _curved(known: HypothesisSet) -> dict[str, str]:
-    """Key -> reason, of effects that are functions of the angle of a joint that has an error curve."""
+    """Key -> reason for effects that are functions of the angle of a joint with an error curve."""
     joints = {spec.joint for spec in known.arm.effects if spec.curve is not None}
     there = {h.key: h.effect for h in known.members if h.effect.joint in joints}
     functions = (key for key, e in there.items() if is_function_of(e, (e.joint or 0) - 1, known.base))
@@ -143,7 +143,7 @@ def _curved(known: HypothesisSet) -> dict[str, str]:
 
 
 def _thinned(members: Sequence[Hypothesis], most: int | None) -> list[Hypothesis]:
-    """At most so many settings of one effect at one joint: those in the middle of equal parts of all of them."""
+    """At most `most` settings of each effect at each joint, evenly spaced within its scan."""
     groups: dict[str, list[Hypothesis]] = {}
     for hypothesis in members:
         groups.setdefault(hypothesis.key, []).append(hypothesis)
@@ -155,7 +155,7 @@ def _thinned(members: Sequence[Hypothesis], most: int | None) -> list[Hypothesis
 
 
 def _extended(arm: Arm, added: Sequence[Hypothesis]) -> Arm:
-    """The arm with these effects; calibrated values of its own keep their places where names get longer."""
+    """The arm with these effects added; its calibrated values follow the new names of its parameters."""
     wide = arm.with_effects(*arm.effects, *(h.spec for h in added))
     if arm.calibration is None:
         return wide
@@ -167,7 +167,7 @@ def _extended(arm: Arm, added: Sequence[Hypothesis]) -> Arm:
 
 
 def _deviations(effects: Sequence[Effect], added: Sequence[Hypothesis]) -> dict[str, float]:
-    """Parameter name -> standard deviation; `effects` end with those added."""
+    """Parameter name -> standard deviation [API units]; `effects` end with those `added`."""
     alike = Counter(h.key for h in added)
     pairs = zip(effects[len(effects) - len(added) :], added, strict=True)
     return {

@@ -1,19 +1,19 @@
-"""The Bayes factor of a set of effects against the base model, from one fit: how much likelier it makes the data.
+"""Bayes factor of a set of effects against the base model, in closed form from one fit.
 
-Base parameters have flat priors, sigma the prior 1 / sigma. Of the amplitudes of an effect not the values but the size
-lambda is known beforehand, the length of what it does at the measured postures (off the base model) in units of sigma.
-A missing effect is none of size zero: the prior density of the amplitudes b is proportional to
+Base parameters have flat priors and sigma the prior 1 / sigma. The prior of an effect's amplitudes is set by its size
+lambda: the length, in units of sigma, of its contribution at the measured postures after projection off the base model.
+A missing effect has a size other than zero: the prior density of the amplitudes b is proportional to
 
     (b^T S b / sigma^2) exp(-b^T V^-1 b / (2 lambda^2 sigma^2))
 
-with S their information (V. E. Johnson and D. Rossell's moment prior, 2010; without the first factor it is A. Zellner's
-g-prior where V is S^-1). With RSS what the fit leaves, b its estimate, RSS_0 what the base model leaves and f its
-degrees of freedom, the Bayes factor is in closed form
+with S their information matrix (moment prior of V. E. Johnson and D. Rossell, 2010; without the first factor and with
+V = S^-1 it is A. Zellner's g-prior). With RSS and RSS_0 the residual sums of squares of the fit and of the base model,
+b the estimate and f the degrees of freedom of the base model, the Bayes factor is
 
     |I + lambda^2 S V|^(-1/2) (R / RSS_0)^(-f / 2) E,   R = RSS + b^T (S^-1 + lambda^2 V)^-1 b,
 
-E the mean of b^T S b / (lambda sigma)^2 after the data, of each effect. How large a missing effect is nobody knows: the
-mean over sizes equally spaced in log lambda is taken, from those just detectable to those that need no test.
+with E the posterior mean of b^T S b / (lambda sigma)^2 of each effect. As the size of a missing effect is unknown, the
+Bayes factor is averaged over sizes equally spaced in log lambda, from just detectable to obvious without a test.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ RANK = 1e-9  # eigenvalues below this share of the largest are directions that t
 
 @dataclass(frozen=True)
 class Explained:
-    """What an effect or a set of M effects explains, in groups of directions that are alike.
+    """What a set of M effects explains, decomposed along G orthogonal directions.
 
-    shares : (G,) prior variance along each direction of a group, in all 1 for each effect
-    counts : (G,) directions in the group;  lengths : (G,) of what the fit explains along them
-    forms : (M, G, G) b^T S b of each effect as a quadratic form of what is explained
-    further : (H, 1) parameters and (H, 1) what is explained of one more effect each, directions of their own
+    shares : (G,) prior variance along each direction, with sum 1 for each effect
+    counts : (G,) multiplicity of each direction;  lengths : (G,) what the fit explains along it
+    forms : (M, G, G) b^T S b of each effect as a quadratic form of `lengths`
+    further : (H, 1) number of parameters and (H, 1) sum of squares explained by one further effect each
     """
 
     shares: Array
@@ -52,17 +52,17 @@ class Explained:
     further: tuple[NDArray[np.int64], Array] | None = None
 
     def with_each(self, sizes: NDArray[np.int64], squares: Array) -> Explained:
-        """These and, one at a time, each of H further effects.
+        """This set with each of H further effects, one at a time.
 
-        sizes : (H,) parameters of the further effect;  squares : (H,) sum of squares that it explains beside the others
+        sizes : (H,) number of parameters;  squares : (H,) reduction of the sum of squares beside the set
         """
         return replace(self, further=(sizes[:, None], squares[:, None]))
 
 
 def explained(found: Fit, effects: Sequence[Sequence[str]], families: Sequence[bool]) -> Explained:
-    """What the effects of a fitted model explain.
+    """Decompose what the effects of a fitted model explain.
 
-    effects : names of the parameters of each effect;  families : their parameters are alike, one for each joint
+    effects : parameter names of each effect;  families : True for effects with one similar parameter for each joint
     """
     of_effects = [found.model.parameters.index(name) for names in effects for name in names]
     information, lengths = beside_base(found.triangle, of_effects)
@@ -84,9 +84,9 @@ def explained(found: Fit, effects: Sequence[Sequence[str]], families: Sequence[b
 
 
 def beside_base(triangle: Array, of_effects: Sequence[int]) -> tuple[Array, Array]:
-    """(p, p) products of the effects' columns, of unit length, off those of all other parameters, and their lengths.
+    """(p, p) Gram matrix of the effects' unit columns projected off all other columns, and (p,) their lengths.
 
-    triangle : (r, all parameters) with the products of the Jacobian's columns
+    triangle : (r, P) with the products of all P columns of the Jacobian;  of_effects : p of their indices
     """
     lengths = np.linalg.norm(triangle, axis=0)
     columns = triangle / np.where(lengths > 0.0, lengths, 1.0)
@@ -98,9 +98,12 @@ def beside_base(triangle: Array, of_effects: Sequence[int]) -> tuple[Array, Arra
 
 
 def amplitude_prior(information: Array, lengths: Array | None) -> Array:
-    """(p, p) prior covariance of an effect's amplitudes for lambda = 1: the inverse of their information (p, p), or for
-    a family's, of which `lengths` (p,) are the units, one common value with a scatter of `ALIKE` of it; of trace 1 in
-    units of the information."""
+    """(p, p) prior covariance of an effect's amplitudes for lambda = 1, with trace 1 in units of the information.
+
+    information : (p, p);  lengths : (p,) units of a family's parameters, None for any other effect
+
+    It is the inverse of the information; for a family one common value with a relative scatter of `ALIKE`.
+    """
     if lengths is None:
         inverse = np.linalg.pinv(information, rcond=RANK, hermitian=True)
         return np.asarray(inverse / max(1, np.linalg.matrix_rank(information, tol=RANK, hermitian=True)))
@@ -109,10 +112,10 @@ def amplitude_prior(information: Array, lengths: Array | None) -> Array:
 
 
 def log_bayes_factor(found: Explained, left: Array, squares: float, freedom: int) -> Array:
-    """(...) logarithm of the Bayes factor against the base model.
+    """Natural logarithm of the Bayes factor against the base model, in the shape of `left`.
 
-    left : (...) sum of squares with the effects, (H,) where there are further ones
-    squares, freedom : sum of squares and degrees of freedom of the base model
+    left : (...) residual sum of squares with the effects, (H,) where there are H further ones
+    squares, freedom : residual sum of squares and degrees of freedom of the base model
     """
     gain = np.square(SIZES)[:, None] * found.shares  # (sizes, G)
     kept = gain / (1.0 + gain)

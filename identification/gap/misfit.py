@@ -1,6 +1,6 @@
-"""Misfit: do the residuals of the named model exceed the given noise? A finding of its own beside the verdict.
+"""Chi-square test of the residuals of the named model against the given sigma.
 
-It decides no name: a sigma from a data sheet may be too small (identification/README.md, "Lessons").
+It has no influence on the verdict: a sigma from a data sheet may be too small (identification/README.md, "Lessons").
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from identification.measurements import Measurements
 
 @dataclass(frozen=True)
 class Misfit:
-    """chi2 : sum of the squared residuals in units of the given sigma;  dof : its degrees of freedom"""
+    """chi2 : sum of squares of the residuals in units of the given sigma;  dof : its degrees of freedom"""
 
     chi2: float
     dof: int
 
     @property
     def ratio(self) -> float:
-        """Scatter of the residuals over the given sigma."""
+        """Ratio of the residuals' standard deviation to the given sigma."""
         return float(np.sqrt(self.chi2 / self.dof))
 
     @property
@@ -35,7 +35,7 @@ class Misfit:
 
     @property
     def significant(self) -> bool:
-        """More than noise of the given sigma leaves."""
+        """True if the residuals are larger than noise of the given sigma explains, at `LEVEL`."""
         return self.p_value <= LEVEL
 
     def to_json(self) -> dict[str, float]:
@@ -46,7 +46,10 @@ class Misfit:
 def misfit(
     residual: Array, rank: int, measurements: Measurements, sigma: float | None, kept: NDArray[np.bool_]
 ) -> Misfit | None:
-    """Of residuals (m, d) [mm] of a model of this rank; None where no sigma is given, by row or by the arm file."""
+    """Test residuals (m, d) [mm] of a model of this rank; None where neither the rows nor the arm file give a sigma.
+
+    sigma : of the arm file [mm];  kept : (m,) rows that are no outliers
+    """
     given = sigma if measurements.sigma is None else measurements.sigma[kept, None]
     left = residual[kept]
     if given is None or left.size <= rank:

@@ -1,6 +1,6 @@
-"""Properties of the scatter: outliers, noise that is larger at some postures, serially correlated noise.
+"""Screen residuals for outliers, heteroscedastic noise and serial correlation, and model that noise.
 
-Effects of the mean are handled by `select`. Here the residuals of a fitted model are screened, and a noise model is
+Effects on the mean are handled by `select`. Here the residuals of a fitted model are tested, and a noise model is
 returned under which they are white, so that the tests of the mean can be repeated at their nominal level.
 """
 
@@ -33,8 +33,10 @@ GRID = np.geomspace(0.05, 50.0, 31)  # variance ratios; the likelihood is flat o
 
 @dataclass(frozen=True)
 class Finding:
-    """name : `joint_noise:j`, `reach_noise`, `time_noise`, `serial_correlation`, `repeats`;  p : Holm-adjusted
-    size : ratio of the extra to the common variance (at the mean posture), or the correlation
+    """A significant property of the noise.
+
+    name : `joint_noise:j`, `reach_noise`, `time_noise`, `serial_correlation`, `repeats`;  p : Holm-adjusted p-value
+    size : ratio of the additional to the common variance (at the mean posture), or the correlation
     """
 
     name: str
@@ -54,9 +56,9 @@ class Finding:
 
 
 def outliers(found: Fit, everything: Rows) -> NDArray[np.bool_]:
-    """(m,) rows whose residual no model of this kind can explain (`outlying`).
+    """(m,) True for outliers by the rule of `outlying`.
 
-    found : a fit to these rows or to some of them
+    found : a fit to these rows or to some of them;  everything : all rows
     """
     plain = replace(everything, correlation=0.0)  # a posture is judged on its own
     predicted, jacobian = found.model.linearize(everything.postures, found.values, everything.conditions)
@@ -65,9 +67,9 @@ def outliers(found: Fit, everything: Rows) -> NDArray[np.bool_]:
 
 
 def screen(found: Fit, rows: Rows, generator: np.random.Generator) -> tuple[Finding, ...]:
-    """The findings about the scatter of a fitted model's residuals.
+    """Significant properties of the noise in the residuals of a fitted model.
 
-    rows : with the relative sigma of the data only (no noise model yet)
+    rows : weighted by the sigma of the data only, without a noise model
     """
     tests = scatter_tests(found, rows, generator)
     return (*_variance_finding(tests), *_correlation_finding(tests, found, rows))
@@ -75,12 +77,14 @@ def screen(found: Fit, rows: Rows, generator: np.random.Generator) -> tuple[Find
 
 @dataclass(frozen=True)
 class ScatterTests:
-    """Tests of each kind of structure in the scatter, by the names of `Finding`.
+    """Tests of each kind of structure in the noise, by the names of `Finding`.
 
     adjusted : p-values after Holm's correction
-    values : (1 + B,) statistics of the residuals, then of B draws of white noise
-    forms : (m, d, d) shapes of the extra covariance, see `variance_forms`;  residual : (m d,) whitened, of unit size
-    correlation : serial, where posture explains some of it, see `posture_neighbors.Lag`
+    values : (1 + B,) statistic of the residuals, then of B draws of white noise
+    forms : (m, d, d) shapes of the additional covariance, see `variance_forms`
+    residual : (m d,) whitened, with RMS 1
+    correlation : lag-1 correlation net of what posture explains, see `posture_neighbors.Lag`; None: posture explains
+        nothing
     """
 
     adjusted: dict[str, float]
@@ -91,10 +95,10 @@ class ScatterTests:
 
 
 def scatter_tests(found: Fit, rows: Rows, generator: np.random.Generator) -> ScatterTests:
-    """Tests of the residuals of a fitted model.
+    """Test the residuals of a fitted model for every kind of structure.
 
-    Every statistic is a quadratic form of the residuals over their sum of squares; its distribution under white
-    Gaussian noise is drawn with the same projection off the Jacobian, so it is exact whatever the degrees of freedom.
+    Each statistic is a quadratic form of the residuals divided by their sum of squares. Its distribution under white
+    Gaussian noise is simulated with the same projection off the Jacobian, so it is exact for any degrees of freedom.
     """
     position, jacobian = found.model.linearize(rows.postures, found.values, rows.conditions)
     residual, columns = rows.whiten(rows.positions - position), rows.whiten(jacobian)
@@ -113,15 +117,17 @@ def scatter_tests(found: Fit, rows: Rows, generator: np.random.Generator) -> Sca
 
 
 def homoscedastic(found: Fit, rows: Rows, generator: np.random.Generator) -> bool:
-    """True if nothing hints at noise that is larger at some postures."""
+    """True if no test suggests that the noise is larger at some postures (adjusted p-values above `HINT`)."""
     return min(scatter_tests(found, rows, generator).adjusted.values()) > HINT
 
 
 def variance_forms(rows: Rows, position: Array, levers: Array) -> dict[str, Array]:
-    """Finding -> (m, d, d) shape of the extra covariance, of mean trace d; none of a joint that does not move the tip.
+    """Name of a finding -> (m, d, d) shape of the additional covariance, with mean trace d.
 
-    Joint noise moves the tip along the joint's lever (`Model.joint_levers`, (m, d, n)); reach noise grows with the
-    distance from the base; time noise with the time in the session.
+    Joint noise moves the tip along the joint's lever; reach noise increases with the distance from the base, time noise
+    with the time in the session. A joint that does not move the tip is left out.
+
+    position : (m, d) computed [mm];  levers : (m, d, n) of `Model.joint_levers` [mm/rad]
     """
     d, forms = rows.dimension, {}
     for j, lever in enumerate(np.moveaxis(levers, 2, 0), start=1):
@@ -136,9 +142,11 @@ def variance_forms(rows: Rows, position: Array, levers: Array) -> dict[str, Arra
 def _values(
     tested: Mapping[str, Form], residual: Array, basis: Array, draws: int, generator: np.random.Generator
 ) -> dict[str, Array]:
-    """(1 + B,) `ratio` of the residual, then of B draws of white noise off the model of a basis (N, r).
+    """(1 + B,) `ratio` of the residual (N,), then of B draws of white noise projected off a model.
 
-    Of `MANY` rows or more a ratio is drawn from the normal distribution of its exact mean and variance.
+    basis : (N, r) orthonormal, of the model's Jacobian
+
+    From `MANY` rows on, ratios are drawn from the normal distribution with their exact mean and variance.
     """
     observed = ratios(tested, residual[:, None])
     if len(residual) < 2 * MANY:
@@ -154,11 +162,11 @@ def _values(
 
 
 def _variance_finding(tests: ScatterTests) -> tuple[Finding, ...]:
-    """The strongest of the significant findings about the variance, which are rivals."""
+    """The strongest significant finding about the variance: these compete for one explanation."""
     values, significant = tests.values, [name for name in tests.forms if tests.adjusted[name] <= LEVEL]
     if not significant:
         return ()
-    # standardized, so that findings with the smallest p-value the draws can give can still be ranked
+    # standardized, so that findings can be ranked whose p-values are all the smallest possible
     strength = {n: (values[n][0] - values[n][1:].mean()) / values[n][1:].std() for n in significant}
     name = max(significant, key=lambda n: strength[n])
     falling = name == "time_noise" and _falls(tests.forms[name], tests.residual)
@@ -167,7 +175,7 @@ def _variance_finding(tests: ScatterTests) -> tuple[Finding, ...]:
 
 
 def _correlation_finding(tests: ScatterTests, found: Fit, rows: Rows, level: float = LEVEL) -> tuple[Finding, ...]:
-    """Serial correlation, with its size: of what posture does not explain, relative to all that is left."""
+    """Serial correlation if significant at `level`, with its size net of what posture explains."""
     p = tests.adjusted["serial_correlation"]
     if p > level:
         return ()
@@ -176,12 +184,12 @@ def _correlation_finding(tests: ScatterTests, found: Fit, rows: Rows, level: flo
 
 
 def memory(found: Fit, rows: Rows, generator: np.random.Generator) -> tuple[Finding, ...]:
-    """Serial correlation that the residuals of a fitted model hint at, whether or not it is sure."""
+    """Serial correlation that the residuals of a fitted model suggest at the weaker level `HINT`."""
     return _correlation_finding(scatter_tests(found, rows, generator), found, rows, HINT)
 
 
 def likely_correlation(found: Fit, rows: Rows) -> float:
-    """The lag-1 correlation of largest restricted likelihood, which allows for the parameters that were fitted.
+    """Lag-1 correlation that maximizes the restricted likelihood, which accounts for the fitted parameters.
 
     H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are unequal", 1971.
     """
@@ -203,7 +211,7 @@ def _restricted_cost(rows: Rows, left: Array, columns: Array) -> float:
 
 
 def whitened(rows: Rows, found: Fit, findings: tuple[Finding, ...]) -> Rows:
-    """Rows with the noise model of the findings, for any rows of the data."""
+    """Rows with the noise model of these findings, which holds for any rows of the data."""
     for finding in findings:
         if finding.name == "serial_correlation":
             rows = replace(rows, correlation=finding.size)
@@ -219,17 +227,17 @@ def whitened(rows: Rows, found: Fit, findings: tuple[Finding, ...]) -> Rows:
 
 
 def _falls(form: Array, residual: Array) -> bool:
-    """Whether the residuals are smaller where the form is large."""
+    """True if the residuals are smaller where the form is large."""
     return bool(ratio(BlockForm(form - np.eye(form.shape[1])), residual[:, None])[0] < 0.0)
 
 
 def _oriented(form: Array, falling: bool) -> Array:
-    """The shape of a variance that grows with time, or that falls with it."""
+    """Shape of a variance that increases with the form, or that decreases with it if `falling`."""
     return form.max() * np.eye(form.shape[1]) - form if falling else form
 
 
 def _variance_ratio(form: Array, residual: Array) -> float:
-    """Profile likelihood of the variance ratio g in I + g W, maximised over a grid."""
+    """Variance ratio g in I + g W that maximizes the profile likelihood on `GRID`."""
     values, vectors = np.linalg.eigh(form)
     turned = np.einsum("mij,mi->mj", vectors, residual.reshape(values.shape))
     variances = 1.0 + GRID[:, None, None] * np.maximum(values, 0.0)
@@ -238,7 +246,7 @@ def _variance_ratio(form: Array, residual: Array) -> float:
 
 
 def holm(p: dict[str, float]) -> dict[str, float]:
-    """Holm's step-down adjusted p-values."""
+    """Adjusted p-values by Holm's step-down method (S. Holm, 1979)."""
     adjusted: dict[str, float] = {}
     running = 0.0
     for rank, name in enumerate(sorted(p, key=lambda k: p[k])):

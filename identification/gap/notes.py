@@ -1,4 +1,4 @@
-"""What a person should know before trusting a verdict: near aliases on these data, and notes about the data."""
+"""Notes of a diagnosis: aliases of the named effects in these data, and caveats about the data."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from identification.status import Status
 
 
 def alias_list(before: Detectability, candidates: tuple[Candidate, ...]) -> tuple[tuple[str, str, float], ...]:
-    """Near and exact aliases of the candidates' effects on these data, and the effects that can never be seen."""
+    """Near and exact aliases of the candidates' effects in these data, and effects that no data can show."""
     named = {key for c in candidates for key in c.effects}
     pairs = [pair for pair in before.pairs(NEAR) if pair[0] in named]
     return (*pairs, *((name, like, 1.0) for name, like in before.aliases.items()))
 
 
 def hidden_orders(search: HypothesisSearch, named: Mapping[str, Hypothesis]) -> tuple[tuple[str, str, float], ...]:
-    """Gear ripples that these postures cannot tell from a named effect of the same joint: effect, ripple, likeness.
+    """Gear ripples not distinguishable at these postures from a named effect of the same joint.
 
-    On a grid of angles a ripple of 15 periods per turn may be the very column of an eccentric encoder, and the
-    diagnosis names the likelier one.
+    Returns triples (effect, ripple, likeness). On a grid of angles a ripple of 15 periods per turn can have the same
+    column as an eccentric encoder; the diagnosis then names the more probable one.
     """
     listed = []
     for name, member in named.items():
@@ -49,7 +49,7 @@ def hidden_orders(search: HypothesisSearch, named: Mapping[str, Hypothesis]) -> 
 
 
 def order_notes(hidden: tuple[tuple[str, str, float], ...]) -> list[str]:
-    """One line per named effect that a ripple imitates on these postures."""
+    """One sentence for each named effect with such ripples, from the triples of `hidden_orders`."""
     said = []
     for key in dict.fromkeys(key for key, _, _ in hidden):
         likes = [(other, likeness) for own, other, likeness in hidden if own == key]
@@ -61,7 +61,7 @@ def order_notes(hidden: tuple[tuple[str, str, float], ...]) -> list[str]:
 
 
 def curve_notes(curves: tuple[Curve, ...]) -> list[str]:
-    """Where error curves hold."""
+    """A sentence with the ranges of joint angles in which the error curves hold."""
     if not curves:
         return []
     ranges = (np.degrees([curve.angles[0], curve.angles[-1]]) for curve in curves)
@@ -73,12 +73,12 @@ def curve_notes(curves: tuple[Curve, ...]) -> list[str]:
 
 
 def prior_note(prior: LibraryPrior | None) -> list[str]:
-    """What the fit has in its model beside what is named."""
+    """A sentence about the further effects in the model of the fit, if it has a prior."""
     return [] if prior is None else [f"after: fitted {prior.sentence}"]
 
 
 def inseparable(joint: int) -> str:
-    """What cannot be separated where a joint (from 0) stands still."""
+    """The parameters that cannot be separated if a joint (from 0) does not move, in words."""
     if joint == 0:
         return "its offset cannot be separated from the orientation of the base"
     return f"the parameters of link {joint + 1} cannot be separated from those of link {joint}"
@@ -92,7 +92,7 @@ def notes(
     gap: Gap,
     misfit: Misfit | None,
 ) -> list[str]:
-    """What a person should know before trusting the verdict."""
+    """Sentences to read before the verdict is trusted."""
     said = untested(found.search.hypotheses.skipped)
     if found.whole is not None:
         searched = f"{len(found.search.rows)} of the {len(measurements)} rows, taken at random"

@@ -1,9 +1,9 @@
-"""The omnibus test: is any effect missing?
+"""Omnibus test: a wild bootstrap of the smallest weighted p-value over all hypotheses.
 
-A posture-wise wild bootstrap of the smallest weighted p-value over all hypotheses. The residuals of each posture keep
-their size and direction and change only their common sign, so noise that is larger at some postures (joint noise,
-noise that grows with the reach) does not raise false alarms as it does with the plain F test. Residuals are corrected
-for leverage first (HC2: MacKinnon & White 1985; wild bootstrap: Wu 1986, Davidson & Flachaire 2008).
+In each draw the residuals of a posture keep their size and direction and only their common sign is random. Noise that
+is larger at some postures (joint noise, noise that increases with the reach) therefore raises no false alarms, as it
+does with the plain F test. Residuals are first corrected for leverage (HC2: MacKinnon & White 1985; wild bootstrap:
+Wu 1986, Davidson & Flachaire 2008).
 """
 
 from __future__ import annotations
@@ -26,9 +26,11 @@ Scatter = tuple[Array, Array]  # residual (N,) and basis (N, p) of the fit that 
 
 @dataclass(frozen=True)
 class OmnibusTest:
-    """p : (H,) of each hypothesis alone;  adjusted : (H,) for all that were tried
+    """Result of the test of H hypotheses.
+
+    p : (H,) p-value of each by itself;  adjusted : (H,) adjusted for all that were tested
     reductions : (H,) of the sum of squares by each;  f : (H,) F statistics
-    threshold : the weighted p-value that one null data set in twenty falls below (by the bootstrap)
+    threshold : 5 % quantile of the smallest weighted p-value under the null hypothesis, by the bootstrap
     """
 
     p: Array
@@ -44,7 +46,10 @@ class OmnibusTest:
 
 
 def leverage_corrected(residual: Array, model_basis: Array, dimension: int) -> Array:
-    """(m, d) residuals of each posture times (I - H_ii)^(-1/2), H_ii (d, d) the posture's block of the hat matrix."""
+    """(m, d) residuals of each posture times (I - H_ii)^(-1/2), with H_ii (d, d) its block of the hat matrix.
+
+    residual : (m d,);  model_basis : (m d, r) orthonormal basis of the Jacobian's columns
+    """
     blocks = model_basis.reshape(len(residual) // dimension, dimension, -1)
     rest = np.eye(dimension) - blocks @ blocks.transpose(0, 2, 1)
     values, vectors = np.linalg.eigh(rest)
@@ -54,17 +59,16 @@ def leverage_corrected(residual: Array, model_basis: Array, dimension: int) -> A
 
 
 class Draws(NamedTuple):
-    """Null data: (D, B) scores of the hypotheses' basis vectors and (B,) sums of squares, projected off the model."""
+    """B draws of null data: (D, B) scores of the hypotheses' basis vectors, and (B,) sums of squares off the model."""
 
     scores: Array
     squares: Array
 
 
 def wild_draws(corrected: Array, hypotheses: Dictionary, draws: int, generator: np.random.Generator) -> Iterator[Draws]:
-    """Draws of the wild bootstrap, a part at a time: corrected residuals (m, d) with one random sign per posture, off
-    the model.
+    """Draws of the wild bootstrap, in parts: corrected residuals (m, d) with one random sign for each posture.
 
-    A score is a sum over postures of signs times what each posture contributes. Of `MANY` postures or more it is
+    A score is the sum over postures of a sign times the contribution of the posture. From `MANY` postures on it is
     drawn from the normal distribution with the covariance of those sums, which is known exactly.
     """
     parts, inside = contributions(corrected, hypotheses)
@@ -85,7 +89,7 @@ def wild_draws(corrected: Array, hypotheses: Dictionary, draws: int, generator: 
 
 
 def white_draws(hypotheses: Dictionary, draws: int, generator: np.random.Generator) -> Iterator[Draws]:
-    """Draws of white Gaussian noise, off the model, a part at a time; scores in single precision."""
+    """Draws of white Gaussian noise projected off the model, in parts; scores in single precision."""
     basis = hypotheses.model_basis
     for drawn in _in_parts(lambda count: generator.standard_normal((len(basis), count)), hypotheses, draws):
         squares = np.square(drawn).sum(axis=0) - np.square(basis.T @ drawn).sum(axis=0)
@@ -93,9 +97,9 @@ def white_draws(hypotheses: Dictionary, draws: int, generator: np.random.Generat
 
 
 def _in_parts(drawn: Callable[[int], Array], hypotheses: Dictionary, draws: int) -> Iterator[Array]:
-    """Random numbers (rows, draws), so many at a time that their scores are `CHUNK` numbers.
+    """Random numbers (rows, draws) in parts, each small enough that its scores are about `CHUNK` numbers.
 
-    drawn : a number of draws -> (rows, that number); `BLOCK` at most at once
+    drawn : function of a number of draws, at most `BLOCK`, -> (rows, that number)
     """
     step = max(CHUNK // max(len(hypotheses.index), 1), 1)
     for start in range(0, draws, BLOCK):
@@ -104,12 +108,12 @@ def _in_parts(drawn: Callable[[int], Array], hypotheses: Dictionary, draws: int)
 
 
 def smallest_drawn(hypotheses: Dictionary, drawn: Iterable[Draws]) -> Array:
-    """(B,) smallest weighted p-value in each draw."""
+    """(B,) smallest weighted p-value of each draw."""
     return np.concatenate([hypotheses.smallest_weighted(one.scores, one.squares) for one in drawn])
 
 
 def contributions(corrected: Array, hypotheses: Dictionary) -> tuple[Array, Array]:
-    """(m, C) and (m, r) products of each posture's residuals with its rows of the columns and of the model's basis."""
+    """(m, C) and (m, r) contributions of each posture to the products of the residuals with columns and basis."""
     m, d = corrected.shape
     residual, matrix = corrected.ravel(), hypotheses.columns.matrix
     parts = np.empty((m, matrix.shape[1]))
@@ -121,7 +125,7 @@ def contributions(corrected: Array, hypotheses: Dictionary) -> tuple[Array, Arra
 
 
 def square_root(covariance: Array) -> Array:
-    """Lower triangular root of a covariance that may be singular to rounding."""
+    """Lower Cholesky factor of a covariance, which is changed in place by a small ridge as it may be singular."""
     covariance[np.diag_indices_from(covariance)] += RIDGE * np.trace(covariance) / max(len(covariance), 1)
     return np.asarray(np.linalg.cholesky(covariance))
 
@@ -134,10 +138,10 @@ def omnibus_test(
     generator: np.random.Generator,
     scatter: Scatter | None = None,
 ) -> OmnibusTest:
-    """Test all hypotheses against the residual (N = m d,) of the fitted model.
+    """Test all hypotheses on the residual (m d,) of the fitted model.
 
     dimension : d, coordinates per posture
-    scatter : a fit whose residuals show how large the noise is at each posture; None: those of the model itself
+    scatter : residual and basis of the fit whose residuals are resampled; None: those of the model itself
     """
     observed = residual[:, None] - hypotheses.model_basis @ (hypotheses.model_basis.T @ residual[:, None])
     squares = np.square(observed).sum(axis=0)

@@ -1,8 +1,8 @@
-"""Which orders of a wave a narrow range of its joint cannot distinguish: there the name is a shape, not a cause.
+"""Find named waves whose order the range of their joint does not determine: a shape, not a cause.
 
-Over a range of W rad two waves whose orders differ by less than 2 pi / W part by less than one period, and with other
-waves beside them they cannot be separated. Where even the next whole order has nearly the same columns, the name is
-one of many that fit: a shape over that range.
+Over a range of W rad two waves whose orders differ by less than 2 pi / W drift apart by less than one period, and
+beside other waves they cannot be separated. Where even the next whole order has nearly the same columns, the named
+order is one of many that fit.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ ORDER = "k"  # the setting that says the order of every other wave
 
 @dataclass(frozen=True)
 class OrderRange:
-    """A named wave that is a shape over the range that its joint moved.
+    """A named wave with an undetermined order.
 
-    low, high : smallest and largest angle of the joint [rad];  lowest, highest : whole orders that fit, per turn
+    low, high : range of the joint's angle [rad];  lowest, highest : range of the whole orders that fit [per turn]
     """
 
     effect: str
@@ -57,9 +57,12 @@ def order_of(effect: Effect) -> float | None:
 
 
 def order_ranges(found: Fit, rows: Rows, labels: tuple[str, ...]) -> tuple[OrderRange, ...]:
-    """The named waves (their labels) of a fit to these rows whose order the angles measured do not determine.
+    """The named waves of a fit to these rows whose order the measured angles do not determine.
 
-    A neighbor is the next whole order, with likeness `NEAR` or more after projection off the rest of the model.
+    labels : of the named effects
+
+    The order is undetermined if a neighboring whole order has a likeness of at least `NEAR` after projection off the
+    rest of the model.
     """
     waves = [(e, order) for e in found.model.effects if e.label in labels and (order := order_of(e)) is not None]
     return tuple(_range(rows, effect, order) for effect, order in waves if _like_neighbor(found, rows, effect, order))
@@ -94,14 +97,14 @@ def _wave(angles: Array, order: float) -> Array:
 
 
 def _visible(basis: Array, columns: Array) -> Array:
-    """(N, r) orthonormal basis of columns (N, 2) projected off an orthonormal basis; what vanishes is left out."""
+    """(N, r) orthonormal basis of columns (N, 2) projected off an orthonormal basis (N, s), r <= 2."""
     left = columns - basis @ (basis.T @ columns)
     u, s, _ = np.linalg.svd(left, full_matrices=False)
     return u[:, s > VISIBLE * np.linalg.norm(columns, axis=0).max()]
 
 
 def in_words(shapes: tuple[OrderRange, ...]) -> list[str]:
-    """One clause for each joint."""
+    """One clause of the verdict for each joint."""
     said = []
     for joint in sorted({shape.joint for shape in shapes}):
         there = [shape for shape in shapes if shape.joint == joint]

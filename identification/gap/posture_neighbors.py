@@ -1,8 +1,8 @@
-"""How much of the residuals posture explains, without a model: nearby postures that were measured at other times.
+"""Lag-1 correlation of residuals, net of what posture explains.
 
-On a grid, or along a path, consecutive rows are neighbors in posture too, and an effect that is not in the model makes
-their residuals alike. So each residual is compared with the mean of those near it in posture and far from it in time;
-what that mean explains is not serial correlation.
+On a grid, or along a path, consecutive rows are neighbors in posture too, and an effect missing in the model makes
+their residuals similar. Each residual is therefore compared with the mean of residuals near in posture but distant in
+time; what that mean explains is not serial correlation.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ EXPLAINS = 3.0  # standard deviations of the slope on the neighbors' mean
 
 
 class Lag(NamedTuple):
-    """The lag-1 correlation of residuals as a quadratic form that is large where it is.
+    """The lag-1 correlation of residuals as a quadratic form.
 
-    size : of what posture does not explain, relative to all that is left; None where posture explains nothing
+    size : correlation of the part that posture does not explain, as a fraction of the total variance; None where
+        posture explains nothing
     """
 
     form: Form
@@ -35,10 +36,10 @@ class Lag(NamedTuple):
 
 
 def lag_of(rows: Rows, residual: Array) -> Lag:
-    """Of what posture does not explain of residuals (m d,): u = F e with F = I - c S.
+    """Lag-1 correlation of u = F e, F = I - c S, the part of residuals e (m d,) that posture does not explain.
 
-    S takes the mean over neighbors, c is the slope of the residuals on it; 0 where it is not clearly positive. The
-    correlation r = u^T L u / u^T u is exceeded by white noise where e^T F^T (L - r I) F e > 0.
+    S takes the mean over neighbors; c is the regression slope of the residuals on that mean, 0 where it is not clearly
+    positive. White noise exceeds the correlation r = u^T L u / u^T u if e^T F^T (L - r I) F e > 0.
     """
     import scipy.sparse as sp
 
@@ -63,9 +64,9 @@ def lag_of(rows: Rows, residual: Array) -> Lag:
 
 
 def neighbor_means(rows: Rows) -> csr_array:
-    """(m, m) that takes the mean over the `NEIGHBORS` rows nearest in posture, at least `FAR` of the session away.
+    """(m, m) sparse matrix that takes the mean over the `NEIGHBORS` rows nearest in posture and `FAR` apart in time.
 
-    A row that has none among the `SEARCHED` nearest is left empty.
+    A row without any among its `SEARCHED` nearest is empty.
     """
     import scipy.sparse as sp
     from scipy.spatial import KDTree

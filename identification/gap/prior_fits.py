@@ -1,8 +1,8 @@
-"""Fits of a diagnosis with the rest of the library under its prior: they allow for effects not named yet.
+"""Repeat the fits of a diagnosis with the rest of the library under its prior, to allow for unnamed effects.
 
-Names and tests do not change. Beside the named effects, which are free, stand all others with zero mean and their
-typical sizes times a common factor from 0 to 1, the likeliest one: where everything that is there has its name the
-factor is small, and where much is left that no name explains it is 1.
+Names and tests do not change. Beside the named effects, which are free, the model has all others with a normal prior of
+zero mean and their typical sizes times a common factor from 0 to 1. The factor maximizes the marginal likelihood: it is
+small where the named effects explain everything, and 1 where much remains unexplained.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from identification.measurements import Measurements
 
 
 def held(found: Fit, measurements: Measurements, names: Sequence[str] | None = None) -> tuple[Fit, LibraryPrior]:
-    """A fit repeated with the library's other effects in its model, and these with the size that was likeliest.
+    """Repeat a fit with the library's other effects in its model; returns it and the prior that was used.
 
-    measurements : the rows of the fit;  names : of effects, None: all
+    measurements : the rows of the fit;  names : restrict the prior to these effects, None: all
     """
     arm = replace(found.model.arm, calibration=Calibration(found.by_name))
     library = library_prior(arm, given_by(measurements), names, required=False)
@@ -40,7 +40,7 @@ def held(found: Fit, measurements: Measurements, names: Sequence[str] | None = N
 
 
 def likeliest_size(found: Fit, library: LibraryPrior) -> tuple[float, float]:
-    """Factor from 0 to 1 on the typical sizes of effects that are missing in a fit, and the noise beside them [mm]."""
+    """Factor from 0 to 1 on the typical sizes that maximizes the marginal likelihood, and the noise beside it [mm]."""
     model, rows = library.model, found.rows
     deviations = model.parameters.vector(library.prior.deviations)
     jacobian = rows.whiten(model.jacobian(rows.postures, model.values, rows.conditions))
@@ -50,7 +50,7 @@ def likeliest_size(found: Fit, library: LibraryPrior) -> tuple[float, float]:
 
 
 def _beside_curves(wide: Fit, found: CurveFit) -> CurveFit:
-    """The fit with the curves of another one, which keep their values and uncertainty."""
+    """The fit `wide` with the error curves of `found`, which keep their values and uncertainty."""
     columns, rows = wide.jacobian, wide.prior_rows
     penalized = columns if rows is None else np.concatenate([columns, rows])
     moved = found.rows.whiten(found.curve_columns(found.rows.postures, found.rows.conditions))
@@ -61,7 +61,7 @@ def _beside_curves(wide: Fit, found: CurveFit) -> CurveFit:
 
 
 def held_candidate(named: Candidate, fitted: Fit, library: LibraryPrior) -> Candidate:
-    """A candidate with estimates and intervals of a fit with the library's other effects, and these effects' values."""
+    """A candidate with the estimates and intervals of a fit that has the library's other effects in its model."""
     covariance = fitted.covariance(bounded=False)
     freedom = float(max(fitted.freedom, 1))
     sure = Uncertainty("scatter", covariance, np.full(len(covariance), freedom))

@@ -1,8 +1,8 @@
-"""The posterior probability of every explanation of the data: nothing missing, sets of effects, something else.
+"""Posterior probabilities of all explanations: nothing missing, sets of effects, a shape outside the library.
 
-Compared are the base model, every single effect, the chosen set and its rivals, each of these with one effect more, the
-chosen set with one effect less, and a shape outside the library beside each of them. Sets that were refitted count with
-their fit, the others with the linear one.
+The explanations are the base model, every single effect, the chosen set and its rivals, each of these with one more
+effect, the chosen set with one effect less, and a shape outside the library beside each of them. Sets that were
+refitted are weighed by their own fit, the others by the linearized one.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ Names = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Probabilities:
-    """Of all explanations; they sum to 1.
+    """Posterior probabilities of all explanations, with sum 1.
 
-    none : nothing is missing that could be detected;  sets : of effects, by their sorted keys
-    outside : something that the library does not have
-    titles : of sets, with their likeliest settings: `base_offset + transmission_ripple:2[k=17]`
+    none : no detectable effect is missing;  sets : sorted keys of a set of effects -> its probability
+    outside : a shape outside the library
+    titles : sorted keys -> title with the most probable settings, `base_offset + transmission_ripple:2[k=17]`
     """
 
     none: float
@@ -46,16 +46,19 @@ class Probabilities:
     titles: Mapping[Names, str] = field(default_factory=dict)
 
     def title(self, names: Names) -> str:
-        """What a set of effects (sorted keys) is called."""
+        """Title of a set of effects, given by its sorted keys."""
         return self.titles.get(names, " + ".join(names))
 
     def of(self, keys: Iterable[str]) -> float:
-        """Probability that these effects are missing and no others."""
+        """Probability that exactly the effects with these keys are missing."""
         names = tuple(sorted(keys))
         return self.sets.get(names, 0.0) if names else self.none
 
     def with_odds(self, keys: Iterable[str] | None, log_odds: float) -> Probabilities:
-        """One explanation more, with its log odds to all others together; None: it is outside the library."""
+        """The probabilities with one more explanation, given its log odds against all others together.
+
+        keys : of its effects; None: it is outside the library
+        """
         rest = float(1.0 / (1.0 + np.exp(min(log_odds, 700.0))))
         sets, outside = {names: rest * p for names, p in self.sets.items()}, rest * self.outside
         if keys is None:
@@ -65,17 +68,17 @@ class Probabilities:
         return replace(self, none=rest * self.none, sets=sets, outside=outside)
 
     def beside(self, candidates: Iterable[Names]) -> dict[Names, float]:
-        """Sets of effects that are no candidates but not unlikely, likeliest first."""
+        """Sets of effects other than the candidates with a probability of at least `LISTED`, most probable first."""
         known = {tuple(sorted(keys)) for keys in candidates}
         rest = [(names, p) for names, p in self.sets.items() if p >= LISTED and names not in known]
         return dict(sorted(rest, key=lambda pair: -pair[1]))
 
     @property
     def credible(self) -> dict[Names | None, float]:
-        """The explanations that together have a probability of `CREDIBLE`, likeliest first.
+        """Credible set: explanations with a total probability of about `CREDIBLE`, most probable first.
 
-        The last one belongs to them if more than half of its probability is needed, so that over many data the set
-        holds the truth about as often as it says. () is nothing missing, None something outside the library.
+        The last one is included if more than half of its probability is needed, so that over many data sets the set
+        contains the truth about as often as stated. () is nothing missing, None a shape outside the library.
         """
         every: list[tuple[Names | None, float]] = [((), self.none), *self.sets.items(), (None, self.outside)]
         found: dict[Names | None, float] = {}
@@ -87,7 +90,11 @@ class Probabilities:
 
 
 class _Option(NamedTuple):
-    """labels tell sets apart, names are how they are called; log_odds to the base model."""
+    """One set of effects.
+
+    labels : of its effects, which identify it;  names : sorted keys;  log_odds : against the base model
+    refitted : it has a fit of its own
+    """
 
     chosen: Choice
     labels: frozenset[str]
@@ -97,7 +104,7 @@ class _Option(NamedTuple):
 
 
 def probabilities(found: Findings) -> Probabilities:
-    """Posterior probabilities after the loop of naming and screening."""
+    """Posterior probabilities from the findings of the workflow."""
     search, chosen = found.search, found.selection.chosen
     fewer = [chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))]
     beside = list(dict.fromkeys([(), *fewer, chosen]))
@@ -125,7 +132,7 @@ def _normalized(search: HypothesisSearch, options: list[_Option], outside: float
 
 
 def _refitted(search: HypothesisSearch, chosen: Choice) -> _Option:
-    """A set with its own fit."""
+    """A set of effects, weighed by its own fit."""
     found, base = search.fit(chosen), search.fit(())
     labels, names = _labels(chosen), tuple(sorted(h.key for h in chosen))
     if not chosen:
@@ -135,9 +142,9 @@ def _refitted(search: HypothesisSearch, chosen: Choice) -> _Option:
 
 
 def _longer(search: HypothesisSearch, chosen: Choice, least: float) -> Iterator[_Option]:
-    """A set with each effect that could be added, from its fit where there is one.
+    """The set with each further effect, weighed by its fit if there is one, else by the linearized fit.
 
-    least : log odds of what is worth listing
+    least : log odds below which a set is negligible
     """
     found, base, own = search.fit(chosen), search.fit(()), _labels(chosen)
     members, against = search.rivals(chosen)
@@ -160,7 +167,7 @@ def _longer(search: HypothesisSearch, chosen: Choice, least: float) -> Iterator[
 
 
 def _outside(search: HypothesisSearch, chosen: Choice) -> float:
-    """Log odds of a shape outside the library beside a set; -inf where too few rows are left for one."""
+    """Log odds of a shape outside the library beside a set; -inf if too few rows are left for one."""
     base, found = search.fit(()), search.fit(chosen)
     shapes = shapes_beside(search, chosen)
     if not shapes.listed:
@@ -177,7 +184,7 @@ def _labels(chosen: Choice) -> frozenset[str]:
 
 
 def _title(search: HypothesisSearch, chosen: Choice) -> str:
-    """As that of a candidate: labels in the order of results and files."""
+    """Title as of a candidate: labels in the order of results and files."""
     return " + ".join(h.free.label for h in sorted(chosen, key=search.hypotheses.place))
 
 
@@ -191,16 +198,18 @@ def _explained(search: HypothesisSearch, chosen: Choice) -> Explained:
 
 
 def _log_prior(search: HypothesisSearch, chosen: Choice) -> float:
-    """Log prior odds of a set to nothing missing: one effect `FIRST`, each further one `NEXT` times those before it."""
+    """Log prior odds of a set against nothing missing: the sum of its `_log_steps`."""
     steps = (_log_steps(search, count, np.array(h.weight), np.array(h.one_sign)) for count, h in enumerate(chosen))
     return float(sum(steps))
 
 
 def _log_steps(search: HypothesisSearch, count: int, weights: Array, one_sign: NDArray[np.bool_]) -> Array:
-    """Log prior odds of so many effects and a further one to those alone, for further ones of these prior weights.
+    """Log prior odds of one further effect beside `count` others: `FIRST` for none, `NEXT` times `count` otherwise.
 
-    Where several effects are missing another one is likelier (Polya's urn). An effect of one sign only counts twice:
-    its prior has half the width.
+    weights : prior weights of the further effects;  one_sign : True where an effect cannot be negative
+
+    Where several effects are missing, another one is more probable (Polya's urn). An effect of one sign has twice the
+    odds, as its prior has half the width.
     """
     odds = NEXT * count if count else FIRST
     return np.asarray(np.log(odds * weights / search.hypotheses.total_weight) + np.log(2.0) * one_sign)

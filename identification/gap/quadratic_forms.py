@@ -1,4 +1,4 @@
-"""Quadratic forms of residuals relative to their sum of squares, e^T A e / e^T e, and how white noise distributes them.
+"""Quadratic forms of residuals relative to their sum of squares, e^T A e / e^T e, and their moments for white noise.
 
 For white Gaussian noise projected off a model (e = P z, P = I - Q Q^T of rank nu) the ratio is independent of e^T e, so
 with B = P A P its mean is tr B / nu and its mean square (2 tr B^2 + (tr B)^2) / (nu (nu + 2)), both exactly
@@ -65,7 +65,7 @@ class LagForm:
 
     @property
     def squared_trace(self) -> float:
-        """tr A^2: two halves for each pair of neighbors and each coordinate."""
+        """tr A^2: 2 (1/2)^2 for each pair of consecutive rows and each coordinate."""
         return 0.5 * (len(self.sequence) - 1) * self.dimension
 
 
@@ -101,7 +101,7 @@ def ratio(form: Form, sample: Array) -> Array:
 
 
 def ratios(forms: Mapping[str, Form], sample: Array) -> dict[str, Array]:
-    """`ratio` of several forms; those of blocks need each product of two coordinates of a row once."""
+    """(B,) `ratio` of several forms; block forms share the products of the coordinates of each row."""
     found = {name: ratio(form, sample) for name, form in forms.items() if not isinstance(form, BlockForm)}
     stacked = {name: form.blocks for name, form in forms.items() if isinstance(form, BlockForm)}
     if not stacked:
@@ -119,7 +119,7 @@ def ratios(forms: Mapping[str, Form], sample: Array) -> dict[str, Array]:
 
 
 def ratio_moments(form: Form, basis: Array) -> tuple[float, float]:
-    """Mean and standard deviation of `ratio` under white Gaussian noise off the model of a basis Q (N, r)."""
+    """Mean and standard deviation of `ratio` for white Gaussian noise projected off an orthonormal basis Q (N, r)."""
     freedom = len(basis) - basis.shape[1]
     applied = form.times(basis)
     inside = basis.T @ applied

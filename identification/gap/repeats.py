@@ -1,4 +1,4 @@
-"""Repeated postures: the noise floor, known without a model, and whether a misfit is more than noise."""
+"""Repeated postures: the noise floor, known without a model, and the test of lack of fit against pure error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Groups = NDArray[np.int64]
 class PureError:
     """Scatter of repeats about the mean of their posture.
 
-    squares : sum of squares [mm^2] over d coordinates;  freedom : its degrees of freedom
+    squares : sum of squares [mm^2] over all d coordinates;  freedom : its degrees of freedom;  dimension : d
     """
 
     squares: float
@@ -32,16 +32,16 @@ class PureError:
 
     @property
     def rms(self) -> float | None:
-        """Root mean square distance [mm] that the noise alone makes in one row; None from too few repeats."""
+        """RMS distance [mm] of one row due to noise alone; None with fewer than `FEWEST` degrees of freedom."""
         return float(np.sqrt(self.dimension * self.squares / self.freedom)) if self.freedom >= FEWEST else None
 
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """Root mean square distances [mm] that no model of the mean can go below; None where nothing is known.
+    """RMS distances [mm] that no model of the mean can go below; None where not available.
 
-    repeats : of one posture far apart in time;  close_repeats : within one stretch of time, which share slow errors
-    sigma : of the instrument as given, for all coordinates together
+    repeats : from repeats far apart in time;  close_repeats : from repeats close in time, which share slow errors
+    sigma : from the given noise of the instrument, for all coordinates together
     """
 
     repeats: float | None = None
@@ -50,12 +50,12 @@ class NoiseFloor:
 
     @property
     def source(self) -> str | None:
-        """What the floor is known from, the surest first."""
+        """Source of the floor: the most reliable one available, None without any."""
         return next((name for name, value in vars(self).items() if value is not None), None)
 
     @property
     def value(self) -> float | None:
-        """The noise floor [mm]."""
+        """The noise floor [mm] from `source`."""
         return None if self.source is None else float(getattr(self, self.source))
 
     def __str__(self) -> str:
@@ -78,7 +78,10 @@ NOTHING_KNOWN = NoiseFloor()
 
 
 def far_apart(groups: Groups, time: Array) -> NDArray[np.bool_]:
-    """(m,) rows left when every repeat less than `FAR` of the session after the one kept before it is taken out."""
+    """(m,) rows that remain when each repeat within `FAR` of the session after the last kept one is removed.
+
+    groups : (m,) equal numbers mark repeats;  time : (m,) from 0 to 1 over the session
+    """
     kept = np.zeros(len(groups), dtype=bool)
     last: dict[int, float] = {}
     for row in np.argsort(time, kind="stable"):
@@ -89,7 +92,7 @@ def far_apart(groups: Groups, time: Array) -> NDArray[np.bool_]:
 
 
 def pure_error(residual: Array, groups: Groups) -> PureError:
-    """Of residuals (m, d) about the mean of their group."""
+    """Pure error of residuals (m, d) [mm] about the means of their groups (m,)."""
     numbers = np.unique(groups, return_inverse=True)[1]
     counts = np.bincount(numbers)
     means = np.stack([np.bincount(numbers, column) for column in residual.T], axis=1) / counts[:, None]
@@ -100,9 +103,9 @@ def pure_error(residual: Array, groups: Groups) -> PureError:
 def noise_floor(
     residual: Array, measurements: Measurements, kept: NDArray[np.bool_], sigma: float | None
 ) -> NoiseFloor:
-    """What repeats and instrument say about the noise.
+    """Noise floor from repeats and from the instrument.
 
-    residual : (m, d) [mm] of a fitted model, which takes off what the small differences between repeats explain
+    residual : (m, d) [mm] of a fitted model, which removes the effect of small differences between repeated postures
     kept : (m,) rows that are no outliers;  sigma : of the arm file [mm], None: unknown
     """
     groups, time = repeats_in_time(measurements, kept)
@@ -118,7 +121,7 @@ def noise_floor(
 
 
 def repeats_in_time(measurements: Measurements, kept: NDArray[np.bool_]) -> tuple[Groups, Array]:
-    """(m,) number of the posture, another one in each session, and time from 0 to 1 over the session, of some rows."""
+    """For the kept rows (m,) a number for each posture of each session, and the time from 0 to 1 over the session."""
     sessions = np.empty(len(measurements), dtype=np.int64)
     for number, rows in enumerate(measurements.session_rows):
         sessions[rows] = number
@@ -130,12 +133,13 @@ def repeats_in_time(measurements: Measurements, kept: NDArray[np.bool_]) -> tupl
 def repeat_finding(
     residual: Array, rank: int, measurements: Measurements, kept: NDArray[np.bool_]
 ) -> tuple[Finding, ...]:
-    """Lack of fit against pure error, where postures were repeated: a fast ripple looks like noise, but it repeats.
+    """F test of lack of fit against pure error, where postures were repeated: a fast ripple looks like noise, but it
+    repeats.
 
     F = (lack of fit / its degrees of freedom) / (scatter of the repeats about their means / its degrees of freedom),
-    among repeats far apart in time where there are enough.
+    over repeats far apart in time if there are enough. Empty if not significant at `LEVEL`.
 
-    residual : (m, d) of a fitted model of this rank
+    residual : (m, d) [mm] of a fitted model of this rank;  kept : (m,) rows that are no outliers
     """
     groups, time = repeats_in_time(measurements, kept)
     far = far_apart(groups, time)

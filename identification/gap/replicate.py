@@ -1,9 +1,9 @@
-"""Several sessions: does a named effect return in another session with the same size?
+"""Test whether a named effect replicates in other sessions with the same size.
 
-All sessions share one fit, each with a base of its own. For one effect and one session, the effect's parameters are
-fitted to the other sessions alone (everything else still to all of them) and carried over; only the base of the session
-adapts. If that leaves less of the session than no effect at all, the effect returned; the gain is tested over groups of
-rows as a hold-out is (`gap.confirmation`).
+All sessions share one fit, each with its own base. For one effect and one session, the effect's parameters are fitted
+to the other sessions only (all others still to all sessions) and carried over; only the base of the session is
+adapted. If that reduces the residuals of the session, the effect replicates; the gain is tested over groups of rows
+like a hold-out (`gap.confirmation`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ from identification.measurements import Measurements
 def replications(
     found: Fit, measurements: Measurements, kept: NDArray[np.bool_], labels: tuple[str, ...]
 ) -> tuple[Replication, ...]:
-    """The named effects (their labels) of a fit to the kept rows across sessions; empty if there is one session."""
+    """Replication of the named effects across sessions; empty for a single session.
+
+    found : fit to the kept rows;  kept : (m,) rows that are no outliers;  labels : of the named effects
+    """
     data = measurements.rows(kept)
     if len(data.sessions) < 2:
         return ()
@@ -66,7 +69,7 @@ def _in_session(problem: SharedFit, k: int, carried: Carried, factors: Array) ->
 
 
 def _together(problem: SharedFit, carried: list[Carried]) -> bool | None:
-    """Whether carried-over values explain something in all sessions together."""
+    """Whether carried-over values reduce the residuals in all sessions together; None: undecided."""
     gains = np.concatenate([c.gains for c in carried])
     by_groups = []
     for kind in zip(*(_groups(session, c) for session, c in zip(problem.sessions, carried, strict=True)), strict=True):
@@ -77,23 +80,24 @@ def _together(problem: SharedFit, carried: list[Carried]) -> bool | None:
 
 
 def _groups(session: Session, carried: Carried) -> list[Groups]:
-    """The groups of those rows of a session that it is about, numbered anew."""
+    """The groups of the tested rows of a session, renumbered from 0."""
     return [np.unique(groups[carried.part], return_inverse=True)[1] for groups in session.groups]
 
 
 def _gain(problem: SharedFit, gains: Array, by_groups: Sequence[Groups], expected: float) -> Mean:
-    """Mean of the gains of rows; unknown without rows."""
+    """Mean of the gains of the rows, of infinite variance without rows."""
     if not len(gains):
         return Mean(0.0, np.inf, 1.0)
     return mean_of(gains, by_groups, problem.white(expected, len(gains)))
 
 
 def _returns(gain: Mean, expected: float, unsure: bool) -> bool | None:
-    """Whether carried-over values explain something.
+    """Whether carried-over values reduce the residuals; None: undecided.
 
-    gain : mean square explained by them;  expected : if they were right;  unsure : the others do not know them well
+    gain : mean square that they explain;  expected : its value if they are right
+    unsure : the other sessions do not determine them well
     """
-    if unsure:  # what is carried over is chance, and so is its sign
+    if unsure:  # the carried-over values are mostly noise, and so is their sign
         return None
     if gain.p_above() <= LEVEL / 2.0:
         return True

@@ -1,4 +1,4 @@
-"""What a named effect is in each of several sessions, and whether it returns."""
+"""`Replication`: result of the test whether a named effect has the same size in each of several sessions."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 class InSession:
     """An effect in one session.
 
-    values, deviations : fitted to this session alone, in the unit of files
-    explained : share of the squares without the effect that the values of the other sessions explain here
-    returns : True, False, or None where it cannot be said
+    values, deviations : estimates from this session alone with standard deviations, in the unit of files
+    explained : fraction of the sum of squares without the effect that the values of the other sessions explain here
+    returns : whether the effect replicates in this session; None: undecided
     """
 
     session: str
@@ -27,9 +27,9 @@ class InSession:
 class Replication:
     """One named effect across sessions.
 
-    names, units : of its parameters, none for an error curve
-    p_equal : probability of values that differ so much if in truth they are equal, None for an error curve
-    returns : whether carried-over values explain something, in all sessions together
+    names, units : of its parameters, empty for an error curve
+    p_equal : p-value of equal values in all sessions, None for an error curve
+    returns : whether carried-over values reduce the residuals of all sessions together; None: undecided
     """
 
     effect: str
@@ -41,7 +41,7 @@ class Replication:
 
     @property
     def replicates(self) -> bool | None:
-        """False if carried-over values do harm in one session or explain nothing, None: cannot be said."""
+        """Overall conclusion: False if the effect fails to replicate in one session or overall; None: undecided."""
         return False if any(session.returns is False for session in self.sessions) else self.returns
 
     def __str__(self) -> str:
@@ -50,7 +50,7 @@ class Replication:
         return f"{self.effect} {says} across sessions ({parts})"
 
     def figures(self, there: InSession) -> str:
-        """Its values in a session, for people."""
+        """Its values in a session, as text."""
         figures = zip(self.names, there.values, there.deviations, self.units, strict=True)
         listed = [f"{n.rpartition('.')[2]} = {v:.3g} +- {d:.1g} {u}" for n, v, d, u in figures]
         explained = [f"{100.0 * there.explained:.0f} % explained by the others' values"]
@@ -78,7 +78,7 @@ class Replication:
 
 
 def said(found: tuple[Replication, ...]) -> Iterator[str]:
-    """For the verdict: what returns in other sessions and what does not."""
+    """Clauses of the verdict: which effects replicate across sessions and which do not."""
     for answer, words in ((True, "replicates across sessions"), (False, "does not replicate across sessions")):
         if titles := [r.effect for r in found if r.replicates is answer]:
             yield f"{words}: {' + '.join(titles)}"

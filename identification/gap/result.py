@@ -1,4 +1,4 @@
-"""`Diagnosis`, the result of `diagnose`."""
+"""`Diagnosis`: the result of `diagnose`, with its JSON keys and its extended arm."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from identification.minimal import placed_calibration
 
 @dataclass(frozen=True)
 class Trial:
-    """One effect against the base model: F, its p-value alone and adjusted for all effects tried, change of BIC."""
+    """Test of one effect against the base model: F statistic, p-value, p-value adjusted for all effects, Delta BIC."""
 
     effect: str
     f: float
@@ -40,7 +40,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Residuals:
-    """(m, d) residuals [mm] of base and named model over all rows, and (m,) what to draw them against, by name."""
+    """Residuals (m, d) [mm] of base and named model in all rows, and quantities (m,) to plot them against, by name."""
 
     before: Array
     after: Array
@@ -50,19 +50,21 @@ class Residuals:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Whether model and data disagree, where, which effect is missing, and what is left with it in the model.
+    """Whether model and data disagree, where, which effect is missing, and the gap with that effect in the model.
 
-    verdict : `none`, `named`, `ambiguous` or `unknown`;  where : place of an unknown effect, with the shape seen there
-    rounds : what each round of naming added, and the gap it left
-    shapes : named waves that the range of their joint cannot tell from their neighbors
-    replication : of several sessions, what each named effect is in each
-    warnings : what is doubtful about the fit, to be read before the verdict is believed
-    curves : error curves of joints that are part of the best set
-    prior : what is held by it beside the named effects, None without;  data : `file` and `sha256` of the rows, if known
-    trials : every effect against the base model;  detectability : what the plan could show
-    misfit : what is left against the sigma given, None without one;  confirmation : by held-out rows, None without
-    choice : the effects chosen anew without a part of the rows; None where that was not tried
-    cross_validation : whether the named model holds for other postures, and for another stretch of time
+    verdict : `none`, `named`, `ambiguous` or `unknown`;  where, shape : place and best shape of an unknown effect
+    candidates, named : ambiguity set, and best set of effects;  aliases : triples (effect, effect like it, likeness)
+    scatter : significant properties of the noise;  outlier_rows : numbers of the rows left out, from 1
+    gap : RMS distances before and after;  sigma : noise of one coordinate estimated from the residuals [mm]
+    trials : test of every effect against the base model;  detectability : smallest detectable sizes in these data
+    misfit : test against the given sigma, None without one;  confirmation : on held-out rows, None without
+    choice : cross-validation of the choice of effects, None where it was not made
+    cross_validation : for other postures, and for another interval of time
+    rounds : effects added in each round of the search, and the gap afterwards
+    shapes : named waves whose order the range of their joint does not determine
+    replication : each named effect in each of several sessions;  curves : error curves of joints in the best set
+    warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
+    prior : of further effects beside the named ones, None without;  data : `file` and `sha256` of the rows, if known
     """
 
     arm: Arm
@@ -95,7 +97,7 @@ class Diagnosis:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Names of the best set; empty if nothing is named."""
+        """Labels of the best set; empty if nothing is named."""
         return self.named.effects
 
     @property
@@ -105,7 +107,7 @@ class Diagnosis:
 
     @property
     def excluded(self) -> Mapping[str, Size]:
-        """Effect -> smallest size that these data would have shown."""
+        """Effect -> smallest size that these data would have shown with 90 % power."""
         return self.detectability.detectable
 
     @property
@@ -115,16 +117,16 @@ class Diagnosis:
 
     @property
     def probability(self) -> dict[str, float]:
-        """Of `none`, of every candidate (its title) and of `unknown`, which is anything else; they sum to 1.
+        """Probability of `none`, of each candidate (by title) and of `unknown`, anything else, with sum 1.
 
-        Curves that describe what is unknown are no name for it: their set has 0, and `unknown` has what they explain.
+        A curve that describes an unknown effect is no name for it: its set has probability 0, counted in `unknown`.
         """
         found = {"none": self.probabilities.none} | {c.title: c.probability or 0.0 for c in self.candidates}
         return found | {"unknown": max(0.0, 1.0 - sum(found.values()))}
 
     @property
     def likely(self) -> str:
-        """The probabilities in one line, with the sets of effects that are no candidates but not unlikely."""
+        """The probabilities in one line, including `other_sets`."""
         other = ", ".join(f"{name} {p:.2f}" for name, p in self.other_sets.items())
         short = {c.title: "what is named" for c in self.candidates[:1] if len(c.title) > summary.SHORT}
         text = ", ".join(f"{short.get(name, name)} {p:.2f}" for name, p in self.probability.items() if p >= 0.005)
@@ -135,13 +137,13 @@ class Diagnosis:
 
     @property
     def other_sets(self) -> dict[str, float]:
-        """Sets of effects that are no candidates but not unlikely: parts of the probability of `unknown`."""
+        """Title -> probability of further sets of effects that are not negligible, counted in `unknown`."""
         beside = self.probabilities.beside(c.keys for c in self.candidates)
         return {self.probabilities.title(names): p for names, p in beside.items()}
 
     @property
     def credible_set(self) -> dict[str, float]:
-        """The fewest explanations that together have a probability of 90 %, likeliest first."""
+        """Title -> probability of the explanations in the 90 % credible set, most probable first."""
         titles = {tuple(sorted(c.keys)): c.title for c in self.candidates}
         titles |= {(): "none"}
         found = self.probabilities.credible.items()
@@ -149,29 +151,28 @@ class Diagnosis:
 
     @property
     def tests(self) -> tuple[Confirmation, ...]:
-        """What rows that were not used for the fits say: the hold-out, and cross-validation."""
+        """All tests on rows that were not used for the fits: hold-out, and cross-validation."""
         return (() if self.confirmation is None else (self.confirmation,)) + self.cross_validation
 
     @property
     def confirmed(self) -> bool | None:
-        """Whether the hold-out confirms the verdict; None where it has too few rows.
+        """Whether the hold-out confirms the verdict; None if it has too few rows.
 
-        Without a hold-out False where cross-validation refutes it, else None: the effects were chosen with all rows.
+        Without a hold-out False if cross-validation refutes the verdict, else None: all rows were used for the choice.
         """
         if self.confirmation is not None:
             return self.confirmation.confirmed
         return False if any(test.confirmed is False for test in self.cross_validation) else None
 
     def extended_arm(self, candidate: Candidate | None = None) -> Arm:
-        """The arm with the effects of the best set (or of `candidate`) in its model, to be estimated, and the fitted
-        values as its calibration."""
+        """The arm with the effects of the best set (or of `candidate`) added and the estimates as its calibration."""
         chosen = candidate or self.named
         calibration = self.calibration if candidate is None else chosen.calibration
         return replace(self.arm, effects=(*self.arm.effects, *chosen.specs, *chosen.held), calibration=calibration)
 
     @property
     def calibration(self) -> Calibration:
-        """Everything estimated with the best set, and where it comes from: verdict, rivals, what confirms it."""
+        """All estimates of the best set, with the verdict, its rivals and its confirmation as provenance."""
         said: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
         if self.confirmed is not None:
             said["confirmed"] = self.confirmed
@@ -219,7 +220,7 @@ class Diagnosis:
         } | ({} if self.prior is None else {"prior": self.prior.to_json()})
 
     def to_frame(self, kind: str = "polars") -> Any:
-        """A row for each parameter of each candidate set of effects, polars or pandas."""
+        """Data frame with a row for each parameter of each candidate;  kind : `polars` or `pandas`."""
         sets = [({"effects": c.title, "probability": c.probability}, c.parameters) for c in self.candidates]
         return frame_of_rows([{**said, **vars(p)} for said, parameters in sets for p in parameters], kind)
 

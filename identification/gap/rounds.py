@@ -1,4 +1,4 @@
-"""The rounds in which effects were named: what each added, what it took back, and the gap it left."""
+"""Rounds of the search: the effects that each added or removed, and the gap afterwards."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SPELLED = 5  # names of a round that are spelled out
 
 @dataclass(frozen=True)
 class Round:
-    """added, removed : effects with their settings;  rms : root mean square distance [mm] left, outliers left out"""
+    """added, removed : labels of effects;  rms : RMS distance [mm] after the round, without outliers"""
 
     added: tuple[str, ...]
     removed: tuple[str, ...]
@@ -30,7 +30,7 @@ class Round:
 
 
 def _signed(sign: str, labels: tuple[str, ...]) -> list[str]:
-    """The first few, and how many more."""
+    """The first `SPELLED` labels with a sign, and the number of further ones."""
     rest = [f"{sign} {len(labels) - SPELLED} more"] if len(labels) > SPELLED else []
     return [f"{sign} {label}" for label in labels[:SPELLED]] + rest
 
@@ -38,9 +38,10 @@ def _signed(sign: str, labels: tuple[str, ...]) -> list[str]:
 def rounds_of(
     search: HypothesisSearch, path: tuple[Choice, ...], last: Fit, named: tuple[str, ...]
 ) -> tuple[Round, ...]:
-    """From the sets of effects after each round, the first of them empty; rounds that changed nothing are left out.
+    """The rounds that changed something.
 
-    last, named : the fit of the best set and its effects, where error curves may stand for some of the names
+    path : sets of effects after each round, the first of them empty
+    last, named : fit and labels of the best set, in which error curves may replace named effects
     """
     steps = [(tuple(h.label for h in chosen), search.fit(chosen)) for chosen in path]
     found = []

@@ -1,4 +1,4 @@
-"""Fits and tests of sets of effects on the same rows, each computed once."""
+"""`HypothesisSearch`: fits and tests of sets of effects on the same rows, each computed once and cached."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ Choice = tuple[Hypothesis, ...]
 
 
 def series_joints(chosen: Choice) -> set[int | None]:
-    """Joints with `WAVES` waves of their angle already: more of them are the series of some other function."""
+    """Joints with `WAVES` named waves: further waves would be terms in the Fourier series of some other function."""
     joints = [h.spec.joint for h in chosen if order_of(h.effect) is not None]
     return {joint for joint in joints if joints.count(joint) >= WAVES}
 
 
 @dataclass(frozen=True)
 class State:
-    """A set of effects, and what could be added to it.
+    """A set of effects and the hypotheses that can be added to it.
 
-    residual : (N,) left beside the set;  members, against : the hypotheses that can be added, and their columns
-    products : (C,) of all columns with the residual, where they are known
+    residual : (N,) whitened, of the set;  members : hypotheses that can be added;  against : their projected columns
+    products : (C,) products of all columns with the residual, None: not computed yet
     """
 
     residual: Array
@@ -52,44 +52,48 @@ class State:
 
     @cached_property
     def reductions(self) -> Array:
-        """(H,) of the sum of squares by each hypothesis, from the linear fit."""
+        """(H,) reduction of the sum of squares by each hypothesis in the linearized fit."""
         if self.products is None:
             return self.against.reductions(self.residual[:, None])[:, 0]
-        outside = np.zeros((self.against.model_basis.shape[1], 1))  # the residual has nothing of the model
+        outside = np.zeros((self.against.model_basis.shape[1], 1))  # the residual is orthogonal to the model
         return self.against.reductions_of(self.against.scores(self.products[:, None], outside))[:, 0]
 
     @cached_property
     def change(self) -> Array:
-        """(H,) of BIC when each hypothesis is added, from the linear fit."""
+        """(H,) change of BIC with each hypothesis added, in the linearized fit."""
         return bic_change(self.reductions, self.against, len(self.residual), self.squares)
 
     @property
     def strongest(self) -> Hypothesis:
-        """The hypothesis of the smallest p-value for its weight."""
+        """The hypothesis with the smallest ratio of p-value to prior weight."""
         p = self.against.p_values(self.reductions[:, None], np.array([self.squares]))[:, 0]
         return self.members[int(np.argmin(p / self.against.weights))]
 
 
 def bic_change(reductions: Array, against: Dictionary, n: int, squares: float) -> Array:
-    """(H,) change of BIC when each hypothesis is added, from the linear fit's reductions of the sum of squares (H,)."""
+    """(H,) change of BIC with each hypothesis added.
+
+    reductions : (H,) of the sum of squares in the linearized fit;  n : number of coordinates;  squares : without any
+    """
     left = np.maximum(1.0 - reductions / squares, 1e-12)
     return np.asarray(n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights))
 
 
 @dataclass(frozen=True)
 class HypothesisTest:
-    """One omnibus test of all hypotheses that could be added to a set."""
+    """Omnibus test of all H hypotheses that can be added to a set;  change : (H,) of BIC in the linearized fit."""
 
     members: list[Hypothesis]
     omnibus_test: OmnibusTest
-    change: Array  # (H,) linear change of BIC
+    change: Array
 
 
 @dataclass
 class HypothesisSearch:
-    """Fits of sets of effects to the same rows, kept so that none is made twice.
+    """Fits and tests of sets of effects on the same rows, cached by the labels of the effects.
 
-    noise_estimated : the noise model of the rows comes from the same data, so all levels are multiplied by LEVEL_FACTOR
+    noise_estimated : the noise model of the rows was estimated from the same data, so that all levels are multiplied
+        by `LEVEL_FACTOR`
     """
 
     hypotheses: HypothesisSet
@@ -103,18 +107,18 @@ class HypothesisSearch:
 
     @property
     def linear(self) -> bool:
-        """True where all columns are taken at the base fit: of many rows, and in space, where a model takes longer to
-        set up than its fit takes."""
+        """True if all columns are taken at the base fit: with many rows, and in space, where setting up a model takes
+        longer than its fit."""
         return len(self.rows) >= SAME_COLUMNS or self.rows.dimension != 2
 
     @cached_property
     def slopes(self) -> Slopes:
-        """The part of all columns that needs no fit, see `HypothesisSet.slopes`."""
+        """The part of all columns that does not depend on a fit, see `HypothesisSet.slopes`."""
         return self.hypotheses.slopes(self.rows)
 
     @property
     def level_factor(self) -> float:
-        """On all levels of significance."""
+        """Factor on all levels of significance."""
         return LEVEL_FACTOR if self.noise_estimated else 1.0
 
     def fit(self, chosen: Choice) -> Fit:
@@ -128,7 +132,7 @@ class HypothesisSearch:
         return self.fits[key]
 
     def bic(self, chosen: Choice) -> float:
-        """BIC of a set; of a family whose parameters may be equal, the better of the two forms."""
+        """BIC of a set; with a family, the lower BIC of free and of equal parameters."""
         forms = [self._bic(chosen)]
         equal = {h.key: h for h in self.hypotheses.members if h.tied}
         if any(h.key in equal and not h.tied for h in chosen):
@@ -136,14 +140,14 @@ class HypothesisSearch:
         return min(forms)
 
     def _bic(self, chosen: Choice) -> float:
-        """N log(RSS / N) + p log N - 2 log(prior weight); the scan of a setting costs the logarithm of its length."""
+        """N log(RSS / N) + p log N - 2 log(prior weight), which includes the cost of scanning a setting."""
         found = self.fit(chosen)
         n = len(found.residual)
         prior = -2.0 * sum(np.log(h.weight) for h in chosen)
         return float(n * np.log(max(found.squares, 1e-300) / n) + found.count * np.log(n) + prior)
 
     def tested(self, chosen: Choice, draws: int, generator: np.random.Generator) -> HypothesisTest:
-        """Omnibus test and linear BIC of every hypothesis that could be added to a set."""
+        """Omnibus test, and change of BIC, of every hypothesis that can be added to a set."""
         key = frozenset(h.label for h in chosen)
         if key not in self.tests:
             state = self.state(chosen)
@@ -153,10 +157,10 @@ class HypothesisSearch:
         return self.tests[key]
 
     def scatter(self, chosen: Choice, state: State, generator: np.random.Generator) -> Scatter | None:
-        """What is left beside the strongest hypothesis, if that looks like the same noise everywhere; else None.
+        """Residual and basis of the fit with the strongest hypothesis added, if that noise is homoscedastic; else None.
 
-        An effect that is there makes the residuals larger where it is strong, and a bootstrap of them expects just
-        that of chance. Where the noise itself may be larger at some postures, that caution is right.
+        A missing effect makes the residuals larger where it is strong, and a bootstrap of these residuals attributes
+        that to chance. Where the noise itself may be larger at some postures, the bootstrap is right to do so.
         """
         if self.noise_estimated or not state.members:
             return None
@@ -164,10 +168,9 @@ class HypothesisSearch:
         return (best.residual, best.basis) if homoscedastic(best, self.rows, generator) else None
 
     def state(self, chosen: Choice) -> State:
-        """What is left beside a set of effects, and what can be added to it.
+        """Residual of a set of effects, and the hypotheses that can be added to it.
 
-        Where the search is `linear`, all columns are those at the base fit, computed once for all sets; else
-        they are those at the fit of the set.
+        All columns are those at the base fit if the search is `linear`, else those at the fit of the set.
         """
         found = self.fit(chosen)
         if self.linear:
@@ -176,7 +179,7 @@ class HypothesisSearch:
         return self._state(chosen, found.residual, found.basis, columns)
 
     def state_without(self, chosen: Choice, member: Hypothesis) -> State:
-        """`state` of a set less one member; of many rows from the linear model, without a fit of its own."""
+        """`state` of a set less one member; in a `linear` search without a fit of its own."""
         rest = tuple(h for h in chosen if h is not member)
         if not self.linear or frozenset(h.label for h in rest) in self.fits:
             return self.state(rest)
@@ -188,23 +191,23 @@ class HypothesisSearch:
 
     @cached_property
     def repeated(self) -> int:
-        """Coordinates measured at a posture that was measured before."""
+        """Number of coordinates measured at postures that had been measured before."""
         distinct = len(np.unique(np.round(self.rows.postures, 9), axis=0))
         return self.rows.dimension * (len(self.rows) - distinct)
 
     def linear_bic_without(self, chosen: Choice, member: Hypothesis) -> float:
-        """BIC of a set less one member, but for what is the same whichever it is, from the linear model."""
+        """BIC of a set less one member in the linearized model, up to a constant common to all members."""
         state = self.state_without(chosen, member)
         n = len(state.residual)
         return float(n * np.log(state.squares / n) - member.size * np.log(n) + 2.0 * np.log(member.weight))
 
     def changes(self, chosen: Choice) -> tuple[list[Hypothesis], Array]:
-        """Hypotheses that can still be added to a set, and (H,) the change of BIC by each, from the linear fit."""
+        """Hypotheses that can be added to a set, and (H,) the change of BIC with each, in the linearized fit."""
         state = self.state(chosen)
         return state.members, state.change
 
     def rivals(self, chosen: Choice) -> tuple[list[Hypothesis], Dictionary]:
-        """Hypotheses that can still be added to a set, projected off its fit."""
+        """Hypotheses that can be added to a set, and their columns projected off its fit."""
         state = self.state(chosen)
         return state.members, state.against
 
@@ -214,7 +217,7 @@ class HypothesisSearch:
         return self.hypotheses.matrix(self.rows, self.fit(()).by_name, model=self.fit(()).model)
 
     def _places(self, member: Hypothesis) -> NDArray[np.int64]:
-        """Which of the columns are those of a hypothesis."""
+        """(size,) indices of the columns of a hypothesis."""
         k = self.hypotheses.place(member)
         return np.asarray(self.base_columns.starts[k] + np.arange(self.base_columns.sizes[k]))
 
@@ -225,11 +228,11 @@ class HypothesisSearch:
 
     @cached_property
     def _base_cross(self) -> Array:
-        """(p, C) products of the base fit's Jacobian with all columns."""
+        """(p, C) products of the Jacobian of the base fit with all columns."""
         return np.asarray(self._base_jacobian.T @ self.base_columns.matrix)
 
     def _cross(self, member: Hypothesis) -> Array:
-        """(size, C) products of a hypothesis's columns with all columns."""
+        """(size, C) products of the columns of a hypothesis with all columns."""
         label = member.effect.label
         if label not in self._crosses:
             matrix = self.base_columns.matrix
@@ -237,7 +240,7 @@ class HypothesisSearch:
         return self._crosses[label]
 
     def _moments(self, chosen: Choice) -> Array:
-        """(C,) products of all columns with the residual of a set's fit."""
+        """(C,) products of all columns with the residual of the fit of a set."""
         key = frozenset(h.label for h in chosen)
         if key not in self._products:
             self._products[key] = self.base_columns.matrix.T @ self.fit(chosen).residual
@@ -246,7 +249,7 @@ class HypothesisSearch:
     def _linear_state(self, chosen: Choice, residual: Array, moments: Array) -> State:
         """`state` with the columns at the base fit.
 
-        residual : (N,) of the set, before it is projected off them;  moments : (C,) products of all columns with it
+        residual : (N,) of the set, not yet projected off its columns;  moments : (C,) products of all columns with it
         """
         places = np.concatenate([np.zeros(0, dtype=np.int64), *(self._places(h) for h in chosen)])
         base = self.fit(())
@@ -269,9 +272,8 @@ class HypothesisSearch:
     ) -> State:
         members = self.hypotheses.members
         full = self.hypotheses.projected(basis, columns, inside)
-        usable = (full.sizes > 0) & (
-            self.hypotheses.sizes < len(residual) - basis.shape[1]
-        )  # of others nothing is told
+        freedom = len(residual) - basis.shape[1]
+        usable = (full.sizes > 0) & (self.hypotheses.sizes < freedom)  # others are not estimable
         usable[self.hypotheses.places_of(chosen)] = False
         for joint in series_joints(chosen):
             usable[self._waves == joint] = False
@@ -280,6 +282,6 @@ class HypothesisSearch:
 
     @cached_property
     def _waves(self) -> NDArray[np.int64]:
-        """(H,) joint of the members that are waves of its angle, else 0."""
+        """(H,) joint (from 1) of the members that are waves of its angle, 0 for all others."""
         waves = (h.spec.joint if order_of(h.effect) is not None else 0 for h in self.hypotheses.members)
         return np.array([joint or 0 for joint in waves])

@@ -1,4 +1,4 @@
-"""Selection of effects: BIC after the omnibus test, forward, swap and backward, with nonlinear refits."""
+"""Select effects: forward by BIC while the omnibus test is significant, exchange, then backward, with refits."""
 
 from __future__ import annotations
 
@@ -28,10 +28,12 @@ WINDOW = 6.0  # Delta BIC of the ambiguity set: odds of 20 to 1
 
 @dataclass(frozen=True)
 class Selection:
-    """chosen : the best set, empty if the omnibus test found nothing
-    rivals : all sets within `WINDOW` of its BIC, best first
-    first : the omnibus test of the base model;  last : that of the chosen set
-    path : the sets after each round, from the empty one
+    """Result of the selection.
+
+    chosen : the best set, empty if nothing was significant
+    rivals : all sets within `WINDOW` of its BIC with the difference, best first
+    first, last : omnibus tests of the base model and of the chosen set
+    path : the sets after each round, from the empty one on
     """
 
     chosen: Choice
@@ -44,7 +46,7 @@ class Selection:
 def trial_of(
     search: HypothesisSearch, chosen: Choice, draws: int, generator: np.random.Generator
 ) -> tuple[float, float]:
-    """F and adjusted p-value of the member of a set that enters last, the weakest if the order is not clear."""
+    """F statistic and adjusted p-value of the least significant member of a set, each tested beside the others."""
     found = []
     for k, member in enumerate(chosen):
         tested = search.tested(chosen[:k] + chosen[k + 1 :], draws, generator)
@@ -56,7 +58,10 @@ def trial_of(
 
 
 def best_of(search: HypothesisSearch, chosen: Choice, members: list[Hypothesis], change: np.ndarray) -> Choice | None:
-    """The set with the one hypothesis added that has the lowest BIC; the best few by linear BIC are refitted."""
+    """The set with the one hypothesis added that gives the lowest BIC; the best few by linearized BIC are refitted.
+
+    change : (H,) change of BIC with each of the `members`, infinite for those not allowed
+    """
     order = np.argsort(change, kind="stable")[:REFITS]
     near = [k for k in order if np.isfinite(change[k]) and change[k] <= change[order[0]] + MARGIN]
     return min(((*chosen, members[k].free) for k in near), key=search.bic, default=None)
@@ -65,13 +70,13 @@ def best_of(search: HypothesisSearch, chosen: Choice, members: list[Hypothesis],
 def select(
     search: HypothesisSearch, draws: int, generator: np.random.Generator, known: tuple[Choice, ...] = ((),)
 ) -> Selection:
-    """Forward while the omnibus test or one of several effects at once finds something, swap after every addition,
-    backward at the end.
+    """Add effects while the omnibus test or the test of several effects at once is significant.
 
-    The level grows with what is named already: of k names found one after the other, some `ALPHA_NEXT` (k - 1) / 2 are
-    false, whatever k is (false discovery rate instead of any false name at all).
+    After each addition single effects are exchanged, and at the end those not needed are removed. The level increases
+    with the number of effects named: of k effects found one after the other about `ALPHA_NEXT` (k - 1) / 2 of each are
+    false, whatever k (a bound on the false discovery rate rather than on any false name at all).
 
-    known : rounds with another noise model, which many rows go on from
+    known : path of a search with another noise model, which a `linear` search continues
     """
     many = search.linear
     first = search.tested((), draws, generator)
@@ -91,7 +96,7 @@ def select(
 def _next(
     search: HypothesisSearch, chosen: Choice, tested: HypothesisTest, generator: np.random.Generator
 ) -> Choice | None:
-    """The set with what is found next, None if that is nothing, or nothing worth a round."""
+    """The set with the next significant effects added; None if there are none, or their gain is below `LEAST_GAIN`."""
     level = (ALPHA_NEXT * len(chosen) if chosen else ALPHA_FIRST) * search.level_factor
     change = np.where(tested.omnibus_test.adjusted <= level, tested.change, np.inf)
     longer = best_of(search, chosen, tested.members, change) or several(search, chosen, generator)
@@ -101,12 +106,12 @@ def _next(
 
 
 def several(search: HypothesisSearch, chosen: Choice, generator: np.random.Generator) -> Choice | None:
-    """Two effects or more at once that together are significant under noise that is the same everywhere.
+    """Two or more effects that are jointly significant, assuming homoscedastic noise; None if there are none.
 
-    Effects that are all there hide each other from tests of one at a time: each is tested against a scatter that the
-    others make. So effects are added one after the other, untested, and every number of them is tested at once: F test
-    of the longer set against the one at hand, times the weighted number of sets of that many (Bonferroni). Beyond
-    `ALPHA_CLEAR` the noise need not look the same everywhere, since no noise does that.
+    Several missing effects mask each other in tests of one at a time: each is tested against scatter that includes the
+    others. Effects are therefore added one after the other, untested, and each resulting set is tested as a whole: an F
+    test against the given set, with Bonferroni's correction for the weighted number of sets of that size. Below
+    `ALPHA_CLEAR` homoscedastic noise is not required, as no noise explains so small a p-value.
     """
     best, longer, useless, lowest = None, chosen, 0, 1.0
     smallest = ALPHA_CLEAR if search.noise_estimated else ALPHA_SEVERAL
@@ -126,9 +131,10 @@ def several(search: HypothesisSearch, chosen: Choice, generator: np.random.Gener
 
 
 def _longer(search: HypothesisSearch, chosen: Choice) -> Choice | None:
-    """A set with the hypothesis added that lowers the linear BIC most.
+    """The set with the hypothesis added that reduces the linearized BIC most; None if too few rows are left.
 
-    Two settings of one effect are no such set: they do not mask each other, and joint noise makes ripples of any order.
+    An effect already in the set is not added with another setting: two settings do not mask each other, and joint noise
+    resembles ripples of any order.
     """
     state = search.state(chosen)
     if not state.members or state.against.freedom - search.repeated < SPARE_AFTER:
@@ -140,7 +146,7 @@ def _longer(search: HypothesisSearch, chosen: Choice) -> Choice | None:
 
 
 def sets_p(search: HypothesisSearch, chosen: Choice, longer: Choice) -> float:
-    """p-value of what a set has more than another, times the weighted number of sets of that many effects."""
+    """p-value of the effects that one set has beyond another, corrected for the weighted number of such sets."""
     added = [h for h in longer if h not in chosen]
     count, total = len(added), sum(h.weight for h in search.hypotheses.members)
     log_sets = count * np.log(total) - lgamma(count + 1.0) - sum(np.log(h.weight) for h in added)
@@ -149,9 +155,9 @@ def sets_p(search: HypothesisSearch, chosen: Choice, longer: Choice) -> float:
 
 
 def nested_p(before: Fit, after: Fit, repeated: int = 0) -> float:
-    """p-value of the F test of a fit against one of a model that it contains.
+    """p-value of the F test of a fit against the fit of a nested model.
 
-    repeated : coordinates of repeats, which are no degrees of freedom: what they repeat may be an error that is there
+    repeated : coordinates of repeated postures, not counted as degrees of freedom: their errors may repeat as well
     """
     size, freedom = max(after.rank - before.rank, 1), max(after.freedom - repeated, 1)
     f = (before.squares - after.squares) / size / max(after.squares / freedom, TINY)
@@ -161,7 +167,7 @@ def nested_p(before: Fit, after: Fit, repeated: int = 0) -> float:
 def exchanges(search: HypothesisSearch, chosen: Choice, window: float = WINDOW) -> list[Choice]:
     """Sets in which one member is replaced by one of its best rivals.
 
-    window : of many rows, how much worse than the member itself by the linear BIC; the linear figures are good enough
+    window : in a `linear` search, by how much the BIC of a rival may exceed that of the member itself
     """
     found = []
     many = search.linear
@@ -180,7 +186,7 @@ def exchanges(search: HypothesisSearch, chosen: Choice, window: float = WINDOW) 
 
 
 def swapped(search: HypothesisSearch, chosen: Choice) -> Choice:
-    """The best set that single exchanges lead to: the omnibus test says that something is missing, BIC says what."""
+    """The best set reached by single exchanges: the omnibus test decides that an effect is missing, BIC which one."""
     for _ in range(SWAPS):
         best = min(exchanges(search, chosen, window=-1.0), key=search.bic, default=chosen)
         if search.bic(best) >= search.bic(chosen) - 1e-9:
@@ -190,7 +196,7 @@ def swapped(search: HypothesisSearch, chosen: Choice) -> Choice:
 
 
 def backward(search: HypothesisSearch, chosen: Choice) -> Choice:
-    """Drop members as long as BIC falls; of many rows only the one that the linear model can best do without."""
+    """Remove members as long as BIC decreases; a `linear` search tries only the least important one each time."""
     while len(chosen) > 1:
         options = chosen
         if search.linear:
@@ -203,7 +209,7 @@ def backward(search: HypothesisSearch, chosen: Choice) -> Choice:
 
 
 def neighbors(search: HypothesisSearch, chosen: Choice) -> tuple[tuple[Choice, float], ...]:
-    """Sets of the same length within `WINDOW` of the best BIC, one per set of names, best first."""
+    """Ambiguity set: sets of equal length within `WINDOW` of the best BIC, one for each set of keys, best first."""
     if not chosen:
         return ()
     best = search.bic(chosen)

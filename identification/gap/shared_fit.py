@@ -1,4 +1,4 @@
-"""A fit that several sessions share, as linear least squares: one effect's values carried from the others into one."""
+"""A fit shared by several sessions, linearized: one effect's values carried over from the other sessions to one."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from identification.sessions import BASE, SESSIONS
 Index = NDArray[np.int64]
 SINGULAR = 1e-10  # of the largest eigenvalue of columns of unit length
 
-FEWEST = 8  # rows that say something about a curve: one for each group
+FEWEST = 8  # rows needed to test a curve: one for each group
 
 
 class Session(NamedTuple):
-    """Numbers of its rows, and groups of these rows that count as independent: first by stretches of time."""
+    """Indices of the rows of a session, and groups of these rows that count as independent, by time first."""
 
     name: str
     rows: Index
@@ -34,12 +34,12 @@ class Session(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """The values of the other sessions in one.
+    """The values of the other sessions carried over to one session.
 
-    values : (size,) its own [API units], with standard deviations
-    part : which rows of the session this is about, numbers among them
-    gains : (m,) whitened squares that carried-over values explain;  expected : their mean if those were right
-    explained : their share of the squares;  unsure : the other sessions do not know the values well
+    part : indices, among the session's rows, of the m rows tested
+    values, deviations : (size,) estimates from this session alone and their standard deviations [API units]
+    gains : (m,) reduction of the whitened squares by the carried-over values;  expected : their mean if those are right
+    explained : `gains` as a fraction of the sum of squares;  unsure : the other sessions do not determine the values
     """
 
     part: Index
@@ -53,11 +53,11 @@ class Carried:
 
 @dataclass(frozen=True, eq=False)
 class SharedFit:
-    """The fit at its solution, in whitened coordinates; coefficients of error curves are columns with a prior.
+    """A fit linearized at its solution, in whitened coordinates; coefficients of error curves are columns with a prior.
 
-    jacobian : (m, d, P) columns, each divided by its length;  response : (m, d) residual plus jacobian times values
-    lengths : (P,);  penalty : (P,) of the squares of the values that belong to those columns
-    curves : joint (from 1) -> columns of its error curve
+    jacobian : (m, d, P) columns of unit length;  response : (m, d) residual plus Jacobian times values
+    lengths : (P,) of the original columns;  penalty : (P,) prior precision of each column's coefficient
+    curves : joint (from 1) -> indices of the columns of its error curve
     """
 
     found: Fit
@@ -70,7 +70,7 @@ class SharedFit:
 
     @classmethod
     def of(cls, found: Fit, sessions: tuple[Session, ...]) -> SharedFit:
-        """sessions : of the rows that the fit is to"""
+        """Linearize a fit;  sessions : of the rows of the fit."""
         rows = found.rows
         shape = len(rows), rows.dimension, -1
         columns, values, penalty = [found.jacobian.reshape(shape)], [found.values], [np.zeros(len(found.values))]
@@ -90,31 +90,32 @@ class SharedFit:
         return cls(found, jacobian, response, lengths, np.concatenate(penalty) / lengths**2, curves, sessions)
 
     def columns_of(self, effect: Effect) -> Index:
-        """Columns of an effect's parameters, or of its curve."""
+        """Indices of the columns of an effect's parameters, or of its error curve."""
         names = self.found.model.names
         own = [names.index(p.name) for p in effect.parameters if p.name in names]
         return np.array(own) if own else self.curves[effect.joint or 0]
 
     def white(self, expected: float, rows: int) -> float:
-        """Variance of a mean gain that white noise alone makes."""
+        """Variance of a mean gain over `rows` due to white noise alone."""
         return 4.0 * self.found.sigma**2 * expected / rows
 
     @cached_property
     def grams(self) -> list[Array]:
-        """For each session (P, P) J^T J."""
+        """J^T J (P, P) of each session."""
         return [gram(self.jacobian[s.rows]) for s in self.sessions]
 
     @cached_property
     def moments(self) -> list[Array]:
-        """For each session (P,) J^T y."""
+        """J^T y (P,) of each session."""
         return [np.einsum("mdp,md->p", self.jacobian[s.rows], self.response[s.rows]) for s in self.sessions]
 
     def carried(self, k: int, own: Index, joint: int | None = None) -> Carried:
-        """The values (columns `own`) of the other sessions in session number k.
+        """Carry the values of columns `own` over from the other sessions to session k (from 0).
 
-        joint : of an error curve (from 1), which says nothing beyond the angles of the others, and nothing of its level
+        joint : of an error curve (from 1), which is undefined beyond the angles of the other sessions, and whose level
+            is not tested
         """
-        split, part = Split(self, own, k), self._told_by_others(k, joint)
+        split, part = Split(self, own, k), self._rows_in_range(k, joint)
         rows = self.sessions[k].rows[part]
         columns, rest = self._adapted(rows, joint, self.jacobian[rows][:, :, own], split.rest(rows))
         there = columns @ split.there
@@ -130,8 +131,8 @@ class SharedFit:
             unsure=bool(len(rows) < FEWEST or uncertain > 0.5 * np.sum(there**2)),
         )
 
-    def _told_by_others(self, k: int, joint: int | None) -> Index:
-        """Rows of session number k, as numbers among them, within the angles of a joint in the other sessions."""
+    def _rows_in_range(self, k: int, joint: int | None) -> Index:
+        """Indices of the rows of session k within the range of a joint (from 1) in the other sessions; None: all."""
         rows = self.sessions[k].rows
         if joint is None:
             return np.arange(len(rows))
@@ -140,8 +141,8 @@ class SharedFit:
         return np.flatnonzero((angles[rows] >= others.min()) & (angles[rows] <= others.max()))
 
     def _adapted(self, rows: Index, joint: int | None, columns: Array, rest: Array) -> tuple[Array, Array]:
-        """Columns (m, d, size) and residuals (m, d) of rows of a session after its base, and for a curve the offset of
-        its joint, have adapted to them."""
+        """Columns (m, d, size) and residuals (m, d) of rows of a session, projected off the columns of its base and,
+        for a curve, of the offset of its joint."""
         names = self.found.model.names
         offset = f"{JOINT_OFFSET}:{joint}"
         bases = ("base.", f"{SESSIONS}.")
@@ -152,7 +153,7 @@ class SharedFit:
         return left[:, :-1].reshape(columns.shape), left[:, -1].reshape(rest.shape)
 
     def p_equal(self, own: Index) -> float:
-        """F test of one set of values for all sessions against one for each."""
+        """p-value of the F test of equal values (columns `own`) in all sessions against separate values in each."""
         p, count = len(self.lengths), len(self.sessions)
         wide = p + (count - 1) * len(own)
         whole, moment = np.zeros((wide, wide)), np.zeros(wide)
@@ -173,10 +174,10 @@ class SharedFit:
 
 
 class Split:
-    """Least squares with one effect's values apart for session number k and for the others.
+    """Least squares with separate values of one effect for session k and for the others.
 
-    here, there : (size,) values in the session and in the others, with their covariances (size, size), which hold
-        whatever the dependence within groups of rows (sandwich over stretches of time)
+    here, there : (size,) values in the session and in the others, with covariances (size, size) that hold for any
+        dependence within groups of rows (sandwich over intervals of time)
     """
 
     def __init__(self, problem: SharedFit, own: Index, k: int) -> None:
@@ -198,13 +199,13 @@ class Split:
         self._values = values
 
     def rest(self, rows: Index) -> Array:
-        """(m, d) of these rows without the effect."""
+        """(m, d) response of these rows less the contribution of all other columns."""
         columns = self._problem.jacobian[rows][:, :, self._others]
         return np.asarray(self._problem.response[rows] - columns @ self._values[self._others])
 
 
 def scores(problem: SharedFit, slots: list[Index], values: Array) -> Array:
-    """(p', groups) sum of J^T residual over each stretch of time, times a factor for their small number."""
+    """(p', groups) sum of J^T residual over each interval of time, corrected for the small number of intervals."""
     found = []
     for session, s in zip(problem.sessions, slots, strict=True):
         jacobian, stretches = problem.jacobian[session.rows], session.groups[0]
@@ -218,11 +219,11 @@ def scores(problem: SharedFit, slots: list[Index], values: Array) -> Array:
 
 
 def gram(columns: Array) -> Array:
-    """(p, p) of columns (m, d, p)."""
+    """(p, p) Gram matrix of columns (m, d, p)."""
     tall = columns.reshape(-1, columns.shape[-1])
     return np.asarray(tall.T @ tall)
 
 
 def inverse(normal: Array) -> Array:
-    """Of a normal matrix; what the data do not determine is left out."""
+    """Pseudo-inverse of a normal matrix; combinations that the data do not determine are left out."""
     return np.asarray(np.linalg.pinv(normal, hermitian=True, rcond=SINGULAR))

@@ -1,4 +1,4 @@
-"""A diagnosis in words: the verdict in one line, then what it rests on."""
+"""Present a diagnosis as text and HTML: the verdict in one line, then the evidence."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ VERDICTS = {
 
 
 def headline(found: Diagnosis) -> str:
-    """The verdict alone, what speaks against it first."""
+    """The verdict alone, preceded by `not confirmed` where that is so."""
     likeliest = sorted(found.candidates, key=lambda c: -(c.probability or 0.0))
     options = " | ".join(f"{c.title} {c.probability or 0.0:.2f}" for c in likeliest)
     options = options if len(options) <= SHORT else " | ".join(c.title for c in likeliest)
@@ -41,17 +41,17 @@ def headline(found: Diagnosis) -> str:
 
 
 def described(found: Diagnosis) -> bool:
-    """Whether an error curve stands for what is unknown: its size and shape are known, its cause is not."""
+    """Whether an error curve describes the unknown effect: its size and shape are known, its cause is not."""
     return found.where in {f"joint:{curve.joint}" for curve in found.curves}
 
 
 def place(found: Diagnosis) -> str:
-    """`joint 3`, `time`."""
+    """Place of the unknown effect: `joint 3`, `time`."""
     return (found.where or "").replace(":", " ")
 
 
 def named(found: Diagnosis) -> str:
-    """The effects of the best set, or how many they are; error curves by their joints."""
+    """The effects of the best set, or their number if the list is long; error curves by their joints."""
     curves = {curve.key for curve in found.curves}
     others = [name for name in found.effects if name not in curves]
     said = [f"error curves of {of_joints([curve.joint for curve in found.curves])}"] if found.curves else []
@@ -70,7 +70,7 @@ def of_joints(joints: Sequence[int]) -> str:
 
 
 def findings(found: Diagnosis) -> list[str]:
-    """What else must be read with the verdict, a clause for each."""
+    """Findings that belong to the verdict, one clause each."""
     shape = [f"its shape: {found.shape}"] if found.shape and not found.curves else []
     return [*shape, *unexplained(found), *said(found.replication), *in_words(found.shapes)]
 
@@ -81,14 +81,14 @@ def sentence(found: Diagnosis) -> str:
 
 
 def unexplained(found: Diagnosis) -> list[str]:
-    """What is left over the given sigma, where that is more than noise."""
+    """A clause about residuals significantly larger than the given sigma, if they are."""
     if found.misfit is None or not found.misfit.significant:
         return []
     return [f"scatter {found.misfit.ratio:.3g} x sigma_mm, not explained"]
 
 
 def rests_on(found: Diagnosis) -> list[str]:
-    """What the verdict rests on: the gap, the rows that were held out, and what the scatter does."""
+    """Evidence for the verdict: the gap, the tests on other rows, properties of the noise, and outliers."""
     lines = [str(found.gap).splitlines()[0], *map(str, found.tests)]
     lines += [f"scatter: {finding}" for finding in found.scatter]
     if found.outlier_rows:
@@ -97,7 +97,7 @@ def rests_on(found: Diagnosis) -> list[str]:
 
 
 def candidate_lines(candidate: Candidate) -> list[str]:
-    """How well a set of effects explains the data, and its estimates."""
+    """Test statistics and estimates of a candidate, one line each."""
     figures = f"F = {candidate.f:.1f}, {p_in_words(candidate.p_adjusted)}, Delta BIC = {candidate.delta_bic:.1f}"
     stated = {label: found for label, found in candidate.estimates.items() if found}  # a curve has no parameters
     estimates = [f"  {label}: {', '.join(map(str, found))}" for label, found in stated.items()]
@@ -106,7 +106,7 @@ def candidate_lines(candidate: Candidate) -> list[str]:
 
 
 def text(found: Diagnosis) -> str:
-    """All of it, for a terminal."""
+    """The whole diagnosis as text."""
     lines = [f"warning: {w}" for w in found.warnings] + findings(found) + rests_on(found)
     for candidate in found.candidates or (found.named,):
         lines += candidate_lines(candidate) if candidate.effects else []
@@ -114,7 +114,7 @@ def text(found: Diagnosis) -> str:
 
 
 def html(found: Diagnosis) -> str:
-    """The same as tables of a notebook."""
+    """The whole diagnosis as HTML tables."""
     candidates = [c for c in found.candidates or (found.named,) if c.effects]
     sets = [[c.title, f"{c.f:.1f}", p_in_words(c.p_adjusted), f"{c.delta_bic:.1f}"] for c in candidates]
     values = [
@@ -131,7 +131,7 @@ def html(found: Diagnosis) -> str:
 
 
 def remarks(found: Diagnosis) -> list[str]:
-    """What else there is to know: rounds, probabilities, other sessions, what would have been seen, notes."""
+    """Further lines: rounds, probabilities, replication, sizes excluded if nothing is named, and notes."""
     lines = [f"round {k}: {one}" for k, one in enumerate(found.rounds, start=1) if len(found.rounds) > 1]
     lines += [found.likely, *map(str, found.replication)]
     if not found.effects:

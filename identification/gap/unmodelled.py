@@ -1,4 +1,4 @@
-"""Is something left that no effect of the library explains, and where does it sit?"""
+"""Detect an effect outside the library and locate it: at a joint, in time, or in the workspace."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ from identification.gap.search import Choice, HypothesisSearch
 from identification.gap.unmodelled_survey import LEVEL, Sample, Survey, adjusted, shapes_beside, survey_all
 
 # reasons: identification/README.md, "Constants"
-# BIC that an unknown shape must gain on k effects that it would replace, 6 (2 - k): one effect is believed, two have no
-# credit left, three or more at once may be the series expansion of something else
+# BIC that an unknown shape must gain over k effects that it would replace, 6 (2 - k): a single effect is given credit,
+# two are not, and three or more may be the series expansion of something else
 ODDS = 6.0
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "axes_skew": "workspace"}
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """p : adjusted for all shapes at all places;  place : `joint:j`, `time`, `workspace`, or None if nothing is left
-    shape : the shape that fits best, for people;  chosen : effects of the library that stay named beside it
-    bic : of the named effects, with the unknown shape where there is one
+    """Result of the search for an effect outside the library.
+
+    p : p-value adjusted for all shapes at all places;  place : `joint:j`, `time`, `workspace`, None: no such effect
+    shape : description of the best shape;  chosen : effects of the library that stay named
+    bic : of the named effects, together with the shape if there is one
     """
 
     p: float
@@ -32,7 +34,7 @@ class Unknown:
 
 
 def find_unmodelled(search: HypothesisSearch, chosen: Choice, generator: np.random.Generator) -> Unknown:
-    """General block test after the last accepted effect, then the place by BIC."""
+    """Test whether any general shape explains the residuals of a set of effects, and locate the best by BIC."""
     sets = [chosen, *_reduced(chosen)]
     sample = Sample(len(search.rows), search.rows.dimension, generator)
     surveys = survey_all(search, sets, sample)
@@ -47,15 +49,15 @@ def find_unmodelled(search: HypothesisSearch, chosen: Choice, generator: np.rand
 
 
 def likeliest_shape(search: HypothesisSearch, unknown: Unknown) -> Unknown:
-    """The shape that the library lacks with the lowest BIC, in place of names or beside them, however it compares with
-    the names alone."""
+    """The shape outside the library with the lowest BIC, beside the named effects or in place of some, whether or not
+    it improves on them."""
     sets = [unknown.chosen, *_reduced(unknown.chosen)]
     surveys = ((kept, shapes_beside(search, kept)) for kept in sets)
     return _best(unknown.p, [_option(search, kept, shapes) for kept, shapes in surveys if shapes.listed])
 
 
 class _Option(NamedTuple):
-    """A shape beside what is kept of the named effects, with the BIC of both."""
+    """A shape with the named effects that are kept beside it, and the BIC of both together."""
 
     bic: float
     kept: Choice
@@ -64,20 +66,20 @@ class _Option(NamedTuple):
 
 
 def _best(p: float, options: list[_Option]) -> Unknown:
-    """The option of the lowest BIC."""
+    """The option with the lowest BIC, as a result."""
     best = min(options, key=lambda option: option.bic)
     return Unknown(p, best.place, best.shape, best.kept, best.bic)
 
 
 def _option(search: HypothesisSearch, kept: Choice, shapes: Survey) -> _Option:
-    """The shape that lowers BIC most beside a set, which has the named effects or only some of them."""
+    """The shape that reduces BIC most beside a set of effects."""
     changes = shapes.bic_changes
     k = int(np.argmin(changes))
     return _Option(search.bic(kept) + float(changes[k]), kept, *shapes.listed[k])
 
 
 def _reduced(chosen: Choice) -> list[Choice]:
-    """The set without one member, without all members at one place, and the empty set."""
+    """All sets without one member, all without the members at one place, and the empty set."""
     sets = [chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))]
     for place in dict.fromkeys(place_of(h.key) for h in chosen):
         sets.append(tuple(h for h in chosen if place_of(h.key) != place))
@@ -86,6 +88,6 @@ def _reduced(chosen: Choice) -> list[Choice]:
 
 
 def place_of(key: str) -> str:
-    """Where an effect of the library would be looked for, were it unknown."""
+    """Place at which the effect with this key acts."""
     name, _, joint = key.partition(":")
     return f"joint:{joint}" if joint else PLACES.get(name, name)

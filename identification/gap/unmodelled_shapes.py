@@ -1,9 +1,9 @@
-"""General shapes that no effect of the library has, by place: what an unknown effect may look like.
+"""General shapes of effects outside the library: functions of a joint's angle, of time, and of the position.
 
-An unknown effect at a joint is some function of that joint (or of its neighbors), acting through the joint's lever
-arm; one in time is a step, a bend or a wave of the base; one in the workspace is a smooth warp or a local dent of the
-measured positions. Each shape has few columns; a place is said to hold an unknown effect when the best of its shapes
-explains what is left, after correction for all shapes of all places.
+An unknown effect at a joint is some function of that joint (or of its neighbors), acting through the joint's lever; one
+in time is a step, a power or a wave of the base; one in the workspace is a smooth warp or a local dent of the measured
+positions. Each shape has few columns; an unknown effect is located where the best shape explains the residuals, after
+correction for all shapes at all places.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ NamedColumns = tuple[str, Array]  # a shape over one joint: for people, and (m, 
 
 @dataclass(frozen=True)
 class GeneralShape:
-    """place : `joint:j`, `time`, `workspace`;  shape : for people;  columns : (m, d, k) for d coordinates"""
+    """place : `joint:j`, `time`, `workspace`;  shape : its description;  columns : (m, d, k) for d coordinates"""
 
     place: str
     shape: str
@@ -41,9 +41,9 @@ class GeneralShape:
 
 @dataclass(frozen=True)
 class PlaceShapes:
-    """All shapes at one place.
+    """All S shapes at one place.
 
-    shapes : for people;  sizes : (S,) columns of each;  columns : (m, d, K) side by side
+    shapes : descriptions;  sizes : (S,) number of columns of each;  columns : (m, d, K) side by side
     """
 
     place: str
@@ -53,20 +53,20 @@ class PlaceShapes:
 
     @classmethod
     def of(cls, place: str, listed: list[GeneralShape]) -> PlaceShapes:
-        """From shapes one by one."""
+        """Stack shapes at one place."""
         columns = np.concatenate([a.columns for a in listed], axis=2)
         return cls(place, tuple(a.shape for a in listed), np.array([a.columns.shape[2] for a in listed]), columns)
 
     @classmethod
     def at_joint(cls, place: str, listed: list[NamedColumns], lever: Array) -> PlaceShapes:
-        """From functions of the joint's angle that act through its lever (m, d)."""
+        """Stack functions of a joint's angle, acting through the joint's lever (m, d) [mm/rad]."""
         values = np.concatenate([v for _, v in listed], axis=1)
         sizes = np.array([v.shape[1] for _, v in listed])
         return cls(place, tuple(name for name, _ in listed), sizes, lever[:, :, None] * values[:, None, :])
 
 
 def general_shapes(found: Fit, rows: Rows) -> Iterator[PlaceShapes]:
-    """The shapes at a fitted model, one place after the other, since together they are thousands of columns."""
+    """The shapes at a fitted model, one place at a time, as together they have thousands of columns."""
     at = (rows.postures, found.values, rows.conditions)
     position, levers = found.model.position(*at), found.model.joint_levers(*at)
     for j, lever in enumerate(np.moveaxis(levers, 2, 0)):
@@ -130,9 +130,9 @@ def _time_shapes(time: Array, position: Array) -> list[GeneralShape]:
 
 
 def rotations(position: Array) -> Array:
-    """(m, d, d (d - 1) / 2) what small rotations about the base do to positions (m, d), one in each coordinate plane.
+    """(m, d, d (d - 1) / 2) displacement of positions (m, d) per rotation about the base in each coordinate plane.
 
-    In the plane of coordinates a < b: a moves by minus b, b by a.
+    In the plane of coordinates a < b, coordinate a changes by -b and b by a.
     """
     d = position.shape[1]
     planes = list(combinations(range(d), 2))
@@ -158,7 +158,7 @@ def _workspace_shapes(position: Array) -> list[GeneralShape]:
 
 
 def _instrument_shapes(position: Array) -> list[GeneralShape]:
-    """What bends an instrument's frame: the cubic distortion of a lens, waves along an axis or along the radius."""
+    """Distortions of an instrument: the cubic distortion of a lens, waves along an axis or along the radius."""
     radius = np.linalg.norm(position, axis=1)
     reach = max(float(radius.max()), 1e-300)
     listed = [GeneralShape("workspace", "lens distortion", (position * radius[:, None] ** 2)[:, :, None])]
@@ -173,11 +173,11 @@ def _instrument_shapes(position: Array) -> list[GeneralShape]:
 
 
 def _waves(turns: Array) -> Array:
-    """(m, 2) cosine and sine."""
+    """(m, 2) cosine and sine of numbers of turns (m,)."""
     return np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns)], axis=1)
 
 
 def _vector_waves(turns: Array, dimension: int) -> Array:
-    """(m, d, 2 d) cosine and sine of every coordinate."""
+    """(m, d, 2 d) cosine and sine of numbers of turns (m,), for each coordinate."""
     waves = np.eye(dimension)[None, :, :, None] * _waves(turns)[:, None, None, :]
     return waves.reshape(len(turns), dimension, 2 * dimension)

@@ -1,4 +1,4 @@
-"""What general shapes could explain beside a set of effects, and whether it is more than chance."""
+"""Test general shapes beside a set of effects, and adjust the p-value of the best for all that were tried."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ FRACTION = 0.02  # of a shape's norm that must survive projection: less is nearl
 
 @dataclass
 class Survey:
-    """General shapes beside a set of effects.
+    """Tests of S general shapes beside a set of effects.
 
-    listed : (place, shape);  sizes : (S,) columns of each;  reductions : (S,) of the sum of squares by each
-    changes : (S,) of BIC by each;  p : (S,) of each alone, both without prior weights;  counts : place -> shapes tried
+    fit : of the set;  listed : (place, shape) of each;  sizes : number of columns of each
+    reductions, changes : of the sum of squares and of BIC by each;  p : p-value of each by itself
+    counts : place -> number of shapes tried, which determines the prior weights; `changes` and `p` are without them
     """
 
     fit: Fit
@@ -43,7 +44,7 @@ class Survey:
     counts: Counter[str] = field(default_factory=Counter)
 
     def add(self, place: PlaceShapes, columns: Columns, basis: Array, inside: Array, raw: Array) -> None:
-        """Try the shapes of a place.
+        """Test the shapes at one place.
 
         basis : (N, r) orthonormal, of the fit's Jacobian;  inside : (r, C) its products with the columns
         raw : (C,) products of the columns with the fit's residual
@@ -61,25 +62,25 @@ class Survey:
 
     @property
     def weights(self) -> Array:
-        """(S,) prior weights: each place has the same, shared by its shapes."""
+        """(S,) prior weights: equal for all places, and divided equally among the shapes of a place."""
         return np.array([1.0 / (self.counts[place] * len(self.counts)) for place, _ in self.listed])
 
     @property
     def bic_changes(self) -> Array:
-        """(S,) of BIC, with the prior weights."""
+        """(S,) change of BIC by each shape, with the prior weights."""
         return np.array(self.changes) - 2.0 * np.log(self.weights)
 
     @property
     def smallest(self) -> float:
-        """Smallest p-value for its weight."""
+        """Smallest ratio of p-value to prior weight."""
         return float(np.min(np.array(self.p) / self.weights))
 
 
 class Sample:
-    """Columns of all shapes on some of the rows, at most `SAMPLED`, taken at random."""
+    """Columns of all shapes at a random sample of the rows, at most `SAMPLED` of them."""
 
     def __init__(self, count: int, dimension: int, generator: np.random.Generator):
-        """count, dimension : m rows of d coordinates"""
+        """Draw the sample from `count` rows with `dimension` coordinates each."""
         self.rows = np.arange(count)
         if count > SAMPLED:
             self.rows = np.sort(generator.permutation(count)[:SAMPLED])
@@ -88,11 +89,11 @@ class Sample:
         self.parts: list[Columns] = []
 
     def add(self, columns: Columns) -> None:
-        """The shapes of one more place."""
+        """Add the shapes of one place."""
         self.parts.append(columns if self.whole else Columns(columns.matrix[self.index], columns.sizes))
 
     def against(self, basis: Array) -> Dictionary:
-        """The shapes projected off a model of this basis (N, r) of all rows, on these rows."""
+        """The shapes at the sampled rows, projected off a model with this basis (N, r) over all rows."""
         basis = basis if self.whole else np.asarray(np.linalg.qr(basis[self.index])[0])
         sizes = [c.sizes for c in self.parts]
         weights = [np.full(len(k), 1.0 / (len(k) * len(sizes))) for k in sizes]
@@ -103,7 +104,10 @@ class Sample:
 def visible(
     basis: Array, columns: Columns, weights: Array | None = None, inside: Array | None = None
 ) -> tuple[Dictionary, NDArray[np.int64]]:
-    """Shapes projected off a model of which enough is left, and (S,) which ones they are."""
+    """Shapes projected off a model, without those that nearly vanish, and the indices of the others.
+
+    basis : (N, r) orthonormal, of the model;  inside : (r, C) its products with the columns, None: computed here
+    """
     weights = np.ones(len(columns.sizes)) if weights is None else weights
     full = dictionary(basis, columns, np.zeros(len(weights), dtype=bool), weights, inside)
     kept = np.flatnonzero((full.sizes > 0) & (full.norm_fractions > FRACTION))
@@ -111,7 +115,7 @@ def visible(
 
 
 def survey_all(search: HypothesisSearch, sets: list[Choice], sample: Sample) -> list[Survey]:
-    """The shapes beside each of some sets, the largest first; of many rows with its columns for all of them."""
+    """Test the shapes beside each of several sets, the largest first; a `linear` search shares its columns."""
     if search.linear:
         found = surveyed(search, sets, sample)
     else:
@@ -121,13 +125,16 @@ def survey_all(search: HypothesisSearch, sets: list[Choice], sample: Sample) -> 
 
 
 def shapes_beside(search: HypothesisSearch, chosen: Choice) -> Survey:
-    """The shapes beside one set, as they were found before where they were."""
+    """Test the shapes beside one set, or return the cached result."""
     known = search.surveys.get(frozenset(h.label for h in chosen))
     return surveyed(search, [chosen], None)[0] if known is None else known
 
 
 def surveyed(search: HypothesisSearch, sets: list[Choice], sample: Sample | None) -> list[Survey]:
-    """The shapes beside each of some sets, which the first contains, with the columns and the Jacobian at its fit."""
+    """Test the shapes beside several sets, with columns and Jacobian at the fit of the first.
+
+    sets : the first contains all others;  sample : to which the columns are added, None: to none
+    """
     first, found = search.fit(sets[0]), [Survey(search.fit(chosen)) for chosen in sets]
     bases = [_basis(first, sets[0], chosen) for chosen in sets]
     turns = [bases[0].T @ basis for basis in bases]
@@ -143,7 +150,7 @@ def surveyed(search: HypothesisSearch, sets: list[Choice], sample: Sample | None
 
 
 def _basis(first: Fit, members: Choice, chosen: Choice) -> Array:
-    """(N, r) orthonormal basis of the first fit's Jacobian without the columns of those members that are not chosen."""
+    """(N, r) orthonormal basis of the first fit's Jacobian without the columns of members that are not chosen."""
     left_out = {h.effect.label for h in members} - {h.effect.label for h in chosen}
     own = {p.name for e in first.model.effects if e.label in left_out for p in e.parameters}
     kept = [name not in own for name in first.model.names]
@@ -151,7 +158,7 @@ def _basis(first: Fit, members: Choice, chosen: Choice) -> Array:
 
 
 def shape_columns(at: Fit) -> Iterator[tuple[PlaceShapes, Columns]]:
-    """The shapes at a fit with their whitened columns, one place after the other."""
+    """The shapes at a fit with their whitened columns, one place at a time, without shapes of too many columns."""
     for place in general_shapes(at, at.rows):
         few = place.sizes < at.freedom - 1
         if few.any():
@@ -162,12 +169,13 @@ def shape_columns(at: Fit) -> Iterator[tuple[PlaceShapes, Columns]]:
 
 
 def adjusted(search: HypothesisSearch, shapes: Survey, sample: Sample, generator: np.random.Generator) -> float:
-    """Adjusted p-value of the best shape under white Gaussian noise, if the wild bootstrap does not object.
+    """Adjusted p-value of the best shape: that under white Gaussian noise, or the scaled one of the wild bootstrap if
+    that is larger.
 
-    The wild bootstrap alone would have no power against a shape that moves a few postures only (their signs come out
-    alike too often), Gaussian noise alone would take scatter for waves; so the bootstrap is asked at `BOOTSTRAP_LEVEL`
-    only. The draws are made on the sample: how small the smallest of many p-values gets by chance depends on their
-    correlations, not on the number of rows.
+    The wild bootstrap alone has no power against a shape that acts at a few postures only (their signs often agree);
+    Gaussian noise alone mistakes heteroscedastic noise for waves. The bootstrap is therefore applied at the weaker
+    `BOOTSTRAP_LEVEL`. The draws are made at the sampled rows: the null distribution of the smallest p-value depends on
+    the correlations of the shapes, not on the number of rows.
     """
     basis = shapes.fit.basis
     corrected = leverage_corrected(shapes.fit.residual, basis, search.rows.dimension)[sample.rows]
@@ -185,6 +193,6 @@ def adjusted(search: HypothesisSearch, shapes: Survey, sample: Sample, generator
 
 
 def tail(against: Dictionary, smallest: float, drawn: Iterable[Draws]) -> float:
-    """Share of the draws whose smallest weighted p-value is as small."""
+    """Fraction of the draws whose smallest weighted p-value is at most `smallest`, as a p-value."""
     found = smallest_drawn(against, drawn)
     return float((1.0 + np.sum(found <= smallest)) / (1.0 + len(found)))

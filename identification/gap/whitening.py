@@ -1,7 +1,7 @@
-"""The rows that are tested, and the transformation that makes their noise white.
+"""`Rows`: the measured rows of a diagnosis, with the transformation that makes their noise white.
 
-Only relative sizes of sigma matter here: every test divides by a scale estimated from the residuals, since a sigma
-from a data sheet that is 1.5 times too small would always raise the alarm (identification/README.md, "Lessons").
+Only relative values of sigma matter here: every test divides by a scale estimated from the residuals, since a data
+sheet's sigma that is 1.5 times too small would make every test significant (identification/README.md, "Lessons").
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from identification.measurements import Conditions, Measurements
 
 @dataclass(frozen=True)
 class Rows:
-    """m measured postures with everything that follows from the whole session fixed, so that rows can be left out.
+    """m measured rows; conditions that follow from the whole session are fixed, so that rows can be left out.
 
-    spread : (m, d, d) symmetric square root of the relative covariance of a row, None: the same for all
-    correlation : lag-1 correlation of the noise from one row to the next measured
+    postures : (m, n) [rad];  positions : (m, d) [mm];  order : (m,) rank of each row in time
+    spread : (m, d, d) symmetric square root of the relative covariance of each row, None: the same for all
+    correlation : lag-1 correlation of the noise between consecutive rows
     numbers : (m,) equal numbers mark repeats of one posture, None: equal angles do
-    sigma : standard deviation [mm] of a whitened coordinate that the data give, None: they do not
+    sigma : standard deviation [mm] of a whitened coordinate as given by the data, None: not given
     """
 
     postures: Array
@@ -41,7 +42,7 @@ class Rows:
 
     @classmethod
     def of(cls, measurements: Measurements) -> Rows:
-        """The rows of a data set; a sigma per row becomes a relative weight."""
+        """The rows of a data set; a sigma for each row becomes a relative weight."""
         m = len(measurements)
         order = np.empty(m)
         order[measurements.sequence] = np.arange(m)  # one session after another
@@ -53,7 +54,7 @@ class Rows:
         return replace(found, numbers=measurements.posture_numbers, sigma=sigma)
 
     def pick(self, index: Any) -> Rows:
-        """Some of the rows."""
+        """Some of the rows, by index, mask or slice."""
         spread = None if self.spread is None else self.spread[index]
         return replace(
             self,
@@ -77,25 +78,25 @@ class Rows:
 
     @property
     def posture_numbers(self) -> NDArray[np.int64]:
-        """(m,) number of each row's posture, 0, 1, ...; rows of one number are repeats."""
+        """(m,) number of each row's posture, from 0; rows with equal numbers are repeats."""
         if self.numbers is None:
             return np.unique(np.round(self.postures, 9), axis=0, return_inverse=True)[1].ravel()
         return np.unique(self.numbers, return_inverse=True)[1]
 
     @cached_property
     def _inverse(self) -> Array:
-        """(m, d, d) inverse of the spread."""
+        """(m, d, d) inverse of `spread`."""
         return np.asarray(np.linalg.inv(np.eye(self.dimension) if self.spread is None else self.spread))
 
     @property
     def log_determinant(self) -> float:
-        """Logarithm of the determinant of the relative covariance of all m d coordinates."""
+        """Log determinant of the relative covariance of all m d coordinates."""
         memory = self.dimension * (len(self) - 1) * np.log1p(-(self.correlation**2))
         spread = 0.0 if self.spread is None else 2.0 * np.sum(np.linalg.slogdet(self.spread)[1])
         return float(memory + spread)
 
     def whiten(self, values: Array) -> Array:
-        """(m d, ...) of (m, d, ...) with unit covariance up to a factor; linear, so it serves residuals and columns."""
+        """Transform (m, d, ...) to (m d, ...) with white noise; linear, so that it serves residuals and columns."""
         m, d = len(self), self.dimension
         if self.spread is not None:
             values = (self._inverse @ values.reshape(m, d, -1)).reshape(values.shape)
@@ -104,7 +105,7 @@ class Rows:
         return values.reshape(m * d, *values.shape[2:])
 
     def _decorrelated(self, values: Array) -> Array:
-        """Exact for a first-order autoregression: each row less what the row before predicts of it."""
+        """Subtract from each row what the previous row predicts, for a first-order autoregression; (m, d, ...)."""
         rho, sequence, root = self.correlation, self.sequence, np.sqrt(1.0 - self.correlation**2)
         if np.array_equal(sequence, np.arange(len(sequence))):
             changed = values / root

@@ -1,4 +1,4 @@
-"""The loop inside `diagnose` (steps 2 to 6): screen, test, rank, look outside the library, until all agree."""
+"""The loop of `diagnose` (steps 2 to 6): select effects and model the noise in turn until both agree."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ from identification.gap.unmodelled import Unknown
 from identification.gap.whitening import Rows
 
 # reasons: identification/README.md, "Constants"
-MOST_ROWS = 1250  # what is just worth a round is then found in 99 of 100 cases
+MOST_ROWS = 1250  # an effect with a gain of `LEAST_GAIN` is then found in 99 of 100 cases
 PASSES = 4  # effort: rounds of naming and screening
 CREDIT = 6.0  # odds of 20 to 1 for another explanation of the scatter
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What the data say.
+    """Result of the search.
 
-    search : the tests, with their noise model;  scatter : findings about the noise;  outlier : (m,) rows left out
-    whole : fits to all rows with their noise model, where effects were looked for in some of them; None: `search`
+    search : the tests, with their noise model;  selection : effects of the library;  unknown : effect outside it
+    scatter : findings about the noise;  outlier : (m,) rows left out
+    whole : fits to all rows, if effects were searched in a sample of them; None: as `search`
     """
 
     search: HypothesisSearch
@@ -40,15 +41,15 @@ class Findings:
 
     @property
     def fits(self) -> HypothesisSearch:
-        """Fits to all rows but the outliers."""
+        """Fits to all rows except outliers."""
         return self.whole or self.search
 
 
 @dataclass(frozen=True)
 class Workflow:
-    """How the effects of a library are looked for.
+    """The search for missing effects.
 
-    draws : of each bootstrap, from the generator;  tell : says what is done
+    draws : of each bootstrap, from the generator;  tell : called with a message at each step
     """
 
     hypotheses: HypothesisSet
@@ -57,8 +58,11 @@ class Workflow:
     tell: Callable[[str], None] = lambda message: None
 
     def findings(self, rows: Rows) -> Findings:
-        """What these rows say; of very many, `MOST_ROWS` are searched, taken at random since every fourth of a grid may
-        be the same angle. Outliers and scatter are then judged among all rows, and what was named is fitted to all."""
+        """Search these rows for missing effects.
+
+        Of more than `MOST_ROWS` rows a random sample is searched (random, as every fourth row of a grid may have the
+        same angle); outliers and noise are then determined from all rows, and the named effects are fitted to all.
+        """
         if len(rows) <= MOST_ROWS:
             return self._investigated(rows)
         some = np.sort(self.generator.permutation(len(rows))[:MOST_ROWS])
@@ -74,10 +78,10 @@ class Workflow:
         return replace(found, outlier=outlier, scatter=scatter, whole=whole)
 
     def _investigated(self, rows: Rows) -> Findings:
-        """Name effects, then look at the scatter under the named model; if that changes what is white, name again.
+        """Select effects and screen the noise of the named model in turn, until the noise model no longer changes.
 
-        The scatter is judged after naming because a missing effect looks like scatter (a drift like serial
-        correlation), and before the final naming because scatter looks like an effect.
+        The noise is screened after the selection because a missing effect resembles noise (a drift resembles serial
+        correlation), and before the final selection because noise can resemble an effect.
         """
         self.tell("fitting the base model")
         noisy = rows
@@ -110,7 +114,7 @@ class Workflow:
     def _explained(
         self, search: HypothesisSearch, selection: Selection, scatter: tuple[Finding, ...], outlier: NDArray[np.bool_]
     ) -> Findings:
-        """The findings of a search, with what is left beside it."""
+        """The findings of a search, with the unknown effect beside its selection, if any."""
         last = explained(search, selection, self.draws, self.generator)
         return Findings(last.search, last.selection, last.unknown, scatter, outlier)
 
@@ -123,12 +127,12 @@ class Workflow:
         return self._explained(search, selection, scatter, outlier)
 
     def _with_memory(self, found: Findings, rows: Rows) -> list[Findings]:
-        """The same data with serially correlated noise, where the base model's residuals hint at it.
+        """The findings with serially correlated noise, if the residuals of the base model suggest it; else empty.
 
-        An effect that was named takes the correlation out of the residuals that were screened: a drift, a step or an
-        offset can be the slow part of such noise, and of few rows it often is. The lower BIC is right, without a
-        credit: it is 5 to 24 lower where the noise is correlated and 2 to 29 higher where there is a drift or a step
-        (simulated, 30 and 50 rows).
+        A named drift, step or offset can be the slow part of correlated noise, especially with few rows, and then
+        removes the correlation from the residuals that were screened. The lower BIC decides, without a credit: it is 5
+        to 24 lower where the noise is correlated and 2 to 29 higher where there is a drift or a step (simulated, 30 and
+        50 rows).
         """
         known = any(finding.name == "serial_correlation" for finding in found.scatter)
         if known or (not found.unknown.chosen and found.unknown.place is None):
@@ -145,10 +149,10 @@ class Workflow:
 def _other_noise(
     found: Findings, rows: Rows, noisy: Rows, named: Fit
 ) -> list[tuple[Rows, tuple[Finding, ...], NDArray[np.bool_]]]:
-    """The same data without outliers, without serial correlation, without a noise model: rows, findings, rows left out.
+    """Alternatives to the noise model: without outliers, without serial correlation, and without any noise model.
 
-    An effect that moves a few postures only (a bump at one joint angle) looks like outliers, and a step in time like
-    serial correlation; whichever explanation has the lower BIC is right.
+    Returns rows, findings and (m,) rows left out of each. An effect that acts at a few postures only (a bump at one
+    joint angle) resembles outliers, and a step in time resembles serial correlation; the lower BIC decides.
     """
     others = []
     if found.outlier.any():
@@ -161,8 +165,8 @@ def _other_noise(
 def cost(found: Findings, m: int) -> float:
     """BIC of effects and noise model together, comparable between different sets of outliers.
 
-    Each outlier is a model of its own: d free coordinates at one of m rows. The noise model costs its parameters and
-    the logarithm of its covariance's determinant.
+    Each outlier counts as d free coordinates at one of m rows. The noise model costs its parameters and the log
+    determinant of its covariance.
     """
     d = found.search.rows.dimension
     n, taken = d * m, int(found.outlier.sum())
