@@ -39,7 +39,7 @@ class JobOptions:
 def job_options(*, workers: int | None, out: str) -> Decorator:
     """--workers (all cores if `workers` is None), --cluster, --out (its help), --resume and --force, as `job`."""
     shown = "all cores" if workers is None else True
-    kind = click.IntRange(min=1)
+    kind = click.IntRange(1, 4096)  # each is a process of about 100 MB
     return grouped(
         JobOptions,
         "job",

@@ -68,6 +68,11 @@ def test_a_grid_larger_than_memory(folder: Folder, levels: str) -> None:
     refused(folder, ["relax", "arm.toml", "--grid", levels], "grid", levels, "allowed: 2 to 512")
 
 
+@pytest.mark.parametrize("verb", [["compare", "arm.toml", "--runs", "8"], ["study", "study.toml"]])
+def test_more_workers_than_a_machine_has(folder: Folder, verb: list[str]) -> None:
+    refused(folder, [*verb, "--workers", "99999999999999999999"], "--workers", "99999999999999999999", "1<=x<=4096")
+
+
 def test_more_draws_than_memory(folder: Folder) -> None:
     folder.simulated()
     refused(folder, ["diagnose", "arm.toml", "data.csv", "--draws", "1000000000"], "--draws", "1000000000")
