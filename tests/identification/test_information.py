@@ -174,7 +174,10 @@ def test_column_space_is_orthonormal_and_made_of_the_columns(smallest: float, ra
 
 
 def test_many_at_once_are_as_each_alone() -> None:
-    """Clear plans, one that loses a link exactly, and one so nearly that only singular values see it."""
+    """Clear plans, one that loses a link exactly, and one so nearly that only singular values see it.
+
+    And an arm with one direction too many, a column that is another's negative: all other singular values are clear.
+    """
     plans = np.stack([postures(seed=seed) for seed in range(4)])
     plans[1, :, 2] = 0.0  # links 2 and 3 are one
     plans[2, :, 2] = 1e-6 * np.arange(20)
@@ -188,3 +191,7 @@ def test_many_at_once_are_as_each_alone() -> None:
         expected = 0.3**2 * (inverse @ inverse.T) / np.outer(model.scales, model.scales)
         assert found[k] == pytest.approx(expected, rel=1e-4, abs=1e-9 * np.abs(expected).max())
     assert np.isnan(found[1]).all()
+    aliased = np.concatenate([jacobians, -jacobians[..., -1:]], axis=-1)
+    scales = np.append(model.scales, model.scales[-1])
+    assert full_rank(aliased, scales).tolist() == [False] * 4
+    assert np.isnan(covariances(aliased, scales)).all()

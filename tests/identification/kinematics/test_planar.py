@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from identification.kinematics.parameters import ParameterSet, chain_parameters
 from identification.kinematics.planar import (
+    PlanarGeometry,
     joint_points,
     orientation_transform,
     rotate,
@@ -73,3 +74,10 @@ def test_orientations_sum_the_offsets() -> None:
     np.testing.assert_array_equal(orientation_transform(parameters), [[0, 0, 1, 0], [0, 0, 1, 1]])
     without = ParameterSet.of(p for p in parameters if p.name not in ("length_error:2", "joint_offset:1"))
     np.testing.assert_array_equal(orientation_transform(without), [[0, 1]])
+
+
+def test_offsets_are_scaled_by_the_best_known_lengths() -> None:
+    """Also where an error turns a link around; the drawing's length where nothing of the link is left."""
+    best = {"length_error:1": 5.0, "length_error:2": -200.0, "length_error:3": -120.0}
+    scales = PlanarGeometry(LENGTHS).parameters(best).scales
+    np.testing.assert_array_equal(scales, [1.0, 1.0, 1.0, 1.0, 265.0, 20.0, 120.0, 100.0])
