@@ -2,10 +2,10 @@
 
     position = T(q, g, a) + i,   (a, i) = sum_e A_e(q, c, v_e, s)
 
-g are the values of the geometry, a and i what effects e with values v_e add at the places of the chain before the
-instrument and at it (effects/places.py), s the state that they see: loads, which effects may change, link lengths, and
-the tip before the instrument. Derivatives follow by the chain rule, exactly. To set up the geometry of six axes takes
-longer than most fits of it, and `diagnose` asks for hundreds of sets of effects.
+Here g are the values of the geometry, a and i what the effects e with values v_e add at the places of the chain before
+the instrument and at it (effects/places.py), and s the state on which they depend: loads, which effects may change,
+link lengths, and the tip before the instrument. Derivatives follow exactly by the chain rule. Setting up the geometry
+of six axes takes longer than most fits of it, and `diagnose` needs hundreds of sets of effects.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ INSIDE = ("joint_angles", "extensions", *OF_FRAME, "tool", "base_rotation", "bas
 POINT = slice(DIMENSION)  # of the position
 ORIENTATION = 10  # columns of a measured orientation: nine, and whether there is none
 LOADED = slice(0, 1 + ROTATIONS[DIMENSION])  # of the state, and of all places
-Said = tuple[np.ndarray, ...]  # by a part
+Outputs = tuple[np.ndarray, ...]  # of `Part.evaluate`
 
 
 class Symbols:
-    """Of posture, conditions and state, and the chain there, loaded and not.
+    """CasADi symbols of posture q (n), conditions c and state, and the nominal chain, with and without loads.
 
-    remembers : the conditions have the past;  extra : their further columns, see `chain_at`
+    remembers : the conditions include the past;  extra : their further columns, see `chain_at`
     """
 
     def __init__(self, arm: Arm, remembers: bool, extra: tuple[str, ...] = ()) -> None:
@@ -57,18 +57,18 @@ class Symbols:
         self.loaded = in_state(self.chain, self.state)
 
     def added(self, effect: Effect) -> tuple[ca.SX, ca.SX]:
-        """(P,) what an effect adds at all places, and the symbols of its parameters."""
+        """(P,) contributions of an effect at all places, and the symbols of its parameters."""
         v = ca.SX.sym("v", len(effect.parameters))
         return contributions(effect, self.chain, self.loaded, v, self.state), v
 
 
 def condition_width(links: int, remembers: bool, extra: tuple[str, ...]) -> int:
-    """Columns of the conditions of a model."""
+    """Number of columns of the conditions of a model."""
     return orientation_columns(links, remembers, extra).stop + links * ("errors" in extra)
 
 
 def orientation_columns(links: int, remembers: bool, extra: tuple[str, ...]) -> slice:
-    """Those of a measured orientation among the columns of the conditions."""
+    """Columns of a measured orientation among those of the conditions; empty without one."""
     start = Conditions.columns(links, remembers) + ("marker" in extra)
     return slice(start, start + ORIENTATION * ("orientation" in extra))
 
@@ -76,8 +76,8 @@ def orientation_columns(links: int, remembers: bool, extra: tuple[str, ...]) -> 
 def chain_at(arm: Arm, q: ca.SX, c: ca.SX, remembers: bool, extra: tuple[str, ...]) -> Chain:
     """The nominal chain at the symbols of a posture and its conditions.
 
-    extra : further columns of the conditions, in order: `marker`, `orientation` that was measured (nine numbers, by
-        columns, and 1 where there is none), and `errors` that curves say
+    extra : further columns of the conditions, in order: `marker`; `orientation` as measured (nine elements, column by
+        column, and 1 where there is none); `errors`, values of error curves
     """
     width, measured = Conditions.columns(arm.links, remembers), orientation_columns(arm.links, remembers, extra)
     chain = Chain.of(arm, q, c[:width])
@@ -90,11 +90,12 @@ def chain_at(arm: Arm, q: ca.SX, c: ca.SX, remembers: bool, extra: tuple[str, ..
 
 @dataclass(frozen=True)
 class Part:
-    """An effect as a function of arrays (q, c, v, s).
+    """An effect compiled to a function of arrays (q, c, v, s).
 
-    rows : (R,) places where it adds something;  loads, measures : they are some of the loads, of the instrument
-    reads : it depends on the state
-    evaluate : what it adds there (R, 1), the derivatives by its values (R, size) and by the state (R, S)
+    rows : (R,) indices of the places where it adds something
+    loads, measures : whether these include loads, and the instrument;  reads : whether it depends on the state
+    evaluate : returns its contributions (R, 1) and their derivatives with respect to its values (R, size) and to the
+        state (R, S)
     """
 
     rows: NDArray[np.int64]
@@ -105,7 +106,7 @@ class Part:
 
     @classmethod
     def of(cls, at: Symbols, effect: Effect) -> Part:
-        """Compiled."""
+        """Compile an effect."""
         every, v = at.added(effect)
         rows = np.flatnonzero([not every[k].is_zero() for k in range(every.numel())])
         added = every[rows.tolist()]
@@ -116,7 +117,7 @@ class Part:
 
 
 class Parts:
-    """What all models of one spatial arm share."""
+    """Compiled parts shared by all models of one spatial arm: its geometry, and each effect."""
 
     def __init__(self, chain: SpatialChain, gravity: Gravity | None, remembers: bool, extra: tuple[str, ...]) -> None:
         self.at = Symbols(Arm.of_chain(chain, gravity=gravity), remembers, extra)
@@ -133,17 +134,17 @@ class Parts:
         self._geometries: dict[object, Evaluate] = {}
 
     def of(self, effect: Effect) -> Part:
-        """An effect's part."""
+        """The part of an effect, compiled at the first call."""
         key = type(effect), effect.joint, *effect.chosen.items()
         if key not in self._effects:
             self._effects[key] = Part.of(self.at, effect)
         return self._effects[key]
 
     def geometry(self, known: tuple[float | None, ...], places: tuple[str, ...], derivatives: bool) -> Evaluate:
-        """Of arrays (q, c, g, a): the tip, and its derivatives by g and a.
+        """Function of arrays (q, c, g, a) that returns the tip and, if asked for, its derivatives by g and by a.
 
-        known : of each value of the geometry, None: it belongs to g
-        places : those of which a has what is added, the others have nothing
+        known : each value of the geometry, None: it is an element of g
+        places : whose contributions are the elements of a; the others add nothing
         """
         if (key := (known, places, derivatives)) not in self._geometries:
             self._geometries[key] = self._compiled(*key)
@@ -163,29 +164,31 @@ class Parts:
 
 @lru_cache(maxsize=8)
 def parts(chain: SpatialChain, gravity: Gravity | None, remembers: bool, extra: tuple[str, ...]) -> Parts:
-    """Made once for equal arms."""
+    """The parts of an arm, cached for equal arms."""
     return Parts(chain, gravity, remembers, extra)
 
 
 class At(NamedTuple):
-    """A model at some postures.
+    """A model evaluated at some postures.
 
-    position : (..., d);  by_geometry : (..., d, g) derivatives;  levers : (..., d, P) by what is added at each place
-    state : (..., S);  added : of each effect what its part says
+    position : (..., d) [mm];  by_geometry : (..., d, g) derivative with respect to the values of the geometry
+    levers : (..., d, P) derivative with respect to what is added at each place;  state : (..., S)
+    added : outputs of each effect's part
     """
 
     position: Array
     by_geometry: Array
     levers: Array
     state: Array
-    added: list[Said]
+    added: list[Outputs]
 
 
 @dataclass(frozen=True)
 class Composition:
-    """A spatial arm with effects as functions of arrays (q, c, p), as `Expressions` gives them.
+    """A spatial arm with effects as functions of arrays (q, c, p), with the interface of `Expressions`.
 
-    values : of all parameters, those of the geometry first, None where p has them
+    q : (..., n) postures [rad];  c : (..., C) conditions;  p : (..., p) free parameters [API units]
+    values : of all parameters, those of the geometry first, None for the free ones
     """
 
     shared: Parts
@@ -193,11 +196,11 @@ class Composition:
     values: tuple[float | None, ...]
 
     def position(self, q: Array, c: Array, p: Array) -> tuple[Array]:
-        """(d, 1) positions."""
+        """(..., d, 1) positions."""
         return (self._at(q, c, p, self._used, derivatives=False).position[..., None],)
 
     def jacobian(self, q: Array, c: Array, p: Array) -> tuple[Array, Array]:
-        """(d, 1) positions and (d, p) derivatives by p."""
+        """(..., d, 1) positions, and (..., d, p) derivatives with respect to p."""
         at = self._at(q, c, p, self._used)
         columns = [at.by_geometry]
         for part, values, (_, slopes, _) in zip(self._parts, self._own, at.added, strict=True):
@@ -206,12 +209,12 @@ class Composition:
         return at.position[..., None], np.concatenate(columns, axis=-1)
 
     def place_levers(self, q: Array, c: Array, p: Array) -> tuple[Array, Array]:
-        """(d, P) derivatives by what is added at each place, and the state (S, 1)."""
+        """(..., d, P) derivatives with respect to what is added at each place, and the state (..., S, 1)."""
         at = self._at(q, c, p, INSIDE)
         return at.levers, at.state[..., None]
 
     def joint_levers(self, q: Array, c: Array, p: Array) -> tuple[Array]:
-        """(d, n) derivatives by an angle added at each joint."""
+        """(..., d, n) derivatives with respect to an angle added at each joint."""
         used = tuple(place for place in INSIDE if place == "joint_angles" or place in self._used)
         return (self._at(q, c, p, used).levers[..., self.shared.places["joint_angles"]],)
 
@@ -225,18 +228,18 @@ class Composition:
 
     @cached_property
     def _own(self) -> list[tuple[float | None, ...]]:
-        """Per effect its part of the values."""
+        """For each effect its elements of `values`."""
         ends = np.cumsum([len(self._geometry_values), *(len(effect.parameters) for effect in self.effects)]).tolist()
         return [self.values[start:end] for start, end in pairwise(ends)]
 
     @cached_property
     def _used(self) -> tuple[str, ...]:
-        """Places of the geometry where the effects add anything."""
+        """Places before the instrument at which any effect adds something."""
         rows = {int(row) for part in self._parts for row in part.rows}
         return tuple(place for place in INSIDE if rows & set(range(*self.shared.places[place].indices(1 << 30))))
 
     def _split(self, p: Array) -> tuple[Array, list[Array]]:
-        """(..., g) values of the geometry that p has, and (..., size) all of each effect."""
+        """(..., g) free values of the geometry, and (..., size) all values of each effect."""
         start = sum(value is None for value in self._geometry_values)
         found = [p[..., :start]]
         for values in self._own:
@@ -248,36 +251,42 @@ class Composition:
         return found[0], found[1:]
 
     def _at(self, q: Array, c: Array, p: Array, used: tuple[str, ...], derivatives: bool = True) -> At:
-        """The model, with levers of the places used; loads come before everything, the instrument after it."""
+        """Evaluate the model, with levers of the places used: loads first, then the geometry, then the instrument."""
         shared, (g, values) = self.shared, self._split(p)
         batch = np.broadcast_shapes(q.shape[:-1], c.shape[:-1], p.shape[:-1])
         state = np.zeros((*batch, shared.at.state.numel()))
         state[..., 0], state[..., shared.of_lengths] = c[..., 0], shared.lengths
-        said = [part.evaluate(q, c, v, state) for part, v in zip(self._parts, values, strict=True)]
+        added = self._added(q, c, values, state)
         if any(part.loads for part in self._parts):
-            state[..., LOADED] += self._total(said, batch)[..., LOADED]
-            said = [part.evaluate(q, c, v, state) for part, v in zip(self._parts, values, strict=True)]
-        total = self._total(said, batch)
+            state[..., LOADED] += self._total(added, batch)[..., LOADED]
+            added = self._added(q, c, values, state)
+        total = self._total(added, batch)
         a = np.concatenate([np.zeros((*batch, 0)), *(total[..., shared.places[place]] for place in used)], axis=-1)
         found = shared.geometry(self._geometry_values, used, derivatives)(q, c, g, a)
         position = found[0][..., 0]
         state[..., shared.of_tip] = position[..., POINT]
         if any(part.measures for part in self._parts):
-            said = [part.evaluate(q, c, v, state) for part, v in zip(self._parts, values, strict=True)]
-            position[..., POINT] += self._total(said, batch)[..., shared.places[INSTRUMENT]]
+            added = self._added(q, c, values, state)
+            position[..., POINT] += self._total(added, batch)[..., shared.places[INSTRUMENT]]
         if not derivatives:
-            return At(position, np.zeros(0), np.zeros(0), state, said)
-        return At(position, *self._derivatives(found[1], found[2], said, used), state, said)
+            return At(position, np.zeros(0), np.zeros(0), state, added)
+        return At(position, *self._derivatives(found[1], found[2], added, used), state, added)
 
-    def _total(self, said: list[Said], batch: tuple[int, ...]) -> Array:
-        """(..., P) what all effects add."""
+    def _added(self, q: Array, c: Array, values: list[Array], state: Array) -> list[Outputs]:
+        """Outputs of each effect's part."""
+        return [part.evaluate(q, c, v, state) for part, v in zip(self._parts, values, strict=True)]
+
+    def _total(self, added: list[Outputs], batch: tuple[int, ...]) -> Array:
+        """(..., P) sum of the contributions of all effects."""
         total = np.zeros((*batch, self.shared.count))
-        for part, (added, *_) in zip(self._parts, said, strict=True):
-            total[..., part.rows] += added[..., 0]
+        for part, (contribution, *_) in zip(self._parts, added, strict=True):
+            total[..., part.rows] += contribution[..., 0]
         return total
 
-    def _derivatives(self, by_g: Array, by_a: Array, said: list[Said], used: tuple[str, ...]) -> tuple[Array, Array]:
-        """Those of the position by the geometry's values and by what is added at all places."""
+    def _derivatives(
+        self, by_g: Array, by_a: Array, added: list[Outputs], used: tuple[str, ...]
+    ) -> tuple[Array, Array]:
+        """Derivatives of the position with respect to the geometry's values and to what is added at all places."""
         shared, start = self.shared, 0
         levers = np.zeros((*by_a.shape[:-1], shared.count))
         for place in used:
@@ -285,7 +294,7 @@ class Composition:
         if any(part.reads for part in self._parts):
             loads, first = np.zeros(levers[..., LOADED].shape), shared.places[INSTRUMENT].start
             turned = np.tile(np.eye(DIMENSION), (*by_a.shape[:-2], 1, 1))
-            for part, (_, _, slopes) in zip(self._parts, said, strict=True):
+            for part, (_, _, slopes) in zip(self._parts, added, strict=True):
                 loads += levers[..., part.rows] @ slopes[..., LOADED]
                 last = part.rows >= first
                 turned[..., part.rows[last] - first, :] += slopes[..., last, shared.of_tip]

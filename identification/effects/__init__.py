@@ -48,22 +48,24 @@ def _load_entry_points() -> None:
 
 
 def library() -> Mapping[str, type[Effect]]:
-    """Name -> class of every effect known, the user's own included."""
+    """Name -> class of every registered effect, the user's own included."""
     _load_entry_points()
     return MappingProxyType(_LIBRARY)
 
 
 def of_dimension(dimension: int) -> Mapping[str, type[Effect]]:
-    """The effects that arms of this many coordinates can have."""
+    """Name -> class of the effects defined for arms of this dimension, 2 or 3."""
     return {name: cls for name, cls in library().items() if dimension in cls.dimensions}
 
 
 def build_all(
     specs: Sequence[EffectSpec], links: int, lengths: Array | None = None, dimension: int = 2
 ) -> tuple[Effect, ...]:
-    """The effects of an arm, each with a name of its own: where two share name and joint, the settings are added.
+    """Build the effects of an arm; where two have the same name and joint, their keys include the settings.
 
-    Raises `InputError` as `build` does, and for two effects that share name, joint and settings.
+    lengths : (n,) nominal link lengths [mm], None: all 1
+
+    Raises `InputError` as `build` does, and for two effects with the same name, joint and settings.
     """
     alike = Counter(spec.key for spec in specs)
     effects = tuple(build(spec, links, lengths, alike[spec.key] > 1, dimension) for spec in specs)
@@ -76,10 +78,12 @@ def build_all(
 def build(
     spec: EffectSpec, links: int, lengths: Array | None = None, tagged: bool = False, dimension: int = 2
 ) -> Effect:
-    """The effect that an arm file's `[[effects]]` entry asks for.
+    """Build the effect of one `[[effects]]` entry of an arm file.
+
+    lengths : (n,) nominal link lengths [mm], None: all 1;  tagged : the key includes the settings
 
     Raises `InputError` for an unknown name, a joint that is missing, not allowed or out of range, an unknown parameter,
-    and an effect that arms of this dimension cannot have.
+    and an effect not defined for arms of this dimension.
     """
     if spec.name not in library():
         raise InputError(f"effects: unknown name {spec.name!r}, {nearest(spec.name, library())}")

@@ -1,4 +1,4 @@
-"""Effects that no measurement of the tip can distinguish from the base parameters. They are listed, never named."""
+"""Effects not distinguishable from the base parameters by any measurement of the tip: listed, never named."""
 
 from __future__ import annotations
 

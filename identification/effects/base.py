@@ -1,4 +1,4 @@
-"""What an effect is: a name, parameters with units, and a formula at one place of the chain.
+"""`Effect`: base class of all physical effects, with a name, parameters with units, and a formula at its place.
 
     commanded joint angle -> real joint angle -> links -> position in the base -> measured position
 
@@ -27,29 +27,34 @@ from identification.kinematics.parameters import Parameter
 
 
 class Effect:
-    """Base class of all effects. Subclasses set the class variables and override one hook.
+    """Base class of all effects. Subclasses set the class variables, define the parameters, and override a hook.
+
+    Class variables:
 
     name : as in the arm file;  summary : one line for people
-    per_joint : `required`, `optional` or `none`: whether the effect applies to one joint
+    per_joint : `required`, `optional` or `none`: whether the effect is given for a single joint
+    first_joint : lowest joint (from 1) that can have it
     needs : what the arm or the data must have: gravity, directions, temperature, time, session, past
-    family : effects of one family are rivals for the same physical cause (`diagnose` merges them when it must)
-    through : what effects of the arm's model it changes, by what they need: `gravity`; without them it does nothing
-    settings : numbers that are chosen, not estimated; a pair is every whole number from the first to the last.
-        In formulas `self.chosen[name]` is the number, or a CasADi symbol that stands for all values tried
-    prior : how likely the effect is beside the common ones of the library, which have 1
-    alias : why no measurement of the tip can tell this effect from the base parameters, or None
-    nuisance : True for what is no fault of the arm, which `diagnose` does not look for
-    of_commands : True for what stands between a command and the joint as read, which models of what is read ignore
+    family : class of effects that are rivals for the same physical cause (`diagnose` may merge them)
+    through : kind of effects that it modifies, by what they need: `gravity`; without such effects it does nothing
+    settings : numbers that are chosen, not estimated; a pair (low, high) means all whole numbers in between. In
+        formulas `self.chosen[name]` is the number, or a CasADi symbol when all values are tried at once
+    prior : prior weight relative to the common effects of the library, which have 1
+    alias : base parameters from which no measurement of the tip can distinguish it, or None
+    nuisance : True if it is no fault of the arm, so that `diagnose` does not search for it
+    of_commands : True if it acts between command and encoder reading, so that models of the readings ignore it
         (identification/servo.py)
-    scatter : True for an effect on the noise, which the model of the mean ignores (`identification.effects.noise`)
-    once : True for what happened in the session of the identification: in another one it is as it was at the end
-    tabulated : True for an effect that is a table of values (`EffectSpec.curve`) and has no parameters
-    dimensions : coordinates of the arms that may have it: 2 in the plane, 3 in space
+    scatter : True if it acts on the noise, so that the model of the mean ignores it (`identification.effects.noise`)
+    once : True if it belongs to the session of the identification; in later sessions its final state applies
+    tabulated : True if it is a table of values (`EffectSpec.curve`) without parameters
+    dimensions : dimensions of the arms that can have it: 2 in the plane, 3 in space
 
-    dimension : coordinates of this effect's arm
+    Attributes of an instance:
 
-    tagged : whether the names say the settings, `transmission_ripple:1[k=20].a`: where an arm has another such effect
-        at the same joint (`build_all` knows)
+    lengths : (n,) nominal link lengths [mm];  joint : from 1, None: the whole arm;  chosen : values of the settings
+    tagged : True if names include the settings, `transmission_ripple:1[k=20].a`, as the arm has a similar effect at the
+        same joint (see `build_all`)
+    dimension : of the arm;  parameters : as `define` returns them
     """
 
     name: ClassVar[str]
@@ -87,12 +92,12 @@ class Effect:
 
     @property
     def key(self) -> str:
-        """Name in reports: `name` or `name:joint`, with the settings where another effect has the same."""
+        """Name in reports: `name` or `name:joint`, with the settings if `tagged`."""
         return self.label if self.tagged else EffectSpec(self.name, self.joint).key
 
     @cached_property
     def label(self) -> str:
-        """What makes two effects one and the same: name, joint and settings, `transmission_ripple:2[k=6]`."""
+        """Unique name from name, joint and settings: `transmission_ripple:2[k=6]`."""
         settings = ";".join(f"{name}={value:g}" for name, value in self.chosen.items())
         return EffectSpec(self.name, self.joint).key + (f"[{settings}]" if settings else "")
 
@@ -107,7 +112,7 @@ class Effect:
         typical: float | None = None,
         start: float | None = None,
     ) -> Parameter:
-        """A parameter of this effect, with its full name; `typical`, `start` and the rest as of `Parameter`."""
+        """A parameter of this effect under its full name; arguments as of `Parameter`."""
         name = f"{self.key}.{short}"
         return Parameter(name, unit, lower, upper, scale, joint=self.joint, typical=typical, start=start)
 
@@ -118,24 +123,24 @@ class Effect:
 
     @property
     def reach(self) -> float:
-        """Length of the stretched arm [mm]."""
+        """Sum of the link lengths [mm]."""
         return float(np.sum(self.lengths))
 
     @property
     def joint_index(self) -> int:
-        """The joint from 0, for arrays; raises `InputError` for an effect of the whole arm."""
+        """The joint from 0, as an index of arrays. Raises `InputError` for an effect of the whole arm."""
         if self.joint is None:
             raise InputError(f"effects: {self.name} needs a joint, allowed: 1 to {len(self.lengths)}")
         return self.joint - 1
 
     def at_joint(self, angle: ca.SX, chain: Chain) -> ca.SX:
-        """(n,) zeros but for `angle` at this effect's joint."""
+        """(n,) zeros except `angle` at this effect's joint."""
         angles = ca.SX.zeros(chain.links)
         angles[self.joint_index] = angle
         return angles
 
     def at_frame(self, vector: ca.SX, chain: Chain) -> ca.SX:
-        """(3n,) zeros but for `vector` (3,) at the frame of this effect's joint."""
+        """(3n,) zeros except `vector` (3,) at the frame of this effect's joint."""
         found = ca.SX.zeros(3 * chain.links)
         found[3 * self.joint_index : 3 * self.joint_index + 3] = vector
         return found
@@ -146,28 +151,28 @@ class Effect:
         raise NotImplementedError
 
     def payload(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """What is added to the payload [kg] that every effect of gravity sees."""
+        """Added to the payload [kg], for all effects of gravity."""
         return 0.0
 
     def gravity_turn(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """Angle [rad] by which gravity is turned for all effects of gravity; in space (3,), about the base's axes."""
+        """Rotation of gravity [rad], for all effects of gravity; in space (3,), about the axes of the base."""
         return 0.0
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """(n,) what is added to the commanded joint angles [rad]."""
+        """(n,) added to the commanded joint angles [rad]."""
         return 0.0
 
     def extensions(self, chain: Chain, values: ca.SX, lengths: ca.SX) -> ca.SX | float:
-        """(n,) what is added to the link lengths [mm]."""
+        """(n,) added to the link lengths [mm]."""
         return 0.0
 
     def bending(self, chain: Chain, values: ca.SX) -> tuple[ca.SX | float, ca.SX | float]:
-        """(n,) deflection of each link's tip to its left [mm] and (n,) slope there [rad]."""
+        """(n,) deflection of each link's end to its left [mm], and (n,) slope there [rad]."""
         return 0.0, 0.0
 
     def frame_errors(self, chain: Chain, values: ca.SX) -> tuple[ca.SX | float, ca.SX | float]:
-        """In space (3n,) rotations [rad] and (3n,) shifts [mm] of each joint's frame after it moved, about and along
-        its own x, y, z, joint after joint."""
+        """In space: (3n,) rotations [rad] and (3n,) translations [mm] of each joint's frame after its motion, about and
+        along its own x, y, z, joint by joint."""
         return 0.0, 0.0
 
     def tool(self, chain: Chain, values: ca.SX) -> ca.SX | float:
@@ -179,18 +184,18 @@ class Effect:
         return 0.0
 
     def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX | float:
-        """(d,) shift of the base [mm]."""
+        """(d,) translation of the base [mm]."""
         return 0.0
 
     def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX | float:
-        """(d,) what the instrument adds to the true position [mm]."""
+        """(d,) added by the instrument to the true position [mm]."""
         return 0.0
 
 
 class JointAngle(Effect):
-    """One number times a `shape`, added to the angle of one joint.
+    """An effect that adds one parameter times a `shape` to the angle of one joint.
 
-    number : its short name, unit and `typical` size;  lower : its least value
+    number : short name, unit and typical size of the parameter;  lower : its lower bound
     """
 
     per_joint = "required"
@@ -198,7 +203,7 @@ class JointAngle(Effect):
     lower: ClassVar[float] = -inf
 
     def shape(self, chain: Chain) -> ca.SX:
-        """What the number is multiplied by."""
+        """Factor of the parameter, a function of posture and conditions."""
         raise NotImplementedError
 
     def define(self) -> tuple[Parameter, ...]:
@@ -214,9 +219,9 @@ OWN = "identification.effects"
 
 
 def register(cls: type[Effect]) -> type[Effect]:
-    """Class decorator that makes an effect known by its name, everywhere.
+    """Class decorator that adds an effect to the library under its name.
 
-    A class of the user's own may be defined again, as notebooks do. Raises `InputError` for a name of the library's.
+    A user's own class may be defined again, as in notebooks. Raises `InputError` for a name that the library uses.
     """
     taken = _LIBRARY.get(cls.name)
     if taken is not None and taken.__module__.startswith(OWN) and not cls.__module__.startswith(OWN):

@@ -33,13 +33,14 @@ SPATIAL, PLANAR = 3, 2
 
 @dataclass(frozen=True)
 class Entry:
-    """An effect of the library.
+    """An effect of the library, as `armcal effects` lists it.
 
+    summary, formula : one line, and the formula in words
     place : `each joint`, `one joint or all`, `each joint from 2`, `the whole arm`
-    arms : `planar`, `spatial` or both;  needs : as of `Effect.needs`, sorted
-    parameters : of an arm of three joints;  settings : name -> what an arm file may say
+    arms : `planar`, `spatial` or both;  needs : as `Effect.needs`, sorted
+    parameters : for an arm of three joints;  settings : name -> range allowed in an arm file
     kind : `looked for` by diagnose, `scatter`, `alias` of base parameters, `table` of values, `sessions`,
-        `commands`, `on request` of the arm file only
+        `commands`, `on request` of the arm file only;  alias : as `Effect.alias`;  own : defined by the user
     """
 
     name: str
@@ -56,13 +57,13 @@ class Entry:
 
     @property
     def supply(self) -> tuple[str, ...]:
-        """How to give what the effect needs, a sentence for each."""
+        """How to supply what the effect needs, one sentence each."""
         wanted = (*self.needs, *(["commands"] if self.kind == "commands" else []))
         return tuple(dict.fromkeys(SUPPLY.get(need, need) for need in wanted))
 
     @property
     def example(self) -> str:
-        """An entry of an arm file in which the parameters are to be estimated."""
+        """Example entry of an arm file, with parameters to be estimated."""
         if self.kind == "table":
             return "written by `armcal diagnose --out`"
         lines = ["[[effects]]", f'name = "{self.name}"']
@@ -80,12 +81,12 @@ class Entry:
 
 
 def entries() -> list[Entry]:
-    """Every effect known, the user's own included."""
+    """All registered effects, the user's own included."""
     return [entry(name) for name in library()]
 
 
 def entry(name: str) -> Entry:
-    """One effect. Raises `InputError` for an unknown name."""
+    """The effect with this name. Raises `InputError` for an unknown name."""
     if name not in library():
         raise InputError(f"effects: unknown name {name!r}, {nearest(name, library())}")
     cls = library()[name]

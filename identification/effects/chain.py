@@ -1,4 +1,4 @@
-"""The nominal arm at one posture, in CasADi symbols: what effects may depend on, gravity torques included."""
+"""The nominal arm at one posture in CasADi symbols, on which effects may depend: geometry, loads, gravity torques."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from identification.kinematics.spatial import SpatialChain
 
 
 def geometry_of(arm: Arm) -> PlanarGeometry | SpatialChain:
-    """The kinematics of an arm, planar or spatial, with one interface."""
+    """Kinematics of an arm, planar or spatial, with one interface."""
     return PlanarGeometry(arm.lengths) if arm.chain is None else arm.chain
 
 
 @dataclass(frozen=True)
 class Chain:
-    """The symbols of an arm at one posture, for effects to use. All CasADi SX; lengths in mm, angles in rad.
+    """Symbols of an arm at one posture, for effects to use: CasADi SX, lengths in mm, angles in rad.
 
-    What bends and pulls in the plane (`orientations`, `load_moment`, `load_force`) is of planar arms only.
+    `orientations`, `load_moment` and `load_force` are defined for planar arms only.
     """
 
     geometry: PlanarGeometry | SpatialChain
@@ -40,14 +40,14 @@ class Chain:
     session: ca.SX  # number of the session, from 0
     directions: ca.SX  # (n,) +1 or -1
     past: ca.SX | None = None  # (n, 12) turning points before (`past_from_order`) [rad], None: the posture itself
-    errors: ca.SX | None = None  # (n,) [rad] that error curves say at this posture, None: there are none
-    turn: ca.SX | float = 0.0  # [rad] of gravity, against the arm's own; in space three, about x, y, z of the base
+    errors: ca.SX | None = None  # (n,) values of error curves at this posture [rad], None: there are none
+    turn: ca.SX | float = 0.0  # rotation of gravity [rad]; in space (3,), about x, y, z of the base
     marker: ca.SX | None = None  # number of the measured point, from 0
     reference: ca.SX | None = None  # (9,) orientation to compare with, by columns, None: none is measured
 
     @classmethod
     def of(cls, arm: Arm, q: ca.SX, c: ca.SX) -> Chain:
-        """An arm at a posture q (n) under conditions c (columns of `Conditions.table`, with the past or without)."""
+        """An arm at a posture q (n) under conditions c, the columns of `Conditions.table` with or without the past."""
         n, first = arm.links, Conditions.columns(arm.links)
         past = ca.reshape(c[first:], REMEMBERED, n).T if c.numel() > first else None
         kind = cls if arm.chain is None else SpatialState
@@ -59,7 +59,7 @@ class Chain:
         return self.q if self.past is None else self.past[:, -1]
 
     def loaded(self, payload: ca.SX, turn: ca.SX) -> Chain:
-        """The same arm with another payload [kg] and gravity turned by an angle [rad]."""
+        """The same arm with another payload [kg] and a rotation of gravity [rad]."""
         return replace(self, payload=payload, turn=turn)
 
     @property
@@ -69,7 +69,7 @@ class Chain:
 
     @property
     def dimension(self) -> int:
-        """d, coordinates of a point."""
+        """d, number of coordinates of a point."""
         return self.geometry.dimension
 
     @cached_property
@@ -79,18 +79,18 @@ class Chain:
 
     @cached_property
     def _points(self) -> list[ca.SX]:
-        """n + 1 points (2,) of base, joints and tip [m], nominal pose."""
+        """n + 1 points (2,) of base, joints and tip [m] in the nominal posture."""
         return symbolic_points(self.lengths / 1000.0, self.q)
 
     @cached_property
     def loads(self) -> list[tuple[ca.SX, int, float]]:
-        """(mass [kg], link index, fraction along that link) of every mass; the payload sits at the tip."""
+        """(mass [kg], link from 0, position as a fraction of that link) of each mass; the payload is at the tip."""
         gravity = self.required_gravity
         masses = [(ca.SX(m), k, float(gravity.center_of_mass[k])) for k, m in enumerate(gravity.link_masses)]
         return [*masses, (self.payload, self.links - 1, 1.0)]
 
     def load_moment(self, link: int, fraction: float, beyond: int) -> ca.SX:
-        """Moment [N m], out of the plane, of the loads on links >= `beyond` about a point of `link`, nominal pose."""
+        """Moment [N m] about a point of `link`, normal to the plane, of all loads on links >= `beyond` (from 0)."""
         ax, ay = self.acceleration[0], self.acceleration[1]
         pivot = self._point(link, fraction)
         moment = ca.SX(0)
@@ -101,7 +101,7 @@ class Chain:
         return moment
 
     def load_force(self, beyond: int) -> ca.SX:
-        """(2,) force [N] of all loads on links >= `beyond`."""
+        """(2,) force [N] of all loads on links >= `beyond` (from 0)."""
         total = sum((mass for mass, k, _ in self.loads if k >= beyond), ca.SX(0))
         return total * self.acceleration
 
@@ -112,13 +112,13 @@ class Chain:
 
     @cached_property
     def acceleration(self) -> ca.SX:
-        """(2,) of gravity [m/s^2], turned."""
+        """(2,) acceleration of gravity [m/s^2], rotated by `turn`."""
         given = ca.SX(ca.DM(self.required_gravity.acceleration))
         return given if ca.SX(self.turn).is_zero() else rotate(self.turn, given)
 
     @property
     def required_gravity(self) -> Gravity:
-        """The arm's gravity data; raises `InputError` where there are none."""
+        """The arm's gravity data. Raises `InputError` if there are none."""
         if self.gravity is None:
             raise InputError(
                 "gravity: this effect needs gravity torques, add a [gravity] table to the arm file, allowed: with one"
@@ -126,28 +126,28 @@ class Chain:
         return self.gravity
 
     def _point(self, link: int, fraction: float) -> ca.SX:
-        """(2,) point at `fraction` of a link [m], nominal pose."""
+        """(2,) point at a fraction of a link [m] in the nominal posture."""
         start, end = self._points[link : link + 2]
         return start + fraction * (end - start)
 
 
 class SpatialState(Chain):
-    """The symbols of a spatial arm."""
+    """Symbols of a spatial arm at one posture."""
 
     @cached_property
     def frames(self) -> list[Frame]:
-        """n + 2 nominal frames of base, joints and tip, in the frame of the base [mm]."""
+        """n + 2 nominal frames of base, joints and tip in the frame of the base [mm]."""
         return self.chain.frames(self.q, {})
 
     @cached_property
     def chain(self) -> SpatialChain:
-        """The geometry, its base at the origin."""
+        """The geometry with its base at the origin."""
         assert isinstance(self.geometry, SpatialChain)
         return replace(self.geometry, base=np.eye(4))
 
     @cached_property
     def acceleration(self) -> ca.SX:
-        """(3,) of gravity [m/s^2] in the frame of the base, turned."""
+        """(3,) acceleration of gravity [m/s^2] in the frame of the base, rotated by `turn`."""
         turn, given = ca.SX(self.turn), ca.SX(ca.DM(self.required_gravity.acceleration))
         if turn.is_zero():
             return given

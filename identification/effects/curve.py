@@ -1,4 +1,4 @@
-"""The error of a joint as a smooth curve over its angle: what no textbook name fits."""
+"""`JointErrorCurve`: the error of a joint as a tabulated smooth function of its angle."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class JointErrorCurve(Effect):
         return ()
 
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
-        """The model looks the table up; as a function of the posture it is constant, its slope being small."""
+        """The interpolated value, supplied by the model; its derivative with respect to the posture is neglected."""
         if chain.errors is None:
             return ca.SX.zeros(chain.links)
         return self.at_joint(chain.errors[self.joint_index], chain)

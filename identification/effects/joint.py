@@ -84,7 +84,7 @@ class EncoderSecondHarmonic(_Harmonic):
 
 
 def ripple_orders(scope: Scope) -> list[float]:
-    """Periods per turn: whole ones of gear teeth, and those of the motor's turns (a strain wave has two of them)."""
+    """Periods per turn to try: whole numbers for gear teeth, and multiples of the gear ratio for turns of the motor."""
     orders = [float(k) for k in range(3, 65)]
     if scope.arm.gear_ratios is not None and scope.joint is not None:
         ratio = float(scope.arm.gear_ratios[scope.joint - 1])

@@ -88,7 +88,7 @@ class SessionBase(Effect):
     nuisance = True
 
     def define(self) -> tuple[Parameter, ...]:
-        """Of every session after the first, in turn."""
+        """Parameters of each session after the first, in order."""
         shifts = [(short, "mm", 1.0, 1000.0) for short in "xyz"[: self.dimension]]
         turns = [(short, "rad", self.reach, 3.0) for short in rotations("w", self.dimension)]
         return tuple(
@@ -104,10 +104,10 @@ class SessionBase(Effect):
         return self._own(chain, values)[: self.dimension]
 
     def _own(self, chain: Chain, values: ca.SX) -> ca.SX:
-        """Shift and rotation of the row's session, zero for the first."""
+        """Translation and rotation of the row's session, zero for the first."""
         there = self._sessions(chain)
         return ca.mtimes(ca.reshape(values, -1, there.numel()), there)
 
     def _sessions(self, chain: Chain) -> ca.SX:
-        """1 for the session of the row, 0 for every other."""
+        """Indicator of each session after the first: 1 for the row's session, else 0."""
         return ca.vertcat(*(chain.session == number for number in range(1, int(self.chosen["sessions"]))))

@@ -1,7 +1,7 @@
-"""Effects on the scatter, not on the mean: `simulate` applies them, `diagnose` screens for them, models ignore them.
+"""Effects on the noise, not on the mean: `simulate` applies them, `diagnose` screens for them, models ignore them.
 
-Each changes the (m, d) errors of the measured positions [mm] in turn, in the order of the arm file. Their values are
-given in the arm file; nothing is estimated.
+Each transforms the (m, d) errors of the measured positions [mm], in the order of the arm file. Their values are given
+in the arm file; nothing is estimated.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from identification.kinematics.parameters import Parameter
 
 @dataclass(frozen=True)
 class Scene:
-    """What noise may depend on, for m measured postures.
+    """Quantities on which noise may depend, for m measured postures.
 
-    positions : (m, 2 or 3) exact [mm];  levers : (m, d, n) what one rad at each joint does to the tip [mm/rad]
-    time : (m,) -0.5..0.5;  sigma : of the instrument [mm]
+    positions : (m, 2 or 3) exact [mm];  levers : (m, d, n) derivative of the tip by each joint angle [mm/rad]
+    time : (m,) -0.5..0.5 over the session;  sigma : of the instrument [mm]
     """
 
     positions: Array
@@ -30,12 +30,12 @@ class Scene:
 
 
 class NoiseEffect(Effect):
-    """Base class of the effects on the scatter; subclasses override `disturb`."""
+    """Base class of effects on the noise; subclasses override `disturb`."""
 
     scatter = True
 
     def disturb(self, errors: Array, scene: Scene, values: dict[str, float], generator: np.random.Generator) -> Array:
-        """(m, d) errors [mm] with this effect, from those without; `values` by short name of the parameter."""
+        """Apply the effect to (m, d) errors [mm];  values : short name of a parameter -> its value."""
         raise NotImplementedError
 
 
@@ -110,7 +110,7 @@ class Outliers(NoiseEffect):
         return changed
 
     def _directions(self, count: int, generator: np.random.Generator) -> Array:
-        """(count, 2 or 3) unit vectors, every direction as likely as any other."""
+        """(count, 2 or 3) unit vectors, uniform over all directions."""
         if self.dimension == 2:
             angle = generator.uniform(0.0, 2.0 * np.pi, count)
             return np.column_stack([np.cos(angle), np.sin(angle)])

@@ -1,9 +1,9 @@
-"""The chain from commanded joint angles to the measured position, and the places along it where effects add something.
+"""Assemble the measured position from geometry and effects, which add contributions at places along the chain.
 
     loads -> joint angles -> links -> tool -> base -> instrument
 
-What an effect adds at its place acts on the tip through the derivative of the position with respect to that place, the
-lever; levers depend on the fitted model only, so they serve all effects that might be missing at once.
+A contribution acts on the tip through the lever of its place, the derivative of the position with respect to what is
+added there. Levers depend on the fitted model only, so they serve all effects that might be missing.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Parts = list[tuple[Effect, ca.SX]]  # effects with the values of their own param
 
 
 def widths(links: int, dimension: int = 2) -> dict[str, int]:
-    """Numbers at each place, in the order of the vectors of all places."""
+    """Place -> its number of elements, in the order of vectors over all places."""
     turn = ROTATIONS[dimension]
     return {
         "payload": 1,
@@ -38,20 +38,20 @@ def widths(links: int, dimension: int = 2) -> dict[str, int]:
 
 
 def split(vector: ca.SX, links: int, dimension: int = 2) -> dict[str, ca.SX]:
-    """Place -> its part of a vector of all places."""
+    """Place -> its elements of a vector over all places."""
     sizes = widths(links, dimension)
     ends = list(accumulate(sizes.values()))
     return {place: vector[end - size : end] for (place, size), end in zip(sizes.items(), ends, strict=True)}
 
 
 def state_size(links: int, dimension: int = 2) -> int:
-    """Length of the state, see `position_and_state`."""
+    """Number of elements of the state, see `position_and_state`."""
     return 1 + ROTATIONS[dimension] + links + dimension
 
 
 def measured_position(chain: Chain, effects: Sequence[Effect], values: ca.SX) -> ca.SX:
-    """(d,) measured position [mm]: joints -> links -> mounting -> instrument (identification/README.md, "Effects");
-    where orientations are measured with three numbers more, see `Expressions.symbols`.
+    """(d,) measured position [mm] (identification/README.md, "Effects"), with three further elements where orientations
+    are measured, see `Expressions.symbols`.
 
     values : those of the geometry, then the parameters of the effects in order
     """
@@ -61,11 +61,12 @@ def measured_position(chain: Chain, effects: Sequence[Effect], values: ca.SX) ->
 def position_and_state(
     chain: Chain, effects: Sequence[Effect], values: ca.SX, added: ca.SX | None = None
 ) -> tuple[ca.SX, ca.SX]:
-    """(d,) measured position [mm], and the state that what effects add depends on besides posture and conditions.
+    """(d,) measured position [mm], and the state on which effects depend besides posture and conditions.
 
-    added : all places in order, see `widths`, in addition to what the effects add
-    The state is payload [kg], turn of gravity [rad], link lengths (n) before extensions, and the tip (d) [mm] before
-    the instrument.
+    added : further contributions at all places, in the order of `widths`
+
+    The state consists of payload [kg], rotation of gravity [rad], link lengths (n) [mm] without extensions, and the tip
+    (d) [mm] before the instrument.
     """
     n, d = chain.links, chain.dimension
     own = values.numel() - sum(len(effect.parameters) for effect in effects)
@@ -84,7 +85,7 @@ def position_and_state(
 
 
 def _inside(effect: Effect, chain: Chain, values: ca.SX, lengths: ca.SX) -> dict[str, ca.SX | float]:
-    """What an effect adds between the loads and the instrument, in a loaded chain."""
+    """Place -> contribution of an effect between loads and instrument, in a loaded chain."""
     deflections, slopes = effect.bending(chain, values)
     turns, shifts = effect.frame_errors(chain, values)
     of_frame = dict(zip(OF_FRAME, (turns, shifts), strict=True)) if chain.dimension == 3 else {}
@@ -101,14 +102,14 @@ def _inside(effect: Effect, chain: Chain, values: ca.SX, lengths: ca.SX) -> dict
 
 
 def in_state(chain: Chain, state: ca.SX) -> Chain:
-    """The chain under the loads of a state, see `position_and_state`."""
+    """The chain with the loads of a state, see `position_and_state`."""
     return chain.loaded(state[0], state[1 : 1 + ROTATIONS[chain.dimension]])
 
 
 def contributions(effect: Effect, chain: Chain, loaded: Chain, values: ca.SX, state: ca.SX) -> ca.SX:
-    """What an effect adds at all places, in order, in a chain whose other effects leave it in this state.
+    """(P,) contributions of an effect at all places, given the state of the chain.
 
-    loaded : the chain `in_state`, the same for all effects, since its torques take longer than all else
+    loaded : the chain `in_state`, shared by all effects as its torques are expensive to set up
     """
     n, d = chain.links, chain.dimension
     turn = ROTATIONS[d]
@@ -123,7 +124,7 @@ def contributions(effect: Effect, chain: Chain, loaded: Chain, values: ca.SX, st
 
 
 def _with_values(effects: Sequence[Effect], values: ca.SX) -> Parts:
-    """Every effect with the values of its own parameters."""
+    """Each effect with the values of its own parameters."""
     parts, start = [], 0
     for effect in effects:
         parts.append((effect, values[start : start + len(effect.parameters)]))

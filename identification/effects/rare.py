@@ -1,6 +1,6 @@
-"""Occasional effects of real robot cells: warm-up, steps in time, wrong loads, hysteresis, a leaning axis.
+"""Less common effects of real robot cells: warm-up, steps in time, wrong loads, hysteresis, a tilted axis.
 
-Their `prior` says that they are rarer than the others, so a common effect that explains the data as well is named.
+Their lower `prior` weight lets a common effect be named where it explains the data equally well.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class ThermalTransient(_Rare):
 
 
 class _Step(_Rare):
-    """Something that changes once during the session."""
+    """Base class of effects that change once during the session."""
 
     needs = frozenset({"time"})
     once = True
@@ -109,7 +109,7 @@ class BaseStep(_Step):
 
 
 class _Load(_Rare):
-    """Something that only shows through effects of gravity in the arm's model, and changes all of them."""
+    """Base class of effects that act through the effects of gravity in the arm's model, and modify all of them."""
 
     needs = frozenset({"gravity"})
     through = "gravity"
@@ -188,7 +188,8 @@ class AxisTilt(_Rare):
         return tuple(self.parameter(short, "1", scale=scale, typical=1e-4) for short in ("a", "b"))
 
     def _along_and_across(self, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """(n,) along and across each link, per length of it: those of (a + ib) exp(-2i angle from the link before)."""
+        """(n,) displacements along and across each link, per unit length: real and imaginary part of
+        (a + ib) exp(-2i angle), with the angle of the link against the one before this joint."""
         along, across, angle = ca.SX.zeros(chain.links), ca.SX.zeros(chain.links), ca.SX(0)
         for k in range(self.joint_index, chain.links):
             angle += chain.q[k]
@@ -205,7 +206,7 @@ class AxisTilt(_Rare):
 
 
 def hysteresis_widths(scope: Scope) -> list[float]:
-    """Widths [deg] from nearly backlash to nearly a wrong gear ratio, over the range that the joint moves."""
+    """Widths to try [deg], from nearly backlash to nearly a wrong gear ratio, for the range of the joint."""
     joint = (scope.joint or 1) - 1
     if scope.postures is None:
         span = float(scope.arm.upper[joint] - scope.arm.lower[joint])

@@ -1,4 +1,4 @@
-"""Settings of effects: numbers that are chosen, not estimated, and the values of them that are tried."""
+"""Settings of effects: numbers that are chosen rather than estimated, and the values that a scan tries."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ DIGITS = 6  # of a value, significant: labels and files hold it exactly
 
 @dataclass(frozen=True)
 class Scope:
-    """What the values of a setting may be computed from: the arm, the joint (from 1), and the data if there are any.
+    """Information from which the values of a setting may be computed: the arm, the joint (from 1), and the data.
 
-    postures : (m, n) [rad];  conditions : of these rows
+    postures : (m, n) [rad], None without data;  conditions : of these rows
     """
 
     arm: Arm
@@ -36,13 +36,13 @@ Values = Sequence[float] | Callable[[Scope], Sequence[float]]
 
 @dataclass(frozen=True)
 class Setting:
-    """A number that is chosen, not estimated: the order of a wave, the time of a step, a time constant.
+    """A number that is chosen rather than estimated: the order of a wave, the time of a step, a time constant.
 
-    low, high : what an arm file may say
-    values : what `diagnose` tries, a list or a function of `Scope`; None: every whole number from low to high
+    low, high : range allowed in an arm file
+    values : to try in `diagnose`, a list or a function of `Scope`; None: all whole numbers from low to high
     whole : whole numbers only
-    symbolic : the effect's formula takes a CasADi symbol for it, so one function gives the columns of all values;
-        False: the formula needs the number itself, as in `range(k)`
+    symbolic : True if the effect's formula accepts a CasADi symbol, so that one function serves all values; False if it
+        needs the number itself, as in `range(k)`
     """
 
     low: float
@@ -53,11 +53,11 @@ class Setting:
 
     @classmethod
     def of(cls, given: Setting | tuple[int, int]) -> Setting:
-        """A setting as it stands; a pair (low, high) is every whole number from low to high."""
+        """A setting unchanged; a pair (low, high) as the setting of all whole numbers in between."""
         return given if isinstance(given, cls) else cls(*given, whole=True, symbolic=False)  # type: ignore[misc]
 
     def scan(self, scope: Scope) -> list[float]:
-        """The values to try, each once, in order, as they stand in labels and files."""
+        """The distinct values to try, ascending, rounded as in labels and files."""
         if self.values is None:
             return [float(k) for k in range(int(self.low), int(self.high) + 1)]
         found = self.values(scope) if callable(self.values) else self.values
@@ -65,23 +65,25 @@ class Setting:
         return sorted(kept)
 
     def allows(self, value: float) -> bool:
-        """Whether an arm file may say this value."""
+        """Whether this value is allowed in an arm file."""
         return self.low <= value <= self.high and not (self.whole and value != np.round(value))
 
     @property
     def allowed(self) -> str:
-        """For error messages."""
+        """The allowed range in words, for error messages."""
         return f"a {'whole ' if self.whole else ''}number {self.low:g} to {self.high:g}"
 
 
 def clock(time: Any, session: Any) -> Any:
-    """One time over all sessions: that of the first from -0.5 to 0.5, of every further one 1.1 later. Numbers, arrays
-    or CasADi symbols."""
+    """Common time of all sessions: -0.5 to 0.5 in the first, 1.1 later in each further one.
+
+    time, session : numbers, arrays or CasADi symbols
+    """
     return time + SESSION * session
 
 
 def step_times(scope: Scope) -> list[float]:
-    """Times at which a step may have happened: between rows, spread evenly over them, and between sessions."""
+    """Times to try for a step: between rows, evenly spaced, and between sessions."""
     time = scope.conditions.time
     if time is None or np.ptp(time) == 0.0:
         return list(np.linspace(-0.5, 0.5, FEWER)[2:-2])

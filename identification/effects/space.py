@@ -1,4 +1,4 @@
-"""Effects of spatial arms only: what the bearing of a joint does across its axis."""
+"""Effects of spatial arms only: compliance and runout of a joint's bearing across its axis."""
 
 from __future__ import annotations
 
