@@ -12,9 +12,9 @@ import numpy as np
 
 from doe.problem.problem import DesignProblem
 from doe.problem.robust import robust_problem, workspace
+from doe.problem.spatial import of_one_arm
 from identification.arrays import Array
 from identification.kinematics.parameters import EFFECT
-from identification.model import Model
 
 SPACE = 3  # coordinates of a point
 
@@ -50,8 +50,7 @@ def tip_error(problem: DesignProblem, wide: DesignProblem, postures: Array, pose
     """
     own, kept = problem.parameters, problem.kept
     rows = _of_measurements(wide, np.concatenate([postures, kept]))
-    # (k, d, P) of the tip's position; an orientation that is measured too is no distance
-    targets = wide.scaled_jacobians(workspace(problem) if poses is None else poses)[:, :SPACE]
+    targets = _of_points(wide, workspace(problem) if poses is None else poses)
     noise = float(wide.model.sigma or 0.0) ** 2
     least = np.concatenate([rows[: -wide.parameters, :own], np.diag(np.sqrt(wide.precisions[:own]))])
     all_known = _spread(rows, targets, noise)
@@ -72,6 +71,15 @@ def _of_measurements(wide: DesignProblem, postures: Array) -> Array:
     return np.concatenate([measured, np.diag(np.sqrt(wide.precisions))])
 
 
+def _of_points(wide: DesignProblem, poses: Array) -> Array:
+    """(k, d, P) scaled Jacobian of the tip's position, its squares a mean over the measured points; an orientation that
+    is measured too is no distance."""
+    jacobians, model = wide.scaled_jacobians(poses), of_one_arm(wide.model)
+    each = wide.model.dimension if model is None else model.dimension
+    points = np.concatenate([jacobians[:, k : k + SPACE] for k in range(0, wide.model.dimension, each)], axis=1)
+    return np.asarray(points / np.sqrt(wide.model.dimension / each))
+
+
 def _spread(rows: Array, targets: Array, noise: float) -> Array:
     """(k,) mean square of the tip's distance, from (N, p) rows that were fitted and (k, d, p) of the tip."""
     information = rows.T @ rows
@@ -89,4 +97,4 @@ def robust_or_none(problem: DesignProblem) -> DesignProblem | None:
     """`robust_problem`, None where there is no sigma to weigh sizes against, no library for the model, or it is one."""
     model = problem.model
     robust = any(p.kind == EFFECT and p.name in problem.deviations for p in model.parameters)
-    return None if model.sigma is None or not isinstance(model, Model) or robust else robust_problem(problem)
+    return None if model.sigma is None or of_one_arm(model) is None or robust else robust_problem(problem)

@@ -17,10 +17,10 @@ from doe.criteria import Criterion, I
 from doe.problem.candidates import listed
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
+from doe.problem.spatial import of_one_arm, whole
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.gap.library_prior import LibraryPrior, library_prior
-from identification.model import Model
 
 # reasons: doe/README.md, "Robust designs"
 SETTINGS = 4  # orders that stand for all orders of a ripple
@@ -33,11 +33,11 @@ def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None) 
 
     names : of effects, None: all. Raises `InputError` for another model than an arm's, unknown names, no sigma.
     """
-    if not isinstance(problem.model, Model):
+    if (model := of_one_arm(problem.model)) is None:
         raise InputError(f"robust: {type(problem.model).__name__}, allowed: the model of one arm")
-    if problem.model.sigma is None:
+    if model.sigma is None:
         raise InputError("robust: the arm file has no sigma_mm, allowed: a [measurement] table with sigma_mm")
-    return library_prior(problem.model.arm, names=names, most_settings=SETTINGS)
+    return library_prior(model.arm, names=names, most_settings=SETTINGS)
 
 
 def robust_problem(
@@ -49,7 +49,8 @@ def robust_problem(
     criterion : None: I, the mean squared error of the tip over `workspace`, with the estimated effects in the model
     """
     added = missing_effects(problem) if missing is None else missing
-    model = replace(added.model, known=getattr(problem.model, "known", None))
+    own = of_one_arm(problem.model)
+    model = whole(replace(added.model, known=None if own is None else own.known))
     wide = replace(problem, model=model, deviations={**problem.deviations, **added.prior.deviations})
     return replace(wide, criterion=average_error(wide) if criterion is None else criterion)
 

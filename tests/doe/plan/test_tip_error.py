@@ -14,7 +14,7 @@ from doe.problem.robust import average_error, missing_effects, robust_problem, w
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.model import Model
-from tests.doe.six_axis import six_axis
+from tests.doe.six_axis import SIX_AXIS, six_axis
 
 ARM = Arm([300.0, 200.0], np.radians([-170, -100]), np.radians([170, 100]), 0.1)
 PLAIN = DesignProblem.of(Model(ARM))
@@ -92,3 +92,17 @@ def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
 def deviations(case: DesignProblem) -> Array:
     """(p,) of the prior [mm, rad], infinite where nothing is known."""
     return np.array([case.deviations.get(name, np.inf) for name in case.model.parameters.names])
+
+
+def test_several_points_are_a_mean_over_them() -> None:
+    """The posterior of all parameters written out: mean over points and poses of what it leaves of each point."""
+    chain = replace(SIX_AXIS.chain, tools={"a": np.array([60.0, 40.0, 100.0]), "b": np.array([-50.0, 20.0, 80.0])})
+    problem = six_axis(replace(SIX_AXIS, chain=chain))
+    wide = robust_or_none(problem)
+    assert wide is not None
+    poses, plan = (np.random.default_rng(seed).uniform(-2.0, 2.0, (20, 6)) for seed in (4, 5))
+    rows, known = wide.scaled_jacobians(plan), np.diag(wide.precisions)
+    posterior = 0.05**2 * np.linalg.inv(np.einsum("mda,mdb->ab", rows, rows) + known)
+    points = wide.scaled_jacobians(poses).reshape(40, 3, -1)
+    expected = np.einsum("mda,ab,mdb->", points, posterior, points) / 40
+    assert tip_error(problem, wide, plan, poses).with_prior ** 2 == pytest.approx(expected, rel=1e-6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Conditions
 from identification.model import Model
 
@@ -28,6 +30,7 @@ NAMES = ("encoder_eccentricity", "gear_ratio", "base_offset")
 DEVIATIONS = np.array([1.0, 1.0, *[5e-4] * 4, *[1e-4] * 2])  # base x, y; a, b of joint 1, then 2; e of 1 and 2
 PLAIN = DesignProblem.of(Model(ARM))
 CASE = robust_problem(PLAIN, missing_effects(PLAIN, NAMES))
+FOURS = list(combinations(range(8), 4))
 POSTURES = np.random.default_rng(3).uniform(ARM.lower, ARM.upper, (6, 2))
 
 
@@ -153,3 +156,31 @@ def test_bad_input_is_said() -> None:
         replace(PLAIN, deviations={"nothing": 1.0})
     with pytest.raises(InputError, match="sigma_mm: none"):
         DesignProblem.of(Model(Arm(LENGTHS)), deviations={"joint_offset:1": 1.0})
+
+
+def test_the_best_of_all_plans_of_several_points() -> None:
+    """Two reflectors, and two frames with their orientations, on three joints: every plan of 4 of 8 postures, by
+    central differences of positions that are compared with those of the arm itself."""
+    generator = np.random.default_rng(8)
+    rows = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)]
+    tools = {"a": np.array([40.0, 30.0, 20.0]), "b": np.array([-50.0, 10.0, 60.0])}
+    for angle_scale, each in ((None, 3), (200.0, 6)):
+        chain = replace(chain_of(rows), tools=tools, angle_scale=angle_scale)
+        choices = generator.uniform(-2.0, 2.0, (8, 3))
+        problem = DesignProblem.of(Model(Arm.of_chain(chain, sigma=0.05)), choices=choices)
+        case = robust_problem(problem, missing_effects(problem, ["encoder_eccentricity", "gear_ratio"]))
+        model = case.model.model  # type: ignore[attr-defined]
+        assert case.model.dimension == 2 * each
+        sides = [np.repeat(choices, 2, axis=0), Conditions(marker=np.tile([0.0, 1.0], 8))]
+        if angle_scale is not None:
+            sides[1] = replace(sides[1], orientation=model.orientations(*sides))
+        step = 1e-4 / model.scales
+        moved = [[model.position(sides[0], s * np.diag(step)[k], sides[1]) for k in range(len(step))] for s in (1, -1)]
+        columns = np.moveaxis((np.array(moved[0]) - np.array(moved[1])) / 2e-4, 0, -1).reshape(8, 2 * each, -1)
+        known = [case.deviations.get(name, np.inf) for name in model.names]
+        prior = np.diag((0.05 / (model.scales * known)) ** 2)
+        of_each = np.einsum("mdp,mdq->mpq", columns, columns)
+        poses = of_each.mean(axis=0)  # I: over the list, which is the workspace
+        every = [np.trace(np.linalg.solve(of_each[list(four)].sum(axis=0) + prior, poses)) for four in FOURS]
+        found = solve(case, 4, starts=20)
+        assert -found.value / 4 == pytest.approx(min(every), rel=1e-5)
