@@ -1,4 +1,4 @@
-"""An error curve of a joint as a result: the function with its uncertainty, and what it looks like."""
+"""`Curve`: the error curve of a joint as a result, with its uncertainty and a description of its shape."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ COLUMNS = ("angle_deg", "correction_deg", "std_deg", "error_deg")
 
 @dataclass(frozen=True)
 class Curve:
-    """The error of a joint, real less commanded angle, over the angles measured.
+    """The error of a joint, real less commanded angle, over the range of the measured angles.
 
-    joint : from 1;  table : the function
-    angles : (a,) [rad] every half node;  error, std : (a,) of the function there and its standard deviation [rad]
-    length : correlation length of the prior that the data chose [rad]
+    joint : from 1;  table : the function;  angles : (a,) every half node [rad]
+    error, std : (a,) values of the function and their standard deviations [rad]
+    length : correlation length of the prior, as estimated from the data [rad]
     """
 
     joint: int
@@ -40,12 +40,12 @@ class Curve:
 
     @property
     def spec(self) -> EffectSpec:
-        """How it stands in an arm file."""
+        """The effect as an entry of an arm file."""
         return EffectSpec("joint_error_curve", self.joint, curve=self.table)
 
     @property
     def correction(self) -> Array:
-        """(a,) what to add to the command for the joint to stand at `angles` [rad]."""
+        """(a,) correction to be added to the command so that the joint reaches `angles` [rad]."""
         added = -self.error
         for _ in range(3):  # the error at the corrected command; slopes are far below one
             added = -self.table.at(self.angles + added)
@@ -53,16 +53,16 @@ class Curve:
 
     @cached_property
     def waves(self) -> tuple[Wave, ...]:
-        """What it is made of, strongest first."""
+        """The waves that it consists of, strongest first."""
         return waves(self.angles, self.error, self.std)
 
     @property
     def shape(self) -> str:
-        """For people: what it looks like."""
+        """Description of its shape."""
         return shape_text(self.angles, self.error, self.std, self.waves)
 
     def table_rows(self) -> list[tuple[float, ...]]:
-        """Joint, then angle, correction, standard deviation and error [deg]: the rows of `--curves`."""
+        """Rows of `--curves`: joint, then angle, correction, standard deviation and error [deg]."""
         columns = np.degrees([self.angles, self.correction, self.std, self.error])
         return [(self.joint, *(round(float(v), 7) for v in row)) for row in columns.T]
 
@@ -81,6 +81,6 @@ class Curve:
 
 
 def curves_text(curves: Sequence[Curve]) -> str:
-    """The CSV table of `armcal diagnose --curves`: what to add to the commanded angle, every half node."""
+    """The CSV table of `armcal diagnose --curves`: the correction of the commanded angle at every half node."""
     rows = [row for curve in curves for row in curve.table_rows()]
     return "".join(",".join(map(str, line)) + "\n" for line in (("joint", *COLUMNS), *rows))

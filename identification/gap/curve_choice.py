@@ -1,7 +1,7 @@
-"""Which joints get an error curve, and which named effects stay beside them: by the marginal likelihood.
+"""Choose the joints with an error curve, and the named effects kept beside them, by the marginal likelihood.
 
-Everything is linear here: the fitted model's Jacobian, the columns of the curves, and the residuals, compressed to as
-many rows as there are columns where there are more measurements.
+All computations use the Jacobian of the fitted model, the columns of the curves, and the residuals. With more
+coordinates than columns these are compressed to as many rows as columns.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ Members = tuple[Hypothesis, ...]
 
 @dataclass(frozen=True)
 class Explanation:
-    """Named effects that stay, and curves at joints (from 0).
+    """Named effects that are kept, and joints (from 0) with an error curve.
 
-    cost : -2 log of the marginal likelihood and of the prior weights;  logs : of the curves' priors, see `Penalized`
+    cost : -2 log(marginal likelihood times prior weight);  logs : log size and length of each curve, see `Penalized`
     """
 
     kept: Members
@@ -49,10 +49,10 @@ class Explanation:
 
 @dataclass(frozen=True)
 class System:
-    """A fit in which everything named is free, linearized, with the columns of the curves of all joints.
+    """A linearized fit with all named effects free, and the columns of error curves at all joints.
 
-    named : members of the fit;  base_rank : rank of the base model alone
-    known : products over stretches of time, where they are known from the same rows with another correlation
+    named : effects in the fit;  base_rank : rank of the base model alone
+    known : products over intervals of time, if known from the same rows with another correlation
     """
 
     found: Fit
@@ -63,14 +63,14 @@ class System:
 
     @cached_property
     def bases(self) -> tuple[Basis, ...]:
-        """Of the joints that move, move the measured point, and have no curve in the arm's file yet."""
+        """Bases of the joints that can have a curve: they move, move the measured point, and have none in the file."""
         arm = self.found.model.arm
         taken = {spec.joint for spec in arm.effects if spec.curve is not None}
         unseen = unseen_joints(self.found.model, self.rows)
         return bases_of(self.rows.postures, [j for j in range(arm.links) if j + 1 not in {*taken, *unseen}])
 
     def _columns(self, rows: Rows) -> Array:
-        """(N, n) model, curves and residual, whitened as these rows are."""
+        """(N, n) columns of the model, of the curves, and the residual, whitened."""
         at = (rows.postures, self.found.values, rows.conditions)
         position, jacobian = self.found.model.linearize(*at)
         curves = curve_columns(self.bases, rows.postures, self.found.model.joint_levers(*at))
@@ -78,7 +78,7 @@ class System:
         return rows.whiten(np.concatenate([jacobian / self.lengths, curves, left], axis=2))
 
     def _products(self, fold: NDArray[np.int64]) -> LaggedProducts:
-        """Of the columns over the rows of each fold (m,), a few rows at a time."""
+        """Products of the columns over the rows of each fold (m,), computed in parts."""
         rows, d = replace(self.rows, correlation=0.0), self.rows.dimension
         count, n = int(fold.max()) + 1, len(self.lengths) + sum(basis.count for basis in self.bases) + 1
         found = LaggedProducts(*np.zeros((4 if self.rows.correlation else 2, count, n, n)))
@@ -98,20 +98,20 @@ class System:
 
     @cached_property
     def _in_time(self) -> LaggedProducts:
-        """Products over stretches of time."""
+        """Products over intervals of time."""
         turn = np.empty(len(self.rows), dtype=np.int64)
         turn[self.rows.sequence] = np.arange(len(self.rows))
         return self._products(turn * STRETCHES // len(self.rows))
 
     @cached_property
     def lengths(self) -> Array:
-        """(p,) of the Jacobian's columns."""
+        """(p,) lengths of the Jacobian's columns."""
         sizes = np.linalg.norm(self.found.triangle, axis=0)
         return column_lengths(sizes, self.found.model.scales)[0]
 
     @cached_property
     def _compressed(self) -> Array:
-        """(min(N, n), n) columns with the same products as all rows have."""
+        """(min(N, n), n) matrix with the same Gram matrix as the columns over all rows."""
         if len(self.found.residual) <= len(self.lengths) + sum(basis.count for basis in self.bases):
             return self._columns(self.rows)
         products = self._grams if self.known is None else self.known.at(self.rows.correlation)
@@ -119,24 +119,24 @@ class System:
         return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
     def _own(self, members: Sequence[Hypothesis]) -> NDArray[np.bool_]:
-        """(p,) which parameters of the model belong to these members."""
+        """(p,) True for the parameters of these effects."""
         labels = {h.effect.label for h in members}
         owned = {p.name for e in self.found.model.effects if e.label in labels for p in e.parameters}
         return np.array([name in owned for name in self.found.model.names])
 
     def _model_part(self, kept: Members) -> tuple[NDArray[np.bool_], Array]:
-        """(p,) which columns are free, and (p,) what is put back into the residual of those that are not."""
+        """(p,) True for the free columns, and (p,) coefficients to restore to the residual for the others."""
         dropped = self._own([h for h in self.named if h not in kept])
         return ~dropped, np.where(dropped, self.found.values * self.lengths, 0.0)
 
     def _curve_part(self, joints: Sequence[int]) -> NDArray[np.int64]:
-        """Columns of the curves at some joints."""
+        """Indices of the columns of the curves at these joints (from 0)."""
         ends = len(self.lengths) + np.cumsum([basis.count for basis in self.bases])
         ranges = [np.arange(end - b.count, end) for b, end in zip(self.bases, ends, strict=True) if b.joint in joints]
         return np.concatenate(ranges) if ranges else np.zeros(0, dtype=int)
 
     def penalized(self, kept: Members, joints: Sequence[int]) -> Penalized:
-        """The curves' columns beside what is named."""
+        """The columns of the curves and the residual, projected off the model with the kept effects."""
         p, columns = len(self.lengths), self._compressed
         free, back = self._model_part(kept)
         left, values, _ = np.linalg.svd(columns[:, :p][:, free], full_matrices=False)
@@ -147,9 +147,11 @@ class System:
         return Penalized(chosen, wanted[:, :-1], wanted[:, -1], len(self.found.residual) - self.base_rank)
 
     def explain(self, kept: Members, joints: tuple[int, ...], start: Array | None = None) -> Explanation:
-        """The cost of a set of names and curves.
+        """The cost of a set of named effects and curves.
 
-        A named parameter costs log N, as in BIC; so do the two numbers that the data choose for each curve's prior.
+        Each parameter of a named effect costs log N, as in BIC, and so do the two hyperparameters of each curve.
+
+        start : log sizes and lengths to start the search from
         """
         system = self.penalized(kept, joints)
         n, links = len(self.found.residual), self.found.model.joints
@@ -162,11 +164,11 @@ class System:
         return Explanation(kept, joints, float(found.cost + names + curves), logs)
 
     def evidence(self, chosen: Explanation) -> Evidence:
-        """Coefficients and their covariance at what was chosen."""
+        """Coefficients of the chosen curves with their covariance."""
         return self.penalized(chosen.kept, chosen.joints).evidence(chosen.logs)
 
     def model_response(self, chosen: Explanation) -> Array:
-        """(free parameters, K) what a unit of each coefficient changes in the other estimates [API units]."""
+        """(free parameters, K) derivative of the other estimates with respect to each coefficient [API units]."""
         p, columns = len(self.lengths), self._compressed
         free, _ = self._model_part(chosen.kept)
         curves = columns[:, self._curve_part(chosen.joints)]
@@ -174,16 +176,19 @@ class System:
         return -found / self.lengths[free, None]
 
     def cross_validated(self, chosen: Explanation) -> float:
-        """Sum of squares on postures left out, at the same priors: each fold predicted from the others."""
+        """Sum of squares at postures left out: each fold is predicted from the others, with the same priors."""
         return self._left_out(chosen, self._grams, self._grams)
 
     def left_in_time(self, chosen: Explanation) -> float:
-        """Sum of squares on stretches of time left out, each predicted from the others; not decorrelated."""
+        """Sum of squares, not decorrelated, in intervals of time left out, each predicted from the others."""
         products = self.known or self._in_time
         return self._left_out(chosen, products.at(self.rows.correlation), products.at(0.0))
 
     def _left_out(self, chosen: Explanation, fitted: Array, tested: Array) -> float:
-        """Sum of squares that products (folds, n, n) of one kind give, of what those of the other kind estimate."""
+        """Sum of squares over all folds, each predicted from the others.
+
+        fitted, tested : (folds, n, n) products used for the estimates, and for the sum of squares
+        """
         p, total = len(self.lengths), fitted.sum(axis=0)
         free, back = self._model_part(chosen.kept)
         use = np.concatenate([np.flatnonzero(free), self._curve_part(chosen.joints)])
@@ -201,7 +206,7 @@ class System:
         return error
 
     def with_correlation(self, correlation: float) -> System:
-        """The same fit seen with another correlation from row to row."""
+        """The same fit with another serial correlation of the noise."""
         rows = replace(self.rows, correlation=correlation)
         position = self.found.model.position(rows.postures, self.found.values, rows.conditions)
         residual = rows.whiten(rows.positions - position)
@@ -211,14 +216,14 @@ class System:
 
 
 def folds(postures: Array) -> NDArray[np.int64]:
-    """(m,) fold of each row; postures that are the same within `SAME` rad share one."""
+    """(m,) fold of each row; postures equal within `SAME` rad are in the same fold."""
     _, group = np.unique(np.round(postures / SAME), axis=0, return_inverse=True)
     order = np.random.default_rng(0).permutation(int(group.max()) + 1)
     return order[group.ravel()] % FOLDS
 
 
 def choose(system: System, margin: float) -> Explanation:
-    """Curves joint by joint as long as each lowers the cost by more than `margin`, then names that are not needed."""
+    """Add curves one by one while the cost decreases by more than `margin`, then remove effects not needed."""
     best = system.explain(system.named, ())
     while left := [b.joint for b in system.bases if b.joint not in best.joints]:
         trials = [_with_curve(system, best, j) for j in left]
@@ -236,7 +241,7 @@ def choose(system: System, margin: float) -> Explanation:
 
 
 def _with_curve(system: System, before: Explanation, joint: int) -> Explanation:
-    """A curve at one more joint, in the place of the named functions of that joint's angle."""
+    """Add a curve at one more joint (from 0); it replaces named effects that are functions of that joint's angle."""
     joints = tuple(sorted((*before.joints, joint)))
     kept = tuple(h for h in before.kept if not is_function_of(h.effect, joint, system.found.model))
     start = None
@@ -248,7 +253,7 @@ def _with_curve(system: System, before: Explanation, joint: int) -> Explanation:
 
 
 def is_function_of(effect: Effect, joint: int, model: Model) -> bool:
-    """Whether an effect adds to the angle of a joint (from 0) a function of that angle and of nothing else."""
+    """Whether an effect adds to the angle of a joint (from 0) a function of that angle alone."""
     if effect.joint != joint + 1 or type(effect).joint_angles is Effect.joint_angles:
         return False
     q, c, _, _ = model.symbols

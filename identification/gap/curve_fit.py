@@ -1,12 +1,12 @@
-"""Smooth functions of joint angles fitted beside a linear model, as smooth as the data say.
+"""Fit smooth functions of joint angles beside a linear model, with the smoothness estimated from the data.
 
-The error of joint j is a cubic spline on equally spaced nodes. In the cosine transform of its coefficients a stationary
+The error of a joint is a cubic spline on equally spaced nodes. In the cosine transform of its coefficients a stationary
 prior is diagonal: with node spacing h the k-th of K cosines has the variance
 
     v_k  ~  (t_k + w)^-2,      t_k = 2 - 2 cos(pi k / K),      w = 3 (h / length)^2,
 
 a Matern process of smoothness 3/2 (C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", 2006,
-section 4.2). Its size and correlation length are chosen by the marginal likelihood, where the scale of the noise and
+section 4.2). Its size and correlation length maximize the marginal likelihood, in which the scale of the noise and
 the parameters that are not penalized are integrated out (R. Christensen, W. Wecker, C. Ansley: restricted likelihood).
 """
 
@@ -26,13 +26,16 @@ from identification.error_curve import ErrorCurve, local_splines
 SPACING = np.radians(2.0)  # from node to node [rad]
 MOST_NODES = 720  # of all curves
 FEWEST_NODES = 8  # of one
-SMALLEST, LARGEST = 1e-3, 1e3  # size of a curve, in what makes as much of the residuals as the noise does
+SMALLEST, LARGEST = 1e-3, 1e3  # size of a curve, relative to one that contributes as much as the noise
 ITERATIONS, FLAT = 100, 1e-9
 
 
 @dataclass(frozen=True)
 class Basis:
-    """Splines of one joint (from 0) between the smallest and the largest angle measured [rad], as cosines."""
+    """Spline basis of one joint (from 0) between the smallest and the largest measured angle [rad].
+
+    start, stop : these angles;  count : K, number of nodes and of cosines
+    """
 
     joint: int
     start: float
@@ -41,32 +44,32 @@ class Basis:
 
     @classmethod
     def of(cls, angles: Array, joint: int, spacing: float) -> Basis:
-        """For (m,) angles that are not all equal."""
+        """Basis for measured angles (m,), not all equal, with nodes at most `spacing` apart [rad]."""
         low, high = float(angles.min()), float(angles.max())
         return cls(joint, low, high, max(FEWEST_NODES, int(np.ceil((high - low) / spacing)) + 1))
 
     @property
     def spacing(self) -> float:
-        """h [rad]"""
+        """Node spacing h [rad]."""
         return (self.stop - self.start) / (self.count - 1)
 
     @cached_property
     def cosines(self) -> Array:
-        """(K, K) orthonormal: coefficients of the splines from those of the cosines."""
+        """(K, K) orthonormal matrix that maps coefficients of the cosines to those of the splines."""
         k = np.arange(self.count)
         table = np.cos(np.pi / self.count * np.outer(k + 0.5, k)) * np.sqrt(2.0 / self.count)
         table[:, 0] /= np.sqrt(2.0)
         return table
 
     def at(self, angles: Array) -> Array:
-        """(m, K) functions at angles (m,)."""
+        """(m, K) values of the K cosines' functions at angles (m,) [rad]."""
         place, parts = local_splines(angles, self.start, self.stop, self.count)
         splines = np.zeros((len(place), self.count + 6))
         np.put_along_axis(splines, place + 3, parts, axis=1)
         return np.asarray(splines[:, 3:-3] @ self.cosines)
 
     def variances(self, size: float, length: float) -> tuple[Array, Array]:
-        """(K,) prior variances whose mean is size^2, and their derivatives with respect to log length."""
+        """(K,) prior variances with mean size^2, and their derivatives with respect to log(length)."""
         t = 2.0 - 2.0 * np.cos(np.pi * np.arange(self.count) / self.count)
         w = 3.0 * (self.spacing / length) ** 2
         shape, slope = (t + w) ** -2.0, 4.0 * w * (t + w) ** -3.0
@@ -74,15 +77,15 @@ class Basis:
         return size**2 * shape / mean, size**2 * (slope / mean - shape * slope.mean() / mean**2)
 
     def curve(self, coefficients: Array) -> ErrorCurve:
-        """The function of (K,) coefficients of cosines."""
+        """The function with these coefficients of the cosines (K,)."""
         splines = np.pad(self.cosines @ coefficients, 1)
         return ErrorCurve(self.start, self.stop, (splines[:-2] + 4.0 * splines[1:-1] + splines[2:]) / 6.0)
 
 
 class Posterior(NamedTuple):
-    """Of coefficients (K,), for noise of one: their covariance is diag(known) + sign * factor^T factor.
+    """Posterior of coefficients (K,) for unit noise, with covariance diag(known) + sign * factor^T factor.
 
-    log_shrunk : log det of the prior's covariance over that of the posterior
+    log_shrunk : log ratio of the determinants of prior and posterior covariance
     """
 
     coefficients: Array
@@ -93,18 +96,17 @@ class Posterior(NamedTuple):
 
     @property
     def variances(self) -> Array:
-        """(K,)"""
+        """(K,) diagonal of the covariance."""
         return np.asarray(self.known + self.sign * np.einsum("nk,nk->k", self.factor, self.factor))
 
     @property
     def covariance(self) -> Array:
-        """(K, K)"""
+        """(K, K) covariance of the coefficients."""
         return np.asarray(np.diag(self.known) + self.sign * self.factor.T @ self.factor)
 
 
 class Likelihood(NamedTuple):
-    """-2 log of the marginal likelihood, up to a constant of the data, and its derivatives (2 curves); and of what it
-    was made, see `Evidence`."""
+    """-2 log of the marginal likelihood with its derivatives, and intermediate results: as in `Evidence`."""
 
     cost: float
     slope: Array
@@ -116,12 +118,13 @@ class Likelihood(NamedTuple):
 
 @dataclass(frozen=True)
 class Evidence:
-    """Penalized columns beside columns that are not, at given sizes and lengths of the priors.
+    """Fit of the curves at given sizes and lengths of their priors.
 
-    cost : -2 log of the marginal likelihood, up to a constant of the data;  slope : its derivatives (2 curves)
-    coefficients : (K,) of all curves;  variances : (K,) of their prior for noise of one
-    covariance : (K, K) of the posterior for noise of one, a part at a time
-    effective : number of coefficients that the data determine;  squares : penalized sum of squares
+    cost : -2 log of the marginal likelihood, up to a constant of the data
+    slope : (2 x curves,) its derivatives with respect to the log sizes and lengths
+    coefficients : (K,) of all curves;  variances : (K,) of their prior, for unit noise
+    covariance : (K, K) of the posterior, for unit noise
+    effective : effective number of coefficients;  squares : penalized sum of squares
     """
 
     cost: float
@@ -135,10 +138,10 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Penalized:
-    """Curves' columns (N, K) and a residual (N,), both projected off what is not penalized.
+    """Columns (N, K) of the curves and a residual (N,), both projected off the columns that are not penalized.
 
-    bases : of the curves, in the order of the columns;  freedom : N rows less the rank of what is not penalized (N
-    may be more than the number of rows here, which can be compressed)
+    bases : of the curves, in the order of the columns
+    freedom : number of coordinates (before any compression) less the rank of the columns that are not penalized
     """
 
     bases: tuple[Basis, ...]
@@ -148,16 +151,16 @@ class Penalized:
 
     @cached_property
     def gram(self) -> Array:
-        """(K, K)"""
+        """(K, K) products of the columns."""
         return np.asarray(self.columns.T @ self.columns)
 
     @cached_property
     def right(self) -> Array:
-        """(K,)"""
+        """(K,) products of the columns with the residual."""
         return np.asarray(self.columns.T @ self.residual)
 
     def evidence(self, logs: Array) -> Evidence:
-        """At log size and log length of each curve's prior [rad], sizes in units of the noise."""
+        """The fit at these logs (2 x curves,) of size (in units of the noise) and length [rad] of each prior."""
         cost, slope, found, variances, effective, squares = self._likelihood(logs)
         return Evidence(cost, slope, found.coefficients, variances, found.covariance, effective, squares)
 
@@ -177,21 +180,24 @@ class Penalized:
         return Likelihood(float(cost), np.ravel(slope), posterior, variances, float(left.sum()), squares)
 
     def _by_columns(self, variances: Array) -> Posterior:
-        """By a K x K matrix."""
+        """Posterior from a K x K matrix."""
         root = np.sqrt(variances)
         triangle, determinant = _inverse_root(root[:, None] * self.gram * root)
         factor = triangle * root
         return Posterior(factor.T @ (factor @ self.right), np.zeros(len(root)), 1.0, factor, determinant)
 
     def _by_rows(self, variances: Array) -> Posterior:
-        """The same by an N x N matrix (Woodbury's identity), for fewer rows than columns."""
+        """The same from an N x N matrix (Woodbury's identity), for fewer rows than columns."""
         spread = self.columns * variances
         triangle, determinant = _inverse_root(spread @ self.columns.T)
         factor = triangle @ spread
         return Posterior(factor.T @ (triangle @ self.residual), variances, -1.0, factor, determinant)
 
     def best(self, start: Array | None = None) -> tuple[Array, Evidence]:
-        """Logs of size and length of each prior at the maximum of the marginal likelihood, and what follows there."""
+        """Logs of size and length of each prior that maximize the marginal likelihood, and the fit there.
+
+        start : (2 x curves,) logs to start from, None: `guess`
+        """
         from scipy.optimize import minimize
 
         low, high = np.transpose(self._bounds)
@@ -202,7 +208,7 @@ class Penalized:
 
     @property
     def guess(self) -> Array:
-        """(curves, 2) where searches begin: as large as the noise, and three nodes long."""
+        """(curves, 2) default start of the search: as large as the noise, and three nodes long."""
         lengths = [3.0 * basis.spacing for basis in self.bases]
         return np.log(np.column_stack([self._units, lengths]))
 
@@ -215,7 +221,7 @@ class Penalized:
 
     @property
     def _units(self) -> Array:
-        """(curves,) sizes that make as much of the residuals as the noise does."""
+        """(curves,) sizes at which a curve contributes as much to the residuals as the noise."""
         parts = np.split(np.diag(self.gram), np.cumsum([b.count for b in self.bases])[:-1])
         return np.array([np.sqrt(self.freedom / part.sum()) for part in parts])
 
@@ -234,9 +240,9 @@ def _inverse_root(matrix: Array) -> tuple[Array, float]:
 
 
 def inverse_if_clear(matrix: Array, condition: float) -> Array | None:
-    """Inverse of a symmetric matrix that is positive definite and not near a singular one by far; else None.
+    """Inverse of a symmetric matrix if it is positive definite and well conditioned, else None.
 
-    condition : smallest eigenvalue, of the largest; estimated in the 1-norm, so that of n rows counts n times at most
+    condition : smallest allowed ratio of smallest to largest eigenvalue, estimated in the 1-norm with a safety factor
     """
     from scipy.linalg import lapack
 
@@ -250,16 +256,16 @@ def inverse_if_clear(matrix: Array, condition: float) -> Array | None:
 
 
 def curve_columns(bases: Sequence[Basis], postures: Array, levers: Array) -> Array:
-    """(m, d, K) derivative of the positions by the coefficients of all curves.
+    """(m, d, K) derivative of the positions with respect to the coefficients of all curves.
 
-    levers : (m, d, n) derivative of the positions by each joint's own offset [mm/rad]
+    postures : (m, n) [rad];  levers : (m, d, n) derivative with respect to each joint's angle [mm/rad]
     """
     columns = [levers[:, :, b.joint, None] * b.at(postures[:, b.joint])[:, None, :] for b in bases]
     return np.concatenate([np.zeros((*levers.shape[:2], 0)), *columns], axis=2)
 
 
 def bases_of(postures: Array, joints: Sequence[int]) -> tuple[Basis, ...]:
-    """Of the joints (from 0) that move, on nodes `SPACING` apart, or wider for more than `MOST_NODES` of them."""
+    """Bases of those joints (from 0) that move, with nodes `SPACING` apart, or wider to stay within `MOST_NODES`."""
     ranges = np.ptp(postures, axis=0)
     moving = [j for j in joints if ranges[j] > 0.0]
     spacing = max(SPACING, float(sum(ranges[j] for j in moving)) / MOST_NODES)

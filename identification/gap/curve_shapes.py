@@ -1,7 +1,7 @@
-"""What an error curve looks like: a few waves with whole or half orders, a sawtooth, a step, or no name.
+"""Describe the shape of an error curve: a few waves, a sawtooth, a step, or just a smooth curve.
 
-A curve of standard deviation s(q) at angles q is compared with shapes by weighted least squares beside a constant. The
-share of its weighted variance that a shape explains says whether the shape is its name.
+A curve with standard deviation s(q) at angles q is compared with each shape by weighted least squares beside a
+constant. A shape describes the curve if it explains most of its weighted variance.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from identification.arrays import Array
 
 # reasons: identification/README.md, "Constants"
-MOST_WAVES, SAID = 6, 3  # that are listed, and that the text says
+MOST_WAVES, SAID = 6, 3  # number of waves listed, and of those in the text
 LEAST_SHARE = 0.03  # of the curve's variance, of each
 NAMED_SHARE = 0.8  # of the variance, that makes a shape the curve's name
 HARMONICS = 0.35  # deviation of a sawtooth's harmonics from 1, 1/2, 1/3
@@ -23,9 +23,10 @@ HARMONICS = 0.35  # deviation of a sawtooth's harmonics from 1, 1/2, 1/3
 
 @dataclass(frozen=True)
 class Wave:
-    """amplitude cos(order q - phase), and the orders [per turn] that the range measured cannot distinguish from it.
+    """The wave amplitude cos(order q - phase).
 
-    amplitude, phase [rad];  share : of the curve's weighted variance that it explains beside the waves before it
+    order : periods per turn;  lowest, highest : orders not distinguishable from it within the measured range
+    amplitude, phase : [rad];  share : fraction of the curve's weighted variance explained beside the waves before it
     """
 
     order: float
@@ -51,9 +52,11 @@ class Wave:
 
 
 def waves(angles: Array, error: Array, std: Array, orders: Array | None = None) -> tuple[Wave, ...]:
-    """The waves that make most of a curve, strongest first: one after the other, all refitted after each.
+    """The waves that make up most of a curve, strongest first: added one by one, all refitted after each.
 
-    orders : periods per turn that are tried; None: whole ones up to the fastest that nodes at every other angle show
+    angles, error, std : (a,) of the curve [rad]
+    orders : periods per turn to try; None: whole ones up to the Nyquist limit of nodes at every other angle
+
     Orders that differ by less than one period over the range are not distinguished.
     """
     weights = 1.0 / np.maximum(std, 1e-3 * float(np.max(std)) + 1e-300)
@@ -83,7 +86,7 @@ def waves(angles: Array, error: Array, std: Array, orders: Array | None = None) 
 
 
 def shape_text(angles: Array, error: Array, std: Array, found: Sequence[Wave]) -> str:
-    """For people: what the curve is called, or what it is made of."""
+    """Description of a curve in words, by name or by its waves."""
     where = f"over {np.degrees(angles[0]):.0f} to {np.degrees(angles[-1]):.0f} deg"
     step = _step(angles, error, std)
     share = sum(wave.share for wave in found)
@@ -99,7 +102,7 @@ def shape_text(angles: Array, error: Array, std: Array, found: Sequence[Wave]) -
 
 
 def _sawtooth(found: Sequence[Wave]) -> float | None:
-    """The fundamental of waves of orders k, 2k, 3k with amplitudes 1, 1/2, 1/3; None for others."""
+    """Fundamental order k if waves of orders k, 2k, 3k have amplitudes in the ratio 1, 1/2, 1/3; else None."""
     by_order = {wave.order: wave.amplitude for wave in found}
     first = min(by_order)
     wanted = [first * n for n in (1, 2, 3)]
@@ -110,7 +113,7 @@ def _sawtooth(found: Sequence[Wave]) -> float | None:
 
 
 def _step(angles: Array, error: Array, std: Array) -> tuple[float, float, float] | None:
-    """Where the best step is, the share of the variance that it explains, and its size; None without variance."""
+    """Angle of the best step, fraction of the variance that it explains, and its size; None without variance."""
     weights = 1.0 / np.maximum(std, 1e-3 * float(np.max(std)) + 1e-300) ** 2
     mean = np.average(error, weights=weights)
     total = float(np.sum(weights * (error - mean) ** 2))
@@ -135,6 +138,6 @@ def _solved(angles: Array, error: Array, weights: Array, orders: Sequence[float]
 
 
 def _left(angles: Array, error: Array, weights: Array, orders: Sequence[float]) -> float:
-    """Weighted sum of squares that waves of these orders leave beside a constant."""
+    """Residual weighted sum of squares of waves of these orders beside a constant."""
     rest = error - _columns(angles, orders) @ _solved(angles, error, weights, orders)
     return float(np.sum((rest * weights) ** 2))

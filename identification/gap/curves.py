@@ -1,4 +1,4 @@
-"""Error curves of joints, in the place of named functions of the same angle where they explain the data better."""
+"""`find_curves`: replace named functions of a joint's angle by error curves where these explain the data better."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ SHARES = (0.0, 0.5, 0.75, 1.0)  # of a serial correlation
 
 @dataclass(frozen=True)
 class CurveFit(Fit):
-    """A fit whose model has error curves, estimated beside its parameters.
+    """A fit whose model has error curves, estimated together with its parameters.
 
     bases : of the curves;  evidence : their K coefficients with prior and posterior
-    response : (p, K) what a unit of each coefficient changes in the parameters
+    response : (p, K) derivative of the parameters with respect to the coefficients [API units]
     """
 
     bases: tuple[Basis, ...] = ()
@@ -44,23 +44,23 @@ class CurveFit(Fit):
 
     @classmethod
     def of(cls, found: Fit, bases: tuple[Basis, ...], evidence: Evidence, response: Array) -> CurveFit:
-        """A fit of a model whose error curves stay as they are, with what is known of these."""
+        """Combine a fit of a model with fixed error curves and the estimates of these curves."""
         own = {field.name: getattr(found, field.name) for field in fields(Fit)}
         return cls(**own, bases=bases, evidence=evidence, response=response)
 
     @property
     def effective(self) -> float:
-        """Number of parameters and coefficients that the data determine."""
+        """Effective number of parameters and coefficients."""
         return super().effective + self.evidence.effective
 
     def covariance(self, bounded: bool = True) -> Array:
-        """(p, p) of the estimates; the curves' uncertainty is part of it."""
+        """(p, p) covariance of the estimates, as of `Fit`, including the uncertainty of the curves."""
         free = self.free if bounded else np.ones(len(self.values), dtype=bool)
         response = np.where(free[:, None], self.response, 0.0)
         return super().covariance(bounded) + self.sigma**2 * response @ self.evidence.covariance @ response.T
 
     def regression(self) -> tuple[Array, Array, Array]:
-        """As of `Fit`, with the coefficients of the curves behind the parameters, and their prior."""
+        """As of `Fit`, with the coefficients of the curves and their prior after the parameters."""
         parameters, rows, left = super().regression()
         curves = self.curve_columns(self.rows.postures, self.rows.conditions)
         precisions = self.evidence.variances**-0.5
@@ -69,11 +69,11 @@ class CurveFit(Fit):
         return np.concatenate([parameters, curves], axis=2), prior, np.r_[left, missed]
 
     def curve_columns(self, postures: Array, conditions: Conditions) -> Array:
-        """(m, d, K) derivative of the positions by the coefficients."""
+        """(m, d, K) derivative of the positions with respect to the coefficients."""
         return curve_columns(self.bases, postures, self.model.joint_levers(postures, self.values, conditions))
 
     def uncertain(self, postures: Array, conditions: Conditions) -> tuple[Array, Array]:
-        """As of `Fit`, with the coefficients of the curves behind the parameters."""
+        """As of `Fit`, with the coefficients of the curves after the parameters."""
         jacobian = self.model.jacobian(postures, self.values, conditions)
         moved = self.curve_columns(postures, conditions) + jacobian @ self.response
         covariance = block_diag(super().covariance(), self.sigma**2 * self.evidence.covariance)
@@ -82,11 +82,11 @@ class CurveFit(Fit):
 
 @dataclass(frozen=True)
 class Curves:
-    """What explains the data best, error curves among it.
+    """The best explanation with error curves.
 
-    fit : with the curves in the model;  kept : named effects beside them;  scatter : findings that still hold
-    base : the base model, fitted to the same rows;  gain : cost of the named effects alone, less that of the curves
-    held_out : mean square distance [mm^2] on postures left out
+    fit : with the curves in the model;  kept : named effects beside them;  scatter : remaining properties of the noise
+    base : fit of the base model to the same rows;  gain : cost of the named effects alone less that with curves
+    held_out : mean square distance [mm^2] at postures left out
     """
 
     fit: CurveFit
@@ -99,16 +99,16 @@ class Curves:
 
     @property
     def excess(self) -> float:
-        """Mean square distance [mm^2] on postures left out, beyond noise and what uncertain parameters make; >= 0."""
+        """Mean square distance [mm^2] at postures left out, beyond noise and parameter uncertainty; >= 0."""
         n, row = len(self.fit.residual), self.fit.rows.dimension * self.fit.sigma**2
         return max(0.0, self.held_out - row * (1.0 + self.fit.effective / n))
 
 
 def find_curves(found: Findings, measurements: Measurements) -> Curves | None:
-    """Curves for the joints where they explain more than the named functions of the angle; None: nowhere.
+    """Error curves at the joints where they explain more than the named functions of the angle; None if there are none.
 
-    They are looked for only where something was found: they decide what it is, not whether there is anything. The
-    noise is taken as it was found, and as white: what a curve explains looks like correlated or uneven noise before.
+    Curves are tried only if an effect was found at a joint: they describe it, but do not establish it. The noise is
+    taken as found and as white, since an unmodelled curve resembles correlated or heteroscedastic noise.
     """
     chosen = found.unknown.chosen
     if not chosen and not (found.unknown.place or "").startswith("joint"):
@@ -132,8 +132,10 @@ def find_curves(found: Findings, measurements: Measurements) -> Curves | None:
 
 
 def _plausible(system: System, best: Explanation) -> tuple[Explanation, tuple[CurveFit, tuple[Curve, ...]]]:
-    """Without named effects of implausible size, as long as the curves still predict better than the names alone; and
-    fitted."""
+    """Remove named effects of implausible size, if the curves then still predict better than the named effects alone.
+
+    Returns the explanation, and its fit and curves.
+    """
     trial, fitted = best, _fitted(system, best)
     first = fitted
     while (far := _least_plausible(fitted[0], trial.kept)) is not None:
@@ -143,10 +145,10 @@ def _plausible(system: System, best: Explanation) -> tuple[Explanation, tuple[Cu
 
 
 def _least_plausible(fitted: Fit, kept: Members) -> Hypothesis | None:
-    """The named effect that is farthest beyond its typical size, if it is implausibly large; else None.
+    """The named effect farthest beyond its typical size, if implausibly large; else None.
 
-    Beside flexible curves an effect can grow large and be cancelled by them at the angles measured, and nowhere else.
-    Drifts and steps too: on a grid measured in order, time follows the angles.
+    Beside flexible curves an effect can become large and be cancelled by them at the measured angles only. The same
+    holds for drifts and steps: on a grid measured in order, time follows the angles.
     """
     sizes = {
         h: max(abs(fitted.by_name[p.name]) / p.typical for p in effect.parameters if p.typical)
@@ -161,10 +163,10 @@ def _least_plausible(fitted: Fit, kept: Members) -> Hypothesis | None:
 def _for_other_times(
     system: System, scatter: tuple[Finding, ...], best: Explanation
 ) -> tuple[System, tuple[Finding, ...], Explanation]:
-    """With as much of the serial correlation as predicts stretches of time best that are left out.
+    """Choose the fraction of the serial correlation that best predicts intervals of time left out.
 
-    What is left of one posture's error in its neighbors looks like correlation in time where postures follow each other
-    closely; taking all of it for noise discards what neighbors tell, taking none of it counts them too often.
+    Where consecutive postures are close, unmodelled errors common to neighbors resemble correlation in time. Treating
+    all of it as noise discards information; treating none of it as noise counts neighboring rows as independent.
     """
     if not system.rows.correlation:
         return system, scatter, best
@@ -182,12 +184,12 @@ def _noise_cost(system: System, scatter: Sequence[Finding]) -> float:
 
 
 def _predicts_better(system: System, best: Explanation) -> bool:
-    """On postures left out, than the named effects do."""
+    """Whether the curves predict postures left out better than the named effects do."""
     return system.cross_validated(best) < system.cross_validated(system.explain(system.named, ()))
 
 
 def _fitted(system: System, best: Explanation) -> tuple[CurveFit, tuple[Curve, ...]]:
-    """The parameters refitted with the curves in the model."""
+    """The fit of the parameters with the curves in the model, and the curves."""
     evidence = system.evidence(best)
     bases = tuple(basis for basis in system.bases if basis.joint in best.joints)
     ends = np.cumsum([basis.count for basis in bases])
@@ -221,7 +223,7 @@ def _curve(basis: Basis, coefficients: Array, covariance: Array, noise: float, l
 
 
 def curve_candidate(found: Curves) -> Candidate:
-    """The best set with the curves in it; its F test is against the base model."""
+    """The best set including the curves as a candidate, with an F test against the base model."""
     fitted, base = found.fit, found.base
     covariance = fitted.covariance(bounded=False)
     sure = Uncertainty("scatter", covariance, np.full(len(covariance), float(max(fitted.freedom, 1))))
