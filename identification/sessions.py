@@ -15,13 +15,24 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.frames import AXES, own_axes_angles
-from identification.kinematics.parameters import JOINT_OFFSET
+from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
+from identification.kinematics.spatial import BASE as STAND
+from identification.kinematics.spatial import TOOL
 from identification.measurements import POINT, Measurements
 from identification.model import Model
 from identification.placed import placed_model, session_bases
 
 BASE = ("base_offset.x0", "base_offset.y0", f"{JOINT_OFFSET}:1")  # position and rotation of the base
 SESSIONS = "session_base"
+PLACES = (STAND, TOOL)
+
+
+def placing(parameters: ParameterSet) -> list[int]:
+    """Numbers of the parameters that say where a spatial arm stands, in every session, and what is measured on it;
+    none where all of that is known."""
+    if not any(p.kind in PLACES for p in parameters):
+        return []
+    return [k for k, p in enumerate(parameters) if p.kind in PLACES or p.name.startswith(f"{SESSIONS}.")]
 
 
 # -- one table of several ----------------------------------------------------------------------------------------------

@@ -158,8 +158,9 @@ class Campaign:
         """Nominal and corrected values of every calibrated arm, or as `identify` said them."""
         if arms := self.given.calibrated:
             first = sorted(arms, key=lambda name: name != self.chosen)
+            pairs = ((name, arms[name], getattr(arms[name].calibration, "provenance", None)) for name in first)
             return [
-                corrected_section(corrected_values(arms[name]), arms[name].chain is not None, name) for name in first
+                corrected_section(corrected_values(arm), arm.chain is not None, name, said) for name, arm, said in pairs
             ]
         return [
             corrected_section([CorrectedValue(**row) for row in data["corrected_values"]], "geometry" in data, name)

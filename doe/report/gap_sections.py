@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from doe.report.identification_tables import conventions, corrected_sheet
 from doe.report.origin import Origin, origin_section
 from doe.report.page import Section, Sheet, page
 from doe.report.terminal import number
-from doe.report.verdict import diagnosis_actions, diagnosis_verdict
+from doe.report.verdict import diagnosis_actions, diagnosis_verdict, expected_elsewhere
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.gap.noise import Finding
 from identification.gap.result import Diagnosis
@@ -160,12 +160,17 @@ def places(diagnosis: Diagnosis) -> dict[int, str]:
     return {joint: "\n".join(labels) for joint, labels in found.items()}
 
 
-def corrected_section(rows: Sequence[CorrectedValue], spatial: bool, name: str = "") -> Section:
+def corrected_section(
+    rows: Sequence[CorrectedValue], spatial: bool, name: str = "", fit: Mapping[str, Any] | None = None
+) -> Section:
     """The corrected values to enter in the controller.
 
-    name : of the file that has it
+    name : of the file that has it;  fit : what `identify` said of it
     """
-    text = " ".join([*([f"As in {name}."] if name else []), *conventions(rows, spatial)])
+    expected = expected_elsewhere(fit or {}).strip()
+    text = " ".join(
+        [*([f"As in {name}."] if name else []), *([expected] if expected else []), *conventions(rows, spatial)]
+    )
     whole = corrected_sheet(rows)
     shown = [
         k for k, heading in enumerate(whole.headings) if heading != "std"

@@ -29,6 +29,16 @@ def identification_tables(found: Identification, hidden: frozenset[str] = frozen
         ("method", f"{data['method']}: {found.outcome}"),
         ("RMS error", f"{number(data['rms_before_mm'])} -> {number(data['rms_after_mm'])} mm ({compared(found)})"),
         ("largest error", f"{number(data['max_before_mm'])} -> {number(data['max_after_mm'])} mm"),
+        *(
+            []
+            if found.expected_tip is None
+            else [
+                (
+                    "expected error",
+                    f"{number(found.expected_tip)} mm at the tip, RMS over the joint limits, if the model is right",
+                )
+            ]
+        ),
         ("sigma", f"{number(data['sigma_mm'], 5)} mm per axis ({given}), {data['dof']} degrees of freedom"),
     ]
     if data["p_value"] is not None:

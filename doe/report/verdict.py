@@ -113,7 +113,14 @@ def design_verdict(data: Data) -> str:
 def identification_verdict(data: Data) -> str:
     """Residuals of a calibration on the data that it was fitted to."""
     figures = f"{number(data['rms_before_mm'])} to {number(data['rms_after_mm'])} mm"
-    return f"On its own data the calibration takes the RMS error from {figures}."
+    return f"On its own data the calibration takes the RMS error from {figures}.{expected_elsewhere(data)}"
+
+
+def expected_elsewhere(data: Data) -> str:
+    """What a fit promises where nothing was measured; files of earlier versions do not say."""
+    if (expected := data.get("expected_tip_mm")) is None:
+        return ""
+    return f" Over the joint limits the tip is expected within {number(expected)} mm (RMS) if the model is right."
 
 
 def validation_verdict(

@@ -17,9 +17,8 @@ from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import Uncertainty
 from identification.information import Spectrum, identifiability_of
-from identification.kinematics.spatial import BASE, TOOL
 from identification.measurements import Measurements
-from identification.sessions import SESSIONS
+from identification.sessions import placing
 from identification.status import Status
 
 CLEAR = 0.5  # of the limit: rows this near are looked at with their leverage, which is small where rows are many
@@ -38,9 +37,8 @@ class Spread(NamedTuple):
 def as_it_was(problem: Problem) -> Array:
     """(m, d) residuals [mm] of the arm as it was; where nothing says where a spatial arm stands and what is measured on
     it, these are fitted in least squares (one Gauss-Newton step from the closed form)."""
-    residual, parameters = problem.residuals(problem.start)[0], problem.model.parameters
-    free = [k for k, p in enumerate(parameters) if p.kind in (BASE, TOOL) or p.name.startswith(f"{SESSIONS}.")]
-    if not any(parameters[k].kind in (BASE, TOOL) for k in free):
+    residual, free = problem.residuals(problem.start)[0], placing(problem.model.parameters)
+    if not free:
         return residual
     slopes = problem.jacobian(problem.start)[:, free]
     step = np.linalg.lstsq(slopes, (problem.root_weights * residual).ravel(), rcond=None)[0]

@@ -166,10 +166,14 @@ def _left(arm: Arm, measurements: Measurements, offset: bool) -> float:
     return float(solve(measurements.positions[None])[1][0])
 
 
+def limited(arm: Arm) -> NDArray[np.bool_]:
+    """(n,) joints whose limits are given."""
+    return np.asarray((np.abs(arm.lower + np.pi) > OVERSHOOT) | (np.abs(arm.upper - np.pi) > OVERSHOOT))
+
+
 def beyond_limits(arm: Arm, postures: Array) -> NDArray[np.bool_]:
     """(m, n) True where a joint lies outside its limits; limits left out do not count."""
-    given = (np.abs(arm.lower + np.pi) > OVERSHOOT) | (np.abs(arm.upper - np.pi) > OVERSHOOT)
-    return given & ((postures < arm.lower - OVERSHOOT) | (postures > arm.upper + OVERSHOOT))
+    return limited(arm) & ((postures < arm.lower - OVERSHOOT) | (postures > arm.upper + OVERSHOOT))
 
 
 def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:

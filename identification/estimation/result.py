@@ -16,6 +16,7 @@ from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_rows
 from identification.estimation import shown
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
+from identification.estimation.expected_tip import everywhere, expected_tip, hardly_determined
 from identification.estimation.intervals import limits_95
 from identification.estimation.prior import Prior
 from identification.estimation.shown import in_words
@@ -103,6 +104,15 @@ class Identification:
         """Probability of a chi2 at least this large if model and sigma are right; None if sigma was not known."""
         return None if self.chi2 is None or self.dof == 0 else float(chdtrc(self.dof, self.chi2))
 
+    @cached_property
+    def expected_tip(self) -> float | None:
+        """How far the tip may be from where this fit computes it [mm]: standard deviation of its position, root mean
+        square over the joint limits (see `estimation.expected_tip`). None without deviations, or an arm."""
+        arm = getattr(self.model, "arm", None)
+        if not isinstance(arm, Arm) or self.not_identifiable or not np.all(np.isfinite(self.covariance)):
+            return None
+        return expected_tip(self.model, self.parameters, self.covariance, everywhere(arm, self.provenance))
+
     @property
     def misfit(self) -> str | None:
         """What chi2 says where it rejects the model or the sigma given, and what follows for the intervals."""
@@ -119,8 +129,8 @@ class Identification:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings to be read before the results."""
-        misfit = (self.misfit,) if self.misfit else ()
-        return (*self.doubts, *misfit) if self.status is Status.implausible else (*misfit, *self.doubts)
+        misfit, doubts = (self.misfit,) if self.misfit else (), (*self.doubts, *hardly_determined(self))
+        return (*doubts, *misfit) if self.status is Status.implausible else (*misfit, *doubts)
 
     @cached_property
     def shown_names(self) -> tuple[str, ...]:
@@ -226,6 +236,7 @@ class Identification:
             "rms_after_mm": self.rms_after,
             "max_before_mm": self.max_before,
             "max_after_mm": self.max_after,
+            "expected_tip_mm": self.expected_tip,
             **dict(zip(("rms_before_deg", "rms_after_deg"), np.degrees(self.rms_angles or ()).tolist(), strict=False)),
             "method": self.method,
             "status": self.status.name,

@@ -52,6 +52,8 @@ def remarks(found: Identification) -> list[str]:
     lines.append(f"95 % intervals: {found.uncertainty.sentence}")
     lines.append(f"RMS {found.rms_before:.4g} -> {found.rms_after:.4g} mm")
     lines.append(f"max {found.max_before:.4g} -> {found.max_after:.4g} mm")
+    if found.expected_tip is not None:
+        lines.append(f"expected error of the tip {found.expected_tip:.4g} mm, RMS over the joint limits")
     if found.rms_angles is not None:
         lines.append("orientations, RMS {:.4g} -> {:.4g} deg".format(*np.degrees(found.rms_angles)))
     return [*lines, f"{found.method}: {found.outcome}"]

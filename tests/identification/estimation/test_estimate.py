@@ -23,7 +23,7 @@ from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, da
 UR10 = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "measurements.csv"
 DOCUMENTED_KEYS = {"parameters", "corrected_values", "not_identifiable", "sigma_mm", "chi2", "dof", "p_value"}
 DOCUMENTED_KEYS |= {"status", "warnings", "outlier_rows", "scatter_mm", "intervals", "clusters"}
-DOCUMENTED_KEYS |= {"rms_before_mm", "rms_after_mm", "max_before_mm", "max_after_mm", "method"}
+DOCUMENTED_KEYS |= {"rms_before_mm", "rms_after_mm", "max_before_mm", "max_after_mm", "method", "expected_tip_mm"}
 
 
 def dft_plan(m: int) -> np.ndarray:

@@ -1,0 +1,77 @@
+"""How far the tip may be off: against complex exponentials written out, against repeated experiments, and said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm
+from identification.estimation import estimate, estimate_batch
+from identification.estimation.expected_tip import everywhere, expected_tip
+from identification.measurements import Measurements
+from identification.model import Model
+from tests.identification.estimation.cases import LENGTHS, SIGMA, arm, data, plan, truth
+
+
+def limited(sigma: float | None = SIGMA) -> Arm:
+    return replace(arm(sigma=sigma), lower=np.full(4, -2.0), upper=np.full(4, 2.0))
+
+
+def test_the_covariance_is_carried_to_the_tip() -> None:
+    """Oracle: of z = sum l_j exp(i theta_j) the derivative is exp(i theta_j) by l_j, i sum_(k>=j) l_k exp(i theta_k) by
+    q_j; the variance of both coordinates is the sum over p, q of C_pq Re(conj(d_p) d_q)."""
+    model, rng = Model(limited()), np.random.default_rng(4)
+    postures, root = plan(7, seed=3), rng.normal(size=(8, 8)) * np.r_[np.full(4, 0.1), np.full(4, 1e-3)][:, None]
+    errors = truth(model)
+    covariance, total = root @ root.T, 0.0
+    lengths = np.array(LENGTHS) + errors[:4]
+    for q in postures + errors[4:]:
+        unit = np.exp(1j * np.cumsum(q))
+        slopes = np.r_[unit, [1j * np.sum((lengths * unit)[j:]) for j in range(4)]]
+        total += sum(covariance[a, b] * (slopes[a].conj() * slopes[b]).real for a in range(8) for b in range(8))
+    assert expected_tip(model, errors, covariance, postures) == pytest.approx(np.sqrt(total / 7.0), rel=1e-10)
+
+
+def test_it_is_the_error_that_repeated_experiments_show() -> None:
+    """400 data sets of 12 rows, each fitted; the mean square of 400 x 200 distances is within 4 standard errors of it.
+
+    The distances of one data set go together, so their mean square is one draw: relative standard error
+    sqrt(2 / 400 / effective), with 8 parameters no more than sqrt(2 / 400) = 0.07 of the mean square.
+    """
+    model = Model(limited())
+    found = estimate(model, data(model, plan(12)), sigma=SIGMA)
+    where = np.random.default_rng(11).uniform(-2.0, 2.0, (200, 4))
+    positions = np.array([data(model, plan(12), seed=s).positions for s in range(400)])
+    fits = estimate_batch(model, plan(12), positions).parameters
+    squares = np.sum((model.position(where, fits) - model.position(where, truth(model))) ** 2, axis=-1)
+    assert found.expected_tip**2 == pytest.approx(np.mean(squares), rel=4.0 * np.sqrt(2.0 / 400.0))
+
+
+def test_few_measurements_are_said_and_many_are_not() -> None:
+    model = Model(limited())
+    near = np.random.default_rng(5).normal(0.0, 0.2, (5, 4))  # five postures, nearly the same
+    alike, many = (estimate(model, data(model, postures), sigma=SIGMA) for postures in (near, plan(30)))
+    assert alike.expected_tip > 10.0 * many.expected_tip
+    assert any("too few measurements, or too much alike" in said for said in alike.warnings)
+    assert many.warnings == ()
+    assert many.to_json()["expected_tip_mm"] == many.expected_tip
+    assert f"expected error of the tip {many.expected_tip:.4g} mm" in str(many)
+
+
+def test_a_joint_without_limits_counts_where_it_was_measured() -> None:
+    one = replace(arm(), lower=np.array([-np.pi, -1.0, -np.pi, -np.pi]), upper=np.array([np.pi, 0.5, np.pi, np.pi]))
+    rows = Measurements(plan(20) * 0.5, np.zeros((20, 2)))
+    postures = everywhere(one, rows.origin)
+    low, high = rows.postures.min(axis=0), rows.postures.max(axis=0)
+    low[1], high[1] = -1.0, 0.5
+    np.testing.assert_allclose(postures.min(axis=0), low, atol=0.02)
+    np.testing.assert_allclose(postures.max(axis=0), high, atol=0.02)
+
+
+def test_what_is_not_identifiable_has_no_expected_error() -> None:
+    model = Model(limited())
+    found = estimate(model, data(model, np.tile(plan(1), (6, 1))))
+    assert found.not_identifiable
+    assert (found.expected_tip, found.to_json()["expected_tip_mm"]) == (None, None)
