@@ -191,6 +191,16 @@ def test_damped_steps_by_either_route(shape: tuple[int, int], damping: float) ->
         assert np.all(steps[:, 1] == 0.0)
 
 
+def test_a_step_leaves_out_what_is_below_the_tolerance() -> None:
+    """Singular values 1, 1 and 1/300 with a tolerance of 1/100: the normal matrix, of condition 9e4, must not be used."""
+    generator = np.random.default_rng(8)
+    left, right = (np.linalg.qr(generator.standard_normal((rows, 3)))[0] for rows in (9, 3))
+    columns, residual = left * [1.0, 1.0, 1.0 / 300.0] @ right.T, generator.standard_normal(9)
+    found, _ = damped_steps(columns[None], residual[None], np.zeros((1, 3), dtype=bool), np.zeros(1), 1e-2)
+    expected = right[:, :2] @ (left[:, :2].T @ residual)
+    np.testing.assert_allclose(found[0], expected, rtol=0, atol=1e-12)
+
+
 def test_statuses_say_how_it_ended() -> None:
     def rosenbrock(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         residual = np.stack([-10.0 * (x[:, 1] - x[:, 0] ** 2), x[:, 0] - 1.0 + 0.0 * x[:, 1]], axis=1)
@@ -219,5 +229,6 @@ def test_a_wrong_derivative_ends_unconverged() -> None:
 
     found = levenberg_marquardt(problem(wrong, 3, 3), np.ones((3, 3)))
     assert not np.any(found.status == Status.converged)
+    assert np.all(found.iterations < problem(wrong, 3, 3).iterations)
     begun = np.sum(right(np.ones((3, 3)), np.arange(3))[0] ** 2, axis=1)
     assert np.all(found.squares <= begun * (1.0 + 1e-12))

@@ -127,3 +127,8 @@ def test_columns_in_pieces_are_the_columns() -> None:
     assert sum(1 for _ in columns.chunks(2)) > 2  # pieces of about a million numbers
     assert all(part.start % 2 == 0 for part in columns.chunks(2))
     np.testing.assert_allclose(columns.products[2][7], matrix[:, 14:16].T @ matrix[:, 14:16], rtol=1e-12)
+
+
+def test_no_hypothesis_reduces_nothing() -> None:
+    jacobian, _, y = _problem(0, [])
+    assert beside(jacobian, []).reductions(np.column_stack([y, y, y])).shape == (0, 3)
