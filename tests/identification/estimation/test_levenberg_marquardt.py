@@ -192,7 +192,7 @@ def test_damped_steps_by_either_route(shape: tuple[int, int], damping: float) ->
 
 
 def test_a_step_leaves_out_what_is_below_the_tolerance() -> None:
-    """Singular values 1, 1 and 1/300 with a tolerance of 1/100: the normal matrix, of condition 9e4, must not be used."""
+    """Singular values 1, 1 and 1/300 with a tolerance of 1/100: the normal matrix, of condition 9e4, will not do."""
     generator = np.random.default_rng(8)
     left, right = (np.linalg.qr(generator.standard_normal((rows, 3)))[0] for rows in (9, 3))
     columns, residual = left * [1.0, 1.0, 1.0 / 300.0] @ right.T, generator.standard_normal(9)

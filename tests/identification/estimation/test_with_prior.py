@@ -87,9 +87,10 @@ def test_noise_is_no_less_than_what_is_given() -> None:
 
 @pytest.mark.parametrize("size", [2.0**-12, 2.0**12])
 def test_the_size_of_the_arm_does_not_matter(size: float) -> None:
-    """Nobody knows the noise, 0.4 mm times the size: as many rounds for a model as for a machine as large as a house."""
+    """Nobody knows the noise, 0.4 mm times the size: as many rounds for a model as for a house."""
     data, _ = measured(np.random.default_rng(5), 15, 0.4)
-    arms = [library_prior(Arm(scale * ARM.lengths), names=["encoder_eccentricity", "gear_ratio"]) for scale in (1, size)]
+    names = ["encoder_eccentricity", "gear_ratio"]
+    arms = [library_prior(Arm(scale * ARM.lengths), names=names) for scale in (1.0, size)]
     one, other = (
         estimate_with_prior(found.model, Measurements(data.postures, scale * data.positions), found.prior)
         for found, scale in zip(arms, (1.0, size), strict=True)
