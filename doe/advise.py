@@ -103,7 +103,7 @@ def advise(
     *,
     target: float | None = None,
     seed: int = 0,
-    seconds_each: float | None = None,
+    seconds: float | None = None,
     progress: Progress = silent,
 ) -> Advice:
     """Design a plan for every number of runs; stop early only by Ctrl-C, which keeps what is there.
@@ -111,19 +111,19 @@ def advise(
     No plan is worse than the one of fewer runs with the best postures added, neither by the criterion of its whole
     information nor by what it promises if the model is right: another one takes its place only if it is better.
     target : wanted accuracy [mm], see `Advice.accuracy`; needs the arm's sigma
-    seconds_each : times the numbers of runs for everything, of which the bounds may take up to a quarter
+    seconds : for everything, of which the bounds may take up to a quarter; shared by the numbers of runs
     Raises `InputError` for numbers of runs below the fewest possible, or a target without sigma.
     """
     check_wanted(problem, runs, target)
-    began, seconds = perf_counter(), np.inf if seconds_each is None else seconds_each * len(runs)
+    began, budget = perf_counter(), np.inf if seconds is None else seconds
     wide = robust_or_none(problem)
-    bounds = bounds_of_runs(problem, sorted(runs), lambda: perf_counter() > began + SHARE * seconds)
+    bounds = bounds_of_runs(problem, sorted(runs), lambda: perf_counter() > began + SHARE * budget)
     found: dict[int, Design] = {}
     try:
         for done, m in enumerate(sorted(set(runs))):
             progress(done, len(runs), f"{m} runs")
-            left = (began + seconds - perf_counter()) / (len(runs) - done)
-            limit = None if seconds_each is None else float(np.clip(left, 0.0, seconds_each))
+            left = max(began + budget - perf_counter(), 0.0) / (len(runs) - done)
+            limit = None if seconds is None else left
             fewer = next(reversed(found.values()), None)
             found[m] = next_design(problem, m, fewer, bounds[m], wide, seed, limit)
     except KeyboardInterrupt:

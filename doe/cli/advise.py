@@ -22,7 +22,13 @@ from identification.errors import InputError
     type=float,
     help="Wanted largest std of a link length; in space, or with no length, error of the tip [mm].",
 )
-@click.option("--seconds", type=Seconds(), default=2.0, show_default=True, help="Time budget per number of runs [s].")
+@click.option(
+    "--seconds",
+    type=Seconds(),
+    default=60.0,
+    show_default=True,
+    help="Time budget of all numbers of runs together [s].",
+)
 @output_options(picture="Write the curve as .png, .svg or .pdf.")
 def command(
     session: Session,
@@ -51,7 +57,7 @@ def command(
         runs = f"{problem.fewest_runs}:40"
     with session.progress() as progress:
         numbers = run_range(runs, problem.fewest_runs)
-        advice = advise(problem, numbers, target=target_mm, seed=session.seed, seconds_each=seconds, progress=progress)
+        advice = advise(problem, numbers, target=target_mm, seed=session.seed, seconds=seconds, progress=progress)
     said = {"only": words, "fewest_runs": problem.fewest_runs} if words else {}
     fewest = f"{problem.fewest_runs} run{'' if problem.fewest_runs == 1 else 's'}"
     lines = [f"Of {', '.join(words)} alone, {fewest} or more:"] if words else []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,25 @@ from rich.text import Text
 from doe.advise import Advice
 from doe.design import Design
 from doe.report.pictures import AFTER, BEFORE
-from doe.report.terminal import number, table
+from doe.report.terminal import NARROW, number, table
 
 NONE = "None of these plans is within 0.1 % of the bound."
+ENOUGH = 0.999  # of the bound
+MOST = 12  # rows of the table
+# figure of `TipError` -> heading
+TIP_ERRORS = {
+    "right": "tip error,\nmodel\nright [mm]",
+    "worst": "at the\nworst\npose [mm]",
+    "missing": "effects\nmissing\n[mm]",
+    "with_prior": "missing,\n--prior\n[mm]",
+}
+TIP = (
+    "Tip errors are expected values where nothing was measured (RMS over the workspace): if the model lacks nothing, "
+    "if it lacks effects of typical size, and if identify --prior allows for these.",
+    "The last two may rise with the runs: more runs average out noise, not what a model lacks, which wrong lengths and "
+    "zeros take up, by more or less from plan to plan. Where effects may be missing, choose the postures with armcal "
+    "design --robust.",
+)
 
 
 def advice_figure(advice: Advice) -> Figure:
@@ -44,34 +60,41 @@ def _draw_efficiencies(axes: Axes, advice: Advice) -> None:
 
 
 def advice_tables(advice: Advice) -> list[Any]:
-    """The answer in one sentence, then a row per number of runs."""
-    good = set(advice.efficient_runs())
-
-    def row(design: Design) -> list[str]:
-        known = design.deviations
-        largest = (None, None) if known is None else (known.largest_length, float(np.degrees(known.largest_angle)))
-        m, figures = len(design.plan), () if advice.of_tip else largest
-        return [str(m), number(design.efficiency, 5), "yes" if m in good else "", *(number(v, 5) for v in figures)]
-
-    figures = () if advice.of_tip else ("largest std of a length [mm]", "of an angle [deg]")
-    headings = ("runs", "efficiency", "within 0.1 % of the bound", *figures)
-    shown = [Text(sentence(advice), style="bold"), table(headings, map(row, advice.designs))]
-    return [*shown, *tip_error_table(advice)]
-
-
-def tip_error_table(advice: Advice) -> list[Any]:
-    """Expected error of the tip where nothing was measured, and what to do about effects that may be missing."""
-    if not advice.tip_errors:
-        return []
-    headings = ("runs", "model right [mm]", "worst pose [mm]", "effects missing [mm]", "missing, identify --prior [mm]")
-    pairs = zip(advice.runs, advice.tip_errors, strict=True)
-    rows = ([str(m), *(number(v, 4) for v in (e.right, e.worst, e.missing, e.with_prior))] for m, e in pairs)
-    title = "Expected error of the tip (RMS over the workspace; effects of typical size missing in the model)"
-    advised = (
-        "The last two figures may rise with the runs, since these plans do not look for missing effects. Where effects "
-        "may be missing, choose the postures with armcal design --robust."
+    """The answer in one sentence, a row for some of the numbers of runs, and what the figures do not promise."""
+    known = [design.deviations for design in advice.designs]
+    columns: dict[str, Iterable[str]] = {
+        "runs": map(str, advice.runs),
+        "efficiency": (efficiency(design) for design in advice.designs),
+    }
+    if not advice.of_tip:
+        columns["length\nstd [mm]"] = [number(None if d is None else d.largest_length, 5) for d in known]
+        columns["angle\nstd [deg]"] = [number(None if d is None else np.degrees(d.largest_angle), 5) for d in known]
+    for key, heading in TIP_ERRORS.items() if advice.tip_errors else ():
+        columns[heading] = [number(getattr(error, key), 4) for error in advice.tip_errors]
+    every, wanted = list(zip(*columns.values(), strict=True)), set(shown_runs(advice))
+    rows = [row for m, row in zip(advice.runs, every, strict=True) if m in wanted]
+    shown: list[Any] = [Text(sentence(advice), style="bold"), table(list(columns), rows, **NARROW | {"padding": 0})]
+    lines = ["* within 0.1 % of the bound."] if advice.efficient_runs() else []
+    lines += (
+        [] if len(rows) == len(every) else [f"{len(rows)} of {len(every)} numbers of runs; --json has all of them."]
     )
-    return [table(headings, rows, title), Text(advised)]
+    return [*shown, *lines, *(map(Text, TIP) if advice.tip_errors else ())]
+
+
+def efficiency(design: Design) -> str:
+    """Its share of the bound, with a star where nothing better is worth looking for."""
+    found = number(design.efficiency, 5)
+    return f"{found} *" if design.efficiency is not None and design.efficiency >= ENOUGH else f"{found}  "
+
+
+def shown_runs(advice: Advice) -> list[int]:
+    """The numbers of runs that a table shows: the smallest for the target, and about `MOST` of the others, spread so
+    that each is the same factor above the one before."""
+    runs = sorted(set(advice.runs))
+    spread = np.geomspace(runs[0], runs[-1], MOST)
+    nearest = {min(runs, key=lambda m: abs(np.log(m / wanted))) for wanted in spread}
+    found = set(runs) if len(runs) <= MOST else nearest
+    return sorted(found | ({len(advice.smallest.plan)} if advice.smallest else set()))
 
 
 def sentence(advice: Advice) -> str:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from doe.advise import advise
 from doe.problem.problem import DesignProblem
-from doe.report.advice import sentence, spans
+from doe.report.advice import advice_tables, sentence, shown_runs, spans
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.reuse import only
@@ -75,7 +77,7 @@ def test_one_joint_alone_by_its_lever() -> None:
 def test_more_runs_never_tell_less(arm: Arm) -> None:
     """Whole information and its inverse from complex numbers; no posture added to a plan beats the plan of one more."""
     lengths, n = np.array(arm.lengths), arm.links
-    plans = [d.plan.postures for d in advise(problem(arm), range(n, n + 5), seconds_each=0.3).designs]
+    plans = [d.plan.postures for d in advise(problem(arm), range(n, n + 5), seconds=1.5).designs]
     corners = np.array(list(product(*zip(arm.lower, arm.upper, strict=True))))
     places = np.concatenate([corners, np.random.default_rng(0).uniform(arm.lower, arm.upper, (300, n))])
     for fewer, more in pairwise(plans):
@@ -88,7 +90,7 @@ def test_more_runs_never_tell_less(arm: Arm) -> None:
 
 
 def test_numbers_of_runs_need_not_be_in_order() -> None:
-    found = advise(problem(FOUR), [9, 4, 6], seconds_each=0.2)
+    found = advise(problem(FOUR), [9, 4, 6], seconds=0.6)
     assert found.runs == (9, 4, 6)
     accuracies = [found.accuracy(design) for design in found.designs]
     assert accuracies[0] is not None
@@ -98,6 +100,27 @@ def test_numbers_of_runs_need_not_be_in_order() -> None:
 
 
 def test_no_time_at_all_still_tells_more_with_more_runs() -> None:
-    found = advise(problem(FOUR), range(5, 8), seconds_each=1e-6)
+    found = advise(problem(FOUR), range(5, 8), seconds=1e-6)
     accuracies = [found.accuracy(design) or np.inf for design in found.designs]
     assert accuracies == sorted(accuracies, reverse=True)
+
+
+def test_a_table_of_many_runs_has_a_few_rows_and_the_smallest_for_the_target() -> None:
+    """22 numbers of runs: the first, the last, the smallest for the target, no more than 13, in 80 columns."""
+    found = advise(FREE, range(4, 26), target=0.1 / np.sqrt(19.5))
+    shown = shown_runs(found)
+    assert shown[0] == 4
+    assert shown[-1] == 25
+    assert 20 in shown
+    assert len(shown) <= 13
+    assert shown_runs(advise(FREE, [5, 4])) == [4, 5]
+    console = Console(width=110, file=io.StringIO())
+    console.print(advice_tables(found)[1])
+    lines = [line.split() for line in console.file.getvalue().splitlines()]
+    assert max(map(len, console.file.getvalue().splitlines())) <= 80
+    rows = {int(line[0]): line[1:] for line in lines if line and line[0].isdigit()}
+    assert list(rows) == shown
+    assert {row[1] for row in rows.values()} == {"*"}  # every plan reaches the bound
+    error = found.tip_errors[20 - 4]
+    wanted = [error.right, error.worst, error.missing, error.with_prior]
+    assert rows[20][-4:] == [f"{value:.4f}" for value in wanted]  # each figure in its own column
