@@ -91,10 +91,10 @@ def continuous_design(
     tolerance = _attainable(problem, tolerance)
     everything = ContinuousSet(problem, prior, also)
     if climbs(problem):
-        stages = [Stage(continuous_price(everything, np.random.default_rng(0)), tolerance)]
+        stages = [Stage(continuous_price(everything, np.random.default_rng(0), stop), tolerance)]
         start = climbed(problem, runs, stop) if also is None else also
     else:
-        stages = ascents(everything, tolerance)
+        stages = ascents(everything, tolerance, stop)
         starts = PostureList(everything.starts)
         stages.insert(0, Stage(candidate_price(problem, starts, prior), COARSE))
         start = spread(starts, 6 * problem.parameters)
@@ -115,9 +115,10 @@ def climbed(problem: DesignProblem, runs: int | None, stop: Callable[[], bool] =
     return ascent(problem, runs or len(postures))(postures[None], stop=stop)[0]
 
 
-def ascents(everything: ContinuousSet, tolerance: float) -> list[Stage]:
+def ascents(everything: ContinuousSet, tolerance: float, stop: Callable[[], bool] = IN_TIME) -> list[Stage]:
     """The pricing stages: a cheap multistart, then a thorough one, to a relative gap of `tolerance`."""
-    climb, thorough = continuous_price(everything), continuous_price(everything, np.random.default_rng(0))
+    climb = continuous_price(everything, stop=stop)
+    thorough = continuous_price(everything, np.random.default_rng(0), stop)
     return [
         Stage(climb, max(FINE, tolerance)),
         Stage(thorough, max(COARSE, tolerance), back=1),

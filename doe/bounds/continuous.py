@@ -16,6 +16,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from doe.plan.ascent import IN_TIME
 from doe.problem.derivatives import Derivatives, JacobianDerivatives, constraint_derivatives, constraint_values
 from doe.problem.feasible import random_postures
 from doe.problem.prior import PriorInformation
@@ -99,13 +100,20 @@ class ContinuousSet:
         return postures
 
     # -- the climb ---------------------------------------------------------------------------------------------------
-    def best(self, gradient: Array, near: Array, generator: np.random.Generator | None = None) -> tuple[Array, Array]:
+    def best(
+        self,
+        gradient: Array,
+        near: Array,
+        generator: np.random.Generator | None = None,
+        stop: Callable[[], bool] = IN_TIME,
+    ) -> tuple[Array, Array]:
         """Local maxima (k, n) of tr(G F(q)) and their values (k,), best first.
 
         Starts are `near` (j, n) and the best of the landmarks; with a generator, a search as thorough as is affordable:
         the best of many fresh random postures, and others whatever their value, for a high maximum may be narrow.
+        `stop` ends the climb on its way.
         """
-        postures = self.climb(np.concatenate([near, self._promising(gradient, generator)]), gradient)
+        postures = self.climb(np.concatenate([near, self._promising(gradient, generator)]), gradient, stop)
         values = self.sensitivities(postures, gradient)
         order = np.argsort(-values)
         order = order[distinct(self.problem.comparable(postures[order]))]
@@ -119,21 +127,21 @@ class ContinuousSet:
         values = self.sensitivities(fresh, gradient)
         return np.concatenate([fresh[np.argsort(-values)[: 4 * CLIMBERS]], fresh[: 4 * CLIMBERS]])
 
-    def climb(self, postures: Array, gradient: Array) -> Array:
+    def climb(self, postures: Array, gradient: Array, stop: Callable[[], bool] = IN_TIME) -> Array:
         """Every posture moved uphill to a local maximum, within limits and constraints."""
         q = self.problem.clip(postures)
         if not self.problem.constraints:
-            return self._ascend(q, gradient, np.zeros(len(q)))
+            return self._ascend(q, gradient, np.zeros(len(q)), stop)
         scale = float(np.abs(self.sensitivities(q, gradient)).max(initial=0.0))
         kind = np.arange(len(q)) % len(BARRIERS)
         for barriers in scale * BARRIERS.T:
-            q = self._ascend(q, gradient, barriers[kind])
+            q = self._ascend(q, gradient, barriers[kind], stop)
             # most starts share a maximum; those that came to it by the other barriers climb on
             apart = distinct(np.column_stack([self.problem.comparable(q), kind]), MERGED)
             q, kind = q[apart], kind[apart]
         return q
 
-    def _ascend(self, q: Array, gradient: Array, barrier: Array) -> Array:
+    def _ascend(self, q: Array, gradient: Array, barrier: Array, stop: Callable[[], bool]) -> Array:
         """Newton steps with a reach per posture, which grows with success and shrinks with failure.
 
         barrier : (m,) height for each posture, all 0 without constraints
@@ -142,7 +150,7 @@ class ContinuousSet:
         reach = np.full(len(q), LONGEST)
         moving = np.flatnonzero(np.isfinite(values))
         for _ in range(STEPS):
-            if not len(moving):
+            if not len(moving) or stop():
                 break
             slope, hessian = self._slopes(q[moving], gradient, barrier[moving])
             step = self._newton_step(q[moving], slope * units, hessian * units[:, None] * units)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from doe.bounds.continuous import ContinuousSet, distinct
 from doe.bounds.equivalence import CandidateJacobians, candidate_sensitivities
 from doe.bounds.restricted_master import Price
+from doe.plan.ascent import IN_TIME
 from doe.problem.candidates import Candidates, PostureList
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
@@ -68,11 +71,13 @@ def _highest(offers: list[tuple[Array, Array]]) -> tuple[Array, Array]:
     return postures[order], values[order]
 
 
-def continuous_price(everything: ContinuousSet, generator: np.random.Generator | None = None) -> Price:
+def continuous_price(
+    everything: ContinuousSet, generator: np.random.Generator | None = None, stop: Callable[[], bool] = IN_TIME
+) -> Price:
     """The local maxima that a multistart ascent finds; a thorough one with fresh starts where a generator is given."""
 
     def price(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
-        postures, values = everything.best(gradient, near, generator)
+        postures, values = everything.best(gradient, near, generator, stop)
         # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
         apart = distinct(everything.problem.comparable(postures), NEAR * np.sqrt(max(values[0] / level - 1.0, 0.0)))
         postures, values = postures[apart], values[apart]

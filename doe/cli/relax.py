@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from doe.problem.problem import DesignProblem
     from identification.arrays import Array
 
+SECONDS = 40.0  # unless the user says otherwise: a million candidates take a third of its first half
+
 
 @dataclass(frozen=True)
 class RelaxationOptions:
@@ -32,16 +34,15 @@ class RelaxationOptions:
     seconds: float | None
 
     def limits(self, solver: str) -> tuple[Callable[[], bool], float]:
-        """What ends the weights, at half the time where they are checked, and seconds for each of the two checks."""
+        """What ends the weights, at half the time where they are checked, and the end of it all."""
         from doe.bounds.relaxation import LARGEST
 
-        if self.seconds is None:
-            return (lambda: False), 30.0
-        if solver in LARGEST:
+        if self.seconds is not None and solver in LARGEST:
             found, allowed = f"found with --solver {solver}", "column_generation or multiplicative"
             raise InputError(f"--seconds: {found}, which cannot be stopped, allowed: with {allowed}")
-        end = perf_counter() + self.seconds * (0.5 if self.check else 1.0)
-        return (lambda: perf_counter() > end), 0.25 * self.seconds
+        began, seconds = perf_counter(), SECONDS if self.seconds is None else self.seconds
+        weighted = began + seconds * (0.5 if self.check else 1.0)
+        return (lambda: perf_counter() > weighted), began + seconds
 
 
 relaxation_options = grouped(
@@ -56,7 +57,7 @@ relaxation_options = grouped(
     ),
     click.option("--check/--no-check", default=True, show_default=True, help="Cross-check by independent methods."),
     click.option("--runs", type=click.IntRange(min=1), help="Number of measurements m, for --robust and spatial arms."),
-    click.option("--seconds", type=Seconds(), help="Time budget [s]; left out: none but 30 s for the exact plan."),
+    click.option("--seconds", type=Seconds(), help=f"Time budget [s]; left out: {SECONDS:.0f}."),
 )
 
 
@@ -86,13 +87,13 @@ def command(
         progress(0, 2, "weights")
         solver = chosen.solver or ("multiplicative" if criterion.robust else "column_generation")
         new = chosen.runs or (problem.parameters if problem.deviations else None)
-        stop, seconds = chosen.limits(solver)
+        stop, end = chosen.limits(solver)
         found = relax(problem, candidates(problem, chosen), solver, runs=new, stop=stop)
         data, shown = found.to_json(), relax_tables(found)
         if chosen.check:
             progress(1, 2, "cross-check")
             runs = chosen.runs or max(2 * loaded.links, problem.fewest_runs)
-            compared = cross_check(problem, found, runs, seed=session.seed, seconds=seconds)
+            compared = cross_check(problem, found, runs, seed=session.seed, seconds=end - perf_counter())
             data["cross_check"] = compared.rows()
             shown.append(cross_check_table(compared))
     return Answer(data, [*shown, *output.write(plan_text(found.plan, loaded.joint_types), "plan with weights")])

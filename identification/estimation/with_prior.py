@@ -30,6 +30,7 @@ from identification.kinematics.parameters import JOINT_OFFSET
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.readings import placed_with_zeros
+from identification.status import Status
 from identification.threads import single_thread
 
 FIRST = 2  # steps before the noise is told again: the model is nearly linear
@@ -101,7 +102,7 @@ def _solved(problem: Problem, noise: Noise, zeros: Mapping[str, float]) -> tuple
     """
     given, linearized = noise.reliance == "given", _Linearizations(replace(problem, prior=None))
 
-    def solved(at: Array, most: int = ITERATIONS) -> tuple[Problem, Solution, Widths]:
+    def solved(at: Array, most: int) -> tuple[Problem, Solution, Widths]:
         scale, widths = likeliest(Linearized.of(problem, at, *linearized.at(at)), noise, given)
         found = replace(problem, noise=scale, prior=widened(problem, widths))
         return found, levenberg_marquardt(replace(linearized.with_prior(found), iterations=most), at[None]), widths
@@ -110,12 +111,14 @@ def _solved(problem: Problem, noise: Noise, zeros: Mapping[str, float]) -> tuple
     elsewhere, values = [p.name in zeros for p in parameters], parameters.vector(zeros, default=0.0)
     start = np.where(elsewhere, values, starts(problem)[0])
     found, solution, widths = solved(start, ITERATIONS if given else FIRST)
+    most = ITERATIONS
     for _ in range(0 if given else ROUNDS):
         before, steps = found.noise, solution.iterations
-        found, solution, widths = solved(solution.parameters[0])
+        found, solution, widths = solved(solution.parameters[0], most)
         solution = replace(solution, iterations=solution.iterations + steps)
-        if abs(found.noise - before) <= STEADY * before:
+        if most == 0 or abs(found.noise - before) <= STEADY * before:
             break
+        most = 0 if solution.status[0] is Status.iteration_limit else ITERATIONS  # the noise there, no further steps
     return found, solution, widths, linearized.at(solution.parameters[0])[1]
 
 

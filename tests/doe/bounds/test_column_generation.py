@@ -115,8 +115,8 @@ def test_what_the_multistart_misses_the_proof_finds(monkeypatch: pytest.MonkeyPa
     case = problem(arm)
     real = module.ContinuousSet.best
 
-    def blind(self, gradient, near, generator=None):  # type: ignore[no-untyped-def]
-        postures = np.clip(real(self, gradient, near, generator)[0], -0.5, 0.5, where=np.eye(3, dtype=bool)[2])
+    def blind(self, gradient, near, *rest):  # type: ignore[no-untyped-def]
+        postures = np.clip(real(self, gradient, near, *rest)[0], -0.5, 0.5, where=np.eye(3, dtype=bool)[2])
         values = self.sensitivities(postures, gradient)
         return postures[np.argsort(-values)], -np.sort(-values)
 
