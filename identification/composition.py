@@ -64,7 +64,7 @@ class Symbols:
 
 def condition_width(links: int, remembers: bool, extra: tuple[str, ...]) -> int:
     """Number of columns of the conditions of a model."""
-    return orientation_columns(links, remembers, extra).stop + links * ("errors" in extra)
+    return orientation_columns(links, remembers, extra).stop + (links + 1) * ("errors" in extra)
 
 
 def orientation_columns(links: int, remembers: bool, extra: tuple[str, ...]) -> slice:
@@ -77,7 +77,8 @@ def chain_at(arm: Arm, q: ca.SX, c: ca.SX, remembers: bool, extra: tuple[str, ..
     """The nominal chain at the symbols of a posture and its conditions.
 
     extra : further columns of the conditions, in order: `marker`; `orientation` as measured (nine elements, column by
-        column, and 1 where there is none); `errors`, values of error curves
+        column, and 1 where there is none); `errors`, values of error curves,
+        and the share of their geometry that is off
     """
     width, measured = Conditions.columns(arm.links, remembers), orientation_columns(arm.links, remembers, extra)
     chain = Chain.of(arm, q, c[:width])
@@ -85,7 +86,7 @@ def chain_at(arm: Arm, q: ca.SX, c: ca.SX, remembers: bool, extra: tuple[str, ..
         chain = replace(chain, marker=c[width])
     if "orientation" in extra:
         chain = replace(chain, reference=c[measured.start : measured.stop - 1])
-    return replace(chain, errors=c[measured.stop :]) if "errors" in extra else chain
+    return replace(chain, errors=c[measured.stop : measured.stop + arm.links]) if "errors" in extra else chain
 
 
 @dataclass(frozen=True)

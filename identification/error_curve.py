@@ -7,8 +7,10 @@ that was turned once around is where it was: encoder and gear repeat themselves 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,14 +23,19 @@ FEWEST = 4  # nodes
 
 @dataclass(frozen=True, eq=False)
 class ErrorCurve(ByValue):
-    """start, stop : angle [rad] of the first and the last node;  values : (K,) of the function at the nodes [rad]"""
+    """start, stop : angle [rad] of the first and the last node;  values : (K,) of the function at the nodes [rad]
+    geometry : parameter name -> the part of its value [mm, rad] that belongs to the curve, fitted together with it;
+        shifts of the base along its own axes. Empty: not known
+    """
 
     start: float
     stop: float
     values: Array
+    geometry: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", readonly(self.values, -1))
+        object.__setattr__(self, "geometry", MappingProxyType(dict(self.geometry)))
         if not -np.inf < self.start < self.stop < np.inf:
             found = f"{np.degrees(self.start):g} to {np.degrees(self.stop):g}"
             raise InputError(f"from_deg, to_deg: found {found}, allowed: finite angles, the lower one first")
@@ -59,6 +66,27 @@ class ErrorCurve(ByValue):
         place, parts = local_splines(q.ravel(), self.start, self.stop, len(self.values))
         padded = np.pad(self.coefficients, 3)  # splines beyond the ends have no coefficient
         return np.einsum("mk,mk->m", parts, padded[place + 3]).reshape(q.shape)
+
+    def holds(self, angles: ArrayLike) -> Array:
+        """1 at angles [rad] between the ends, whole turns aside, and 0 beyond; smooth within two node spacings."""
+        q, turn = np.asarray(angles, dtype=float), 2.0 * np.pi
+        above, below = np.mod(q - self.stop, turn), np.mod(self.start - q, turn)
+        inside = np.mod(q - self.start, turn) <= self.stop - self.start
+        beyond = np.where(inside | (self.stop - self.start >= turn), 0.0, np.minimum(above, below))
+        left = 1.0 - np.minimum(beyond / (2.0 * self.spacing), 1.0)
+        return np.asarray(left**2 * (3.0 - 2.0 * left))
+
+
+def all_hold(curves: Iterable[tuple[int, ErrorCurve]], postures: Array) -> Array:
+    """(...) whether all curves, each with its joint from 0, hold at postures (..., n): 1, 0, or between.
+
+    A curve takes up other effects, too, as they are at the postures measured: beyond the angles of one joint the curves
+    of the others are worth no more than its own (identification/README.md, "Error curves").
+    """
+    found = np.ones(postures.shape[:-1])
+    for joint, curve in curves:
+        found *= curve.holds(postures[..., joint])
+    return found
 
 
 def local_splines(angles: Array, start: float, stop: float, count: int) -> tuple[NDArray[np.int64], Array]:

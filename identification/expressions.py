@@ -22,9 +22,11 @@ from identification.composition import (
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, measured_position
 from identification.effects.places import position_and_state, split, widths
+from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
+from identification.kinematics.base_axes import along, planar_axes
 from identification.kinematics.orientations import turned
-from identification.kinematics.parameters import ParameterSet
+from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.vectorize import Evaluate, vectorize
 
 
@@ -53,12 +55,32 @@ class Expressions:
         vector by which the computed orientation is turned against the measured one, times `angle_scale` [mm]."""
         width = condition_width(self.arm.links, self.remembers, self.extra)
         q, c, p = ca.SX.sym("q", self.arm.links), ca.SX.sym("c", width), ca.SX.sym("p", len(self.estimated))
-        return q, c, p, measured_position(self.chain(q, c), self.effects, self.values(p))
+        return q, c, p, measured_position(self.chain(q, c), self.effects, self.values(c, p))
 
-    def values(self, p: ca.SX) -> ca.SX:
-        """Values of `every` parameter, where p has those of the estimated ones."""
+    def values(self, c: ca.SX, p: ca.SX) -> ca.SX:
+        """Values of `every` parameter, where p has those of the estimated ones; where error curves do not hold, without
+        the geometry of these."""
         slot = {name: p[k] for k, name in enumerate(self.estimated.names)}
-        return ca.vertcat(*(slot.get(name, self.fixed.get(name, 0.0)) for name in self.every.names))
+        values = {name: slot.get(name, self.fixed.get(name, 0.0)) for name in self.every.names}
+        if not self.tied:
+            return ca.vertcat(*values.values())
+        chain = self.arm.chain
+        axes = planar_axes(values[f"{JOINT_OFFSET}:1"]) if chain is None else ca.DM(chain.base[:3, :3])
+        off = {**self.tied, **along(axes, self.tied)}
+        return ca.vertcat(*(value - c[-1] * off.get(name, 0.0) for name, value in values.items()))
+
+    @cached_property
+    def curves(self) -> list[tuple[int, ErrorCurve]]:
+        """Error curves, each with its joint from 0."""
+        return [(effect.joint_index, effect.curve) for effect in self.effects if effect.curve is not None]
+
+    @cached_property
+    def tied(self) -> dict[str, float]:
+        """Parameter name -> the part of its value that was fitted with error curves."""
+        found = dict.fromkeys((name for _, curve in self.curves for name in curve.geometry), 0.0)
+        for _, curve in self.curves:
+            found |= {name: found[name] + value for name, value in curve.geometry.items()}
+        return found
 
     def chain(self, q: ca.SX, c: ca.SX) -> Chain:
         """The nominal chain at the symbols of a posture and its conditions."""
@@ -71,9 +93,10 @@ class Expressions:
 
     @cached_property
     def composed(self) -> Composition | None:
-        """The same from parts that models share; None in the plane and without effects, where one tape is faster."""
+        """The same from parts that models share; None in the plane and without effects, where one tape is faster, and
+        where values depend on the posture."""
         chain = self.arm.chain
-        if chain is None or not self.effects:
+        if chain is None or not self.effects or self.tied:
             return None
         values = tuple(
             None if p.name in self.estimated.names else float(self.fixed.get(p.name, 0.0)) for p in self.every
@@ -82,7 +105,7 @@ class Expressions:
 
     def table(self, postures: Array, conditions: Conditions) -> Array:
         """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory, one of
-        the marker where there are several, ten of a measured orientation, and n of errors that curves say."""
+        the marker where there are several, ten of a measured orientation, and n + 1 of error curves."""
         payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
         shape, past = postures.shape[:-1], postures if self.remembers else None
         found = [conditions.table(shape, self.arm.links, payload, past)]
@@ -95,12 +118,15 @@ class Expressions:
         return np.concatenate(found, axis=-1)
 
     def _curve_errors(self, postures: Array) -> Array:
-        """(..., m, n) errors of the joints [rad] by their curves."""
-        errors = np.zeros(postures.shape)
-        for effect in self.effects:
-            if effect.curve is not None:
-                errors[..., effect.joint_index] = effect.curve.at(postures[..., effect.joint_index])
-        return errors
+        """(..., m, n + 1) errors of the joints [rad] by their curves, and the share of their geometry that is off."""
+        found = np.zeros((*postures.shape[:-1], postures.shape[-1] + 1))
+        for joint, curve in self.curves:
+            found[..., joint] = curve.at(postures[..., joint])
+        if self.tied:  # they hold together
+            hold = all_hold(self.curves, postures)
+            found *= hold[..., None]
+            found[..., -1] = 1.0 - hold
+        return found
 
     @property
     def neutral(self) -> Array:
@@ -170,7 +196,7 @@ class Expressions:
         """What is added at all places, the position with it, and the state."""
         q, c, p, _ = self.symbols
         added = ca.SX.sym("added", sum(widths(self.arm.links, self.arm.dimension).values()))
-        return added, *position_and_state(self.chain(q, c), self.effects, self.values(p), added)
+        return added, *position_and_state(self.chain(q, c), self.effects, self.values(c, p), added)
 
     def _at_zero(self, name: str, expressions: list[ca.SX]) -> Evaluate:
         """The expressions where nothing is added."""

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from identification.arm import Arm
+from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected
+from identification.kinematics.base_axes import along
+from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected, errors_between
 from identification.kinematics.frames import own_axes_angles
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet, of_effects
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
@@ -31,7 +32,20 @@ def as_calibrated(arm: Arm) -> Arm:
     values = {} if arm.calibration is None else arm.calibration.values
     bare: dict[str, Any] = {"values": of_effects(values), "base": None, "tools": {}, "tool_axes": {}}
     kept = None if arm.calibration is None else replace(arm.calibration, **bare)
-    return replace(arm, chain=corrected(arm.chain, values), calibration=kept)
+    effects = (_composed(spec, arm.chain, values) for spec in arm.effects)
+    return replace(arm, chain=corrected(arm.chain, values), calibration=kept).with_effects(*effects)
+
+
+def _composed(spec: EffectSpec, chain: SpatialChain, values: Mapping[str, float]) -> EffectSpec:
+    """An effect whose curve says its geometry as errors of the corrected chain."""
+    if spec.curve is None or not spec.curve.geometry:
+        return spec
+    own = dict(spec.curve.geometry)
+    own |= {name: float(x) for name, x in along(chain.base[:3, :3], own).items()}
+    without = {name: values.get(name, 0.0) - own.get(name, 0.0) for name in {*values, *own}}
+    errors = errors_between(corrected(chain, values), corrected(chain, without))
+    geometry = {name: -error for name, error in errors.items()} | of_effects(own)
+    return replace(spec, curve=replace(spec.curve, geometry=geometry))
 
 
 def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
@@ -70,11 +84,27 @@ def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:
     else:
         chain = replace(arm.chain, known=frozenset())
         model = placed_model(Model(replace(arm, chain=chain)), measurements)
+        model = replace(model, arm=_of_points(model.arm, chain))
         free = {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)}
     if refit == "offsets":
         free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links)}
     best = model.best_known
     return replace(model, known={name: value for name, value in best.items() if name not in free})
+
+
+def _of_points(arm: Arm, before: SpatialChain) -> Arm:
+    """The arm with the geometry of its curves for the one measured point that data call by another name."""
+    assert arm.chain is not None
+    if len(arm.chain.tools) != 1 or len(before.tools) != 1:
+        return arm
+    (old,), (new,) = before.tools, arm.chain.tools
+    effects = []
+    for spec in arm.effects:
+        if spec.curve is not None:
+            geometry = {k.replace(f"{TOOL}[{old}]", f"{TOOL}[{new}]"): v for k, v in spec.curve.geometry.items()}
+            spec = replace(spec, curve=replace(spec.curve, geometry=geometry))
+        effects.append(spec)
+    return arm.with_effects(*effects)
 
 
 def placed_values(chain: SpatialChain, values: Mapping[str, float]) -> dict[str, float]:

@@ -28,12 +28,11 @@ def extrapolation(arm: Arm, postures: Array, what: str = "rows") -> str | None:
     """How many postures (m, n) are outside the angles of the identification, in a clause; None: none, or not known."""
     out = outside(arm, postures)
     found = extrapolated(out, what)
-    if (
-        out is None
-        or found is None
-        or not any(s.curve is not None and out[:, (s.joint or 1) - 1].any() for s in arm.effects)
-    ):
+    beyond = [s.curve for s in arm.effects if s.curve and out is not None and out[:, (s.joint or 1) - 1].any()]
+    if found is None or not beyond:
         return found
+    if any(curve.geometry for curve in beyond):
+        return f"{found}; without its error curves, by the geometry that was fitted alone"
     return f"{found}; its error curves are zero there, and the geometry of armcal identify alone may be better"
 
 

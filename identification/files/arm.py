@@ -21,6 +21,7 @@ from identification.files.arm_effects import (
     effects_of,
     file_names,
     gravity_of,
+    with_geometry,
 )
 from identification.files.arm_schema import (
     PLANAR,
@@ -75,7 +76,7 @@ def arm_from_tables(tables: dict[str, Any], folder: PathLike = ".") -> Arm:
         name=file.name,
         gravity=gravity_of(file.gravity, links),
         constraints=tuple(_constraint(table) for table in file.constraints),
-        effects=tuple(spec for spec, _ in effects),
+        effects=with_geometry(effects, file.effects, chain_parameters(np.ones(links))),
         calibration=None if file.calibration is None else _calibration(file.calibration, names),
         gear_ratios=None if file.gear_ratio is None else readonly(file.gear_ratio),
     )

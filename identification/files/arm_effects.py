@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,8 @@ from identification.kinematics.parameters import Parameter
 if TYPE_CHECKING:
     from identification.effects import Effect
 
-CURVE, CURVE_KEYS = "joint_error_curve", ("from_deg", "to_deg", "values_deg")
+CURVE, CURVE_KEYS, GEOMETRY_KEY = "joint_error_curve", ("from_deg", "to_deg", "values_deg"), "geometry"
+MARKER = re.compile(r"tool\[.*\]\.(r?)[xyz]")
 
 
 def effects_of(tables: Sequence[EffectTable], links: int, dimension: int = 2) -> list[tuple[EffectSpec, Effect]]:
@@ -60,13 +62,40 @@ def _spec(table: EffectTable, place: str, links: int, dimension: int) -> EffectS
     return EffectSpec(table.name, table.joint, MappingProxyType(values), curve)
 
 
+def with_geometry(
+    effects: Sequence[tuple[EffectSpec, Effect]], tables: Sequence[EffectTable], geometry: Iterable[Parameter]
+) -> tuple[EffectSpec, ...]:
+    """The specs of a file's effects, curves with the geometry that was fitted with them, in API units.
+
+    geometry : parameters of the chain. Raises `InputError` for names that are none of a parameter
+    """
+    by_file, found = {name.file: name for name in file_names(geometry, effects)}, []
+    for k, ((spec, _), table) in enumerate(zip(effects, tables, strict=True), start=1):
+        if spec.curve is not None and table.geometry:
+            place = f"effects[{k}].{GEOMETRY_KEY}"
+            names = {key: curve_name(key, by_file, place) for key in table.geometry}
+            values = {name.api: table.geometry[key] / name.factor for key, name in names.items()}
+            spec = replace(spec, curve=replace(spec.curve, geometry=values))
+        found.append(spec)
+    return tuple(found)
+
+
+def curve_name(key: str, known: Mapping[str, FileName], place: str) -> FileName:
+    """Of a parameter in the geometry of a curve: one of those known, or of a measured point of any name."""
+    if key not in known and (point := MARKER.fullmatch(key)):
+        return FileName(key, key, math.degrees(1.0) if point[1] else 1.0)
+    if key not in known:
+        raise InputError(f"{place}: unknown parameter {key!r}, {nearest(key, known)}")
+    return known[key]
+
+
 def _curve(table: EffectTable, place: str) -> ErrorCurve | None:
     """The table of values of a `joint_error_curve`; raises `InputError` for one of another effect, or a part of one."""
-    given = {key: getattr(table, key) for key in CURVE_KEYS}
-    for key, value in given.items():
+    for key in (*CURVE_KEYS, GEOMETRY_KEY):
+        value = getattr(table, key)
         if value is not None and table.name != CURVE:
             raise InputError(f"{place}.{key}: unknown key of {table.name}, allowed: for {CURVE} only")
-        if value is None and table.name == CURVE:
+        if value is None and table.name == CURVE and key != GEOMETRY_KEY:
             raise InputError(f"{place}.{key}: is missing, allowed: as `armcal diagnose --out` writes it")
     if table.from_deg is None or table.to_deg is None or table.values_deg is None:
         return None

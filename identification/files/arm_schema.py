@@ -99,6 +99,9 @@ class EffectTable(BaseModel):
     from_deg: Angle | None = Field(None, description="the angle [deg] of the first of values_deg")
     to_deg: Angle | None = Field(None, description="the angle [deg] of the last of values_deg")
     values_deg: list[Angle] | None = Field(None, description="the values [deg] at equally spaced angles")
+    geometry: dict[str, float] | None = Field(
+        None, description="a table of numbers, its keys names of parameters, as `armcal diagnose --out` writes it"
+    )
 
     @property
     def own(self) -> dict[str, float]:

@@ -22,6 +22,7 @@ from identification.files.arm_effects import (
     effects_of,
     file_names,
     gravity_of,
+    with_geometry,
 )
 from identification.files.arm_schema_spatial import (
     SPATIAL,
@@ -72,7 +73,7 @@ def spatial_arm(tables: Mapping[str, Any], folder: PathLike) -> Arm:
         name=file.name,
         gravity=gravity_of(file.gravity, joints),
         constraints=tuple(_constraint(table) for table in file.constraints),
-        effects=tuple(spec for spec, _ in effects),
+        effects=with_geometry(effects, file.effects, chain.every_parameter),
         calibration=calibration,
         gear_ratios=None if file.gear_ratio is None else readonly(file.gear_ratio),
         machining=_machining(file.machining),

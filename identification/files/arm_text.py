@@ -16,7 +16,7 @@ from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.files.arm import arm_from_tables
-from identification.files.arm_effects import FileName, built, file_names
+from identification.files.arm_effects import GEOMETRY_KEY, FileName, built, curve_name, file_names
 from identification.files.io import PathLike, read_toml
 from identification.files.toml import Plain, append_tables, replace_table
 from identification.kinematics.parameters import GEOMETRY, chain_parameters
@@ -65,7 +65,9 @@ def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".")
     text, _, arm = _parsed(text, folder)
     there = {effect.label for _, effect in built(arm.effects, arm.links, arm.dimension)}
     wanted = built(specs, arm.links, arm.dimension)
-    tables = [_effect_table(spec, effect) for spec, effect in wanted if effect.label not in there]
+    geometry = chain_parameters(arm.lengths) if arm.chain is None else arm.chain.every_parameter
+    names = {name.api: name for name in file_names(geometry, [*built(arm.effects, arm.links, arm.dimension), *wanted])}
+    tables = [_effect_table(spec, effect, names) for spec, effect in wanted if effect.label not in there]
     return append_tables(text, "effects", tables) if tables else text
 
 
@@ -147,7 +149,7 @@ def _constraint_table(constraint: Constraint) -> Plain:
     return found
 
 
-def _effect_table(spec: EffectSpec, effect: Effect) -> Plain:
+def _effect_table(spec: EffectSpec, effect: Effect, names: Mapping[str, FileName]) -> Plain:
     entry: Plain = {"name": spec.name} if spec.joint is None else {"name": spec.name, "joint": int(spec.joint)}
     parameters = {p.short: p for p in effect.parameters}
     for short, value in spec.values.items():
@@ -161,6 +163,8 @@ def _effect_table(spec: EffectSpec, effect: Effect) -> Plain:
             "to_deg": _degrees(curve.stop),
             "values_deg": _degrees(curve.values),
         }
+        tied = {curve_name(api, names, spec.key): value for api, value in curve.geometry.items()}
+        entry |= {GEOMETRY_KEY: {n.file: _in_file(v, n.factor) for n, v in tied.items()}} if tied else {}
     return entry
 
 

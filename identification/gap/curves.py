@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
+import casadi as ca
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import fdtrc
 
 from identification.arrays import Array
+from identification.error_curve import all_hold
 from identification.estimation.uncertainty import Uncertainty
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import candidate_of
@@ -22,8 +24,11 @@ from identification.gap.noise import Finding
 from identification.gap.selection import WINDOW
 from identification.gap.whitening import Rows
 from identification.gap.workflow import Findings
+from identification.kinematics.base_axes import along, planar_axes
+from identification.kinematics.parameters import JOINT_OFFSET
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
+from identification.sessions import SESSIONS
 
 IMPLAUSIBLE = 4.0  # typical sizes of an effect: one arm in 16,000 has it so large
 TIDY = 7  # decimals of a value in degrees, in files
@@ -76,6 +81,7 @@ class CurveFit(Fit):
         """As of `Fit`, with the coefficients of the curves after the parameters."""
         jacobian = self.model.jacobian(postures, self.values, conditions)
         moved = self.curve_columns(postures, conditions) + jacobian @ self.response
+        moved *= all_hold(self.model.expressions.curves, postures)[:, None, None]
         covariance = block_diag(super().covariance(), self.sigma**2 * self.evidence.covariance)
         return np.concatenate([jacobian, moved], axis=2), np.asarray(covariance)
 
@@ -200,16 +206,33 @@ def _fitted(system: System, best: Explanation) -> tuple[CurveFit, tuple[Curve, .
         )
         for b, e, lg in zip(bases, ends, best.logs[1::2], strict=True)
     )
-    arm = system.found.model.arm
+    response, arm = system.model_response(best), system.found.model.arm
     added = len(system.named)  # the arm's own come first
     own, stay = arm.effects[: len(arm.effects) - added], {h.effect.label for h in best.kept}
     there = zip(
         arm.effects[len(own) :], system.found.model.effects[len(system.found.model.effects) - added :], strict=True
     )
     specs = [spec for spec, effect in there if effect.label in stay]
+    model = Model(arm.with_effects(*own, *specs))
+    parts = np.split(response * evidence.coefficients, ends[:-1], axis=1)
+    curves = tuple(
+        _tied(c, model, part.sum(axis=1), system.found.by_name) for c, part in zip(curves, parts, strict=True)
+    )
     model = Model(arm.with_effects(*own, *specs, *(curve.spec for curve in curves)))
     refit = fit(model, system.rows, system.found.by_name)
-    return CurveFit.of(refit, bases, evidence, system.model_response(best)), curves
+    return CurveFit.of(refit, bases, evidence, response), curves
+
+
+def _tied(curve: Curve, model: Model, geometry: Array, found: Mapping[str, float]) -> Curve:
+    """With the part (p,) of the model's values that was fitted with it, by name; shifts of the base along its axes.
+
+    found : values of the model's parameters
+    """
+    chain, values = model.arm.chain, model.parameters.mapping(geometry)
+    values = {name: value for name, value in values.items() if not name.startswith(f"{SESSIONS}.")}
+    axes = np.array(ca.DM(planar_axes(found[f"{JOINT_OFFSET}:1"]))) if chain is None else chain.base[:3, :3]
+    own = {name: float(value) for name, value in along(axes.T, values).items() if name in values}
+    return replace(curve, table=replace(curve.table, geometry={**values, **own}))
 
 
 def _curve(basis: Basis, coefficients: Array, covariance: Array, noise: float, log_length: float) -> Curve:

@@ -68,7 +68,7 @@ def curve_notes(curves: tuple[Curve, ...]) -> list[str]:
     said = ", ".join(
         f"joint {c.joint} {low:.0f} to {high:.0f} deg" for c, (low, high) in zip(curves, ranges, strict=True)
     )
-    beyond = "beyond them they are zero, and the geometry of armcal identify alone may be better"
+    beyond = "where a joint is beyond them, the model is without curves, with the geometry that was fitted alone"
     return [f"the error curves hold for the angles measured ({said}); {beyond}"]
 
 

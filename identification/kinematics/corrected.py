@@ -9,9 +9,9 @@ from types import MappingProxyType
 import numpy as np
 
 from identification.arrays import Array
-from identification.kinematics.frames import AXES, from_own_axes, pose, rotation_about
+from identification.kinematics.frames import AXES, from_own_axes, own_axes_angles, pose, rotation_about
 from identification.kinematics.parameters import REVOLUTE
-from identification.kinematics.spatial import Joint, SpatialChain
+from identification.kinematics.spatial import ALIGNED, Joint, SpatialChain
 
 Numbers = Mapping[str, float]  # parameter name -> value [mm, rad]; what is not there is zero
 
@@ -46,6 +46,32 @@ def composed_axes(chain: SpatialChain, values: Numbers) -> dict[str, Array]:
     if chain.angle_scale is None:
         return dict(chain.tool_axes)
     return {name: chain.tool_axes.get(name, np.eye(3)) @ _tool_turn(values, name) for name in chain.tools}
+
+
+def errors_between(chain: SpatialChain, other: SpatialChain) -> dict[str, float]:
+    """Small errors of a chain that bring its base, joints and measured points to those of another, to first order; the
+    shift of the base along its own axes."""
+    found = _named(chain.base, other.base, "base.", "base.r", "")
+    for j, (joint, moved) in enumerate(zip(chain.joints, other.joints, strict=True), start=1):
+        errors = _named(joint.origin, moved.origin, "translation_", "rotation_", f":{j}")
+        name = "rotation" if joint.type == REVOLUTE else "translation"
+        along = [errors[f"{name}_{axis}:{j}"] for axis in AXES]
+        own = max(abs(joint.axis)) >= ALIGNED  # else all six are parameters
+        found |= {**errors, f"joint_offset:{j}": float(joint.axis @ along) if own else 0.0}
+    for name, place in chain.tools.items():
+        axes, moved_axes = (each.tool_axes.get(name, np.eye(3)) for each in (chain, other))
+        turned = _named(pose(rotation=axes), pose(rotation=moved_axes), "", f"tool[{name}].r", "")
+        shift = np.subtract(other.tools[name], place).tolist()
+        found |= turned | {f"tool[{name}].{axis}": float(x) for axis, x in zip(AXES, shift, strict=True)}
+    return found
+
+
+def _named(frame: Array, other: Array, translation: str, rotation: str, suffix: str) -> dict[str, float]:
+    """The six errors of a frame (4, 4) that make it another."""
+    relative: Array = np.linalg.inv(frame) @ other
+    shifts = {f"{translation}{axis}{suffix}": float(x) for axis, x in zip(AXES, relative[:3, 3], strict=True)}
+    angles = own_axes_angles(relative[:3, :3])
+    return shifts | {f"{rotation}{axis}{suffix}": float(x) for axis, x in zip(AXES, angles, strict=True)}
 
 
 def before_errors(

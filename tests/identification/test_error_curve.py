@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from identification.error_curve import ErrorCurve, spline
+from identification.error_curve import ErrorCurve, all_hold, spline
 from identification.errors import InputError
 
 VALUES = 1e-3 * np.random.default_rng(3).normal(size=12)
@@ -65,3 +65,24 @@ def test_whole_turns_away_it_is_the_same() -> None:
     for turns in (-2, 1):
         np.testing.assert_allclose(curve.at(angles + 2.0 * np.pi * turns), curve.at(angles), atol=1e-12)
     np.testing.assert_array_equal(curve.at([2.5, -2.5, 2.5 + 2.0 * np.pi]), 0.0)
+
+
+def test_holds_between_its_ends_and_not_beyond() -> None:
+    h = 2.2 / 11
+    assert CURVE.holds([-0.5, 0.3, 1.7, 0.3 + 2.0 * np.pi, 1.7 - 4.0 * np.pi]) == pytest.approx(1.0)
+    assert CURVE.holds([-0.5 - 2.0 * h, 1.7 + 2.0 * h, 3.0, 3.0 - 2.0 * np.pi]) == pytest.approx(0.0)
+    assert CURVE.holds([-0.5 - h, 1.7 + h]) == pytest.approx(0.5)  # halfway
+    q = np.linspace(1.7, 1.7 + 2.0 * h, 2001)
+    assert np.abs(np.diff(CURVE.holds(q), 2)).max() < 2e-6  # no bend: 6 / 2000^2 at most
+    assert ErrorCurve(-4.0, 4.0, VALUES).holds(np.linspace(-9.0, 9.0, 50)) == pytest.approx(1.0)
+
+
+def test_all_hold_where_each_does() -> None:
+    q = np.array([[[0.0, 0.3, 0.0], [3.0, 0.3, 0.0]], [[3.0, 0.3, 3.0], [3.0, 3.0, 0.0]]])
+    np.testing.assert_allclose(all_hold([(1, CURVE), (2, CURVE)], q), [[1.0, 1.0], [0.0, 0.0]])
+    np.testing.assert_array_equal(all_hold([], q), np.ones((2, 2)))
+
+
+def test_equal_curves_have_the_same_geometry() -> None:
+    assert ErrorCurve(-0.5, 1.7, VALUES, {"joint_offset:1": 1e-3}) != CURVE
+    assert ErrorCurve(-0.5, 1.7, VALUES, {}) == CURVE

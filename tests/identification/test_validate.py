@@ -15,6 +15,8 @@ from identification.errors import InputError
 from identification.estimation import estimate
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.frames import from_own_axes, pose
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.row_groups import extrapolation
@@ -138,6 +140,8 @@ def test_rows_outside_the_identified_range_are_said() -> None:
     curve = EffectSpec("joint_error_curve", 3, curve=ErrorCurve(-0.5, 0.5, np.zeros(5)))
     assert "curves are zero there" in (extrapolation(replace(arm, effects=(curve,)), other) or "")
     assert "curves are zero there" not in (extrapolation(replace(arm, effects=(replace(curve, joint=2),)), other) or "")
+    tied = replace(curve, curve=replace(curve.curve, geometry={"joint_offset:1": 1e-3}))
+    assert "by the geometry that was fitted alone" in (extrapolation(replace(arm, effects=(tied,)), other) or "")
 
 
 def test_missing_columns_and_the_same_file_are_said() -> None:
@@ -202,3 +206,44 @@ def test_what_happened_in_one_session_is_over_in_the_next() -> None:
     data = Measurements(postures, Model(after).position(postures))
     assert validate(arm, data, refit="base").model.rms < 1e-6
     assert validate(arm, data, refit="none").model.rms > 0.1  # the same session: half of its rows are before the jump
+
+
+# -- curves with the geometry that was fitted with them ---------------------------------------------------------------
+ROWS = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0), DHRow(0.0, 1.0, 60.0)]
+
+
+def test_another_set_up_keeps_the_geometry_of_curves_in_space() -> None:
+    """A chain with an error of the size of a joint zero, seen by a tracker that stands elsewhere and calls the
+    reflector by another name: inside the curve's angles as it is, beyond them without the curve and what belongs to it,
+    by models that have no curve at all. Products of two small errors are left: 1e-3 rad x 1 mm."""
+    rng = np.random.default_rng(6)
+    chain = replace(chain_of(ROWS), tools={"1": np.array([40.0, 30.0, 20.0])})
+    chain = replace(chain, base=pose((900.0, -400.0, 200.0), from_own_axes(0.4, -0.3, 1.1)))
+    names = [p.name for p in chain.parameters()]
+    values = {name: (2e-3 if ":" in name and "transl" not in name else 0.5) * rng.normal() for name in names}
+    values |= {"joint_offset:2": 0.9, "rotation_x:3": 0.02, "base.rx": 1e-3, "base.ry": 2e-3, "base.rz": -1e-3}
+    own = {
+        name: (5e-4 if ".r" in name or "offset" in name or "rotat" in name else 0.3) * rng.normal() for name in names
+    }
+    curve = ErrorCurve(-1.0, 1.0, 5e-4 * rng.normal(size=12), own)
+    effects = (EffectSpec("joint_error_curve", 2, curve=curve),)
+    arm = Arm.of_chain(chain, effects=effects, calibration=Calibration(values))
+    q = rng.uniform(-1.0, 1.0, (80, 4))
+    q[40:, 1] += 2.5  # the curve ends at 1
+    axes = np.array(chain.base[:3, :3]) @ [own[f"base.{axis}"] for axis in "xyz"]
+    without = {name: values[name] - own[name] for name in names} | {
+        f"base.{axis}": values[f"base.{axis}"] - x for axis, x in zip("xyz", axes, strict=True)
+    }
+    bent = q[:40] + curve.at(q[:40, 1])[:, None] * [0.0, 1.0, 0.0, 0.0]
+    drawn = Arm.of_chain(chain)
+    places = [
+        Model(replace(drawn, calibration=Calibration(v))).position(rows)
+        for v, rows in ((values, bent), (without, q[40:]))
+    ]
+    there = np.concatenate(places)
+    np.testing.assert_allclose(Model(arm).position(q), there, atol=1e-9)
+    moved = there @ from_own_axes(-2.0, 0.7, 0.2).T + [300.0, 50.0, -700.0]
+    data = Measurements(q, moved, marker=np.full(80, "ball"))
+    assert validate(arm, data).model.max < 5e-3
+    bare = arm.with_effects(replace(effects[0], curve=replace(curve, geometry={})))
+    assert validate(bare, data).model.rms > 0.1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ DEGREES = np.round(0.02 * np.sin(np.linspace(0.0, 9.0, 25)), 7)
 CURVE = ErrorCurve(np.radians(-60.0), np.radians(90.0), np.radians(DEGREES))
 SPEC = EffectSpec("joint_error_curve", 2, curve=CURVE)
 ARM = Arm(LENGTHS, sigma=0.01, effects=(SPEC, EffectSpec("base_offset")))
+WHOLE = 'name = "joint_error_curve"\njoint = 1\nfrom_deg = 0.0\nto_deg = 9.0\nvalues_deg = [0.0, 0.0, 0.0, 0.0]'
 Q = np.random.default_rng(5).uniform(-2.5, 2.5, (60, 3))
 
 
@@ -56,6 +58,30 @@ def test_round_trip_through_files(tmp_path: Path) -> None:
     assert with_effects(text, ARM.effects) == text  # it has them already
 
 
+def test_geometry_that_belongs_to_the_curve(tmp_path: Path) -> None:
+    """In file units; taken off where the curve does not hold, the base's shift along its own axes. Written out."""
+    own = {"length_error:1": 0.3, "joint_offset:1": -2e-4, "joint_offset:2": 1e-4, "base_offset.x0": 0.2}
+    curve = replace(CURVE, geometry={**own, "base_offset.y0": -0.1})
+    arm = ARM.with_effects(replace(SPEC, curve=curve), EffectSpec("base_offset"))
+    (path := tmp_path / "arm.toml").write_text(dump_arm(arm))
+    assert "[effects.geometry]" in path.read_text()
+    assert f'"joint_offset:1" = {np.degrees(-2e-4):.8f}'[:-3] in path.read_text()
+    assert load_arm(path).effects[0].curve.geometry == pytest.approx(dict(curve.geometry))
+    values = np.r_[0.5, -0.3, 0.2, 0.7, -2e-3, 3e-3, 0.4, -0.1]
+    far = Q[np.abs(Q[:, 1] - np.radians(15.0)) > np.radians(90.0)]
+    shift = (0.2 - 0.1j) * np.exp(0.7j)
+    angles = np.cumsum(far + values[3:6] - [-2e-4, 1e-4, 0.0], axis=1)
+    expected = (LENGTHS + values[:3] - [0.3, 0.0, 0.0]) @ np.exp(1j * angles.T) + (0.4 - 0.1j) - shift
+    found = Model(load_arm(path)).position(far, values)
+    np.testing.assert_allclose(found[:, 0] + 1j * found[:, 1], expected, atol=1e-9)
+    near = Q[np.abs(Q[:, 1] - np.radians(15.0)) < np.radians(75.0)]
+    np.testing.assert_array_equal(Model(arm).position(near, values), Model(ARM).position(near, values))
+    step = 1e-6 * np.diag(1.0 / Model(arm).scales)
+    slopes = [(Model(arm).position(far, values + s) - Model(arm).position(far, values - s)) / 2e-6 for s in step]
+    scaled = Model(arm).jacobian(far, values) / Model(arm).scales
+    np.testing.assert_allclose(scaled, np.moveaxis(slopes, 0, -1), atol=1e-6)
+
+
 def test_every_use() -> None:
     """Simulate, estimate the rest, compensate, validate."""
     truth = Calibration.of([0.5, -0.3, 0.2], [1e-3, -2e-3, 3e-3], {"base_offset.x0": 0.4, "base_offset.y0": -0.1})
@@ -80,6 +106,12 @@ def test_every_use() -> None:
         ('name = "joint_error_curve"\njoint = 1', "from_deg: is missing"),
         ('name = "joint_error_curve"\njoint = 1\nfrom_deg = 0.0\nto_deg = 9.0', "values_deg: is missing"),
         ('name = "gear_ratio"\njoint = 1\nfrom_deg = 0.0', "from_deg: unknown key of gear_ratio"),
+        (
+            'name = "gear_ratio"\njoint = 1\ngeometry = {"joint_offset:1" = 0.1}',
+            "geometry: unknown key of gear_ratio, allowed: for joint_error_curve only",
+        ),
+        (f'{WHOLE}\ngeometry = {{"joint_offset:3" = 0.1}}', "geometry: unknown parameter 'joint_offset:3'"),
+        (f'{WHOLE}\ngeometry = {{"joint_offset:2" = "a"}}', "geometry.joint_offset:2: found 'a'"),
         (
             'name = "joint_error_curve"\njoint = 1\nfrom_deg = 9.0\nto_deg = 0.0\nvalues_deg = [0.0, 0.0, 0.0, 0.0]',
             "found 9 to 0, allowed: finite angles, the lower one first",
