@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from time import perf_counter
 
 import click
 
 from doe.cli.common import Answer, Session, read_measurements, verb
-from doe.cli.options import FILE, Output, output_options
+from doe.cli.options import FILE, Output, Seconds, output_options
 from identification.errors import InputError
 
 
@@ -19,8 +20,17 @@ from identification.errors import InputError
 @click.argument("data", type=FILE)
 @click.option("--runs", type=click.IntRange(min=1), required=True, help="Number of further measurements K.")
 @click.option("--payloads", help="Payloads to choose from [kg], as 0,5,10; left out: the arm's own.")
+@click.option(
+    "--seconds",
+    type=Seconds(),
+    default=30.0,
+    show_default=True,
+    help="Time budget of the choice, after the diagnosis [s].",
+)
 @output_options(out="Write the next postures (CSV).")
-def command(session: Session, arm: Path, data: Path, runs: int, payloads: str | None, output: Output) -> Answer:
+def command(
+    session: Session, arm: Path, data: Path, runs: int, payloads: str | None, seconds: float, output: Output
+) -> Answer:
     """The next RUNS postures, to distinguish the candidates of an ambiguous diagnosis, and their chance of success."""
     from doe.discrimination.t_optimal import discriminate
     from doe.report.next_postures import missing_payload, next_data, next_tables, next_text
@@ -37,7 +47,8 @@ def command(session: Session, arm: Path, data: Path, runs: int, payloads: str | 
     if diagnosis.verdict != "ambiguous":
         sentence = f"nothing to distinguish: the verdict is not ambiguous but {diagnosis.sentence}"
         return Answer({"verdict": diagnosis.verdict, "postures_deg": [], "chance": None}, [sentence])
-    found = discriminate(loaded, diagnosis, measurements, runs, session.seed, masses)
+    end = perf_counter() + seconds
+    found = discriminate(loaded, diagnosis, measurements, runs, session.seed, masses, stop=lambda: perf_counter() > end)
     written = [
         f"{line}; measure them and append the rows to {data}"
         for line in output.write(next_text(found), "next postures")

@@ -17,11 +17,13 @@ as noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
 
+from doe.plan.ascent import IN_TIME
 from doe.plan.plan import Plan
 from doe.problem.constraints import constraints_of
 from identification.arm import Arm
@@ -32,6 +34,7 @@ from identification.gap.result import Diagnosis
 from identification.gap.selection import WINDOW
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
+from identification.status import Status
 
 # reasons: doe/README.md, "T-optimality"
 POOL = 1500  # random postures to choose from
@@ -47,7 +50,7 @@ class NextPostures:
     payload : (K,) [kg], None if there was no choice;  directions : (K, n) of approach, None if they do not matter
     chance : upper bound on the predicted probability that only the right candidate is left
     pairs : (candidate, rival) -> expected lambda between them
-    joint_types : (n) of the arm, empty: all revolute
+    joint_types : (n) of the arm, empty: all revolute;  status : `local_optimum` or `time_limit`
     """
 
     plan: Plan
@@ -56,9 +59,12 @@ class NextPostures:
     chance: float
     pairs: dict[tuple[str, str], float]
     joint_types: tuple[str, ...] = ()
+    status: Status = Status.local_optimum
 
     def __str__(self) -> str:
-        return f"{len(self.plan)} postures; probability of resolving the ambiguity: at most {100.0 * self.chance:.0f} %"
+        cut = ", their search was cut" if self.status is Status.time_limit else ""
+        chance = f"at most {100.0 * self.chance:.0f} %"
+        return f"{len(self.plan)} postures{cut}; probability of resolving the ambiguity: {chance}"
 
 
 @dataclass(frozen=True)
@@ -94,11 +100,12 @@ def discriminate(
     seed: int = 0,
     payloads: tuple[float, ...] | None = None,
     pool: Array | None = None,
+    stop: Callable[[], bool] = IN_TIME,
 ) -> NextPostures:
     """The `runs` measurements most likely to resolve an ambiguous diagnosis.
 
     payloads : [kg] that can be hung on the arm, default its own only;  pool : (N, n) [rad] to choose from, default
-        random postures that are allowed
+        random postures that are allowed;  stop : asked before every choice, see `t_optimal`
 
     Raises `InputError` for a diagnosis that is not ambiguous or was made with a prior, or `runs` < 1, `JobError` if no
     posture is allowed.
@@ -114,17 +121,24 @@ def discriminate(
     generator = np.random.default_rng(seed)
     options = _pool(arm, _allowed(arm, generator) if pool is None else pool, generator, payloads)
     rivals = _rivals(diagnosis, measurements, options)
-    return _result(diagnosis, rivals, options, t_optimal(rivals, runs), payloads)
+    found = _result(diagnosis, rivals, options, t_optimal(rivals, runs, stop), payloads)
+    return replace(found, status=Status.time_limit) if stop() else found
 
 
-def t_optimal(rivals: Rivals, runs: int) -> list[int]:
-    """Rows of the pool, added one at a time and then exchanged, that distinguish the rivals best."""
-    chosen: list[int] = []
-    for _ in range(runs):
+def t_optimal(rivals: Rivals, runs: int, stop: Callable[[], bool] = IN_TIME) -> list[int]:
+    """Rows of the pool, added one at a time and then exchanged, that distinguish the rivals best.
+
+    Where `stop` comes before the last is added, those that are there are taken again, in turn.
+    """
+    chosen = [_best(rivals, [])]
+    while len(chosen) < runs and not stop():
         chosen.append(_best(rivals, chosen))
+    chosen = [chosen[k % len(chosen)] for k in range(runs)]
     for _ in range(SWEEPS):
         before = list(chosen)
         for k in range(runs):
+            if stop():
+                return chosen
             chosen[k] = _best(rivals, chosen[:k] + chosen[k + 1 :])
         if chosen == before:
             break
@@ -194,14 +208,15 @@ def _noncentrality(rivals: Rivals, chosen: list[int]) -> tuple[Array, Array]:
 def _beside(positions: Array, j: int, jacobian: Array, chosen: list[int]) -> tuple[Array, Array]:
     """(K,) lambda^2 of every rival beside rival j, whose Jacobian is (N, d, p), and (K, N) what a posture would add."""
     given = jacobian[chosen].reshape(-1, jacobian.shape[2])  # (d k, p), prior covariance of the parameters is I
-    inner = np.linalg.inv(np.eye(len(given)) + given @ given.T)
-    posterior = np.eye(jacobian.shape[2]) - given.T @ inner @ given
+    posterior = np.linalg.inv(np.eye(jacobian.shape[2]) + given.T @ given)
     spread = np.eye(jacobian.shape[1]) + np.einsum("nap,pq,nbq->nab", jacobian, posterior, jacobian, optimize=True)
     delta = positions - positions[j]
     known = delta[:, chosen].reshape(len(delta), -1)
-    left = delta - np.einsum("nap,kp->kna", jacobian, known @ inner @ given)
+    moved = known @ given @ posterior  # (K, p) what j's parameters give way
+    left = delta - np.einsum("nap,kp->kna", jacobian, moved)
     gain = np.einsum("kna,nab,knb->kn", left, np.linalg.inv(spread), left, optimize=True)
-    return np.einsum("ka,ab,kb->k", known, inner, known), gain
+    rest = known - moved @ given.T
+    return np.sum(rest**2, axis=1) + np.sum(moved**2, axis=1), gain
 
 
 def _best(rivals: Rivals, chosen: list[int]) -> int:

@@ -48,6 +48,7 @@ def next_data(diagnosis: Diagnosis, found: NextPostures) -> dict[str, Any]:
         "payload_kg": found.payload,
         "directions": found.directions,
         "chance": found.chance,
+        "status": found.status.name,
         "pairs": [{"candidate": a, "rival": b, "lambda": size} for (a, b), size in found.pairs.items()],
     }
 

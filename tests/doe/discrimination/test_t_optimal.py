@@ -19,6 +19,7 @@ from identification.gap.library_prior import library_prior
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.status import Status
 from identification.workspace import WorkspaceBox
 
 ARM = Arm(
@@ -94,6 +95,19 @@ def test_chosen_postures_beat_random_ones() -> None:
     unstable = replace(found, choice=ChoiceValidation(0.25, 0.0))
     assert discriminate(ARM, unstable, data, 4, seed=1).chance <= 0.25  # each try chooses something else
     assert 0.0 <= best.chance <= 1.0
+
+
+def test_a_choice_that_is_cut_takes_its_postures_again() -> None:
+    found, data = ambiguous()
+    asked = iter([False] + 100 * [True])
+    cut = discriminate(ARM, found, data, 5, seed=1, stop=lambda: next(asked))
+    assert cut.status is Status.time_limit
+    assert "cut" in str(cut)
+    first, second, *again = cut.plan.postures
+    np.testing.assert_array_equal(again, [first, second, first])
+    whole = discriminate(ARM, found, data, 1, seed=1)
+    np.testing.assert_array_equal(whole.plan.postures[0], first)
+    assert whole.status is Status.local_optimum
 
 
 def test_respects_limits_and_constraints() -> None:
