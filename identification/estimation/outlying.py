@@ -57,8 +57,10 @@ def studentised(
     d, k = blocks.shape[1:]
     own, inside, squares = blocks[kept], residual[kept], np.zeros(len(kept))
     flat = own.reshape(-1, k)
-    inverse = np.linalg.pinv(flat.T @ flat + (0.0 if known is None else known.T @ known), rcond=1e-12, hermitian=True)
-    off = inside - own @ (inverse @ (flat.T @ inside.reshape(-1) + (0.0 if moment is None else moment)))
+    normal = flat.T @ flat if known is None else flat.T @ flat + known.T @ known
+    inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+    right = flat.T @ inside.reshape(-1) if moment is None else flat.T @ inside.reshape(-1) + moment
+    off = inside - own @ (inverse @ right)
     rest = (1.0 + 1e-6) * np.eye(d) - (flat @ inverse).reshape(own.shape) @ own.transpose(0, 2, 1)
     squares[kept] = scaled(np.einsum("mi,mi->m", off, np.linalg.solve(rest, off[..., None])[..., 0]), d)
     return squares
