@@ -48,10 +48,12 @@ class Gravity(ByValue):
     link_masses: Array  # (n,) [kg]
     center_of_mass: Array  # (n,) fraction of the link from its joint
     payload: float = 0.0  # [kg] at the tip
+    payload_at: Array | None = None  # (3,) its center of mass in the tip's frame [mm]; None: at the measured point
 
     def __post_init__(self) -> None:
-        for name in ("acceleration", "link_masses", "center_of_mass"):
-            object.__setattr__(self, name, readonly(getattr(self, name)))
+        for name in ("acceleration", "link_masses", "center_of_mass", "payload_at"):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, readonly(value))
 
 
 @dataclass(frozen=True)
@@ -197,6 +199,8 @@ class Arm(ByValue):
         if ratios is not None:
             good = ratios.size == n and bool(np.all(np.isfinite(ratios) & (ratios >= 0.0)))
             _require(good, f"gear_ratio: {ratios.tolist()}, allowed: {n} numbers >= 0, one for each joint")
+        hanging = self.gravity is not None and self.gravity.payload_at is not None
+        _require(self.chain is not None or not hanging, "payload_at: found for a planar arm, allowed: in space")
         for field_name, value in (("lengths", lengths), ("lower", lower), ("upper", upper), ("gear_ratios", ratios)):
             object.__setattr__(self, field_name, value)
 

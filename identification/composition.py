@@ -25,9 +25,9 @@ from identification.conditions import Conditions
 from identification.effects import Chain, Effect
 from identification.effects.places import (
     OF_FRAME,
-    ROTATIONS,
     contributions,
     in_state,
+    load_size,
     position_and_state,
     state_size,
     widths,
@@ -39,7 +39,7 @@ INSTRUMENT = "instrument"
 INSIDE = ("joint_angles", "extensions", *OF_FRAME, "tool", "base_rotation", "base_translation")  # of the geometry
 POINT = slice(DIMENSION)  # of the position
 ORIENTATION = 10  # columns of a measured orientation: nine, and whether there is none
-LOADED = slice(0, 1 + ROTATIONS[DIMENSION])  # of the state, and of all places
+LOADED = slice(0, load_size(DIMENSION))  # of the state, and of all places
 Outputs = tuple[np.ndarray, ...]  # of `Part.evaluate`
 
 

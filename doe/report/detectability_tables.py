@@ -10,7 +10,7 @@ from doe.discrimination.design import DiscriminationDesign
 from doe.discrimination.misidentification import LAMBDA
 from doe.report.terminal import NARROW, table
 from identification.gap.detectability import Detectability
-from identification.gap.hypotheses import untested
+from identification.gap.notes import untested
 
 HIDDEN = 0.01
 

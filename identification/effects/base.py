@@ -158,6 +158,10 @@ class Effect:
         """Rotation of gravity [rad], for all effects of gravity; in space (3,), about the axes of the base."""
         return 0.0
 
+    def payload_shift(self, chain: Chain, values: ca.SX) -> ca.SX | float:
+        """(3,) in space what is added to the place of the payload in the tip's frame [mm]."""
+        return 0.0
+
     def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX | float:
         """(n,) added to the commanded joint angles [rad]."""
         return 0.0

@@ -42,6 +42,7 @@ class Chain:
     past: ca.SX | None = None  # (n, 12) turning points before (`past_from_order`) [rad], None: the posture itself
     errors: ca.SX | None = None  # (n,) values of error curves at this posture [rad], None: there are none
     turn: ca.SX | float = 0.0  # rotation of gravity [rad]; in space (3,), about x, y, z of the base
+    shift: ca.SX | float = 0.0  # (3,) of the payload from where the file says [mm], in the tip's frame; in space
     marker: ca.SX | None = None  # number of the measured point, from 0
     reference: ca.SX | None = None  # (9,) orientation to compare with, by columns, None: none is measured
 
@@ -58,9 +59,9 @@ class Chain:
         """(n,) the posture before [rad]; in the first row the posture itself."""
         return self.q if self.past is None else self.past[:, -1]
 
-    def loaded(self, payload: ca.SX, turn: ca.SX) -> Chain:
-        """The same arm with another payload [kg] and a rotation of gravity [rad]."""
-        return replace(self, payload=payload, turn=turn)
+    def loaded(self, payload: ca.SX, turn: ca.SX, shift: ca.SX | float) -> Chain:
+        """The same arm with another payload [kg], a rotation of gravity [rad] and, in space, a shift of the payload."""
+        return replace(self, payload=payload, turn=turn, shift=shift)
 
     @property
     def links(self) -> int:
@@ -159,9 +160,10 @@ class SpatialState(Chain):
     @cached_property
     def loads(self) -> list[tuple[ca.SX, int, ca.SX]]:  # type: ignore[override]
         """(mass [kg], link, place (3,) [mm]) of every mass: of a link on the line from its joint's frame to the next,
-        as far along as the file says; the payload at the first measured point."""
+        as far along as the file says; the payload where the file says, else at the first measured point."""
         gravity, chain = self.required_gravity, self.chain
-        found = [(self.payload, self.links - 1, chain.tool(self.frames[-1], next(iter(chain.tools)), {}))]
+        at = next(iter(chain.tools.values())) if gravity.payload_at is None else gravity.payload_at
+        found = [(self.payload, self.links - 1, self.frames[-1].point(ca.SX(ca.DM(at)) + self.shift))]
         for k, (mass, share) in enumerate(zip(gravity.link_masses, gravity.center_of_mass, strict=True)):
             found.append((ca.SX(mass), k, self.frames[k + 1].point(ca.SX(ca.DM(share * chain.link_vectors[k])))))
         return found

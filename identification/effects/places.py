@@ -16,6 +16,7 @@ import casadi as ca
 from identification.effects.base import Effect
 from identification.effects.chain import Chain
 
+OF_LOAD = ("payload", "gravity_turn", "payload_shift")  # in the plane without the last
 OF_JOINT = ("joint_angles", "extensions", "deflections", "slopes")  # one number for each joint
 OF_FRAME = ("joint_turns", "joint_shifts")  # in space three for each joint
 ROTATIONS = {2: 1, 3: 3}  # numbers of a rotation, by the coordinates of a point
@@ -28,6 +29,7 @@ def widths(links: int, dimension: int = 2) -> dict[str, int]:
     return {
         "payload": 1,
         "gravity_turn": turn,
+        **({"payload_shift": dimension} if dimension == 3 else {}),
         **dict.fromkeys(OF_JOINT, links),
         **dict.fromkeys(OF_FRAME if dimension == 3 else (), 3 * links),
         "tool": dimension,
@@ -46,7 +48,12 @@ def split(vector: ca.SX, links: int, dimension: int = 2) -> dict[str, ca.SX]:
 
 def state_size(links: int, dimension: int = 2) -> int:
     """Number of elements of the state, see `position_and_state`."""
-    return 1 + ROTATIONS[dimension] + links + dimension
+    return load_size(dimension) + links + dimension
+
+
+def load_size(dimension: int) -> int:
+    """Number of elements of the loads, which come first in the state and among all places: `OF_LOAD`."""
+    return sum(size for place, size in widths(0, dimension).items() if place in OF_LOAD)
 
 
 def measured_position(chain: Chain, effects: Sequence[Effect], values: ca.SX) -> ca.SX:
@@ -65,23 +72,35 @@ def position_and_state(
 
     added : further contributions at all places, in the order of `widths`
 
-    The state consists of payload [kg], rotation of gravity [rad], link lengths (n) [mm] without extensions, and the tip
-    (d) [mm] before the instrument.
+    The state consists of payload [kg], rotation of gravity [rad], in space shift of the payload [mm], link lengths (n)
+    [mm] without extensions, and the tip (d) [mm] before the instrument.
     """
     n, d = chain.links, chain.dimension
     own = values.numel() - sum(len(effect.parameters) for effect in effects)
     geometry, parts = values[:own], _with_values(effects, values[own:])
     more = split(ca.SX.zeros(sum(widths(n, d).values())) if added is None else added, n, d)
-    payload = chain.payload + more["payload"] + sum(e.payload(chain, v) for e, v in parts)
-    turn = more["gravity_turn"] + sum(e.gravity_turn(chain, v) for e, v in parts)
-    chain, plain = chain.loaded(payload, turn), chain.geometry.link_lengths(geometry)
+    given = ca.vertcat(*(more[place] for place in OF_LOAD if place in more))
+    loads = sum((_loads(e, chain, v) for e, v in parts), given)
+    loads[0] += chain.payload
+    chain, plain = in_state(chain, loads), chain.geometry.link_lengths(geometry)
     for effect, v in parts:
         for place, value in _inside(effect, chain, v, plain).items():
             more[place] += value
     real = chain.q + more["joint_angles"]
     tip, turned = chain.geometry.tip(real, geometry, more, chain.marker, chain.reference)
     measured = tip + more["instrument"] + sum(e.instrument(tip, v) for e, v in parts)
-    return ca.vertcat(measured, turned), ca.vertcat(payload, turn, plain, tip)
+    return ca.vertcat(measured, turned), ca.vertcat(loads, plain, tip)
+
+
+def _loads(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:
+    """What an effect adds to the loads, as numbers in the order of `OF_LOAD`."""
+    found = {
+        "payload": effect.payload(chain, values),
+        "gravity_turn": effect.gravity_turn(chain, values),
+        "payload_shift": effect.payload_shift(chain, values),
+    }
+    sizes = widths(chain.links, chain.dimension)
+    return ca.vertcat(*(ca.SX.zeros(sizes[place]) + found[place] for place in OF_LOAD if place in sizes))
 
 
 def _inside(effect: Effect, chain: Chain, values: ca.SX, lengths: ca.SX) -> dict[str, ca.SX | float]:
@@ -103,7 +122,8 @@ def _inside(effect: Effect, chain: Chain, values: ca.SX, lengths: ca.SX) -> dict
 
 def in_state(chain: Chain, state: ca.SX) -> Chain:
     """The chain with the loads of a state, see `position_and_state`."""
-    return chain.loaded(state[0], state[1 : 1 + ROTATIONS[chain.dimension]])
+    turn = 1 + ROTATIONS[chain.dimension]
+    return chain.loaded(state[0], state[1:turn], state[turn : load_size(chain.dimension)])
 
 
 def contributions(effect: Effect, chain: Chain, loaded: Chain, values: ca.SX, state: ca.SX) -> ca.SX:
@@ -112,15 +132,12 @@ def contributions(effect: Effect, chain: Chain, loaded: Chain, values: ca.SX, st
     loaded : the chain `in_state`, shared by all effects as its torques are expensive to set up
     """
     n, d = chain.links, chain.dimension
-    turn = ROTATIONS[d]
-    lengths = state[1 + turn : 1 + turn + n]
-    found = {
-        "payload": effect.payload(chain, values),
-        "gravity_turn": effect.gravity_turn(chain, values),
-        **_inside(effect, loaded, values, lengths),
-        "instrument": effect.instrument(state[1 + turn + n :], values),
-    }
-    return ca.vertcat(*(ca.SX.zeros(size) + found[place] for place, size in widths(n, d).items()))
+    loads = load_size(d)
+    found = _inside(effect, loaded, values, state[loads : loads + n])
+    found["instrument"] = effect.instrument(state[loads + n :], values)
+    places = {place: size for place, size in widths(n, d).items() if place not in OF_LOAD}
+    added = (ca.SX.zeros(size) + found[place] for place, size in places.items())
+    return ca.vertcat(_loads(effect, chain, values), *added)
 
 
 def _with_values(effects: Sequence[Effect], values: ca.SX) -> Parts:

@@ -131,6 +131,22 @@ class PayloadError(_Load):
 
 
 @register
+class PayloadPlace(_Load):
+    """The payload hangs elsewhere than the file says: shifted by (x, y, z) in the frame of the tip."""
+
+    name = "payload_place"
+    summary = "payload hangs elsewhere than the file says"
+    family = "payload_error"
+    dimensions = (3,)
+
+    def define(self) -> tuple[Parameter, ...]:
+        return tuple(self.parameter(short, "mm", scale=1.0, typical=50.0) for short in "xyz")
+
+    def payload_shift(self, chain: Chain, values: ca.SX) -> ca.SX:
+        return values
+
+
+@register
 class ToolMass(_Load):
     """The tool is so much heavier than the payload that the arm file says: + m, m >= 0, for every effect of gravity.
 

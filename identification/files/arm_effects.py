@@ -127,7 +127,7 @@ def gravity_of(table: GravityTable | SpatialGravityTable | None, joints: int) ->
         return None
     center = [0.5] * joints if table.center_of_mass is None else table.center_of_mass
     acceleration, masses = readonly(table.acceleration_m_s2), readonly(table.link_masses_kg)
-    return Gravity(acceleration, masses, readonly(center), table.payload_kg)
+    return Gravity(acceleration, masses, readonly(center), table.payload_kg, getattr(table, "payload_at_mm", None))
 
 
 def check_gravity(

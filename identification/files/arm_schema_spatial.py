@@ -86,6 +86,9 @@ class SpatialGravityTable(GravityTable):
     """`[gravity]`."""
 
     acceleration_m_s2: Triple = Field(description="three numbers [m/s^2]")
+    payload_at_mm: Annotated[list[Coordinate], Field(min_length=3, max_length=3)] | None = Field(
+        None, description=f"three numbers [mm], up to {LENGTH_RANGE[1]:g}"
+    )
 
 
 class SpatialBoxTable(BoxTable):
@@ -176,7 +179,7 @@ class SpatialArmFile(StrictTable):
     machining: MachiningTable | None = Field(None, description="a table with translation_mm, rotation_deg")
     measurement: SpatialMeasurementTable | None = Field(None, description="a table with sigma_mm, sigma_deg")
     gravity: SpatialGravityTable | None = Field(
-        None, description="a table with acceleration_m_s2, link_masses_kg, center_of_mass, payload_kg"
+        None, description="a table with acceleration_m_s2, link_masses_kg, center_of_mass, payload_kg, payload_at_mm"
     )
     gear_ratio: list[NotNegative] | None = Field(
         None, description="one number >= 0 for each joint: turns of its motor per turn, 0 where it is not known"

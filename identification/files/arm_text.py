@@ -122,7 +122,7 @@ def _gravity_table(gravity: Gravity) -> Plain:
         "link_masses_kg": _floats(gravity.link_masses),
         "center_of_mass": _floats(gravity.center_of_mass),
         "payload_kg": float(gravity.payload),
-    }
+    } | ({} if gravity.payload_at is None else {"payload_at_mm": _floats(gravity.payload_at)})
 
 
 def _constraint_table(constraint: Constraint) -> Plain:

@@ -181,6 +181,14 @@ class HypothesisSet:
         through = hypothesis.effect.through
         return not through or any(through in effect.needs for effect in self.base.effects)
 
+    def shows_more(self, chosen: Sequence[Hypothesis]) -> bool:
+        """True if some member shows through one of these (`Effect.through`) and through nothing that the arm has."""
+        return any(h.effect.needs & self._not_shown for h in chosen)
+
+    @cached_property
+    def _not_shown(self) -> frozenset[str]:
+        return frozenset(h.effect.through for h in self.members if not self.acts(h))
+
     @cached_property
     def _bundles(self) -> tuple[Bundle, ...]:
         return bundles(self.arm, [(number, h.effect) for number, h in enumerate(self.members) if not h.tied])
@@ -254,15 +262,6 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
                 skipped[spec.key] = "already in the arm's model"
     aliases = {name: cls.alias for name, cls in known.items() if cls.alias is not None}
     return HypothesisSet(arm, tuple(members), skipped, aliases)
-
-
-def untested(skipped: Mapping[str, str]) -> list[str]:
-    """One sentence for each reason why effects were not tested;  skipped : effect -> reason."""
-    words = {"needs gravity": "needs [gravity] in the arm file", "needs temperature": "needs temperature_C that varies"}
-    return [
-        f"not tested, {words.get(why, why)}: {', '.join(key for key, reason in skipped.items() if reason == why)}"
-        for why in dict.fromkeys(skipped.values())
-    ]
 
 
 def unseen_joints(model: Model, rows: Rows) -> frozenset[int]:

@@ -133,5 +133,6 @@ def log_bayes_factor(found: Explained, left: Array, squares: float, freedom: int
     rest = np.maximum(rest, TINY)
     factors = -0.5 * volume - 0.5 * freedom * np.log(rest / squares)
     for spread, moved in effects:
-        factors = factors + np.log((spread + moved * (freedom / rest)) / np.square(SIZES))
+        with np.errstate(divide="ignore"):  # of what shows only through another effect
+            factors = factors + np.log((spread + moved * (freedom / rest)) / np.square(SIZES))
     return np.asarray(logsumexp(factors, axis=-1) - np.log(len(SIZES)))

@@ -12,13 +12,22 @@ from identification.gap.candidate import Candidate
 from identification.gap.curve import Curve
 from identification.gap.detectability import EXACT, NEAR, Detectability, likenesses
 from identification.gap.holdout import Gap
-from identification.gap.hypotheses import Hypothesis, untested
+from identification.gap.hypotheses import Hypothesis
 from identification.gap.library_prior import LibraryPrior
 from identification.gap.misfit import Misfit
 from identification.gap.search import HypothesisSearch
 from identification.gap.workflow import Findings
 from identification.measurements import Measurements
 from identification.status import Status
+
+
+def untested(skipped: Mapping[str, str]) -> list[str]:
+    """One sentence for each reason why effects were not tested;  skipped : effect -> reason."""
+    words = {"needs gravity": "needs [gravity] in the arm file", "needs temperature": "needs temperature_C that varies"}
+    return [
+        f"not tested, {words.get(why, why)}: {', '.join(key for key, reason in skipped.items() if reason == why)}"
+        for why in dict.fromkeys(skipped.values())
+    ]
 
 
 def alias_list(before: Detectability, candidates: tuple[Candidate, ...]) -> tuple[tuple[str, str, float], ...]:

@@ -170,10 +170,11 @@ class HypothesisSearch:
     def state(self, chosen: Choice) -> State:
         """Residual of a set of effects, and the hypotheses that can be added to it.
 
-        All columns are those at the base fit if the search is `linear`, else those at the fit of the set.
+        All columns are those at the base fit if the search is `linear`, else those at the fit of the set; so are they
+        where some would be zero at the base fit (`Effect.through`).
         """
         found = self.fit(chosen)
-        if self.linear:
+        if self.linear and not self.hypotheses.shows_more(chosen):
             return self._linear_state(chosen, found.residual, self._moments(chosen))
         columns = self.hypotheses.matrix(self.rows, found.by_name, self.slopes, found.model)
         return self._state(chosen, found.residual, found.basis, columns)
@@ -181,7 +182,8 @@ class HypothesisSearch:
     def state_without(self, chosen: Choice, member: Hypothesis) -> State:
         """`state` of a set less one member; in a `linear` search without a fit of its own."""
         rest = tuple(h for h in chosen if h is not member)
-        if not self.linear or frozenset(h.label for h in rest) in self.fits:
+        known = frozenset(h.label for h in rest) in self.fits
+        if not self.linear or known or self.hypotheses.shows_more(chosen):
             return self.state(rest)
         found = self.fit(chosen)
         effect = next(e for e in found.model.effects if e.label == member.label)

@@ -38,6 +38,7 @@ SPECS = (
     EffectSpec("axis_runout", 4),
     EffectSpec("tool_mass"),
     EffectSpec("measurement_scale"),  # of the measured point, so of everything else
+    EffectSpec("payload_place"),
 )
 ROWS = 9
 WARM = Conditions(

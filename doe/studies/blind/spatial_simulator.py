@@ -25,7 +25,8 @@ class SpatialTruth:
     axes, points : (n, 3) directions and points of the real axes at home;  offsets : (n,) of the encoders
     base : (4, 4) pose of the arm in the instrument's frame;  tools : (K, 3) measured points in the drawing's last frame
     masses, payload : of links and tool;  share : where along a link its mass is
-    gravity : (3,) as it really is in the arm's base
+    gravity : (3,) as it really is in the arm's base;  load : (3,) where the payload really hangs in the drawing's last
+        frame, None: at the first measured point
     """
 
     table: np.ndarray
@@ -41,6 +42,7 @@ class SpatialTruth:
     sigma: float
     share: float = 0.5
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -G]))
+    load: np.ndarray | None = None
     effects: list[Drawn] = field(default_factory=list)
 
     @property
@@ -60,7 +62,11 @@ class SpatialTruth:
     @property
     def measured(self) -> np.ndarray:
         """(K, 3) the measured points at home."""
-        return self.tools @ self.home[-1, :3, :3].T + self.home[-1, :3, 3]
+        return self.at_home(self.tools)
+
+    def at_home(self, points: np.ndarray) -> np.ndarray:
+        """(..., 3) points of the drawing's last frame at home."""
+        return points @ self.home[-1, :3, :3].T + self.home[-1, :3, 3]
 
 
 def turn(vector: np.ndarray) -> np.ndarray:
@@ -108,7 +114,7 @@ def moments(truth: SpatialTruth, run: Session) -> np.ndarray:
         for mass, place, at in zip(truth.masses, places, start + truth.share * (end - start), strict=True)
     ]
     more = sum(v["d"] for name, _, v in truth.effects if name == "payload_error")
-    loads.append((run.payload + more, places[-1], truth.measured[0]))
+    loads.append((run.payload + more, places[-1], truth.at_home(truth.tools[0] if truth.load is None else truth.load)))
     lean = [v["angle"] for name, _, v in truth.effects if name == "gravity_tilt"]
     gravity = turn(np.array([*lean[0], 0.0])) @ truth.gravity if lean else truth.gravity
     found = np.zeros((len(run.q), truth.n, 3))

@@ -67,6 +67,7 @@ sigma_deg = 0.01
 acceleration_m_s2 = [0.0, 0.0, -9.81]
 link_masses_kg = [10.0, 8.0, 6.0, 2.0, 1.0, 0.5]
 payload_kg = 2.0
+payload_at_mm = [10.0, -20.0, 80.0]
 
 [[constraints]]
 kind = "workspace_box"
@@ -163,6 +164,8 @@ def test_arm_of_a_urdf_file(tmp_path: Path) -> None:
     assert arm.gear_ratios[5] == 0.0
     assert arm.gravity is not None
     assert arm.gravity.acceleration.tolist() == [0.0, 0.0, -9.81]
+    assert arm.gravity.payload_at is not None
+    assert arm.gravity.payload_at.tolist() == [10.0, -20.0, 80.0]
     assert arm.effects[0].values == {"e": 0.0005}
     assert arm.constraints == (
         WorkspaceBox((-400.0, 600.0), (0.0, 650.0), (100.0, 2000.0)),
@@ -283,6 +286,7 @@ SWAPS = [
     ("x_mm = 60.0", "w_mm = 60.0", "tool.left.w_mm: unknown key, did you mean 'z_mm'?"),
     ("rotation_deg = 0.2", "rotation_deg = -1.0", "machining.rotation_deg: found -1.0, allowed: a number > 0 [deg]"),
     ("[0.0, 0.0, -9.81]", "[0.0, -9.81]", "gravity.acceleration_m_s2: found 2 values, allowed: three numbers"),
+    ("-20.0, 80.0]", "-20.0]", "gravity.payload_at_mm: found 2 values, allowed: three numbers [mm]"),
     (", 1.0, 0.5]", ", 1.0]", "gravity.link_masses_kg: found 5 values for 6 joints, allowed: 6"),
     ("50.0, 0.0]\n\n[joint", "50.0]\n\n[joint", "gear_ratio: found 5 values for 6 joints, allowed: 6"),
     ("z_mm = [100.0, 2000.0]", "", "constraints[1].z_mm: is missing"),

@@ -122,3 +122,9 @@ def test_nothing_explained_is_evidence_against_an_effect() -> None:
 def test_no_effect_has_no_factor() -> None:
     nothing = Explained(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 0, 0)))
     assert float(log_bayes_factor(nothing, np.array(100.0), 100.0, 100)) == 0.0
+
+
+def test_an_effect_that_moves_nothing_explains_nothing() -> None:
+    """A wrong payload alone, in a model without compliance: its probability is zero, and no warning."""
+    unseen = Explained(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((1, 0, 0)))
+    assert float(log_bayes_factor(unseen, np.array(100.0), 100.0, 100)) == -np.inf

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.arm import Arm, EffectSpec
+from identification.arm import Arm, EffectSpec, Gravity
 from identification.gap.hypotheses import Hypothesis, hypotheses
 from identification.gap.search import HypothesisSearch
 from identification.gap.whitening import Rows
@@ -51,6 +51,26 @@ def test_a_member_left_out_without_a_fit_of_its_own(monkeypatch: pytest.MonkeyPa
     assert short.squares == pytest.approx(own.squares, rel=1e-4)
     assert short.strongest.label == own.strongest.label == chosen[0].label
     np.testing.assert_allclose(short.change, own.change, atol=0.1)
+
+
+def test_what_shows_through_an_effect_of_gravity_is_tested_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the base fit a wrong payload moves nothing; beside a compliance it does, also where columns are the base's."""
+    monkeypatch.setattr("identification.gap.search.SAME_COLUMNS", 40)
+    gravity = Gravity([0.0, -9.81], [8.0, 5.0], [0.5, 0.5], 6.0)
+    arm, generator = Arm([400.0, 300.0], gravity=gravity), np.random.default_rng(3)
+    soft = EffectSpec("joint_compliance", 1), EffectSpec("payload_error")
+    model = Model(arm.with_effects(*soft))
+    truth = model.parameters.vector({"joint_compliance:1.c": 1e-4, "payload_error.d": 4.0})
+    q = generator.uniform(-2.5, 2.5, (60, 2))
+    data = Measurements(q, model.position(q, truth) + 0.01 * generator.standard_normal((60, 2)))
+    search = HypothesisSearch(hypotheses(arm, frozenset()), Rows.of(data))
+    (stiffness,) = (h for h in search.hypotheses.members if h.key == "joint_compliance:1")
+    assert "payload_error" not in {h.key for h in search.state(()).members}
+    beside = search.state((stiffness,))
+    (k,) = (k for k, h in enumerate(beside.members) if h.key == "payload_error")
+    both = search.fit((stiffness, beside.members[k]))
+    assert beside.squares - beside.reductions[k] == pytest.approx(both.squares, rel=0.2)
+    assert both.by_name["payload_error.d"] == pytest.approx(4.0, rel=0.3)
 
 
 def test_change_of_bic_is_that_of_refits() -> None:

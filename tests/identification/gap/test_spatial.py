@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doe.studies.blind.simulator import session
+from doe.studies.blind.spatial_cells import SpatialCell, arm_of, measured, random_truth
 from identification.arm import Arm
 from identification.effects import Effect
 from identification.gap.diagnose import diagnose
@@ -55,6 +57,29 @@ def test_found_again(effect: str, names: tuple[str, ...]) -> None:
     assert found.gap.held_out_after is not None
     # of three coordinates, and what 28 parameters from 180 equations add; the root of 240 squares scatters by 4.6 %
     assert found.gap.held_out_after < 0.05 * np.sqrt(3.0) * np.sqrt(1.0 + 28.0 / 180.0) * 1.15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("said", [False, True])
+def test_a_heavy_load_beside_the_reflector(said: bool) -> None:
+    """15 kg hang 240 mm from the reflector: the load's place is named, beside the compliance through which it shows,
+    and its three coordinates hold the truth; an arm file that says where has nothing to name but the compliance."""
+    cell, generator = SpatialCell(100, 8.0), np.random.default_rng(8)
+    truth = random_truth(cell, generator)
+    away, compliance = np.array([180.0, -120.0, 100.0]), [("joint_compliance", None, {"c": np.full(6, 4e-6)})]
+    truth = replace(truth, payload=15.0, sigma=0.05, load=truth.tools[0] + away, effects=compliance)
+    run = session(truth, generator.uniform(truth.lower, truth.upper, (100, 6)), generator)  # type: ignore[arg-type]
+    data, arm = measured(truth, cell, run, generator), arm_of(cell, truth, generator)
+    assert arm.gravity is not None
+    if said:
+        arm = replace(arm, gravity=replace(arm.gravity, payload_at=truth.load))
+    found = diagnose(arm, data, draws=399)
+    assert set(found.named.effects) == {"joint_compliance", *(() if said else ("payload_place",))}
+    calibration = found.named.calibration
+    for axis, expected in zip("xyz", away, strict=True) if not said else ():
+        k = calibration.parameter_names.index(name := f"payload_place.{axis}")
+        assert calibration.covariance is not None
+        assert abs(calibration.values[name] - expected) < 4.0 * np.sqrt(calibration.covariance[k, k])
 
 
 def test_a_joint_that_moves_nothing_is_not_looked_at() -> None:

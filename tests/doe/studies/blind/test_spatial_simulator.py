@@ -63,7 +63,7 @@ def model_of(truth: SpatialTruth, *specs: EffectSpec) -> Model:
     chain = chain_of([DHRow(a, alpha, d) for a, alpha, d in truth.table.tolist()])
     tools = dict(zip("12", truth.tools, strict=True))
     chain = replace(chain, base=truth.base, tools=tools, known=frozenset({"base", "tool"}))
-    gravity = Gravity(truth.gravity, truth.masses, np.full(truth.n, truth.share), truth.payload)
+    gravity = Gravity(truth.gravity, truth.masses, np.full(truth.n, truth.share), truth.payload, truth.load)
     return Model(Arm.of_chain(chain, gravity=gravity, effects=specs))
 
 
@@ -99,6 +99,24 @@ def test_loads_that_are_wrong() -> None:
     # turns about x, then y, against one about a vector: 3e-6 rad of gravity, which moves the tip by 1 mm
     assert difference(lean, run, known, EffectSpec("gravity_tilt", None, {"x": 2e-3, "y": -3e-3})) < 1e-5
     assert difference(lean, run, known) > 1e-3
+
+
+def test_a_payload_that_hangs_elsewhere() -> None:
+    """Where the arm file says, or away from there; whichever point is measured."""
+    truth, run = truth_and_session()
+    for name, value in (("joint_compliance", 2e-5), ("bearing_compliance", 1e-6), ("gravity_backlash", 1e-3)):
+        short = "b" if name == "gravity_backlash" else "c"
+        known = EffectSpec(name, 4, {short: value})
+        away = replace(truth, effects=[(name, 4, {short: value})], load=np.array([250.0, -40.0, 80.0]))
+        assert difference(away, run, known) < 1e-5
+        beside = replace(away, load=None)  # the model's payload is at the first point
+        shift = dict(zip("xyz", (away.load - truth.tools[0]).tolist(), strict=True))  # type: ignore[operator]
+        marker = np.arange(len(run.q)) % 2
+        conditions = Conditions(run.payload, run.warm, run.t, run.s, marker=1.0 * marker)
+        ours = model_of(beside, known, EffectSpec("payload_place", None, shift))
+        theirs = spatial_simulator.position(away, run, marker)
+        assert np.abs(ours.position(run.q, conditions=conditions) - theirs).max() < 1e-5
+        assert np.abs(model_of(beside, known).position(run.q, conditions=conditions) - theirs).max() > 1e-3
 
 
 def test_what_the_geometry_can_be_wrong_about() -> None:
