@@ -152,10 +152,13 @@ def _iterated(problem: Problem) -> BatchFit:
 
 
 # -- plans of their own --------------------------------------------------------------------------------------------
-def estimate_each(model: Model, postures: ArrayLike, positions: ArrayLike) -> BatchFit:
+def estimate_each(
+    model: Model, postures: ArrayLike, positions: ArrayLike, conditions: Conditions | None = None
+) -> BatchFit:
     """Fits every data set on its own plan, each as `estimate` would with equal weights.
 
     postures : (K, m, n) [rad], each plan in the order of measurement;  positions : (K, m, d) [mm]
+    conditions : (K, m), None: those of that order
     `parameters` are not numbers and `converged` is False where a plan does not make all parameters estimable.
     Raises `InputError` for shapes that do not fit.
     """
@@ -164,7 +167,8 @@ def estimate_each(model: Model, postures: ArrayLike, positions: ArrayLike) -> Ba
     count, m, _ = plans.shape
     parameters, rss, status = _empty(count, model)
     for part in _chunks(count, m):
-        problem = Problem(model, plans[part], sessions(plans[part], model.remembers), measured[part], np.ones(m))
+        own = sessions(plans[part], model.remembers) if conditions is None else conditions.rows(part)
+        problem = Problem(model, plans[part], own, measured[part], np.ones(m))
         jacobians = model.jacobian(problem.postures, problem.start, problem.conditions)
         estimable = np.flatnonzero(full_rank(jacobians, model.scales))
         if estimable.size:
@@ -183,10 +187,10 @@ def _check_plans(model: Model, plans: Array, measured: Array) -> None:
 
 
 def sessions(postures: Array, remembers: bool = False) -> Conditions:
-    """Conditions (K, m) of plans (K, m, n) that are measured in their order, as `Measurements.conditions` of each.
+    """Conditions (..., m) of plans (..., m, n) that are measured in their order, as `Measurements.conditions` of each.
 
     remembers : with the past of the joints, which takes time
     """
-    time = np.broadcast_to(session_time(np.arange(postures.shape[1], dtype=float)), postures.shape[:2])
+    time = np.broadcast_to(session_time(np.arange(postures.shape[-2], dtype=float)), postures.shape[:-1])
     past = past_from_order(postures) if remembers else None
     return Conditions(time=time, directions=directions_from_order(postures), past=past)

@@ -13,11 +13,10 @@ import numpy as np
 from doe.jobs.row_table import Row
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
-from doe.studies.monte_carlo.spatial import fitted_model, in_api_units, true_values
+from doe.studies.monte_carlo.spatial import fitted_model, in_api_units, plan_of, points, rows_of, true_values
 from identification.arrays import Array
 from identification.errors import JobError
 from identification.estimation import estimate_batch, estimate_each
-from identification.estimation.batch import sessions
 from identification.files.arm import arm_from_tables
 from identification.information import covariance, covariances
 from identification.kinematics.parameters import JOINT_OFFSET
@@ -27,6 +26,7 @@ from identification.model import Model
 
 Z_95 = 1.959963984540054  # two-sided 95 % of the normal distribution
 CHUNK = 20_000  # rows of random plans at a time: their arrays stay in the processor's cache
+SPACE = 3  # coordinates of a point
 MOST_ROWS = 4_000_000  # of one plan at a time: 64 MB of positions
 
 
@@ -63,8 +63,12 @@ class Cell:
     def plan(self) -> Measurements:
         """The plan as measurements without positions: postures and the conditions of their order."""
         assert self.postures_deg is not None
-        postures = in_api_units(np.array(self.postures_deg), self.model.joint_types)
-        return Measurements(postures, np.zeros((self.runs, self.model.dimension)))
+        return plan_of(self.true_model, in_api_units(np.array(self.postures_deg), self.model.joint_types))
+
+    @property
+    def rows(self) -> int:
+        """m times the number of measured points."""
+        return self.runs * points(self.model)
 
     @cached_property
     def exact(self) -> Array:
@@ -112,7 +116,7 @@ def prepared(cell: Cell) -> Cell:
 def check_equations(cell: Cell) -> None:
     """Raise `JobError` where the runs are too few for the unknowns."""
     unknowns = len(cell.model.names)
-    if (equations := cell.model.dimension * cell.runs) < unknowns:
+    if (equations := cell.model.dimension * cell.rows) < unknowns:
         raise JobError(f"{cell.runs} runs are {equations} equations, allowed: at least {unknowns}, one per unknown")
 
 
@@ -127,7 +131,7 @@ def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | st
     generator = np.random.default_rng(seed)
     shared = cell.postures_deg is not None
     fit, count = _one_plan if shared else _new_plans, key["replications"]
-    size = max(1, (MOST_ROWS if shared else CHUNK) // cell.runs)
+    size = max(1, (MOST_ROWS if shared else CHUNK) // cell.rows)
     parts = [fit(cell, generator, min(size, count - start)) for start in range(0, count, size)]
     return _rows(cell, joined(parts, shared))
 
@@ -157,7 +161,7 @@ def joined(parts: Sequence[Fits], shared: bool) -> Fits:
 
 def _one_plan(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
     """Data sets on the cell's plan."""
-    positions = cell.sigma * generator.standard_normal((count, cell.runs, cell.model.dimension))
+    positions = cell.sigma * generator.standard_normal((count, cell.rows, cell.model.dimension))
     positions += cell.exact
     found = estimate_batch(cell.model, cell.plan, positions)
     parameters = np.where(found.converged[:, None], found.parameters, np.nan)
@@ -168,9 +172,10 @@ def _new_plans(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
     """Data sets each on a new plan, uniform over the allowed postures."""
     model = cell.model
     postures = random_postures(cell.problem, count * cell.runs, generator).reshape(count, cell.runs, -1)
-    noise = cell.sigma * generator.standard_normal((count, cell.runs, cell.model.dimension))
-    conditions = sessions(postures)
-    found = estimate_each(model, postures, cell.true_model.position(postures, conditions=conditions) + noise)
+    noise = cell.sigma * generator.standard_normal((count, cell.rows, cell.model.dimension))
+    postures, conditions = rows_of(cell.true_model, postures, model.remembers)
+    positions = cell.true_model.position(postures, conditions=conditions) + noise
+    found = estimate_each(model, postures, positions, conditions)
     jacobians = model.jacobian(postures, cell.true_values, conditions)
     return Fits(found.parameters, found.rss, cell.deviations(covariances(jacobians, model.scales, cell.sigma)))
 
@@ -184,7 +189,8 @@ def _rows(cell: Cell, fits: Fits) -> list[Row]:
     turns = [*parameters.indices(JOINT_OFFSET).tolist(), *range(len(parameters), len(cell.transform))]
     errors[:, turns] = (errors[:, turns] + np.pi) % (2.0 * np.pi) - np.pi  # known up to a whole turn
     stds = fits.expected_std if len(fits.expected_std) == 1 else fits.expected_std[good]
-    rms = float(np.sqrt(np.mean(fits.rss[good]) / cell.runs)) if len(errors) else None
+    distances = cell.model.dimension <= SPACE  # the residuals of orientations are none
+    rms = float(np.sqrt(np.mean(fits.rss[good]) / cell.rows)) if len(errors) and distances else None
     fit = {"fits": len(errors), "failed": int(np.sum(~good)), "rms_mm": rms}
     return [
         {"parameter": name, "unit": unit, **fit, **_figures(errors[:, k] * factor, stds[:, k] * factor)}

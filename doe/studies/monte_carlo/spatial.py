@@ -1,7 +1,8 @@
 """Spatial arms in a study: which parameters are fitted, and their values equivalent to the simulated errors.
 
 A spatial arm's errors can be distinguished only in part. A minimal set of them is fitted, without a prior, and compared
-with the values of this set that put the measured point where all of the simulated errors together do.
+with the values of this set that put the measured points where all of the simulated errors together do. Every measured
+point, or frame, is measured at every posture.
 """
 
 from __future__ import annotations
@@ -13,24 +14,50 @@ import numpy as np
 from doe.problem.spatial import with_points, without_prior
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.errors import InputError
 from identification.estimation import estimate_batch
+from identification.estimation.batch import sessions
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
+from identification.measurements import Conditions, Measurements
 from identification.model import Model
 
 POSTURES = 100  # where both geometries are compared: three equations each for some forty parameters
 
 
 def simulated(arm: Arm) -> Arm:
-    """The arm with its measured point in place; a planar arm as it is. Raises `InputError` for several points and for
-    measured orientations."""
-    if (chain := arm.chain) is None:
-        return arm
-    if len(chain.tools) > 1:
-        raise InputError(f"tool: arm {arm.name} has {len(chain.tools)} measured points, allowed of a study: one")
-    if chain.angle_scale is not None:
-        raise InputError(f"sigma_deg: arm {arm.name} measures orientations, allowed of a study: positions")
-    return replace(arm, chain=with_points(chain))
+    """The arm with its measured points in place; a planar arm as it is."""
+    return arm if arm.chain is None else replace(arm, chain=with_points(arm.chain))
+
+
+def points(model: Model) -> int:
+    """Number of measured points, each a row at every posture."""
+    return 1 if model.arm.chain is None else len(model.arm.chain.tools)
+
+
+def rows_of(truth: Model, postures: Array, remembers: bool = False) -> tuple[Array, Conditions]:
+    """(..., m P, n) a posture for each row of plans (..., m, n), and conditions of the rows in their order, with the
+    orientations of the true arm.
+
+    remembers : with the past of the joints
+    """
+    count = points(truth)
+    rows = np.repeat(postures, count, axis=-2)
+    conditions = sessions(rows, remembers or truth.remembers)
+    if count > 1:
+        conditions = replace(conditions, marker=np.broadcast_to(np.arange(rows.shape[-2]) % count, rows.shape[:-1]))
+    if truth.arm.chain is None or truth.arm.chain.angle_scale is None:
+        return rows, conditions
+    return rows, replace(conditions, orientation=truth.orientations(rows, conditions))
+
+
+def plan_of(truth: Model, postures: Array) -> Measurements:
+    """A plan (m, n) as measurements without positions: rows of `rows_of`."""
+    rows, conditions = rows_of(truth, postures)
+    chain, named = truth.arm.chain, {}
+    if chain is not None and conditions.marker is not None:
+        names = tuple(chain.tools)
+        named = {"marker": np.array(names)[conditions.marker], "marker_names": names}
+    zeros = np.zeros((len(rows), truth.dimension))
+    return Measurements(rows, zeros, orientations=conditions.orientation, **named)
 
 
 def fitted_model(arm: Arm) -> Model:
@@ -45,7 +72,8 @@ def true_values(model: Model, truth: Model) -> Array:
     if model.arm.chain is not None:
         drawn, real = (Model(replace(each.arm, effects=())) for each in (model, truth))
         postures = np.random.default_rng(0).uniform(model.arm.lower, model.arm.upper, (POSTURES, model.joints))
-        found = estimate_batch(drawn, postures, real.position(postures)[None])
+        plan = plan_of(real, postures)
+        found = estimate_batch(drawn, plan, real.position(plan.postures, conditions=plan.conditions)[None])
         values |= drawn.parameters.mapping(found.parameters[0])
     return model.parameters.vector(values)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from doe.plan.plan import Plan
 from doe.solvers import SOLVERS
-from doe.studies.monte_carlo.spatial import fitted_model, simulated
+from doe.studies.monte_carlo.spatial import fitted_model, points, simulated
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import readonly
 from identification.effects import library
@@ -148,9 +148,10 @@ class Study:
         """Some cell must have as many equations as unknowns; the others are rows that say why there is nothing."""
         sizes = [size for plan in self.plans for size in (self.runs if isinstance(plan, str) else [len(plan[1])])]
         fitted = [fitted_model(entry.of(arm)) for arm in self.arms for entry in self.models]
-        fewest = min(fitted, key=lambda model: len(model.names) / model.dimension, default=None)
-        if sizes and fewest and fewest.dimension * max(sizes) < (unknowns := len(fewest.names)):
-            allowed = f"at least {-(-unknowns // fewest.dimension)} for {unknowns} parameters"
+        found = [(len(model.names), model.dimension * points(model)) for model in fitted]
+        unknowns, each = min(found, key=lambda pair: pair[0] / pair[1], default=(0, 1))
+        if sizes and each * max(sizes) < unknowns:
+            allowed = f"at least {-(-unknowns // each)} for {unknowns} parameters"
             raise InputError(f"runs: found {max(sizes)}, allowed: {allowed}")
 
     @property

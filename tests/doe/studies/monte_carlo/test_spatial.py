@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ import pytest
 from doe.plan.plan import Plan
 from doe.studies.monte_carlo import Fitted, Study, Truth, load_study, run_study
 from doe.studies.monte_carlo.spatial import fitted_model, in_api_units, in_file_units, true_values
-from identification.arm import Arm, EffectSpec
+from identification.arm import Arm, Calibration, EffectSpec
 from identification.errors import InputError
 from identification.files.arm_text import dump_arm
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.measurements import Conditions
 from identification.model import Model
 
 ROWS = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)]
@@ -82,11 +84,46 @@ def test_a_study_file_with_values(tmp_path: Path) -> None:
         assert sentence in str(error.value)
 
 
-def test_what_a_study_cannot_simulate_is_one_line() -> None:
-    with pytest.raises(InputError, match="2 measured points, allowed of a study: one"):
-        Study([Arm.of_chain(replace(CHAIN, tools={"a": np.ones(3), "b": np.zeros(3)}), sigma=0.1)], ["random"], [9])
-    with pytest.raises(InputError, match="measures orientations, allowed of a study: positions"):
-        Study([Arm.of_chain(replace(CHAIN, angle_scale=100.0), sigma=0.1)], ["random"], [9])
+SEVERAL = {"tools": {"a": np.array([40.0, 30.0, 20.0]), "b": np.array([-50.0, 10.0, 60.0])}}
+POSES = {"angle_scale": 100.0}
+
+
+@pytest.mark.parametrize("measured", [SEVERAL, SEVERAL | POSES])
+def test_every_point_and_frame_is_measured_at_every_posture(measured: dict[str, Any]) -> None:
+    """Expected deviations from (sum of J^T J)^-1 with J by central differences of the model's own positions and turned
+    axes; the fits scatter by as much, and the intervals hold."""
+    chain = replace(CHAIN, **measured)
+    arm = Arm.of_chain(chain, sigma=0.05, name="elbow")
+    study = Study([arm], [("plan", Plan(PLAN.postures[:8])), "random"], [9], (), [MACHINED], replications=200)
+    cells = run_study(study, seed=4).cells
+    model, count = fitted_model(arm), len(chain.tools)
+    values = true_values(model, Model(MACHINED.of(study.arms[0])))
+    q, marker = np.repeat(PLAN.postures[:8], count, axis=0), Conditions(marker=np.arange(8 * count) % count)
+    if chain.angle_scale is not None:
+        known = Calibration(dict(zip(model.names, values.tolist(), strict=True)))
+        real = Model(replace(model.arm, calibration=known))
+        marker = replace(marker, orientation=real.orientations(q, marker))
+    steps = 1e-4 * np.diag(1.0 / model.scales)
+    moved = [model.position(q, values + step, marker) - model.position(q, values - step, marker) for step in steps]
+    at = np.array(moved).reshape(len(values), -1) / 2e-4 * model.scales[:, None]
+    expected = 0.05 * np.sqrt(np.diag(np.linalg.inv(at @ at.T)))
+    rows = cells.filter(cells["plan"] == "plan")
+    factors = [p.to_file for p in model.parameters]
+    np.testing.assert_allclose(rows["expected_std"], expected * factors, rtol=1e-4)
+    for plan in ("plan", "random"):
+        rows = cells.filter(cells["plan"] == plan)
+        assert rows["failed"].to_list() == [0] * len(model.names)
+        spread = 5.0 / np.sqrt(2.0 * 200)  # five standard errors of a standard deviation
+        if plan == "plan":
+            np.testing.assert_allclose(rows["std"], rows["expected_std"], rtol=spread)
+            assert np.abs(rows["mean_error"] / rows["expected_std"]).max() < 5.0 / np.sqrt(200)
+        assert rows["coverage"].mean() == pytest.approx(0.95, abs=0.02)
+        assert rows["rms_mm"].is_null().all() == (chain.angle_scale is not None)
+
+
+def test_several_points_make_up_for_few_postures() -> None:
+    with pytest.raises(InputError, match="runs: found 2, allowed: at least"):
+        Study([Arm.of_chain(replace(CHAIN, **SEVERAL), sigma=0.1)], ["random"], [2])
 
 
 def test_units_of_sliding_joints() -> None:
