@@ -134,7 +134,7 @@ def pooled(blocks: pl.DataFrame) -> pl.DataFrame:
     mean = (pl.col("mean_error") * pl.col("fits")).sum() / n
     about = pl.col("squares").sum() + (pl.col("fits") * (pl.col("mean_error") - mean) ** 2).sum()
     std = (about / (n - 1)).sqrt()
-    squares = (pl.col("rms_mm") ** 2 * pl.col("fits")).sum()
+    of_fits = (pl.col("rms_mm") ** 2 * pl.col("fits")).sum()
     expected = ((pl.col("expected_std") ** 2 * pl.col("fits")).sum() / n).sqrt()
     some = pl.col("status") == "done"
     return blocks.group_by(*CELL, "inputs", "parameter", "unit", maintain_order=True).agg(
@@ -147,9 +147,7 @@ def pooled(blocks: pl.DataFrame) -> pl.DataFrame:
         pl.when((n > 1) & (pl.col("plan").first() != RANDOM)).then(std / (2.0 * (n - 1)).sqrt()).alias("std_se"),
         pl.when(n > 0).then(expected).alias("expected_std"),
         pl.when(n > 0).then(pl.col("covered").sum() / n).alias("coverage"),
-        pl.when(pl.col("rms_mm").is_not_null().any())
-        .then(((pl.col("rms_mm") ** 2 * pl.col("fits")).sum() / n).sqrt())
-        .alias("rms_mm"),
+        pl.when(pl.col("rms_mm").is_not_null().any()).then((of_fits / n).sqrt()).alias("rms_mm"),
         pl.when(some.all()).then(pl.lit("done")).otherwise(pl.lit("failed")).alias("status"),
         pl.col("error").cast(pl.String).drop_nulls().first().alias("error"),
     )

@@ -22,6 +22,7 @@ from doe.studies.monte_carlo.replications import Cell
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
 from identification.estimation import BatchFit, estimate_each
+from identification.measurements import Conditions
 from identification.model import Model
 from identification.workspace import WorkspaceBox
 
@@ -178,9 +179,9 @@ def test_plans_keep_to_the_constraints(monkeypatch: pytest.MonkeyPatch) -> None:
     boxed = replace(ARM, constraints=(WorkspaceBox((-800.0, 800.0), (0.0, 800.0)),), name="boxed")
     seen = []
 
-    def spy(model: Model, postures: np.ndarray, measured: np.ndarray) -> BatchFit:
+    def spy(model: Model, postures: np.ndarray, measured: np.ndarray, conditions: Conditions) -> BatchFit:
         seen.append(postures)
-        return estimate_each(model, postures, measured)
+        return estimate_each(model, postures, measured, conditions)
 
     monkeypatch.setattr("doe.studies.monte_carlo.replications.estimate_each", spy)
     found = run_study(Study([boxed], ["random", "dft"], [8], truths=[PAPER], replications=300)).cells
