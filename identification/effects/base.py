@@ -35,7 +35,8 @@ class Effect:
     per_joint : `required`, `optional` or `none`: whether the effect is given for a single joint
     first_joint : lowest joint (from 1) that can have it
     needs : what the arm or the data must have: gravity, directions, temperature, time, session, past
-    family : class of effects that are rivals for the same physical cause (`diagnose` may merge them)
+    family : class of effects that are rivals for the same physical cause (`diagnose` may merge them); by default
+        that of the base class, or the name
     through : kind of effects that it modifies, by what they need: `gravity`; without such effects it does nothing
     settings : numbers that are chosen, not estimated; a pair (low, high) means all whole numbers in between. In
         formulas `self.chosen[name]` is the number, or a CasADi symbol when all values are tried at once
@@ -74,6 +75,9 @@ class Effect:
     tabulated: ClassVar[bool] = False
     dimensions: ClassVar[tuple[int, ...]] = (2, 3)
     curve: ErrorCurve | None = None
+
+    def __init_subclass__(cls) -> None:
+        cls.family = cls.family or getattr(cls, "name", "")
 
     def __init__(
         self,

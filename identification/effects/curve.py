@@ -16,7 +16,6 @@ class JointErrorCurve(Effect):
     name = "joint_error_curve"
     summary = "smooth error over the angles measured, as a table"
     per_joint = "required"
-    family = "joint_error_curve"
     tabulated = True
 
     def define(self) -> tuple[Parameter, ...]:

@@ -14,7 +14,6 @@ class AxesSkew(Effect):
 
     name = "axes_skew"
     summary = "instrument axes of unequal scale or not square"
-    family = "axes_skew"
     dimensions = (2,)
 
     def define(self) -> tuple[Parameter, ...]:

@@ -63,7 +63,6 @@ class EncoderEccentricity(_Harmonic):
 
     name = "encoder_eccentricity"
     summary = "encoder disc off centre, once per turn"
-    family = "encoder_eccentricity"
     typical = 5e-4
 
     def order(self) -> float | ca.SX:
@@ -76,7 +75,6 @@ class EncoderSecondHarmonic(_Harmonic):
 
     name = "encoder_second_harmonic"
     summary = "encoder disc tilted or oval, twice per turn"
-    family = "encoder_second_harmonic"
     typical = 2e-4
 
     def order(self) -> float | ca.SX:
@@ -102,7 +100,6 @@ class TransmissionRipple(_Harmonic):
 
     name = "transmission_ripple"
     summary = "gear ripple, k times per turn"
-    family = "transmission_ripple"
     typical = 1e-4
     settings = MappingProxyType({"k": Setting(0.25, 2000.0, ripple_orders)})
 
@@ -116,7 +113,6 @@ class GearRatio(JointAngle):
 
     name = "gear_ratio"
     summary = "gear ratio in the controller is wrong"
-    family = "gear_ratio"
     number = ("e", "1", 1e-4)
 
     def shape(self, chain: Chain) -> ca.SX:
@@ -130,7 +126,6 @@ class JointCoupling(JointAngle):
     name = "joint_coupling"
     summary = "the joint before turns this one a little"
     first_joint = 2
-    family = "joint_coupling"
     number = ("c", "1", 1e-4)
 
     def shape(self, chain: Chain) -> ca.SX:
@@ -144,7 +139,6 @@ class Backlash(JointAngle):
     name = "backlash"
     summary = "gear play, by direction of approach"
     needs = frozenset({"directions"})
-    family = "backlash"
     number = ("b", "rad", 1.5e-4)
 
     def shape(self, chain: Chain) -> ca.SX:
@@ -173,7 +167,6 @@ class ServoError(Effect):
     name = "servo_error"
     summary = "controller leaves the joint beside its command"
     per_joint = "required"
-    family = "servo_error"
     of_commands = True
 
     def define(self) -> tuple[Parameter, ...]:

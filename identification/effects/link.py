@@ -54,7 +54,6 @@ class ThermalGrowth(Effect):
     name = "thermal_growth"
     summary = "links grow with temperature"
     needs = frozenset({"temperature"})
-    family = "thermal_growth"
 
     def define(self) -> tuple[Parameter, ...]:
         return (self.parameter("a", "1/K", scale=self.reach, typical=2e-5),)

@@ -25,7 +25,6 @@ class BaseOffset(Effect):
     name = "base_offset"
     summary = "base not at the origin of the measurements"
     dimensions = (2,)  # in space the base is part of the geometry
-    family = "base_offset"
 
     def define(self) -> tuple[Parameter, ...]:
         return tuple(self.parameter(short, "mm", scale=1.0, typical=1.0) for short in ("x0", "y0"))
@@ -42,7 +41,6 @@ class BaseDrift(Effect):
     summary = "base or tracker creeps during the session"
     needs = frozenset({"time"})
     once = True
-    family = "base_drift"
 
     def define(self) -> tuple[Parameter, ...]:
         shorts = ("vx", "vy", "vz")[: self.dimension]
@@ -60,7 +58,6 @@ class BaseRotationDrift(Effect):
     summary = "base or tracker turns during the session"
     needs = frozenset({"time"})
     once = True
-    family = "base_rotation_drift"
 
     def define(self) -> tuple[Parameter, ...]:
         shorts = rotations("w", self.dimension)
@@ -83,7 +80,6 @@ class SessionBase(Effect):
     name = "session_base"
     summary = "arm or instrument set up anew for each session"
     needs = frozenset({"session"})
-    family = "session_base"
     settings = MappingProxyType({"sessions": (2, MAX_SESSIONS)})
     nuisance = True
 

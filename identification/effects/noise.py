@@ -46,7 +46,6 @@ class JointNoise(NoiseEffect):
     name = "joint_noise"
     summary = "joint does not come to rest at the same angle"
     per_joint = "required"
-    family = "joint_noise"
 
     def define(self) -> tuple[Parameter, ...]:
         return (self.parameter("std", "rad", scale=self.link_length, lower=0.0, typical=5e-5),)
@@ -62,7 +61,6 @@ class ReachNoise(NoiseEffect):
 
     name = "reach_noise"
     summary = "scatter grows with the distance from the base"
-    family = "reach_noise"
 
     def define(self) -> tuple[Parameter, ...]:
         return (self.parameter("g", "1", scale=1.0, lower=0.0, typical=1.0),)
@@ -78,7 +76,6 @@ class TimeNoise(NoiseEffect):
 
     name = "time_noise"
     summary = "scatter changes during the session"
-    family = "time_noise"
 
     def define(self) -> tuple[Parameter, ...]:
         return (self.parameter("g", "1", scale=1.0, typical=0.5),)
@@ -94,7 +91,6 @@ class Outliers(NoiseEffect):
 
     name = "outliers"
     summary = "some rows are far off"
-    family = "outliers"
 
     def define(self) -> tuple[Parameter, ...]:
         return (
@@ -124,7 +120,6 @@ class SerialCorrelation(NoiseEffect):
 
     name = "serial_correlation"
     summary = "serially correlated errors"
-    family = "serial_correlation"
 
     def define(self) -> tuple[Parameter, ...]:
         return (self.parameter("rho", "1", scale=1.0, lower=-0.99, upper=0.99, typical=0.5),)

@@ -34,7 +34,6 @@ class ThermalTransient(_Rare):
     summary = "links grow exponentially while the arm warms up"
     per_joint = "optional"
     needs = frozenset({"time"})
-    family = "thermal_transient"
     settings = MappingProxyType({"tau": Setting(0.001, 10.0, TIME_CONSTANTS)})
 
     def define(self) -> tuple[Parameter, ...]:
@@ -66,7 +65,6 @@ class JointStep(_Step, JointAngle):
 
     name = "joint_step"
     summary = "zero of a joint jumps during the session"
-    family = "joint_step"
     number = ("b", "rad", 2e-4)
 
     def shape(self, chain: Chain) -> ca.SX:
@@ -80,7 +78,6 @@ class LinkStep(_Step):
     name = "link_step"
     summary = "link is longer after a remounting"
     per_joint = "required"
-    family = "link_step"
 
     def define(self) -> tuple[Parameter, ...]:
         return (self.parameter("d", "mm", scale=1.0, typical=0.1),)
@@ -98,7 +95,6 @@ class BaseStep(_Step):
 
     name = "base_step"
     summary = "base or tracker jumps during the session"
-    family = "base_step"
     settings = MappingProxyType({"at": STEP, "side": Setting(-1, 1, (-1.0, 1.0), whole=True)})
 
     def define(self) -> tuple[Parameter, ...]:
@@ -121,7 +117,6 @@ class PayloadError(_Load):
 
     name = "payload_error"
     summary = "payload is not what the file says"
-    family = "payload_error"
 
     def define(self) -> tuple[Parameter, ...]:
         return (self.parameter("d", "kg", scale=1.0, typical=0.5),)
@@ -173,7 +168,6 @@ class GravityTilt(_Load):
 
     name = "gravity_tilt"
     summary = "base leans against gravity"
-    family = "gravity_tilt"
 
     def define(self) -> tuple[Parameter, ...]:
         shorts = ("angle",) if self.dimension == 2 else ("x", "y")
@@ -196,7 +190,6 @@ class AxisTilt(_Rare):
     summary = "axis leans out of the plane"
     per_joint = "required"
     first_joint = 2
-    family = "axis_tilt"
     dimensions = (2,)  # in space the geometry has it
 
     def define(self) -> tuple[Parameter, ...]:
@@ -243,7 +236,6 @@ class JointHysteresis(_Rare, JointAngle):
     name = "joint_hysteresis"
     summary = "friction winds the gear up, with a memory of earlier motions"
     needs = frozenset({"past"})
-    family = "joint_hysteresis"
     number = ("b", "rad", 1.5e-4)
     settings = MappingProxyType({"width_deg": Setting(0.01, 1000.0, hysteresis_widths)})
 

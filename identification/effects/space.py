@@ -47,7 +47,6 @@ class AxisRunout(Effect):
     name = "axis_runout"
     summary = "axis runs out of true once per turn"
     per_joint = "required"
-    family = "axis_runout"
     prior = RARE
     dimensions = (3,)
 

@@ -1,6 +1,8 @@
-"""From measurements to parameters with their uncertainty: `estimate` is the only entry point for one data set,
-`estimate_batch` for many data sets on one plan, `estimate_each` for many with a plan of its own each, and
-`without_outliers` repeats any fit until it explains every row that is left."""
+"""From measurements to parameters with their uncertainty, for one data set or for many.
+
+`estimate` is the only entry point for one data set, `estimate_batch` for many data sets on one plan, `estimate_each`
+for many with a plan of its own each, and `without_outliers` repeats any fit until it explains every row that is left.
+"""
 
 from identification.estimation.batch import BatchFit, estimate_batch, estimate_each
 from identification.estimation.estimate import estimate

@@ -1,6 +1,6 @@
-"""Many data sets at once, on one plan (`estimate_batch`: Monte Carlo studies, bootstraps, fleets of one arm) or each on
-a plan of its own (`estimate_each`: the average over random plans).
+"""Fit many data sets at once: on one plan (`estimate_batch`), or each on its own plan (`estimate_each`).
 
+The first serves Monte Carlo studies, bootstraps and fleets of one arm, the second averages over random plans.
 A model with a closed form takes a few multiplications per fit. Any other starts there and goes on with
 `levenberg_marquardt`; on one plan, steps by matrices that are made once come first (`chord`).
 """

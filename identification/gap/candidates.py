@@ -58,7 +58,7 @@ def candidate_of(found: Fit, added: int, test: tuple[float, float], sure: Uncert
     return Candidate(
         tuple(effect.label for effect in effects),
         specs[len(specs) - added :],
-        tuple(sorted({effect.family or effect.name for effect in effects})),
+        tuple(sorted({effect.family for effect in effects})),
         delta,
         *test,
         estimates(found, sure, {p.name for effect in effects for p in effect.parameters}),

@@ -66,11 +66,6 @@ class Hypothesis:
         """The key with the scanned setting: `transmission_ripple:2[k=6]`."""
         return f"{self.key}[equal]" if self.tied else self.effect.label
 
-    @property
-    def family(self) -> str:
-        """The class in which it is merged with similar effects."""
-        return self.effect.family or self.effect.name
-
     @cached_property
     def size(self) -> int:
         """Number of parameters."""
@@ -239,10 +234,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
     available -= FOLLOWING if rows is not None and not rows.conditions.follow else set()
     available |= set() if arm.gravity is None else {"gravity"}
     known = of_dimension(arm.dimension)
-    shown = {
-        name: cls for name, cls in known.items() if not (cls.alias or cls.scatter or cls.nuisance or cls.of_commands)
-    }
-    shown = {name: cls for name, cls in shown.items() if not cls.tabulated}
+    shown = {name: cls for name, cls in known.items() if _testable(cls)}
     own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths, arm.dimension)}
     unseen = frozenset[int]() if rows is None else unseen_joints(Model(arm), rows)
     members: list[Hypothesis] = []
@@ -256,7 +248,8 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
             if joint in unseen and cls.joint_angles is not Effect.joint_angles:
                 skipped[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
-            found = [h for h in _with_settings(cls, spec, _scope(arm, joint, rows)) if h.effect.label not in own]
+            scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
+            found = [h for h in _with_settings(cls, spec, scope) if h.effect.label not in own]
             members += found
             if not found:
                 skipped[spec.key] = "already in the arm's model"
@@ -279,14 +272,15 @@ def unseen_joints(model: Model, rows: Rows) -> frozenset[int]:
     return frozenset((np.flatnonzero(sliding | (sizes < UNSEEN * model.reach)) + 1).tolist())
 
 
+def _testable(cls: type[Effect]) -> bool:
+    """Whether an effect acts on the mean, is a fault of the arm, and can be distinguished from the base parameters."""
+    return not (cls.alias or cls.scatter or cls.nuisance or cls.of_commands or cls.tabulated)
+
+
 def _joints(cls: type[Effect], links: int) -> list[int | None]:
     each: list[int | None] = list(range(cls.first_joint, links + 1))
     by_kind: dict[str, list[int | None]] = {"none": [None], "required": each, "optional": [None, *each]}
     return by_kind[cls.per_joint]
-
-
-def _scope(arm: Arm, joint: int | None, rows: Rows | None) -> Scope:
-    return Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
 
 
 def _with_settings(cls: type[Effect], spec: EffectSpec, scope: Scope) -> list[Hypothesis]:

@@ -135,7 +135,7 @@ def score(truth: pl.DataFrame, found: pl.DataFrame) -> BlindStudy:
     failures = sum(int((frame["status"] != "done").sum()) for frame in (truth, found))
     hidden = {(row["cell"], row["set"]): row for row in truth.iter_rows(named=True) if row["status"] == "done"}
     done = [row for row in found.iter_rows(named=True) if row["status"] == "done"]
-    families = {name: cls.family or name for name, cls in library().items()}
+    families = {name: cls.family for name, cls in library().items()}
     sets = [
         scored_set({**row, **hidden[place]}, families) for row in done if (place := (row["cell"], row["set"])) in hidden
     ]

@@ -121,7 +121,7 @@ def test_quantiles_of_the_intervals() -> None:
         np.testing.assert_allclose(found.intervals.mean(axis=1), found.parameters, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("count", [300, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [150, pytest.param(2000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("m", [10, 20])
 def test_intervals_cover_95_percent(m: int, count: int) -> None:
     """Many data sets, sigma known and estimated; lengths and joint offsets."""

@@ -17,10 +17,10 @@ from tests.identification.estimation.test_batch import EFFECTS
 
 
 def data(model: Model, postures: np.ndarray) -> np.ndarray:
-    """(K, m, 2) measurements, simulated plan by plan."""
+    """(K, m, 2) measurements of all plans."""
     generator = np.random.default_rng(6)
-    exact = [model.position(q, truth(model), Measurements(q, np.zeros((len(q), 2))).conditions) for q in postures]
-    return np.array(exact) + SIGMA * generator.standard_normal((*postures.shape[:2], 2))
+    exact = model.position(postures, truth(model), sessions(postures))
+    return exact + SIGMA * generator.standard_normal(exact.shape)
 
 
 @pytest.mark.parametrize("name", EFFECTS)
