@@ -26,13 +26,23 @@ EFFECTS = (
     'name = "base_drift"',
     'name = "joint_step"\njoint = 1\nat = 0.5',
     'name = "joint_error_curve"\njoint = 1\nfrom_deg = -20.0\nto_deg = 20.0\nvalues_deg = [0.1, 0.0, 0.1, 0.2]',
+    'name = "joint_error_curve"\njoint = 1\nfrom_deg = -90.0\nto_deg = 90.0\nvalues_deg = [0.1, 0.0, 0.1, 0.2]\n'
+    'geometry = {"joint_offset:1" = 0.01, "joint_offset:2" = -0.2}',
     'name = "serial_correlation"\nrho = 0.5',
     'name = "joint_hysteresis"\njoint = 2',
 )
 OF_GRAVITY = ('name = "joint_compliance"', 'name = "tool_mass"', 'name = "gravity_tilt"', 'name = "payload_error"')
 OF_PLANAR = ('name = "base_offset"', 'name = "axis_tilt"\njoint = 1', 'name = "axes_skew"')
+OF_PAYLOAD = ('name = "payload_place"', 'name = "payload_place"\nx_mm = 50.0\ny_mm = 0.0\nz_mm = -1e9')
 OF_SPATIAL = ('name = "axis_runout"\njoint = 1', 'name = "bearing_compliance"\njoint = 1')
-ODD = ('name = "none_such"', 'name = "session_base"\nsessions = 2', 'name = "link_bending"', *OF_GRAVITY, *OF_PLANAR)
+ODD = (
+    'name = "none_such"',
+    'name = "session_base"\nsessions = 2',
+    'name = "link_bending"',
+    *OF_GRAVITY,
+    *OF_PAYLOAD,
+    *OF_PLANAR,
+)
 
 
 @dataclass(frozen=True)
@@ -150,6 +160,7 @@ def _effects(draw: st.DrawFn, more: tuple[str, ...]) -> list[str]:
 
 # -- in space ----------------------------------------------------------------------------------------------------------
 TOOLS = "[tool.1]\nz_mm = 60.0\n[tool.2]\ny_mm = "  # two measured points
+LOAD = "\npayload_at_mm = [10.0, 0.0, 80.0]\npayload_kg = 5"
 ELBOW = ((0.0, 90.0, 400.0), (-600.0, 0.0, 0.0), (-500.0, 0.0, 0.0), (0.0, 90.0, 150.0), (0.0, -90.0, 120.0))
 
 
@@ -191,8 +202,11 @@ def _spatial_tables(draw: st.DrawFn, n: int) -> list[str]:
     gravity = draw(st.sampled_from(range(3))) == 0
     if gravity:
         parts.append(f"[gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\nlink_masses_kg = {numbers(np.ones(n))}")
+        parts[-1] += draw(
+            st.sampled_from(("", "\npayload_kg = 5.0", "\npayload_at_mm = [0, 0, 80]", LOAD, f"{LOAD}e300"))
+        )
     parts += _constraints(draw, 1500.0, 3)
-    parts += _effects(draw, OF_SPATIAL + (OF_GRAVITY if gravity else ()))
+    parts += _effects(draw, OF_SPATIAL + (OF_GRAVITY + OF_PAYLOAD if gravity else ()))
     if n > 1 and not one_in(draw, 3):
         name = "base.x" if one_in(draw, 12) else f"translation_x:{n}"  # the base may be known
         parts.append('[calibration]\nvalues = {"' + name + '" = 0.5}')
