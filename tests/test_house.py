@@ -288,3 +288,23 @@ def test_every_module_has_a_test() -> None:
             wrong.append(f"{place}: {tables.get(row, 'no row')}")
     assert not wrong, "no test of its name, and none in 'Which test covers what' that exists and imports it"
     assert named <= set(tables) == named, f"rows for nothing: {sorted(set(tables) - named)}"
+
+
+def modules_listed(package: str) -> dict[str, set[str]]:
+    """Folder -> modules, from the table "Modules" of a package's README; several rows may be of one folder."""
+    section = (ROOT / package / "README.md").read_text().split("\n## Modules\n")[1].split("\n## ")[0]
+    found: dict[str, set[str]] = {}
+    for line in section.splitlines():
+        if line.startswith("| `"):
+            folder, _, names = line.strip("|").split("|")
+            found.setdefault(folder.strip(" `"), set()).update(re.findall(r"`([^`]+)`", names))
+    return found
+
+
+@pytest.mark.parametrize("package", ["doe", "identification"])
+def test_the_readme_of_a_package_lists_its_modules(package: str) -> None:
+    there: dict[str, set[str]] = {}
+    for path in modules():
+        if not path.name.startswith("__") and path.relative_to(ROOT).parts[0] == package:
+            there.setdefault(f"{path.relative_to(ROOT).parent}/", set()).add(path.stem)
+    assert modules_listed(package) == there, "add the module to the table 'Modules' of the package's README"
