@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import combinations, product
 
 import numpy as np
@@ -19,6 +19,7 @@ from identification.arrays import Array
 from identification.data_checks import CLEARLY
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC
 from identification.kinematics.placement import placed
+from identification.kinematics.spatial import SpatialChain
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.placed import frames_of_tip, placed_model, some
@@ -131,9 +132,14 @@ def read_differently(arm: Arm, measurements: Measurements) -> Readings:
     """Look for another way to read the columns that explains the positions clearly better (`CLEARLY`).
 
     Tried are zeros, of one joint at any angle, signs, pairs of swapped columns, zeros off by quarter turns, and a
-    mirrored frame. With few rows nothing is tried.
+    mirrored frame. With few rows nothing is tried. Where a spatial arm stands and what is measured on it are fitted.
     """
-    rows = _some(measurements)
+    chain = None if arm.chain is None else SpatialChain(arm.chain.joints, arm.chain.end)
+    return _read_differently(replace(arm, chain=chain), _some(measurements))
+
+
+@lru_cache(maxsize=2)  # a fit asks before it begins, and again when it has placed the arm
+def _read_differently(arm: Arm, rows: Measurements) -> Readings:
     left, n = _distance(arm, rows), arm.links
     written = replace(Reading.as_written(n), rms=left(Reading.as_written(n)))
     if _few(arm, rows):
@@ -153,7 +159,7 @@ def read_differently(arm: Arm, measurements: Measurements) -> Readings:
     if CLEARLY * best.rms >= written.rms:
         return Readings(written, None)
     if arm.chain is None:
-        return Readings(written, replace(best, turn=_turn(arm, rows, best)))
+        return Readings(written, replace(best, turn=float(np.angle(np.vdot(*_in_plane(arm, rows, best))))))
     flips = (replace(flip, rms=left(flip)) for flip in _flips(replace(written, rms=0.0), arm))
     half_turn = best.changes == 1 and 2.0 in best.quarters
     return Readings(written, best, tuple(r for r in flips if half_turn and r.rms <= ALIKE * best.rms))
@@ -290,9 +296,3 @@ def _in_plane(arm: Arm, rows: Measurements, reading: Reading) -> tuple[NDArray[n
     tip = np.exp(1j * np.cumsum(reading.postures(rows.postures), axis=1)) @ arm.lengths
     measured = reading.positions(rows.positions) @ np.array([1.0, 1.0j])
     return tip - tip.mean(), measured - measured.mean()
-
-
-def _turn(arm: Arm, rows: Measurements, reading: Reading) -> float:
-    """Angle [rad] of the base in the frame of the positions as they are read."""
-    tip, measured = _in_plane(arm, rows, reading)
-    return float(np.angle(np.vdot(tip, measured)))
