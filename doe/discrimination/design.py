@@ -33,6 +33,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.gap.detectability import Detectability
 from identification.information import covariance, information_matrix
+from identification.kinematics.parameters import REVOLUTE
 from identification.progress import Progress, silent
 from identification.status import Status
 
@@ -90,8 +91,6 @@ def discrimination_design(
     freedom are needed). Ctrl-C returns the plan so far, status `interrupted`.
     """
     check_input(problem, loss)
-    if isinstance(effects, Arm) and effects.chain is not None:
-        raise InputError(f"discriminating: arm {effects.name} is spatial, allowed: a planar arm; --robust suits both")
     began = perf_counter()
     library = effects if isinstance(effects, EffectLibrary) else effect_library(effects)
     if runs > LONG_PLAN and starts is None and seconds is None:
@@ -207,7 +206,8 @@ def theory_plans(problem: DesignProblem, runs: int, generator: np.random.Generat
 
 def turning(problem: DesignProblem) -> NDArray[np.bool_]:
     """(n,) joints that turn all the way round."""
-    return np.asarray(problem.upper - problem.lower >= TURN * (1.0 - 1e-9))
+    revolute = np.array(problem.model.joint_types) == REVOLUTE
+    return revolute & (problem.upper - problem.lower >= TURN * (1.0 - 1e-9))
 
 
 def narrow(problem: DesignProblem) -> bool:
@@ -225,7 +225,8 @@ def off_the_limits(problem: DesignProblem, postures: Array, least: float, genera
     low, high = problem.lower[joints], problem.upper[joints]
     for size in MOVES:
         for _ in range(TRIES):
-            angle = postures[:, joints] + generator.uniform(-size, size, (len(postures), len(joints)))
+            step = size * problem.joint_units[joints]
+            angle = postures[:, joints] + generator.uniform(-step, step, (len(postures), len(joints)))
             moved = np.array(postures)
             moved[:, joints] = np.clip(high - np.abs(high - (low + np.abs(angle - low))), low, high)
             if feasible_value(problem, moved) >= least:

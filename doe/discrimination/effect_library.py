@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doe.problem.problem import InformationModel
+from doe.problem.spatial import whole, without_prior
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import BY_ORDER
@@ -41,8 +42,10 @@ class EffectLibrary:
 def effect_library(arm: Arm) -> EffectLibrary:
     """The effects of the library that an arm can have, besides its own; without the rare ones.
 
-    An effect that acts at every joint alike has one size for all of them: that is what is seen first.
+    An effect that acts at every joint alike has one size for all of them: that is what is seen first. A spatial arm has
+    a minimal set of parameters, as tests for effects see it.
     """
+    arm = without_prior(arm)
     known = hypotheses(arm, frozenset())
     common = [h for h in known.members if not h.scanned and h.effect.prior == 1.0 and known.acts(h)]
     shown = [h for h in common if not h.effect.needs & BY_ORDER]
@@ -53,7 +56,7 @@ def effect_library(arm: Arm) -> EffectLibrary:
     ordered = [h.spec for h in common if h.effect.needs & BY_ORDER and not h.tied]
     return EffectLibrary(
         own,
-        model,
+        whole(model),
         tuple(basis_of(model, own, hypothesis) for hypothesis in rivals),
         np.array([hypothesis.weight for hypothesis in rivals]),
         by_order(Model(arm.with_effects(*arm.effects, *ordered))),
@@ -76,6 +79,8 @@ def by_order(model: Model) -> Callable[[Array], Array]:
         time = session_time(np.arange(len(postures), dtype=float))
         past = past_from_order(postures) if model.remembers else None
         conditions = Conditions(time=time, directions=directions_from_order(postures), past=past)
-        return model.jacobian(postures, conditions=conditions) / model.scales
+        points = 1 if model.arm.chain is None else len(model.arm.chain.tools)
+        each = (replace(conditions, marker=np.full(len(postures), k)) for k in range(points))
+        return np.concatenate([model.jacobian(postures, conditions=at) for at in each], axis=1) / model.scales
 
     return jacobian

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -31,7 +33,13 @@ def left_of(target: np.ndarray, others: np.ndarray) -> float:
     return float(np.linalg.norm(target - others @ np.linalg.lstsq(others, target, rcond=None)[0]))
 
 
-def brute_force(plan: np.ndarray, reference: np.ndarray) -> float:
+def brute_force(
+    plan: np.ndarray,
+    reference: np.ndarray,
+    bases: Sequence[np.ndarray] = BASES,
+    weights: np.ndarray = WEIGHTS,
+    own: int = OWN,
+) -> float:
     """Every direction of every effect against nothing and every other effect, by least squares."""
     root = np.sqrt(0.5)
     mixes = {1: [[1.0]], 2: [[1, 0], [0, 1], [root, root], [root, -root]]}
@@ -42,18 +50,22 @@ def brute_force(plan: np.ndarray, reference: np.ndarray) -> float:
             mix[[i, j]] = root, sign * root
             mixes[3].append(mix)
     total = weight_sum = 0.0
-    for h, basis in enumerate(BASES):
-        directions = [basis @ np.array(mix) for mix in mixes[basis.shape[1]]]
+    drawn = [[basis @ np.array(mix) for mix in mixes[basis.shape[1]]] for basis in bases]
+    # what random postures do not show beside the base model is no rival
+    lengths = [[left_of(reference[:, own:] @ v, reference[:, :own]) for v in each] for each in drawn]
+    sizes = [[1e-5 * np.linalg.norm(reference[:, own:] @ v) for v in each] for each in drawn]
+    shown = [[v for v, x, y in zip(*each, strict=True) if x > y] for each in zip(drawn, lengths, sizes, strict=True)]
+    for h, directions in enumerate(shown):
         for v in directions:
             # LAMBDA long with as many random runs as the plan has
-            length = left_of(reference[:, OWN:] @ v, reference[:, :OWN]) * np.sqrt(len(plan) / len(reference))
-            column = plan[:, OWN:] @ v * (LAMBDA / length)
-            distances = [left_of(column, plan[:, :OWN])]
-            for g, rival in enumerate(BASES):
-                if g != h:
-                    distances.append(left_of(column, np.hstack([plan[:, :OWN], plan[:, OWN:] @ rival])))
-            total += WEIGHTS[h] / len(directions) * norm.cdf(-np.array(distances) / 2.0).sum()
-            weight_sum += WEIGHTS[h] / len(directions)
+            length = left_of(reference[:, own:] @ v, reference[:, :own]) * np.sqrt(len(plan) / len(reference))
+            column = plan[:, own:] @ v * (LAMBDA / length)
+            distances = [left_of(column, plan[:, :own])]
+            for g, rival in enumerate(bases):
+                if g != h and shown[g]:
+                    distances.append(left_of(column, np.hstack([plan[:, :own], plan[:, own:] @ rival])))
+            total += weights[h] / len(directions) * norm.cdf(-np.array(distances) / 2.0).sum()
+            weight_sum += weights[h] / len(directions)
     return total / weight_sum
 
 
