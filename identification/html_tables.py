@@ -6,13 +6,31 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 LONG = 24  # characters, from which a cell is text that may be broken
+PHONE = 42  # characters of a row, a space on both sides of each cell, that a phone shows
 
 
 def html_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Headings and rows of ready text."""
-    head = "".join(f'<th scope="col">{escape(heading)}</th>' for heading in headings)
-    body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>\n" for row in rows)
-    return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>"
+    """Headings and rows of ready text; of class `wide` where a phone shows the cells of a row below each other, each
+    beside its heading."""
+    lines = [list(row) for row in rows]
+    wide = ' class="wide"' if len(headings) > 2 and width(headings, lines) > PHONE else ""
+    kinds = [' class="text"' if any(len(row[k]) > LONG for row in lines) else "" for k in range(len(headings))]
+    pairs = [(kind, escape(heading)) for kind, heading in zip(kinds, headings, strict=True)]
+    head = "".join(f'<th scope="col"{kind}>{heading}</th>' for kind, heading in pairs)
+    kinds = [f'{kind} data-heading="{heading}"' if wide else kind for kind, heading in pairs]
+    body = "".join(f"<tr>{''.join(map(_cell, row, kinds))}</tr>\n" for row in lines)
+    return f"<table{wide}>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>"
+
+
+def width(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
+    """Characters that a row needs: of words where a cell may be broken, which headings, first cells and texts may."""
+    found = 0
+    for k, heading in enumerate(headings):
+        cells = [row[k] for row in rows]
+        firm = [] if k == 0 else [len(cell) for cell in cells if len(cell) <= LONG]
+        words = [len(word) for text in (heading, *cells) for word in text.split()]
+        found += 2 + max([*firm, *words], default=0)
+    return found
 
 
 def html_lines(lines: Iterable[str], *, strong: bool = False) -> str:
@@ -21,5 +39,5 @@ def html_lines(lines: Iterable[str], *, strong: bool = False) -> str:
     return "".join(f"<p>{line}</p>\n" for line in text)
 
 
-def _cell(text: str) -> str:
-    return f'<td class="text">{escape(text)}</td>' if len(text) > LONG else f"<td>{escape(text)}</td>"
+def _cell(text: str, kind: str) -> str:
+    return f"<td{kind}>{escape(text)}</td>"

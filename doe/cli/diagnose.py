@@ -57,6 +57,7 @@ def command(
     """
     from doe.report.gap_sections import gap_page
     from doe.report.gap_tables import diagnosis_tables
+    from doe.report.verdict import diagnosis_actions, next_steps
     from identification.files.arm import load_arm
     from identification.gap.curve import curves_text
     from identification.gap.diagnose import diagnose
@@ -75,6 +76,7 @@ def command(
         named = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
         page = gap_page(found, measurements, origin(session.seed, named)) if report else ""
         answer.shown += write(found, arm, output, {curves: curves_text(found.curves), report: page})
+        answer.shown += next_steps(diagnosis_actions(answer.data, str(arm), " ".join(map(str, data))))
     except InputError as error:  # the diagnosis is shown all the same
         say(str(error))
         answer.exit_code = error.exit_code

@@ -95,10 +95,14 @@ def alias_figure(detectability: Detectability) -> Figure:
 
 def curves_figure(diagnosis: Diagnosis) -> Figure:
     """Error curves with 95 % bands, and residuals that the curve explains, as angles: their mean in groups of rows."""
-    figure = Figure(figsize=(10.0, 2.2 * len(diagnosis.curves)), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(len(diagnosis.curves), 1))
+    count = len(diagnosis.curves)
+    columns = min(count, 2)  # a phone shows columns below each other, and one that is narrow as it is
+    figure = Figure(figsize=(5.0 * columns + (columns == 1), 2.2 * -(-count // columns)), layout="constrained")
+    axes = figure.subplots(-(-count // columns), columns, squeeze=False).ravel()
     seen, half = curve_residuals(diagnosis), quantile_95(min(diagnosis.named.freedom, default=np.inf))
-    for axis, curve in zip(axes, diagnosis.curves, strict=True):
+    for axis in axes[count:]:
+        axis.set_visible(False)
+    for axis, curve in zip(axes, diagnosis.curves, strict=False):
         angles, error, band = np.degrees([curve.angles, curve.error, half * curve.std])
         axis.plot(*seen[curve.key], ".", color=LIMIT, ms=3, label="rows, in groups")
         axis.fill_between(angles, error - band, error + band, color=AFTER, alpha=0.25, lw=0, label="95 %")

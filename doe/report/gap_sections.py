@@ -17,6 +17,7 @@ from doe.report.gap_tables import (
     gap_sheet,
     probability_sheet,
     replication_sheet,
+    round_sheet,
     tests_of,
     trial_sheet,
 )
@@ -102,8 +103,9 @@ def further_sections(data: Data, figures: Sequence[Figure] = ()) -> list[Section
     return [
         Section(
             "Everything that was tried",
-            "How likely each explanation is, and the strongest effects one at a time against the base model.",
-            [probability_sheet(data), trial_sheet(data)],
+            "How likely each explanation is, the strongest effects one at a time against the base model, and in which "
+            "rounds the search came to its result.",
+            [probability_sheet(data), trial_sheet(data), round_sheet(data)],
             folded=True,
         ),
         Section(
@@ -188,8 +190,7 @@ def gap_sections(diagnosis: Diagnosis, nominal: float | None = None) -> Sequence
     from doe.report.gap_figures import against_figure, alias_figure, curves_figure, workspace_figure
 
     data, arm = diagnosis.to_json(), diagnosis.extended_arm()
-    fitted, freedom = diagnosis.named.calibration, min(diagnosis.named.freedom, default=np.inf)
-    rows = corrected_values(arm, fitted, [freedom] * len(fitted.parameter_names))
+    rows = corrected_values(arm, diagnosis.named.calibration)
     distances = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
     return [
         missing_section(data),

@@ -10,12 +10,13 @@ from rich.table import Table
 from rich.text import Text
 
 from doe.report.page import Sheet
-from doe.report.terminal import number, significant, table
+from doe.report.terminal import estimate, number, table
 from identification.gap.detectability import Size
 from identification.gap.result import Diagnosis
 from identification.gap.summary import findings, headline
 
 MOST_TRIALS = 12
+MOST_ROUNDS = 5  # of naming in a terminal
 LEFT = ("unit", "change")  # columns of words
 ANSWERS = {True: "yes", False: "no", None: "too few rows"}
 
@@ -47,8 +48,8 @@ def estimate_sheet(candidate: Data) -> Sheet:
     rows = []
     for found in candidate["parameters"]:
         owner, _, short = found["name"].rpartition(".")
-        figures = (significant(found[key], found["std"]) for key in ("value", "low_95", "high_95"))
         unit = "" if found["unit"] == "1" else found["unit"]
+        figures = (estimate(found[key], found["std"], unit) for key in ("value", "low_95", "high_95"))
         rows.append([f"{labels.get(owner, owner)}.{short}", *figures, unit])
     return Sheet(["parameter", "value", "low 95 %", "high 95 %", "unit"], rows)
 
@@ -136,12 +137,21 @@ def curve_sheet(data: Data) -> Sheet:
     return Sheet(["curve", "angles [deg]", "RMS [deg]", "std [deg]"], rows)
 
 
-def round_sheet(diagnosis: Diagnosis) -> Sheet:
+def round_sheet(data: Data) -> Sheet:
     """What each round of naming added (+) and took back (-), and the gap that it left."""
-    changes = ([*(f"+ {n}" for n in one.added), *(f"- {n}" for n in one.removed)] for one in diagnosis.rounds)
-    rows = zip(changes, diagnosis.rounds, strict=True)
-    shown = [[str(k), "\n".join(change), number(one.rms)] for k, (change, one) in enumerate(rows, start=1)]
-    return Sheet(["round", "change", "left [mm]"], shown)
+    changes = ([*(f"+ {n}" for n in one["added"]), *(f"- {n}" for n in one["removed"])] for one in data["rounds"])
+    rows = zip(changes, data["rounds"], strict=True)
+    shown = [[f"round {k}", "\n".join(change), number(one["rms_mm"])] for k, (change, one) in enumerate(rows, start=1)]
+    return Sheet(["", "change", "left [mm]"], shown)
+
+
+def history(data: Data) -> list[Any]:
+    """How the search came to its result: a table where it is short, else where to find it."""
+    rounds = data["rounds"]
+    if len(rounds) <= MOST_ROUNDS:
+        return [as_table(round_sheet(data), "Named in rounds")] if len(rounds) > 1 else []
+    steps = f"{number(data['gap']['rms_before_mm'])} -> {number(rounds[-1]['rms_mm'])} mm"
+    return [f"Named in {len(rounds)} rounds ({steps}); the page of --report and --json list them."]
 
 
 def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
@@ -152,8 +162,7 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     shown += [Text(str(test)) for test in diagnosis.tests if test.confirmed is False]
     shown += effect_tables(diagnosis, data) if diagnosis.effects else [as_table(excluded_sheet(data))]
     shown.append(Text(diagnosis.likely))
-    if len(diagnosis.rounds) > 1:
-        shown.append(as_table(round_sheet(diagnosis), "Named in rounds"))
+    shown += history(data)
     shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
     if diagnosis.outlier_rows:
         shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))

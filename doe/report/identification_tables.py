@@ -10,15 +10,13 @@ from rich.table import Table
 from rich.text import Text
 
 from doe.report.page import Sheet
-from doe.report.terminal import NARROW, facts, number, significant, table
+from doe.report.terminal import NARROW, estimate, facts, number, table
 from identification.compensate import Compensation
 from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
 from identification.estimation.shown import in_words
 from identification.kinematics.parameters import REVOLUTE
 from identification.servo import ServoError
-
-FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
 
 
 def identification_tables(found: Identification, hidden: frozenset[str] = frozenset()) -> list[Any]:
@@ -64,11 +62,17 @@ def compared(found: Identification) -> str:
 
 def corrected_sheet(rows: Sequence[CorrectedValue]) -> Sheet:
     """The values to enter in the controller: nominal and corrected, with intervals."""
-    keys = ("nominal", "corrected", "std", "low_95", "high_95")
+    keys, rows = ("nominal", "corrected", "std", "low_95", "high_95"), [row for row in rows if not as_drawn(row)]
     names = [f"{row.name} *" if row.held_by_prior else row.name for row in rows]
-    figures = ([_cell(getattr(row, key), row) for key in keys] for row in rows)
+    figures = ([estimate(getattr(row, key), row.std, row.unit) for key in keys] for row in rows)
     cells = [[name, *values, row.unit] for name, values, row in zip(names, figures, rows, strict=True)]
     return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells)
+
+
+def as_drawn(row: CorrectedValue) -> bool:
+    """Whether a value and its interval are the drawing's to the last digit shown."""
+    figures = (row.nominal, row.corrected, row.low_95, row.high_95)
+    return row.unit in ("mm", "deg") and None not in figures and len({f"{figure:z.5f}" for figure in figures}) == 1
 
 
 def corrected_table(rows: Sequence[CorrectedValue]) -> Table:
@@ -76,17 +80,6 @@ def corrected_table(rows: Sequence[CorrectedValue]) -> Table:
     sheet, style = corrected_sheet(rows), NARROW | {"padding": 0}  # 80 columns
     left, figures = ("", "unit"), sheet.headings[1:]
     return table(sheet.headings, sheet.rows, "Corrected values", left=left, no_wrap=figures, **style)
-
-
-def _cell(value: float | None, row: CorrectedValue) -> str:
-    """Three significant digits of the standard deviation, five decimals at most."""
-    if value == 0.0:
-        return "0"
-    if row.std is None:
-        return number(value)
-    if row.std < FINEST and row.unit not in ("mm", "deg"):
-        return "-" if value is None else f"{value:.3g}"
-    return significant(value, max(row.std, FINEST))
 
 
 def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:

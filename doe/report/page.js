@@ -89,8 +89,9 @@ class Steps {
     this.button(more, "Download the edited plan (CSV)", () => this.download());
     this.button(more, "Undo all", () => { this.reset(); this.show(); });
     this.runs.addEventListener("keydown", event => this.key(event));
-    const table = element("table", this.runs), row = element("tr", element("thead", table));
-    for (const name of ["place", "run", ...this.plan.joints, "without it", ""]) element("th", row, name, { scope: "col" });
+    const table = element("table", this.runs, "", { class: "wide" }), row = element("tr", element("thead", table));
+    this.headings = ["place", "run", ...this.plan.joints, "without it", ""];
+    for (const name of this.headings) element("th", row, name, { scope: "col" });
     this.body = element("tbody", table);
   }
 
@@ -182,10 +183,8 @@ class Steps {
       row.className = (struck ? "struck" : "") + (place === this.at ? " current" : "");
       if (place === this.at) row.setAttribute("aria-current", "true");
       row.addEventListener("click", () => { this.at = place; this.show(); });
-      element("td", row, String(place + 1));
-      element("td", row, String(run + 1));
-      for (const angle of this.plan.postures[run]) element("td", row, angle.toFixed(2));
-      element("td", row, struck ? "" : without(run));
+      const figures = [place + 1, run + 1, ...this.plan.postures[run].map(angle => angle.toFixed(2)), struck ? "" : without(run)];
+      figures.forEach((figure, k) => element("td", row, String(figure), { "data-heading": this.headings[k] }));
       const cell = element("td", row);
       for (const [text, name, action] of [
         ["↑", "up", () => this.move(place, -1)],

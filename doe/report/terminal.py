@@ -11,6 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
 NARROW: dict[str, Any] = {"box": SIMPLE_HEAD, "padding": (0, 0, 0, 1)}  # style of tables with many columns
 
 
@@ -27,6 +28,18 @@ def significant(value: float | None, std: float | None) -> str:
         return f"{value:.5g}"
     digits = int(np.clip(2 - np.floor(np.log10(abs(std))), 0, 12))
     return f"{value:z.{digits}f}" if abs(value) < 1e6 else f"{value:.5g}"
+
+
+def estimate(value: float | None, std: float | None, unit: str) -> str:
+    """A parameter or a limit of its interval: three significant digits of the standard deviation, in mm and deg no more
+    than five decimals."""
+    if value == 0.0:
+        return "0"
+    if not std:
+        return number(value)
+    if std < FINEST and unit not in ("mm", "deg"):
+        return "-" if value is None else f"{value:.3g}"
+    return significant(value, max(std, FINEST))
 
 
 def table(

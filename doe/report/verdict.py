@@ -9,9 +9,15 @@ from doe.report.gap_tables import is_described
 from doe.report.page import Action
 from doe.report.terminal import number
 from identification.effects import library
+from identification.gap.summary import of_joints
 
 Data = Mapping[str, Any]
 MOST = 4  # kinds of effects that a verdict spells out
+
+
+def next_steps(actions: Sequence[Action]) -> list[str]:
+    """The same for a terminal: a line each."""
+    return [f"next: {action.text} {action.command}".strip() for action in actions]
 
 
 def in_words(labels: Sequence[str]) -> str:
@@ -20,10 +26,18 @@ def in_words(labels: Sequence[str]) -> str:
     for label in labels:
         kinds.setdefault(label.partition("[")[0].partition(":")[0], []).append(label)
     said = [
-        f"{library()[kind].summary} ({', '.join(these)})" if kind in library() else ", ".join(these)
+        f"{library()[kind].summary} ({listed(kind, these)})" if kind in library() else listed(kind, these)
         for kind, these in kinds.items()
     ]
     return "; ".join(said[:MOST]) + (f"; and {len(said) - MOST} more" if len(said) > MOST else "")
+
+
+def listed(kind: str, labels: Sequence[str]) -> str:
+    """`backlash:1, backlash:4`; of many joints `backlash of joints 1 to 5`."""
+    joints = [label.removeprefix(f"{kind}:") for label in labels]
+    if len(labels) > 2 and all(joint.isdigit() for joint in joints):
+        return f"{kind} of {of_joints(sorted(map(int, joints)))}"
+    return ", ".join(labels)
 
 
 # -- armcal diagnose ---------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ import numpy as np
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
-from identification.estimation.intervals import quantile_95
+from identification.estimation.intervals import freedom_of, quantile_95
 from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE, Parameter
 from identification.kinematics.spatial import SpatialChain
@@ -81,14 +81,14 @@ class _Quantity(NamedTuple):
 def corrected_values(
     arm: Arm,
     found: Calibration | None = None,
-    freedom: Collection[float] = (),
+    freedom: Collection[float] | None = None,
     unknown: Collection[str] = (),
     known: Array | None = None,
 ) -> tuple[CorrectedValue, ...]:
     """What was estimated or differs from the drawing: geometry, then effects.
 
     found : None: the arm's own calibration
-    freedom : degrees of freedom of the variances of `found.parameter_names`; empty: infinite, these are known
+    freedom : degrees of freedom of the variances of `found.parameter_names`; None: as its provenance says
     unknown : names of parameters that are not estimable
     known : (p, r) factor of the covariance of `found.parameter_names` before the measurements, 0 where there is none;
         None: that of the arm's machining, where all that it says something of was estimated
@@ -97,7 +97,7 @@ def corrected_values(
     values = {**model.fixed, **found.values}
     names = {*found.parameter_names, *unknown}
     geometry = _planar(arm, values) if arm.chain is None else _spatial(arm.chain, values, names)
-    spread = np.full(len(found.parameter_names), np.inf) if len(freedom) == 0 else np.array([*freedom])
+    spread = freedom_of(found) if freedom is None else np.array([*freedom], dtype=float)
     prior = model.prior if {*model.prior} <= {*found.parameter_names} else {}
     before = np.diag([prior.get(name, 0.0) for name in found.parameter_names]) if known is None else known
     rows = (_row(quantity, found, spread, unknown, before) for quantity in (*geometry, *_effects(model, values)))

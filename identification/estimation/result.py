@@ -17,7 +17,7 @@ from identification.data_frames import frame_of_rows
 from identification.estimation import shown
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.estimation.expected_tip import everywhere, expected_tip, hardly_determined
-from identification.estimation.intervals import limits_95
+from identification.estimation.intervals import freedom_kept, limits_95
 from identification.estimation.prior import Prior
 from identification.estimation.shown import in_words
 from identification.estimation.uncertainty import LEVEL, Uncertainty
@@ -204,7 +204,8 @@ class Identification:
         """What an arm file keeps of this: all of `parameters`, and the known values."""
         cov = self.covariance if np.all(np.isfinite(self.covariance)) else None
         figures = {k: v for k, v in self._summary().items() if v is not None and k not in _NOT_KEPT}
-        provenance = MappingProxyType({**self.provenance, **figures})
+        freedom = freedom_kept(self.names, self.uncertainty.freedom)
+        provenance = MappingProxyType({**self.provenance, **figures, **freedom})
         calibration = Calibration(self._everything, self.names, cov, provenance)
         if (geometry := self.geometry) is None:
             return calibration

@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 
 from identification.arm import Calibration
-from identification.estimation.intervals import limits_95
+from identification.estimation.intervals import freedom_kept, limits_95
 from identification.estimation.uncertainty import Uncertainty
 from identification.gap.candidate import Candidate, Estimate
 from identification.gap.certainty import certainty
@@ -55,6 +55,7 @@ def candidate_of(found: Fit, added: int, test: tuple[float, float], sure: Uncert
     own = len(found.model.effects) - added  # the arm's own come first
     effects, specs = found.model.effects[own:], found.model.arm.effects
     origin = {"source": "armcal diagnose", "joint_range_deg": joint_range(found.rows.postures)}
+    origin |= freedom_kept(found.model.names, sure.freedom)
     return Candidate(
         tuple(effect.label for effect in effects),
         specs[len(specs) - added :],

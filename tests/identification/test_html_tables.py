@@ -33,9 +33,20 @@ def test_cells_come_out_as_they_went_in() -> None:
 
 
 def test_long_cells_may_be_broken() -> None:
-    assert html_table(["h"], [["x" * 25]]).count('class="text"') == 1
+    assert html_table(["h"], [["x" * 25]]).count('class="text"') == 2  # with its heading
     assert 'class="text"' not in html_table(["h"], [["x" * 24]])
 
 
 def test_lines_are_paragraphs() -> None:
     assert html_lines(["1 < 2", "two"], strong=True) == "<p><b>1 &lt; 2</b></p>\n<p><b>two</b></p>\n"
+
+
+def test_rows_that_are_too_wide_for_a_phone_have_their_headings_in_each_cell() -> None:
+    """Six columns of 8 characters and their spaces are 60, three are 30; two columns always have room."""
+    wide, narrow = ["a" * 8] * 6, ["a" * 8] * 3
+    assert html_table(wide, [wide]).count('data-heading="aaaaaaaa"') == 6
+    assert html_table(wide, [wide]).startswith('<table class="wide">')
+    assert "data-heading" not in html_table(narrow, [narrow])
+    assert "data-heading" not in html_table(["a", "b"], [["x" * 90, "y" * 20]])
+    assert html_table(["<i>", "b", "c"], [["x" * 30, "1", "2"] * 1]).count('data-heading="&lt;i&gt;"') == 0
+    assert html_table(["<i>", "b", "c"], [["x" * 40, "1", "2"]]).count('data-heading="&lt;i&gt;"') == 1

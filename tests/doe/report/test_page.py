@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from doe.design import score
 from doe.plan.file import load_plan
 from doe.problem.problem import DesignProblem
+from doe.report.gap_tables import estimate_sheet
 from doe.report.page import Action, Section, Sheet, page, picture
 from identification.files.arm import load_arm
 from identification.model import Model
@@ -31,6 +32,8 @@ x_mm = 60.0
 y_mm = 40.0
 z_mm = 100.0
 """
+FIGURES = {"value": 0.0011111, "std": 1e-4, "low_95": -0.0012345, "high_95": 0.0023456, "unit": "deg"}
+RIPPLE = {"effects": ["transmission_ripple:2[k=17]"], "parameters": [{"name": "transmission_ripple:2.a", **FIGURES}]}
 ROWS = (
     (0.0, 90.0, 127.3),
     (-612.0, 0.0, 0.0),
@@ -61,6 +64,8 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Folder]:
         folder.write("six.csv", "\n".join(["run," + ",".join(f"q{j}_deg" for j in range(1, 7)), *lines]) + "\n")
         done = folder.armcal("report", "six.toml", "six.csv", "--out", "six.html")
         assert done.code == 0, done.err
+        sheets = [estimate_sheet(RIPPLE), Sheet(["", *"abcde"], [["held out: other postures", *["-1234.5678"] * 5]])]
+        folder.write("wide.html", page("Calibration report: arm", "Wide.", [Section("Tables", "", sheets)]))
         yield folder
 
 
@@ -83,7 +88,7 @@ def opened() -> Iterator[Any]:
         yield found
 
 
-@pytest.mark.parametrize("name", ["page", "six"])
+@pytest.mark.parametrize("name", ["page", "six", "wide"])
 def test_pages_work_in_a_browser(pages: Folder, opened: Any, name: str) -> None:
     address = (pages.path / f"{name}.html").as_uri()
     for width, scheme in ((1200, "dark"), (390, "light")):
@@ -94,6 +99,8 @@ def test_pages_work_in_a_browser(pages: Folder, opened: Any, name: str) -> None:
             "[document.documentElement.scrollWidth, innerWidth, getComputedStyle(document.body).backgroundColor]"
         )
         assert root[0] <= width == root[1]
+        inside = "[...document.querySelectorAll('.scroll')].every(one => one.scrollWidth <= one.clientWidth)"
+        assert seen.page.evaluate(inside)  # no table scrolls in its box
         dark = sum(map(int, root[2].strip("rgb()").split(","))) < 3 * 128
         assert dark == (scheme == "dark")
         seen.close(address)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.estimation import estimate, estimate_with_prior
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.estimation.prior import Prior
+from identification.files.arm import load_arm
+from identification.files.arm_text import dump_arm
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
@@ -166,3 +169,17 @@ def test_a_calibrated_file_marks_the_values_that_its_fit_marked() -> None:
     assert {*said.values()} == {True, False}
     part = replace(made.calibration, parameter_names=found.names[:20], covariance=found.covariance[:20, :20])
     assert not any(row.held_by_prior for row in corrected_values(replace(made, calibration=part)))
+
+
+@pytest.mark.parametrize("kind", ["given", "scatter", "sandwich"])
+def test_a_calibrated_file_has_the_intervals_of_its_fit(kind: str, tmp_path: Path) -> None:
+    """Whatever they rely on: Student's t of 12 rows is 12 % wider than the normal distribution."""
+    model, generator = Model(Arm([260.0, 180.0, 120.0], sigma=0.1)), np.random.default_rng(8)
+    q = generator.uniform(-2.0, 2.0, (8, 3))[np.arange(24) % 8]
+    bent = 0.4 * np.sin(3.0 * q[:, :2]) if kind == "sandwich" else 0.0
+    rows = Measurements(q, model.position(q) + bent + 0.1 * generator.standard_normal((24, 2)))
+    found = estimate(model, rows, sigma={"scatter": "estimated", "given": "given"}.get(kind))
+    assert found.uncertainty.kind == kind
+    (tmp_path / "arm.toml").write_text(dump_arm(found.calibrated_arm()))
+    for row, kept in zip(found.corrected_values, corrected_values(load_arm(tmp_path / "arm.toml")), strict=True):
+        assert (kept.low_95, kept.high_95) == pytest.approx((row.low_95, row.high_95), rel=1e-5, abs=1e-9)
