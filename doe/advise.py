@@ -170,7 +170,7 @@ def next_design(
         seed=seed,
         starts=FRESH if climbs(problem) and begin is not None else None,
         seconds=seconds,
-        bound=bound or Bound(np.inf, "continuous"),  # none is looked for
+        bound=bound or Bound(np.inf, "continuous"),  # none is computed
         begin=begin,
         accepted=accepted,
     )

@@ -24,7 +24,7 @@ from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.placed import frames_of_tip, placed_model, some
 
-ENOUGH = 200  # rows that are looked at: a wrong sign is seen in far fewer
+ENOUGH = 200  # rows that are used: a wrong sign shows in far fewer
 ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
 EQUATIONS = 4  # for each fitted number, below which anything may fit
 KEPT = 4  # effort: readings from which the next kind of change starts

@@ -52,8 +52,8 @@ def pooled(tables: Mapping[str, Measurements]) -> Measurements:
             found = f"found {part.links} joints and {part.dimension} coordinates"
             raise InputError(f"{name}: {found}, allowed: {first.links} and {first.dimension} as in the other data")
     given = frozenset.intersection(*(part.given for part in parts))
-    if lost := sorted(frozenset.union(*(part.given for part in parts)) - given):
-        warnings.warn(f"not in all of the data, and left out: {', '.join(lost)}", UserWarning, stacklevel=2)
+    if missing := sorted(frozenset.union(*(part.given for part in parts)) - given):
+        warnings.warn(f"not in all of the data, and left out: {', '.join(missing)}", UserWarning, stacklevel=2)
     columns = {name: [getattr(part, name) for part in parts] for name in ("postures", "positions", *given)}
     if "repeats" in given:
         columns["repeats"] = _apart(columns["repeats"])

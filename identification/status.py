@@ -15,7 +15,6 @@ class Status(Enum):
     time_limit = "The time budget ended; the best plan so far is returned. Raise --seconds to search on."
     interrupted = "Stopped by the user (Ctrl-C, SIGTERM); the best plan so far is returned."
     scored = "Plan supplied by the user: evaluated, not optimized."
-    analytic = "Constructed from theory, without a search."
     converged = "Converged."
     almost_solved = "Stopped near a solution at reduced accuracy; check the optimality gap before relying on it."
     iteration_limit = "The iteration limit was reached before convergence; look at the residuals."

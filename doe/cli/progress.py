@@ -80,16 +80,16 @@ class Lines:
 @contextmanager
 def lines(title: str, interval: float = INTERVAL) -> Iterator[Progress]:
     """Print a line every `interval` seconds, even while the job reports nothing."""
-    told, ended = Lines(title), threading.Event()
+    shown, ended = Lines(title), threading.Event()
 
     def speak() -> None:
         while not ended.wait(interval):
-            click.echo(told.text(), err=True)
+            click.echo(shown.text(), err=True)
 
     speaker = threading.Thread(target=speak, daemon=True)
     speaker.start()
     try:
-        yield told.tell
+        yield shown.tell
     finally:
         ended.set()
         speaker.join()

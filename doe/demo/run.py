@@ -41,7 +41,7 @@ class Scenario:
     real : postures (m, n) -> (m, d) positions without noise [mm], of an arm that the fits do not know
     hidden : parameter name -> value [file units]; what is not in it is zero
     every_parameter : the fit's parameters are those of `real`; False: only those of effects
-    runs : of the plan;  effort : how it is looked for, arguments of `solve`
+    runs : of the plan;  effort : of the search, arguments of `solve`
     """
 
     title: str

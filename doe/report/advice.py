@@ -82,7 +82,7 @@ def advice_tables(advice: Advice) -> list[Any]:
 
 
 def efficiency(design: Design) -> str:
-    """Its share of the bound, with a star where nothing better is worth looking for."""
+    """Its share of the bound, with a star where the bound shows that little can be gained."""
     found = number(design.efficiency, 5)
     return f"{found} *" if design.efficiency is not None and design.efficiency >= ENOUGH else f"{found}  "
 

@@ -62,8 +62,8 @@ def fitted_curve(q: Array, lever: Array, change: Array, narrowest: float = FINE)
     square = square + RIDGE * total  # rows of one angle tell no slope
     value = square * moved.sum(axis=1) - slope * np.sum(moved * away, axis=1)
     scale = total * square - slope**2
-    told = (nearest(q, grid, 1) < FAR * span) & (scale > 0.0)
-    return grid, np.divide(value, scale, out=np.full(POINTS, np.nan), where=told)
+    known = (nearest(q, grid, 1) < FAR * span) & (scale > 0.0)
+    return grid, np.divide(value, scale, out=np.full(POINTS, np.nan), where=known)
 
 
 def fitted_curves(postures: Array, levers: Array, change: Array, joints: Collection[int]) -> dict[int, Curve]:

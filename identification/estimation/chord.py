@@ -60,9 +60,9 @@ class Chord:
             done = (size <= GRADIENT_TOLERANCE * np.sqrt(cost) + rounding) & inside
             finished = index[done]
             squares[finished], stationary[finished] = cost[done], True
-            quick = size <= CONTRACTION * last
-            parameters[index[(quick | done) & inside]] = x[(quick | done) & inside]
-            going = ~done & quick
+            contracts = size <= CONTRACTION * last
+            parameters[index[(contracts | done) & inside]] = x[(contracts | done) & inside]
+            going = ~done & contracts
             if not going.any():
                 break
             index, last, rounding = index[going], size[going], rounding[going]

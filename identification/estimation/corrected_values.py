@@ -108,12 +108,12 @@ def _row(
     quantity: _Quantity, found: Calibration, freedom: Array, unknown: Collection[str], before: Array
 ) -> CorrectedValue:
     slope = np.array([quantity.derivatives.get(name, 0.0) for name in found.parameter_names])
-    lost, deviation = any(quantity.derivatives.get(name) for name in unknown), np.nan
-    if found.covariance is not None and slope.any() and not lost and quantity.determined:
+    undetermined, deviation = any(quantity.derivatives.get(name) for name in unknown), np.nan
+    if found.covariance is not None and slope.any() and not undetermined and quantity.determined:
         deviation = float(np.sqrt(max(slope @ found.covariance @ slope, 0.0)))
     half = float(quantile_95(freedom[slope != 0.0].min(initial=np.inf))) * deviation
     limits = np.clip([quantity.value - half, quantity.value + half], *quantity.bounds)
-    figures = [np.nan if lost else quantity.value, deviation, *limits]
+    figures = [np.nan if undetermined else quantity.value, deviation, *limits]
     value, std, low, high = (float(figure) if np.isfinite(figure) else None for figure in figures)
     own = quantity.name, quantity.parameter, quantity.nominal
     prior = _prior_std(slope, before)

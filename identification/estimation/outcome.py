@@ -21,7 +21,7 @@ from identification.measurements import Measurements
 from identification.sessions import placing
 from identification.status import Status
 
-CLEAR = 0.5  # of the limit: rows this near are looked at with their leverage, which is small where rows are many
+CLEAR = 0.5  # of the limit: rows this near are tested with their leverage, which is small where rows are many
 MANY = 20  # equations for each parameter
 
 

@@ -18,9 +18,7 @@ from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
 from identification.kinematics.parameters import ParameterSet
 
-SURE = (
-    1e-12  # of the largest eigenvalue of the correlations: combinations that were told better are held as well as this
-)
+SURE = 1e-12  # of the largest eigenvalue of the correlations: combinations known better are held as well as this
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,7 +43,7 @@ def table_rows(found: Identification) -> list[list[str]]:
 
 
 def remarks(found: Identification) -> list[str]:
-    """What cannot be told apart, sigma, intervals, errors before and after, and how the fit ended."""
+    """Parameters not distinguishable, sigma, intervals, errors before and after, and how the fit ended."""
     lines = [f"not identifiable: {combination}" for combination in found.not_identifiable]
     known = "given" if found.sigma_known else "estimated"
     sigma = "unknown" if found.sigma is None else f"{found.sigma:.4g} mm ({known})"

@@ -33,7 +33,7 @@ from identification.readings import placed_with_zeros
 from identification.status import Status
 from identification.threads import single_thread
 
-FIRST = 2  # steps before the noise is told again: the model is nearly linear
+FIRST = 2  # steps before the noise is estimated again: the model is nearly linear
 ROUNDS = 10  # of fit and noise: the model is nearly linear, so that the second changes little
 STEADY = 1e-4  # relative change of the noise, far below its own uncertainty
 SIZES = (0.0, *(2.0 ** (-k / 2.0) for k in range(16, -1, -1)))  # of all effects; the likelihood is flat over a step

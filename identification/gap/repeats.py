@@ -14,7 +14,7 @@ from identification.gap.posture_neighbors import FAR
 from identification.measurements import POINT, Measurements
 
 # reasons: identification/README.md, "Constants"
-FEWEST = 4  # degrees of freedom of a standard deviation worth printing
+FEWEST = 4  # degrees of freedom below which a standard deviation is not reported
 
 Groups = NDArray[np.int64]
 
@@ -133,7 +133,7 @@ def repeats_in_time(measurements: Measurements, kept: NDArray[np.bool_]) -> tupl
 def repeat_finding(
     residual: Array, rank: int, measurements: Measurements, kept: NDArray[np.bool_]
 ) -> tuple[Finding, ...]:
-    """F test of lack of fit against pure error, where postures were repeated: a fast ripple looks like noise, but it
+    """F test of lack of fit against pure error, where postures were repeated: a fast ripple resembles noise, but it
     repeats.
 
     F = (lack of fit / its degrees of freedom) / (scatter of the repeats about their means / its degrees of freedom),

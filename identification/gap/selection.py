@@ -20,7 +20,7 @@ ALPHA_FIRST, ALPHA_NEXT = 0.035, 0.005  # of 0.05 in all, screening and the test
 # effects can mask each other in single tests; several at once must be far beyond chance
 ALPHA_SEVERAL, ALPHA_CLEAR = 1e-5, 1e-20
 PATIENCE = 4  # effort: effects added without getting more significant before that ends
-LEAST_GAIN = 0.02  # of the sum of squares: what lowers the RMS by less than 1 % is not worth a round
+LEAST_GAIN = 0.02  # of the sum of squares: a round must lower the RMS by 1 % or more
 SPARE_AFTER = 10  # degrees of freedom that several effects must leave
 MARGIN, REFITS = 8.0, 6  # effort: rivals within this linear BIC, and as many at most, are refitted
 WINDOW = 6.0  # Delta BIC of the ambiguity set: odds of 20 to 1
