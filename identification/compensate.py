@@ -193,14 +193,18 @@ def compensate(
         raise InputError(f"orientations: {len(turned)} rows for {len(goals)} targets, allowed: as many")
     where = replace(conditions or Conditions(), orientation=turned)
     nominal = given if given is not None else _nominal_postures(nominal_arm, goals, where, constraints)
-    if where.directions is None and len(nominal):
-        where = replace(where, directions=directions_from_order(nominal), past=past_from_order(nominal))
-    return _compensation(arm, goals, nominal, where, constraints)
-
-
-def _compensation(arm: Arm, goals: Array, nominal: Array, where: Conditions, constraints: Constraints) -> Compensation:
-    """From nominal postures (k, n), under conditions with directions."""
     model = Model(arm)
+    if where.directions is None and len(nominal):
+        past = past_from_order(nominal) if model.remembers else None
+        where = replace(where, directions=directions_from_order(nominal), past=past)
+    return _compensation(model, goals, nominal, where, constraints)
+
+
+def _compensation(
+    model: Model, goals: Array, nominal: Array, where: Conditions, constraints: Constraints
+) -> Compensation:
+    """From nominal postures (k, n), under conditions with directions."""
+    arm = model.arm
     commands = reaching(model, goals, nominal, where, constraints)
     missed = violations(constraints, commands)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals

@@ -17,15 +17,17 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.kinematics.turns import turned_into
 from identification.measurements import Conditions
 from identification.model import Model
+from identification.newton_ascent import newton_ascent
 
 TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close; so near may a constraint be missed
 SEEDS = 32  # random postures per target where none is given, or where the nominal one leads nowhere
 MAX_ITERATIONS = 60
-QUICK = 20  # iterations at first: 99 of 100 seeds that reach a target have reached it, the others creep along limits
+QUICK = 20  # iterations at first: 99 of 100 seeds that reach a target have reached it, the others creep along limits,
+# and for a target out of reach damped least squares often end 1 % too far
 GLANCED, PROMISING = 256, 6  # random postures of a redundant arm, and how many of them are tried at first
 MISSED = 1e3  # a rank from which a target is not reached, or constraints are missed
 CHUNK = 1_000  # targets at a time, times SEEDS starts
-POLISHED = 12  # of the seeds, for a target out of reach: there damped least squares creep, and often end 1 % too far
+BEND = 1e-7  # [rad] of a joint, for second derivatives
 TURNED_AWAY = 4  # of the seeds that reach a target where the arm may not stand, led out of there
 INSIDE = 0.01  # [mm] how far inside its constraints such a posture is aimed at
 
@@ -80,8 +82,8 @@ def best_of_seeds(
     """(k, n) postures and (k,) errors: of the solutions that reach a goal the nearest to `near`, else the closest.
 
     At first a few steps are made, of a redundant arm from those seeds alone that promise to end near. Where no seed
-    reaches the goal, the best of them go on by a quasi-Newton method; where those that reach it miss a
-    constraint, by sequential quadratic programs.
+    reaches the goal, the best of them go on by Newton's method; where those that reach it miss a constraint, by
+    sequential quadratic programs.
     """
     arm, generator = model.arm, np.random.default_rng(0)  # the same postures for the same question
     seeds = generator.uniform(arm.lower, arm.upper, (GLANCED, arm.links))
@@ -96,13 +98,17 @@ def best_of_seeds(
         again = rank[:, 0] >= MISSED
         if not again.any():
             continue
-        rows = rows[again]
-        found, left, rank = _tried(model, goals, near, conditions, constraints, rows, every[again], MAX_ITERATIONS)
+        rows, found, left, rank = rows[again], found[again], left[again], rank[again]
+        if constraints or promising is not None:
+            most = MAX_ITERATIONS if constraints else QUICK
+            found, left, rank = _tried(model, goals, near, conditions, constraints, rows, every[again], most)
         postures[rows], errors[rows] = found[:, 0], left[:, 0]
-        for k, ordered in zip(rows[rank[:, 0] >= MISSED], found[rank[:, 0] >= MISSED], strict=True):
-            if errors[k] > TOLERANCE:
-                postures[k], errors[k] = _polished(model, goals[k], ordered, conditions, k)
-            elif constraints and arm.links > goals.shape[1]:  # a redundant arm has more than the seeds found
+        beyond = left[:, 0] > TOLERANCE
+        far = rows[beyond]
+        postures[far], errors[far] = _polished(model, goals[far], found[beyond], conditions.rows(far))
+        missed = ~beyond & (rank[:, 0] >= MISSED)
+        if arm.links > goals.shape[1]:  # a redundant arm has more than the seeds found
+            for k, ordered in zip(rows[missed], found[missed], strict=True):
                 postures[k], errors[k] = _turned_away(model, goals[k], ordered, conditions.rows([k]), constraints)
     return postures, errors
 
@@ -182,24 +188,36 @@ def _turned_away(
     return ends[best], float(left[best])
 
 
-def _polished(model: Model, goal: Array, starts: Array, conditions: Conditions, row: int) -> tuple[Array, float]:
-    """(n,) posture and error: the closest to a goal out of reach, within the limits; starts (s, n), best first."""
-    from scipy.optimize import Bounds, minimize  # only such targets pay for its import
+def _polished(model: Model, goals: Array, starts: Array, conditions: Conditions) -> tuple[Array, Array]:
+    """(k, n) postures and (k,) errors: the closest to goals (k, d) out of reach, within the limits; starts (k, s, n),
+    best first."""
+    linearize, arm, units = _linearization(model, conditions), model.arm, model.reach / _metric(model)
+    kinds = [_one_of_each_kind(ordered) for ordered in starts]
+    goal = np.repeat(np.arange(len(kinds)), [len(kind) for kind in kinds])
+    bends = np.concatenate([np.zeros((1, arm.links)), np.diag(BEND * units)])
 
-    linearize, rows = _linearization(model, conditions), np.array([row])
+    def height(q: Array, rows: Index) -> Array:
+        gap = linearize(q, goal[rows])[0] - goals[goal[rows]]
+        return -0.5 * np.sum(gap**2, axis=1)
 
-    def squared(q: Array) -> tuple[float, Array]:
-        position, jacobian = linearize(q[None], rows)
-        gap = position[0] - goal
-        return float(gap @ gap), 2.0 * gap @ jacobian[0]
+    def slopes(q: Array, rows: Index) -> tuple[Array, Array]:
+        bent = (q[:, None] + bends).reshape(-1, arm.links)
+        position, jacobian = linearize(bent, np.repeat(goal[rows], len(bends)))
+        gap = goals[goal[rows]] - position.reshape(len(q), len(bends), -1)[:, 0]
+        jacobian = jacobian.reshape(len(q), len(bends), *jacobian.shape[1:])
+        along = np.einsum("kd,kidn->kin", gap, jacobian)
+        bend = (along[:, 1:] - along[:, :1]) / (BEND * units[:, None])
+        return along[:, 0], 0.5 * (bend + np.swapaxes(bend, 1, 2)) - np.swapaxes(jacobian[:, 0], 1, 2) @ jacobian[:, 0]
 
-    _, first = np.unique(np.round(starts, 1), axis=0, return_index=True)  # one of each kind
-    starts = starts[np.sort(first)[:POLISHED]]
-    limits = Bounds(model.arm.lower, model.arm.upper)
-    options = {"maxiter": 300, "ftol": 1e-14, "gtol": 1e-9}
-    ends = [minimize(squared, start, jac=True, method="L-BFGS-B", bounds=limits, options=options) for start in starts]
-    best = min(ends, key=lambda end: float(end.fun))
-    return np.clip(best.x, model.arm.lower, model.arm.upper), float(np.sqrt(best.fun))
+    ends = newton_ascent(np.concatenate(kinds), height, slopes, (arm.lower, arm.upper), units)
+    order = np.lexsort((-height(ends, np.arange(len(ends))), goal))
+    best = order[np.unique(goal[order], return_index=True)[1]]
+    return inverse_kinematics(model, goals, ends[best], conditions)  # where two postures meet Newton's method is slow
+
+
+def _one_of_each_kind(ordered: Array) -> Array:
+    """(k, n) of the postures (s, n), the first of those that are nearly the same."""
+    return ordered[np.sort(np.unique(np.round(ordered, 1), axis=0, return_index=True)[1])]
 
 
 def inverse_kinematics(

@@ -28,6 +28,7 @@ LAYERS = {
     "identification.arm": 1,
     "identification.workspace": 1,
     "identification.error_curve": 1,
+    "identification.newton_ascent": 1,
     "identification.effects": 2,
     "identification.conditions": 2,
     "identification.measurements": 2,

@@ -1,7 +1,7 @@
 """Postures of the largest sensitivity within limits and constraints: multistart Newton ascent of d(q) = tr(G F(q)).
 
-All starts climb together, on exact first and second derivatives (`doe.problem.derivatives`). Joints at a limit
-that would leave the box stay there. Constraints are kept by a logarithmic barrier, lowered step by step, so
+All starts climb together (`identification.newton_ascent`), on exact first and second derivatives
+(`doe.problem.derivatives`). Constraints are kept by a logarithmic barrier, lowered step by step, so
 that a climb can follow a wall. What is found is a numerical maximum; `doe.bounds.branch_and_bound` makes it a theorem
 where the model allows.
 """
@@ -22,9 +22,8 @@ from doe.problem.feasible import random_postures
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
+from identification.newton_ascent import Rows, newton_ascent
 
-STEPS = 60
-LONGEST = 0.7  # [rad] of a Newton step
 LANDMARKS = 2187  # 3^7: limits and middle of seven joints
 SAMPLES = 2000  # random postures beside the landmarks
 CLIMBERS = 64
@@ -142,31 +141,16 @@ class ContinuousSet:
         return q
 
     def _ascend(self, q: Array, gradient: Array, barrier: Array, stop: Callable[[], bool]) -> Array:
-        """Newton steps with a reach per posture, which grows with success and shrinks with failure.
+        """The climb under a barrier: (m,) its height for each posture, all 0 without constraints."""
 
-        barrier : (m,) height for each posture, all 0 without constraints
-        """
-        units, q, values = self.problem.joint_units, q.copy(), self._height(q, gradient, barrier)
-        reach = np.full(len(q), LONGEST)
-        moving = np.flatnonzero(np.isfinite(values))
-        for _ in range(STEPS):
-            if not len(moving) or stop():
-                break
-            slope, hessian = self._slopes(q[moving], gradient, barrier[moving])
-            step = self._newton_step(q[moving], slope * units, hessian * units[:, None] * units)
-            length = np.abs(step).max(axis=1)
-            step *= np.minimum(1.0, reach[moving] / np.maximum(length, 1e-300))[:, None]
-            trial = self.problem.clip(q[moving] + step * units)
-            heights = self._height(trial, gradient, barrier[moving])
-            gain = heights - values[moving]
-            better = gain > 0.0
-            accepted = moving[better]
-            q[accepted], values[accepted] = trial[better], heights[better]
-            shorter = 0.25 * np.minimum(reach[moving], length)
-            reach[moving] = np.where(better, np.minimum(2.0 * reach[moving], LONGEST), shorter)
-            arrived = better & (gain <= 1e-14 * np.abs(heights) + 1e-3 * barrier[moving])
-            moving = moving[(reach[moving] > 1e-9) & (length > 1e-10) & ~arrived]
-        return q
+        def height(postures: Array, rows: Rows) -> Array:
+            return self._height(postures, gradient, barrier[rows])
+
+        def slopes(postures: Array, rows: Rows) -> tuple[Array, Array]:
+            return self._slopes(postures, gradient, barrier[rows])
+
+        limits = self.problem.lower, self.problem.upper
+        return newton_ascent(q, height, slopes, limits, self.problem.joint_units, 1e-3 * barrier, stop)
 
     def _height(self, q: Array, gradient: Array, barrier: Array) -> Array:
         """(m,) tr(G F(q)) + barrier * sum of log margins; -inf outside."""
@@ -187,20 +171,6 @@ class ContinuousSet:
         bend = second / margins[..., None, None]
         slope = slope + barrier[:, None] * relative.sum(axis=1)
         return slope, hessian + barrier[:, None, None] * (bend.sum(axis=1) - np.swapaxes(relative, 1, 2) @ relative)
-
-    def _newton_step(self, q: Array, slope: Array, hessian: Array) -> Array:
-        """(m, n) ascent directions: |eigenvalues| of the Hessian, joints held at a limit left out; in joint units."""
-        span = self.problem.upper - self.problem.lower
-        held = ((q >= self.problem.upper - 1e-12 * span) & (slope > 0)) | (
-            (q <= self.problem.lower + 1e-12 * span) & (slope < 0)
-        )
-        free = (~held).astype(float)
-        n = q.shape[1]
-        masked = hessian * free[:, :, None] * free[:, None, :] + np.eye(n) * held[:, :, None]
-        values, vectors = np.linalg.eigh(masked)
-        floor = 1e-6 * np.abs(values).max(axis=1, keepdims=True) + 1e-12
-        along = np.einsum("mij,mi->mj", vectors, slope * free) / np.maximum(np.abs(values), floor)
-        return np.einsum("mij,mj->mi", vectors, along) * free
 
 
 def distinct(postures: Array, tolerance: float = SAME) -> NDArray[np.intp]:
