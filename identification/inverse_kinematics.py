@@ -104,8 +104,8 @@ def best_of_seeds(
             found, left, rank = _tried(model, goals, near, conditions, constraints, rows, every[again], most)
         postures[rows], errors[rows] = found[:, 0], left[:, 0]
         beyond = left[:, 0] > TOLERANCE
-        far = rows[beyond]
-        postures[far], errors[far] = _polished(model, goals[far], found[beyond], conditions.rows(far))
+        if (far := rows[beyond]).size:
+            postures[far], errors[far] = _polished(model, goals[far], found[beyond], conditions.rows(far))
         missed = ~beyond & (rank[:, 0] >= MISSED)
         if arm.links > goals.shape[1]:  # a redundant arm has more than the seeds found
             for k, ordered in zip(rows[missed], found[missed], strict=True):
