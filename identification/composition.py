@@ -190,11 +190,13 @@ class Composition:
 
     q : (..., n) postures [rad];  c : (..., C) conditions;  p : (..., p) free parameters [API units]
     values : of all parameters, those of the geometry first, None for the free ones
+    tied : the part of each value that belongs to error curves, off where these do not hold; empty: none
     """
 
     shared: Parts
     effects: tuple[Effect, ...]
     values: tuple[float | None, ...]
+    tied: tuple[float, ...] = ()
 
     def position(self, q: Array, c: Array, p: Array) -> tuple[Array]:
         """(..., d, 1) positions."""
@@ -203,7 +205,8 @@ class Composition:
     def jacobian(self, q: Array, c: Array, p: Array) -> tuple[Array, Array]:
         """(..., d, 1) positions, and (..., d, p) derivatives with respect to p."""
         at = self._at(q, c, p, self._used)
-        columns = [at.by_geometry]
+        varying = zip(self._geometry_values, self._constants, strict=True)
+        columns = [at.by_geometry[..., [value is None for value, constant in varying if constant is None]]]
         for part, values, (_, slopes, _) in zip(self._parts, self._own, at.added, strict=True):
             free = [k for k, value in enumerate(values) if value is None]
             columns.append(at.levers[..., part.rows] @ slopes[..., free])
@@ -228,6 +231,12 @@ class Composition:
         return self.values[: len(self.values) - sum(len(effect.parameters) for effect in self.effects)]
 
     @cached_property
+    def _constants(self) -> tuple[float | None, ...]:
+        """Values of the geometry as they are compiled, None where they are free or depend on the posture."""
+        tied = self.tied[: len(self._geometry_values)] or np.zeros(len(self._geometry_values)).tolist()
+        return tuple(None if part else value for value, part in zip(self._geometry_values, tied, strict=True))
+
+    @cached_property
     def _own(self) -> list[tuple[float | None, ...]]:
         """For each effect its elements of `values`."""
         ends = np.cumsum([len(self._geometry_values), *(len(effect.parameters) for effect in self.effects)]).tolist()
@@ -239,21 +248,21 @@ class Composition:
         rows = {int(row) for part in self._parts for row in part.rows}
         return tuple(place for place in INSIDE if rows & set(range(*self.shared.places[place].indices(1 << 30))))
 
-    def _split(self, p: Array) -> tuple[Array, list[Array]]:
-        """(..., g) free values of the geometry, and (..., size) all values of each effect."""
-        start = sum(value is None for value in self._geometry_values)
-        found = [p[..., :start]]
-        for values in self._own:
-            own = np.empty((*p.shape[:-1], len(values)))
-            for k, value in enumerate(values):
-                own[..., k] = p[..., start] if value is None else value
-                start += value is None
-            found.append(own)
-        return found[0], found[1:]
+    def _split(self, c: Array, p: Array) -> tuple[Array, list[Array]]:
+        """(..., g) values of the geometry that are no constants, and (..., size) all values of each effect."""
+        free = np.array([value is None for value in self.values], dtype=bool)
+        every = np.empty((*p.shape[:-1], len(free)))
+        every[..., free] = p
+        every[..., ~free] = [value for value in self.values if value is not None]
+        if self.tied:
+            every = every - c[..., -1:] * np.array(self.tied)
+        ends = np.cumsum([len(self._constants), *map(len, self._own)])
+        geometry, *own = np.split(every, ends[:-1], axis=-1)
+        return geometry[..., [value is None for value in self._constants]], own
 
     def _at(self, q: Array, c: Array, p: Array, used: tuple[str, ...], derivatives: bool = True) -> At:
         """Evaluate the model, with levers of the places used: loads first, then the geometry, then the instrument."""
-        shared, (g, values) = self.shared, self._split(p)
+        shared, (g, values) = self.shared, self._split(c, p)
         batch = np.broadcast_shapes(q.shape[:-1], c.shape[:-1], p.shape[:-1])
         state = np.zeros((*batch, shared.at.state.numel()))
         state[..., 0], state[..., shared.of_lengths] = c[..., 0], shared.lengths
@@ -263,7 +272,7 @@ class Composition:
             added = self._added(q, c, values, state)
         total = self._total(added, batch)
         a = np.concatenate([np.zeros((*batch, 0)), *(total[..., shared.places[place]] for place in used)], axis=-1)
-        found = shared.geometry(self._geometry_values, used, derivatives)(q, c, g, a)
+        found = shared.geometry(self._constants, used, derivatives)(q, c, g, a)
         position = found[0][..., 0]
         state[..., shared.of_tip] = position[..., POINT]
         if any(part.measures for part in self._parts):

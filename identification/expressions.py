@@ -93,15 +93,17 @@ class Expressions:
 
     @cached_property
     def composed(self) -> Composition | None:
-        """The same from parts that models share; None in the plane and without effects, where one tape is faster, and
-        where values depend on the posture."""
+        """The same from parts that models share; None in the plane and without effects, where one tape is faster."""
         chain = self.arm.chain
-        if chain is None or not self.effects or self.tied:
+        if chain is None or not self.effects:
             return None
         values = tuple(
             None if p.name in self.estimated.names else float(self.fixed.get(p.name, 0.0)) for p in self.every
         )
-        return Composition(parts(chain, self.arm.gravity, self.remembers, self.extra), self.effects, values)
+        shared, tied = parts(chain, self.arm.gravity, self.remembers, self.extra), dict(self.tied)
+        tied |= {name: float(x) for name, x in along(chain.base[:3, :3], tied).items()}
+        off = tuple(tied.get(name, 0.0) for name in self.every.names) if tied else ()
+        return Composition(shared, self.effects, values, off)
 
     def table(self, postures: Array, conditions: Conditions) -> Array:
         """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory, one of

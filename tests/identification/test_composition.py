@@ -10,7 +10,9 @@ import pytest
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.composition import parts
 from identification.conditions import Conditions
+from identification.error_curve import ErrorCurve
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.frames import from_own_axes, pose
 from identification.kinematics.orientations import turned
 from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model
@@ -79,6 +81,24 @@ def test_few_effects(specs: tuple[EffectSpec, ...]) -> None:
         model.expressions.jacobian(*arguments), vectorize(model.jacobian_function)(*arguments), strict=True
     ):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-9)
+
+
+def test_values_that_belong_to_curves() -> None:
+    """Off beyond the angles of a curve, be they free or known, of the geometry or of an effect: as one expression."""
+    values = 1e-3 * np.sin(np.arange(9.0))
+    part = {"base.x": 0.3, "translation_x:2": 0.2, "rotation_x:3": 1e-3, "tool[2].y": -0.1, "base_drift.vx": 0.4}
+    curves = [EffectSpec("joint_error_curve", j, curve=ErrorCurve(-0.5, 0.5, values, part)) for j in (2, 4)]
+    turned_base = replace(CHAIN, base=pose((500.0, 0.0, 80.0), from_own_axes(0.3, -0.2, 2.0)))
+    arm = Arm.of_chain(turned_base, gravity=GRAVITY, effects=(*SPECS[:6], *curves))
+    whole = Model(arm)
+    for model in (whole, Model(arm, {name: 0.01 for name in whole.names if name[-2:] in (".x", ":2", "vx", "vy")})):
+        _, (postures, _, _) = model_and_arguments()
+        values = 1e-2 * np.abs(np.random.default_rng(2).standard_normal(len(model.names))) / model.scales
+        arguments = postures, model.condition_table(postures, WARM), values[None]
+        assert 0.0 < np.mean(arguments[1][:, -1] > 0.0) < 1.0
+        expected = vectorize(model.jacobian_function)(*arguments)
+        for one, other in zip(model.expressions.jacobian(*arguments), expected, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-8)
 
 
 def test_parts_are_made_once() -> None:
