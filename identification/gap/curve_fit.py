@@ -105,8 +105,15 @@ class Posterior(NamedTuple):
         return np.asarray(np.diag(self.known) + self.sign * self.factor.T @ self.factor)
 
 
-class Likelihood(NamedTuple):
-    """-2 log of the marginal likelihood with its derivatives, and intermediate results: as in `Evidence`."""
+@dataclass(frozen=True)
+class Evidence:
+    """Fit of the curves at given sizes and lengths of their priors.
+
+    cost : -2 log of the marginal likelihood, up to a constant of the data
+    slope : (2 x curves,) its derivatives with respect to the log sizes and lengths
+    posterior : of the K coefficients of all curves;  variances : (K,) of their prior, for unit noise
+    effective : effective number of coefficients;  squares : penalized sum of squares
+    """
 
     cost: float
     slope: Array
@@ -115,25 +122,15 @@ class Likelihood(NamedTuple):
     effective: float
     squares: float
 
+    @property
+    def coefficients(self) -> Array:
+        """(K,) of all curves."""
+        return self.posterior.coefficients
 
-@dataclass(frozen=True)
-class Evidence:
-    """Fit of the curves at given sizes and lengths of their priors.
-
-    cost : -2 log of the marginal likelihood, up to a constant of the data
-    slope : (2 x curves,) its derivatives with respect to the log sizes and lengths
-    coefficients : (K,) of all curves;  variances : (K,) of their prior, for unit noise
-    covariance : (K, K) of the posterior, for unit noise
-    effective : effective number of coefficients;  squares : penalized sum of squares
-    """
-
-    cost: float
-    slope: Array
-    coefficients: Array
-    variances: Array
-    covariance: Array
-    effective: float
-    squares: float
+    @cached_property
+    def covariance(self) -> Array:
+        """(K, K) of the coefficients, for unit noise."""
+        return self.posterior.covariance
 
 
 @dataclass(frozen=True)
@@ -161,10 +158,6 @@ class Penalized:
 
     def evidence(self, logs: Array) -> Evidence:
         """The fit at these logs (2 x curves,) of size (in units of the noise) and length [rad] of each prior."""
-        cost, slope, found, variances, effective, squares = self._likelihood(logs)
-        return Evidence(cost, slope, found.coefficients, variances, found.covariance, effective, squares)
-
-    def _likelihood(self, logs: Array) -> Likelihood:
         found = [basis.variances(*np.exp(pair)) for basis, pair in zip(self.bases, logs.reshape(-1, 2), strict=True)]
         variances = np.concatenate([v for v, _ in found])
         solve = self._by_rows if len(self.residual) < len(variances) else self._by_columns
@@ -177,7 +170,7 @@ class Penalized:
         pull = self.freedom / squares * posterior.coefficients**2 / variances
         parts = np.split((left - pull) / variances, np.cumsum([b.count for b in self.bases])[:-1])
         slope = [(2.0 * part @ v, part @ by_length) for part, (v, by_length) in zip(parts, found, strict=True)]
-        return Likelihood(float(cost), np.ravel(slope), posterior, variances, float(left.sum()), squares)
+        return Evidence(float(cost), np.ravel(slope), posterior, variances, float(left.sum()), squares)
 
     def _by_columns(self, variances: Array) -> Posterior:
         """Posterior from a K x K matrix."""
@@ -200,10 +193,14 @@ class Penalized:
         """
         from scipy.optimize import minimize
 
+        def likelihood(logs: Array) -> tuple[float, Array]:
+            found = self.evidence(logs)
+            return found.cost, found.slope
+
         low, high = np.transpose(self._bounds)
         first = np.clip(self.guess.ravel() if start is None else start, low, high)
         options = {"bounds": self._bounds, "options": {"maxiter": ITERATIONS, "ftol": FLAT}}
-        logs = minimize(lambda at: self._likelihood(at)[:2], first, jac=True, method="L-BFGS-B", **options).x
+        logs = minimize(likelihood, first, jac=True, method="L-BFGS-B", **options).x
         return logs, self.evidence(logs)
 
     @property

@@ -13,7 +13,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation.prior import effective_count
-from identification.gap.curve_fit import Basis, Evidence
+from identification.gap.curve_fit import Basis, Evidence, Posterior
 from identification.gap.curves import CurveFit
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import fit
@@ -154,8 +154,8 @@ def test_a_curve_keeps_its_values_and_moves_the_rest() -> None:
 
     rows = Rows.of(DATA)
     plain = fit(Model(ARM.with_effects(curve(1.0))), rows)
-    spread = 1e-12 * np.eye(basis.count)
-    evidence = Evidence(0.0, np.zeros(2), coefficients, np.ones(basis.count), spread, 1.5, 0.0)
+    posterior = Posterior(coefficients, np.full(basis.count, 1e-12), 1.0, np.zeros((1, basis.count)), 0.0)
+    evidence = Evidence(0.0, np.zeros(2), posterior, np.ones(basis.count), 1.5, 0.0)
     response = np.zeros((len(plain.values), basis.count))
     wide, library = held(CurveFit.of(plain, (basis,), evidence, response), DATA)
     assert isinstance(wide, CurveFit)
