@@ -35,7 +35,7 @@ Members = tuple[Hypothesis, ...]
 
 
 @dataclass(frozen=True)
-class Explanation:
+class CurveChoice:
     """Named effects that are kept, and joints (from 0) with an error curve.
 
     cost : -2 log(marginal likelihood times prior weight);  logs : log size and length of each curve, see `Penalized`
@@ -146,7 +146,7 @@ class System:
         chosen = tuple(b for b in self.bases if b.joint in joints)
         return Penalized(chosen, wanted[:, :-1], wanted[:, -1], len(self.found.residual) - self.base_rank)
 
-    def explain(self, kept: Members, joints: tuple[int, ...], start: Array | None = None) -> Explanation:
+    def explain(self, kept: Members, joints: tuple[int, ...], start: Array | None = None) -> CurveChoice:
         """The cost of a set of named effects and curves.
 
         Each parameter of a named effect costs log N, as in BIC, and so do the two hyperparameters of each curve.
@@ -159,15 +159,15 @@ class System:
         curves = len(joints) * (HYPERPARAMETERS * np.log(n) + np.log(links))  # prior weight n^-1/2 of one joint of n
         if not joints:
             cost = system.freedom * np.log(system.residual @ system.residual / system.freedom)
-            return Explanation(kept, joints, float(cost + names))
+            return CurveChoice(kept, joints, float(cost + names))
         logs, found = system.best(start)
-        return Explanation(kept, joints, float(found.cost + names + curves), logs)
+        return CurveChoice(kept, joints, float(found.cost + names + curves), logs)
 
-    def evidence(self, chosen: Explanation) -> Evidence:
+    def evidence(self, chosen: CurveChoice) -> Evidence:
         """Coefficients of the chosen curves with their covariance."""
         return self.penalized(chosen.kept, chosen.joints).evidence(chosen.logs)
 
-    def model_response(self, chosen: Explanation) -> Array:
+    def model_response(self, chosen: CurveChoice) -> Array:
         """(free parameters, K) derivative of the other estimates with respect to each coefficient [API units]."""
         p, columns = len(self.lengths), self._compressed
         free, _ = self._model_part(chosen.kept)
@@ -175,16 +175,16 @@ class System:
         found = np.linalg.lstsq(columns[:, :p][:, free], curves, rcond=np.sqrt(NEGLIGIBLE))[0]
         return -found / self.lengths[free, None]
 
-    def cross_validated(self, chosen: Explanation) -> float:
+    def cross_validated(self, chosen: CurveChoice) -> float:
         """Sum of squares at postures left out: each fold is predicted from the others, with the same priors."""
         return self._left_out(chosen, self._grams, self._grams)
 
-    def left_in_time(self, chosen: Explanation) -> float:
+    def left_in_time(self, chosen: CurveChoice) -> float:
         """Sum of squares, not decorrelated, in intervals of time left out, each predicted from the others."""
         products = self.known or self._in_time
         return self._left_out(chosen, products.at(self.rows.correlation), products.at(0.0))
 
-    def _left_out(self, chosen: Explanation, fitted: Array, tested: Array) -> float:
+    def _left_out(self, chosen: CurveChoice, fitted: Array, tested: Array) -> float:
         """Sum of squares over all folds, each predicted from the others.
 
         fitted, tested : (folds, n, n) products used for the estimates, and for the sum of squares
@@ -222,7 +222,7 @@ def folds(postures: Array) -> NDArray[np.int64]:
     return order[group.ravel()] % FOLDS
 
 
-def choose(system: System, margin: float) -> Explanation:
+def choose(system: System, margin: float) -> CurveChoice:
     """Add curves one by one while the cost decreases by more than `margin`, then remove effects not needed."""
     best = system.explain(system.named, ())
     while left := [b.joint for b in system.bases if b.joint not in best.joints]:
@@ -240,7 +240,7 @@ def choose(system: System, margin: float) -> Explanation:
     return best
 
 
-def _with_curve(system: System, before: Explanation, joint: int) -> Explanation:
+def _with_curve(system: System, before: CurveChoice, joint: int) -> CurveChoice:
     """Add a curve at one more joint (from 0); it replaces named effects that are functions of that joint's angle."""
     joints = tuple(sorted((*before.joints, joint)))
     kept = tuple(h for h in before.kept if not is_function_of(h.effect, joint, system.found.model))

@@ -16,7 +16,7 @@ from identification.estimation.uncertainty import Uncertainty
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import candidate_of
 from identification.gap.curve import Curve
-from identification.gap.curve_choice import Explanation, Members, System, choose
+from identification.gap.curve_choice import CurveChoice, Members, System, choose
 from identification.gap.curve_fit import Basis, Evidence, curve_columns
 from identification.gap.fit import Fit, fit
 from identification.gap.hypotheses import Hypothesis
@@ -137,7 +137,7 @@ def find_curves(found: Findings, measurements: Measurements) -> Curves | None:
     return Curves(fitted, curves, best.kept, scatter, again, gain, system.cross_validated(best) / len(system.rows))
 
 
-def _plausible(system: System, best: Explanation) -> tuple[Explanation, tuple[CurveFit, tuple[Curve, ...]]]:
+def _plausible(system: System, best: CurveChoice) -> tuple[CurveChoice, tuple[CurveFit, tuple[Curve, ...]]]:
     """Remove named effects of implausible size, if the curves then still predict better than the named effects alone.
 
     Returns the explanation, and its fit and curves.
@@ -167,8 +167,8 @@ def _least_plausible(fitted: Fit, kept: Members) -> Hypothesis | None:
 
 
 def _for_other_times(
-    system: System, scatter: tuple[Finding, ...], best: Explanation
-) -> tuple[System, tuple[Finding, ...], Explanation]:
+    system: System, scatter: tuple[Finding, ...], best: CurveChoice
+) -> tuple[System, tuple[Finding, ...], CurveChoice]:
     """Choose the fraction of the serial correlation that best predicts intervals of time left out.
 
     Where consecutive postures are close, unmodelled errors common to neighbors resemble correlation in time. Treating
@@ -189,12 +189,12 @@ def _noise_cost(system: System, scatter: Sequence[Finding]) -> float:
     return system.rows.log_determinant + len(scatter) * float(np.log(len(system.found.residual)))
 
 
-def _predicts_better(system: System, best: Explanation) -> bool:
+def _predicts_better(system: System, best: CurveChoice) -> bool:
     """Whether the curves predict postures left out better than the named effects do."""
     return system.cross_validated(best) < system.cross_validated(system.explain(system.named, ()))
 
 
-def _fitted(system: System, best: Explanation) -> tuple[CurveFit, tuple[Curve, ...]]:
+def _fitted(system: System, best: CurveChoice) -> tuple[CurveFit, tuple[Curve, ...]]:
     """The fit of the parameters with the curves in the model, and the curves."""
     evidence = system.evidence(best)
     bases = tuple(basis for basis in system.bases if basis.joint in best.joints)

@@ -28,7 +28,7 @@ LOOKUPS = 4  # effort
 
 
 @dataclass(frozen=True)
-class Explained:
+class ExtendedSearch:
     """A search with the effects it selected and the unknown effect beside them, if any."""
 
     search: HypothesisSearch
@@ -36,9 +36,11 @@ class Explained:
     unknown: Unknown
 
 
-def explained(search: HypothesisSearch, selection: Selection, draws: int, generator: np.random.Generator) -> Explained:
+def extended_search(
+    search: HypothesisSearch, selection: Selection, draws: int, generator: np.random.Generator
+) -> ExtendedSearch:
     """Look for an unknown effect beside a selection; where that is a gear ripple, search again with it included."""
-    found = Explained(search, selection, find_unmodelled(search, selection.chosen, generator))
+    found = ExtendedSearch(search, selection, find_unmodelled(search, selection.chosen, generator))
     for _ in range(LOOKUPS):
         wave = wave_of(found.unknown)
         if wave is not None and wave[0] in series_joints(found.selection.chosen):
@@ -48,7 +50,7 @@ def explained(search: HypothesisSearch, selection: Selection, draws: int, genera
             break
         again = HypothesisSearch(wider, search.rows, search.noise_estimated)
         chosen = select(again, draws, generator, found.selection.path)
-        found = Explained(again, chosen, find_unmodelled(again, chosen.chosen, generator))
+        found = ExtendedSearch(again, chosen, find_unmodelled(again, chosen.chosen, generator))
     return found
 
 

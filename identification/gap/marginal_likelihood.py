@@ -36,7 +36,7 @@ RANK = 1e-9  # eigenvalues below this share of the largest are directions that t
 
 
 @dataclass(frozen=True)
-class Explained:
+class Decomposition:
     """What a set of M effects explains, decomposed along G orthogonal directions.
 
     shares : (G,) prior variance along each direction, with sum 1 for each effect
@@ -51,7 +51,7 @@ class Explained:
     forms: Array
     further: tuple[NDArray[np.int64], Array] | None = None
 
-    def with_each(self, sizes: NDArray[np.int64], squares: Array) -> Explained:
+    def with_each(self, sizes: NDArray[np.int64], squares: Array) -> Decomposition:
         """This set with each of H further effects, one at a time.
 
         sizes : (H,) number of parameters;  squares : (H,) reduction of the sum of squares beside the set
@@ -59,7 +59,7 @@ class Explained:
         return replace(self, further=(sizes[:, None], squares[:, None]))
 
 
-def explained(found: Fit, effects: Sequence[Sequence[str]], families: Sequence[bool]) -> Explained:
+def decomposed(found: Fit, effects: Sequence[Sequence[str]], families: Sequence[bool]) -> Decomposition:
     """Decompose what the effects of a fitted model explain.
 
     effects : parameter names of each effect;  families : True for effects with one similar parameter for each joint
@@ -80,7 +80,7 @@ def explained(found: Fit, effects: Sequence[Sequence[str]], families: Sequence[b
     back = vectors[:, seen] / np.sqrt(values[seen]) @ turn  # from what is explained to amplitudes
     forms = np.array([back.T @ part @ back for part in parts]).reshape(len(parts), len(shares), len(shares))
     along = turn.T @ (root.T @ (lengths * found.values[of_effects]))
-    return Explained(np.maximum(shares, 0.0), np.ones(len(shares)), along, forms)
+    return Decomposition(np.maximum(shares, 0.0), np.ones(len(shares)), along, forms)
 
 
 def beside_base(triangle: Array, of_effects: Sequence[int]) -> tuple[Array, Array]:
@@ -111,7 +111,7 @@ def amplitude_prior(information: Array, lengths: Array | None) -> Array:
     return np.asarray(alike / np.sum(information * alike))
 
 
-def log_bayes_factor(found: Explained, left: Array, squares: float, freedom: int) -> Array:
+def log_bayes_factor(found: Decomposition, left: Array, squares: float, freedom: int) -> Array:
     """Natural logarithm of the Bayes factor against the base model, in the shape of `left`.
 
     left : (...) residual sum of squares with the effects, (H,) where there are H further ones

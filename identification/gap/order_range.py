@@ -103,7 +103,7 @@ def _visible(basis: Array, columns: Array) -> Array:
     return u[:, s > VISIBLE * np.linalg.norm(columns, axis=0).max()]
 
 
-def in_words(shapes: tuple[OrderRange, ...]) -> list[str]:
+def order_clauses(shapes: tuple[OrderRange, ...]) -> list[str]:
     """One clause of the verdict for each joint."""
     said = []
     for joint in sorted({shape.joint for shape in shapes}):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from identification.arrays import Array
-from identification.gap.marginal_likelihood import Explained, explained, log_bayes_factor
+from identification.gap.marginal_likelihood import Decomposition, decomposed, log_bayes_factor
 from identification.gap.search import Choice, HypothesisSearch
 from identification.gap.unmodelled_survey import shapes_beside
 from identification.gap.workflow import Findings
@@ -137,7 +137,7 @@ def _refitted(search: HypothesisSearch, chosen: Choice) -> _Option:
     labels, names = _labels(chosen), tuple(sorted(h.key for h in chosen))
     if not chosen:
         return _Option(chosen, labels, names, 0.0, refitted=True)
-    factor = log_bayes_factor(_explained(search, chosen), np.array(found.squares), base.squares, base.freedom)
+    factor = log_bayes_factor(_decomposed(search, chosen), np.array(found.squares), base.squares, base.freedom)
     return _Option(chosen, labels, names, float(factor) + _log_prior(search, chosen), refitted=True)
 
 
@@ -149,7 +149,7 @@ def _longer(search: HypothesisSearch, chosen: Choice, least: float) -> Iterator[
     found, base, own = search.fit(chosen), search.fit(()), _labels(chosen)
     members, against = search.rivals(chosen)
     reductions = against.reductions(found.residual[:, None])[:, 0]
-    groups = _explained(search, chosen).with_each(against.sizes, reductions)
+    groups = _decomposed(search, chosen).with_each(against.sizes, reductions)
     log_odds = log_bayes_factor(groups, found.squares - reductions, base.squares, base.freedom)
     one_sign = np.array([member.one_sign for member in members])
     log_odds += _log_prior(search, chosen) + _log_steps(search, len(chosen), against.weights, one_sign)
@@ -173,7 +173,7 @@ def _outside(search: HypothesisSearch, chosen: Choice) -> float:
     if not shapes.listed:
         return -np.inf
     sizes, reductions = np.array(shapes.sizes), np.array(shapes.reductions)
-    groups = _explained(search, chosen).with_each(sizes, reductions)
+    groups = _decomposed(search, chosen).with_each(sizes, reductions)
     factors = log_bayes_factor(groups, found.squares - reductions, base.squares, base.freedom)
     prior = np.log(OUTSIDE * (NEXT * len(chosen) if chosen else FIRST)) + _log_prior(search, chosen)
     return float(logsumexp(factors + np.log(shapes.weights)) + prior)
@@ -188,13 +188,13 @@ def _title(search: HypothesisSearch, chosen: Choice) -> str:
     return " + ".join(h.free.label for h in sorted(chosen, key=search.hypotheses.place))
 
 
-def _explained(search: HypothesisSearch, chosen: Choice) -> Explained:
+def _decomposed(search: HypothesisSearch, chosen: Choice) -> Decomposition:
     found = search.fit(chosen)
     added = len(found.model.effects) - len(chosen)  # the arm's own come first
     effects = found.model.effects[added:]
     names = [[p.name for p in effect.parameters] for effect in effects]
     families = {h.effect.label for h in chosen if h.key in search.hypotheses.families}
-    return explained(found, names, [effect.label in families for effect in effects])
+    return decomposed(found, names, [effect.label in families for effect in effects])
 
 
 def _log_prior(search: HypothesisSearch, chosen: Choice) -> float:

@@ -77,7 +77,7 @@ class Replication:
         }
 
 
-def said(found: tuple[Replication, ...]) -> Iterator[str]:
+def replication_clauses(found: tuple[Replication, ...]) -> Iterator[str]:
     """Clauses of the verdict: which effects replicate across sessions and which do not."""
     for answer, words in ((True, "replicates across sessions"), (False, "does not replicate across sessions")):
         if titles := [r.effect for r in found if r.replicates is answer]:

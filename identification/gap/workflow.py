@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.gap.fit import Fit
-from identification.gap.further_orders import explained
+from identification.gap.further_orders import extended_search
 from identification.gap.hypotheses import HypothesisSet
 from identification.gap.noise import Finding, memory, outliers, screen, whitened
 from identification.gap.search import Choice, HypothesisSearch
@@ -105,17 +105,17 @@ class Workflow:
             seen.append(state)
             outlier, scatter, noisy = again, new, whitened(rows, named, new)
         self.tell("looking for what the library does not explain")
-        found = self._explained(search, selection, *used)
+        found = self._extended(search, selection, *used)
         others = [self._with_noise(found, *other) for other in _other_noise(found, rows, noisy, named)]
         best = min(others, key=lambda f: cost(f, len(rows)), default=found)
         found = best if cost(best, len(rows)) < cost(found, len(rows)) - CREDIT else found
         return min((found, *self._with_memory(found, rows)), key=lambda f: cost(f, len(rows)))
 
-    def _explained(
+    def _extended(
         self, search: HypothesisSearch, selection: Selection, scatter: tuple[Finding, ...], outlier: NDArray[np.bool_]
     ) -> Findings:
         """The findings of a search, with the unknown effect beside its selection, if any."""
-        last = explained(search, selection, self.draws, self.generator)
+        last = extended_search(search, selection, self.draws, self.generator)
         return Findings(last.search, last.selection, last.unknown, scatter, outlier)
 
     def _with_noise(
@@ -124,7 +124,7 @@ class Workflow:
         """The findings with another explanation of the scatter than before."""
         search = HypothesisSearch(before.search.hypotheses, rows.pick(~outlier), noise_estimated=bool(scatter))
         selection = select(search, self.draws, self.generator, before.selection.path)
-        return self._explained(search, selection, scatter, outlier)
+        return self._extended(search, selection, scatter, outlier)
 
     def _with_memory(self, found: Findings, rows: Rows) -> list[Findings]:
         """The findings with serially correlated noise, if the residuals of the base model suggest it; else empty.

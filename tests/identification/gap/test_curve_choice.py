@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec
 from identification.effects import build
-from identification.gap.curve_choice import FOLDS, STRETCHES, Explanation, System, choose, folds, is_function_of
+from identification.gap.curve_choice import FOLDS, STRETCHES, CurveChoice, System, choose, folds, is_function_of
 from identification.gap.hypotheses import HypothesisSet, hypotheses
 from identification.gap.search import HypothesisSearch
 from identification.gap.whitening import Rows
@@ -74,7 +74,7 @@ def test_penalized_is_projected_off_what_stays(m: int) -> None:
 
 def test_cross_validation_predicts_each_fold_from_the_others() -> None:
     system = _system(200, *RIPPLES)
-    chosen = Explanation(system.named[:1], (1,), 0.0, LOGS)
+    chosen = CurveChoice(system.named[:1], (1,), 0.0, LOGS)
     dropped = np.array([name.startswith("transmission_ripple:2") for name in system.found.model.names])
     jacobian, values = system.found.jacobian, system.found.values
     residual = system.found.residual + jacobian[:, dropped] @ values[dropped]
@@ -94,7 +94,7 @@ def test_stretches_of_time_are_predicted_from_the_others() -> None:
     """Fitted as correlated rows, tested as they were measured: differences of successive rows by hand."""
     plain, rho = _system(200, *RIPPLES), 0.6
     system = plain.with_correlation(rho)
-    chosen = Explanation(system.named, (1,), 0.0, LOGS)
+    chosen = CurveChoice(system.named, (1,), 0.0, LOGS)
     every = np.concatenate([plain.found.jacobian, _columns(plain, 1)], axis=1).reshape(200, 2, -1)
     residual = plain.found.residual.reshape(200, 2)
     before = [np.concatenate([v[:1], (v[1:] - rho * v[:-1]) / np.sqrt(1.0 - rho**2)]) for v in (every, residual)]
@@ -124,7 +124,7 @@ def test_a_name_stays_and_a_curve_takes_the_place_of_a_wrong_one() -> None:
 
 def test_model_response_is_that_of_a_refit() -> None:
     system = _system(200, *RIPPLES)
-    chosen = Explanation(system.named, (1,), 0.0, LOGS)
+    chosen = CurveChoice(system.named, (1,), 0.0, LOGS)
     other = np.linalg.lstsq(system.found.jacobian, _columns(system, 1), rcond=None)[0]
     np.testing.assert_allclose(system.model_response(chosen), -other, atol=1e-5 * np.max(np.abs(other)))
 

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag, null_space
 
 from identification.gap import marginal_likelihood
 from identification.gap.fit import Fit
-from identification.gap.marginal_likelihood import ALIKE, SIZES, Explained, explained, log_bayes_factor
+from identification.gap.marginal_likelihood import ALIKE, SIZES, Decomposition, decomposed, log_bayes_factor
 from identification.kinematics.parameters import Parameter, ParameterSet
 from identification.status import Status
 
@@ -75,7 +75,7 @@ def test_closed_form_is_the_density_of_the_data(sizes: list[int], family: bool) 
     names = [[f"e{k}.{i}" for i in range(size)] for k, size in enumerate(sizes)]
     found = linear_fit(np.hstack([base, *blocks]), data, ["b1", "b2", *(n for own in names for n in own)])
     before = linear_fit(base, data, ["b1", "b2"])
-    groups = explained(found, names, [family] * len(sizes))
+    groups = decomposed(found, names, [family] * len(sizes))
     factor = log_bayes_factor(groups, np.array(found.squares), before.squares, before.freedom)
     assert float(factor) == pytest.approx(in_full(data, base, blocks, family), abs=1e-8)
 
@@ -96,7 +96,7 @@ def test_closed_form_is_the_integral_over_amplitude_and_sigma() -> None:
         prior = x**2 / size**2 * np.exp(-0.5 * x**2 / size**2) / np.sqrt(2.0 * np.pi) / size
         factors.append((likelihood(x) * prior[:, None]).sum() * (x[1] - x[0]) / nothing)
     score = float(data @ column)
-    groups = Explained(np.ones(1), np.ones(1), np.array([score]), np.ones((1, 1, 1)))
+    groups = Decomposition(np.ones(1), np.ones(1), np.array([score]), np.ones((1, 1, 1)))
     left, squares = float(data @ data) - score**2, float(data @ data)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(marginal_likelihood, "SIZES", SIZES[:2])
@@ -106,25 +106,25 @@ def test_closed_form_is_the_integral_over_amplitude_and_sigma() -> None:
 
 def test_a_further_effect_is_a_group_of_its_own() -> None:
     """Orthogonal columns: added to a set or fitted with it, the factor is the same."""
-    one = Explained(np.ones(1), np.ones(1), np.array([5.0]), np.ones((1, 1, 1)))
+    one = Decomposition(np.ones(1), np.ones(1), np.array([5.0]), np.ones((1, 1, 1)))
     forms = np.array([np.diag([1.0, 0.0, 0.0]), np.diag([0.0, 1.0, 1.0])])
-    both = Explained(np.array([1.0, 0.5, 0.5]), np.ones(3), np.array([5.0, 4.0, -2.0]), forms)
+    both = Decomposition(np.array([1.0, 0.5, 0.5]), np.ones(3), np.array([5.0, 4.0, -2.0]), forms)
     longer = log_bayes_factor(one.with_each(np.array([2]), np.array([20.0])), np.array([50.0]), 100.0, 60)
     assert longer[0] == pytest.approx(float(log_bayes_factor(both, np.array(50.0), 100.0, 60)), abs=1e-12)
 
 
 def test_nothing_explained_is_evidence_against_an_effect() -> None:
     """An effect of lambda >= 6 that is there explains far more than nothing: the moment prior has none of size 0."""
-    nothing = Explained(np.ones(1), np.ones(1), np.zeros(1), np.ones((1, 1, 1)))
+    nothing = Decomposition(np.ones(1), np.ones(1), np.zeros(1), np.ones((1, 1, 1)))
     assert float(log_bayes_factor(nothing, np.array(100.0), 100.0, 100)) < -np.log(6.0**3)
 
 
 def test_no_effect_has_no_factor() -> None:
-    nothing = Explained(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 0, 0)))
+    nothing = Decomposition(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 0, 0)))
     assert float(log_bayes_factor(nothing, np.array(100.0), 100.0, 100)) == 0.0
 
 
 def test_an_effect_that_moves_nothing_explains_nothing() -> None:
     """A wrong payload alone, in a model without compliance: its probability is zero, and no warning."""
-    unseen = Explained(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((1, 0, 0)))
+    unseen = Decomposition(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((1, 0, 0)))
     assert float(log_bayes_factor(unseen, np.array(100.0), 100.0, 100)) == -np.inf

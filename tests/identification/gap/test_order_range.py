@@ -8,7 +8,7 @@ import pytest
 from identification.arm import Arm, EffectSpec
 from identification.gap.detectability import NEAR
 from identification.gap.fit import fit
-from identification.gap.order_range import in_words, order_ranges
+from identification.gap.order_range import order_clauses, order_ranges
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from identification.model import Model
@@ -57,7 +57,10 @@ def test_a_wave_is_a_shape_where_its_neighbor_is_alike(degrees: float, joint: in
         assert entry["effect"] == label
         assert entry["orders"] == [max(1, np.ceil(K - apart)), np.floor(K + apart)]
         np.testing.assert_allclose(entry["range_deg"], np.degrees([q[:, joint].min(), q[:, joint].max()]))
-        assert f"over the {np.degrees(np.ptp(q[:, joint])):.0f} deg that joint {joint + 1} moved" in in_words(shapes)[0]
+        assert (
+            f"over the {np.degrees(np.ptp(q[:, joint])):.0f} deg that joint {joint + 1} moved"
+            in order_clauses(shapes)[0]
+        )
 
 
 def test_other_effects_are_no_waves() -> None:

@@ -10,7 +10,7 @@ from identification.arm import Arm, EffectSpec
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import fit
 from identification.gap.replicate import replications
-from identification.gap.replication import Replication, said
+from identification.gap.replication import Replication, replication_clauses
 from identification.gap.shared_fit import Session, SharedFit
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
@@ -65,7 +65,9 @@ def test_what_returns_and_what_does_not(
     for there, size in zip(one.sessions, sizes, strict=True):
         errors = (np.radians(there.values) - [size.real, size.imag]) / np.radians(there.deviations)
         assert np.all(np.abs(errors) < 5.0)
-    assert list(said((one,))) == [f"{'replicates' if answer else 'does not replicate'} across sessions: {one.effect}"]
+    assert list(replication_clauses((one,))) == [
+        f"{'replicates' if answer else 'does not replicate'} across sessions: {one.effect}"
+    ]
 
 
 def test_the_same_without_noise_explains_everything() -> None:
