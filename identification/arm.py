@@ -36,6 +36,8 @@ MAX_LINKS = 12
 LENGTH_RANGE = (1e-6, 1e9)  # [mm] of a link
 LARGEST_LENGTH = LENGTH_RANGE[1]  # [mm] of a coordinate
 LARGEST_ANGLE = 1e6  # [deg]
+LARGEST_MASS = 1e9  # [kg]
+LARGEST_ACCELERATION = 1e6  # [m/s^2]
 SIGMA_RANGE = (1e-9, 1e9)  # [mm]
 MANY_TURNS = 10.0 * np.pi + 1e-6  # [rad] no arm turns a joint farther; degrees do
 

@@ -59,10 +59,12 @@ def command(
 
 def payload_list(text: str) -> tuple[float, ...]:
     """`0,5,10` as numbers >= 0 [kg]."""
+    from identification.arm import LARGEST_MASS
+
     try:
         masses = tuple(float(word) for word in text.split(","))
     except ValueError:
         masses = (-1.0,)
-    if not all(0.0 <= mass < float("inf") for mass in masses):
+    if not all(0.0 <= mass <= LARGEST_MASS for mass in masses):
         raise InputError(f"--payloads: {text!r}, allowed: numbers >= 0 [kg] separated by commas, such as 0,5,10")
     return masses

@@ -7,12 +7,14 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from identification.arm import LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
+from identification.arm import LARGEST_ACCELERATION, LARGEST_ANGLE, LARGEST_MASS, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.schema import (
+    Acceleration,
     Angle,
     Length,
+    Mass,
     NotNegative,
     Pair,
     Positive,
@@ -42,12 +44,14 @@ class MeasurementTable(StrictTable):
 class GravityTable(StrictTable):
     """`[gravity]`."""
 
-    acceleration_m_s2: Pair = Field(description="two numbers [m/s^2]")
-    link_masses_kg: list[NotNegative] = Field(description="one mass >= 0 [kg] for each link")
+    acceleration_m_s2: Annotated[list[Acceleration], Field(min_length=2, max_length=2)] = Field(
+        description=f"two numbers [m/s^2], up to {LARGEST_ACCELERATION:g}"
+    )
+    link_masses_kg: list[Mass] = Field(description=f"one mass >= 0 [kg] for each link, up to {LARGEST_MASS:g}")
     center_of_mass: list[Annotated[float, Field(ge=0, le=1)]] | None = Field(
         None, description="one fraction 0 to 1 for each link"
     )
-    payload_kg: NotNegative = Field(0.0, description="a number >= 0 [kg]")
+    payload_kg: Mass = Field(0.0, description=f"a number >= 0 [kg], up to {LARGEST_MASS:g}")
 
 
 class BoxTable(StrictTable):

@@ -6,10 +6,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, Field, model_validator
 
-from identification.arm import LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS
+from identification.arm import LARGEST_ACCELERATION, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS
 from identification.errors import InputError
 from identification.files.arm_schema import BoxTable, CovarianceTable, EffectTable, GravityTable, MeasurementTable
 from identification.files.schema import (
+    Acceleration,
     Angle,
     Coordinate,
     Length,
@@ -85,7 +86,9 @@ class SpatialMeasurementTable(MeasurementTable):
 class SpatialGravityTable(GravityTable):
     """`[gravity]`."""
 
-    acceleration_m_s2: Triple = Field(description="three numbers [m/s^2]")
+    acceleration_m_s2: Annotated[list[Acceleration], Field(min_length=3, max_length=3)] = Field(
+        description=f"three numbers [m/s^2], up to {LARGEST_ACCELERATION:g}"
+    )
     payload_at_mm: Annotated[list[Coordinate], Field(min_length=3, max_length=3)] | None = Field(
         None, description=f"three numbers [mm], up to {LENGTH_RANGE[1]:g}"
     )

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, MAX_LINKS, SIGMA_RANGE, Arm
+from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.files.csv import KNOWN, Table, Test
@@ -201,7 +201,9 @@ def warn_unknown(table: Table, known: Iterable[str], hint: str = "") -> None:
 def read_conditions(table: Table, n: int) -> dict[str, Array | None]:
     """`payload` (m,) [kg], `temperature` (m,) [deg C] and `directions` (m, n), each None if the table has none."""
     return {
-        "payload": _optional(table, "payload_kg", ">= 0 [kg]", lambda v: v >= 0.0),
+        "payload": _optional(
+            table, "payload_kg", f">= 0 [kg], up to {LARGEST_MASS:g}", lambda v: (v >= 0.0) & (v <= LARGEST_MASS)
+        ),
         "temperature": _optional(table, "temperature_C", ">= -273.15 [deg C]", lambda v: v >= -273.15),
         "directions": _directions(table, n),
     }

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from identification.arm import LARGEST_ANGLE, LENGTH_RANGE, SIGMA_RANGE
+from identification.arm import LARGEST_ACCELERATION, LARGEST_ANGLE, LARGEST_MASS, LENGTH_RANGE, SIGMA_RANGE
 from identification.errors import InputError, nearest
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -22,6 +22,8 @@ Coordinate = Annotated[float, Field(ge=-LENGTH_RANGE[1], le=LENGTH_RANGE[1])]
 Angle = Annotated[float, Field(ge=-LARGEST_ANGLE, le=LARGEST_ANGLE)]
 Sigma = Annotated[float, Field(ge=SIGMA_RANGE[0], le=SIGMA_RANGE[1])]
 NotNegative = Annotated[float, Field(ge=0)]
+Mass = Annotated[float, Field(ge=0, le=LARGEST_MASS)]
+Acceleration = Annotated[float, Field(ge=-LARGEST_ACCELERATION, le=LARGEST_ACCELERATION)]
 
 
 class StrictTable(BaseModel):

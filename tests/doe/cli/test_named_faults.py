@@ -73,6 +73,17 @@ def test_more_workers_than_a_machine_has(folder: Folder, verb: list[str]) -> Non
     refused(folder, [*verb, "--workers", "99999999999999999999"], "--workers", "99999999999999999999", "1<=x<=4096")
 
 
+def test_a_payload_heavier_than_any(folder: Folder) -> None:
+    """Its squares overflow: `advise` ended with eigenvalues that did not converge."""
+    folder.simulated()
+    table = "[gravity]\nacceleration_m_s2 = [0.0, {}]\nlink_masses_kg = [1.0, 1.0, 1.0, 1.0]\npayload_kg = {}\n"
+    for acceleration, payload, key in (("-9.81", "5e300", "payload_kg"), ("1e300", "5.0", "acceleration_m_s2")):
+        folder.write("heavy.toml", folder.read("arm.toml") + table.format(acceleration, payload))
+        refused(folder, ["advise", "heavy.toml", "--runs", "12"], key, "allowed: ")
+    folder.write("heavy.csv", folder.read("plan.csv").replace("\n", ",5e300\n").replace(",5e300", ",payload_kg", 1))
+    refused(folder, ["simulate", "arm.toml", "heavy.csv", "--truth", "arm.toml", "--out", "out.file"], "payload_kg")
+
+
 def test_more_draws_than_memory(folder: Folder) -> None:
     folder.simulated()
     refused(folder, ["diagnose", "arm.toml", "data.csv", "--draws", "1000000000"], "--draws", "1000000000")
