@@ -49,6 +49,8 @@ def _fields(item: Any) -> dict[str, Any]:
 
 
 def _same(one: Any, other: Any) -> bool:
+    if one is other:
+        return True
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         return one is not None and other is not None and np.array_equal(one, other)
     if isinstance(one, Mapping) and isinstance(other, Mapping):

@@ -92,7 +92,8 @@ def _without(search: HypothesisSearch, jacobian: Array, residual: Array, out: ND
         basis = column_space(model[~out], scales)
         left = residual[~out] - basis @ (basis.T @ residual[~out])
         against = projected(basis, members, kept)
-        free = [not h.tied and h.label not in {c.label for c in chosen} for h in members]
+        taken = {c.label for c in chosen}
+        free = [not h.tied and h.label not in taken for h in members]
         usable = np.flatnonzero((against.sizes > 0) & np.array(free, dtype=bool))
         against = against.subset(usable)
         change = bic_change(against.reductions(left[:, None])[:, 0], against, len(left), float(left @ left))
