@@ -193,7 +193,8 @@ class System:
         free, back = self._model_part(chosen.kept)
         use = np.concatenate([np.flatnonzero(free), self._curve_part(chosen.joints)])
         fixed = np.concatenate([back, np.zeros(len(total) - p - 1), [1.0]])
-        penalty = NEGLIGIBLE * np.diag(total)[use]
+        own = np.diag(total)[use]
+        penalty = np.where(own > 0.0, NEGLIGIBLE * own, 1.0)  # what moves nothing stays where it is
         if chosen.joints:
             bases = [b for b in self.bases if b.joint in chosen.joints]
             pairs = zip(bases, np.exp(chosen.logs.reshape(-1, 2)), strict=True)

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from identification.arm import Arm, EffectSpec
+from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import build
 from identification.gap.curve_choice import FOLDS, STRETCHES, CurveChoice, System, choose, folds, is_function_of
 from identification.gap.hypotheses import HypothesisSet, hypotheses
@@ -88,6 +88,17 @@ def test_cross_validation_predicts_each_fold_from_the_others() -> None:
         solved = np.linalg.solve(scaled.T @ scaled + penalty, scaled.T @ residual[there])
         error += float(np.sum((residual[~there] - every[~there] @ solved) ** 2))
     assert system.cross_validated(chosen) == pytest.approx(error, rel=1e-5)
+
+
+def test_a_parameter_that_moves_nothing_changes_nothing() -> None:
+    """An error of the payload on links that nothing bends: its column is zero in every row."""
+    gravity = Gravity(np.array([0.0, -9.81]), np.ones(2), np.full(2, 0.5), 1.0)
+    arm = Arm(ARM.lengths, gravity=gravity, effects=(EffectSpec("payload_error"),))
+    search = HypothesisSearch(hypotheses(arm, frozenset()), Rows.of(_data(40)))
+    system, plain = System(search.fit(()), search.rows, (), search.fit(()).rank), _system(40)
+    assert len(system.found.model.names) == len(plain.found.model.names) + 1
+    chosen = CurveChoice((), (1,), 0.0, LOGS)
+    assert system.cross_validated(chosen) == pytest.approx(plain.cross_validated(chosen), rel=1e-9)
 
 
 def test_stretches_of_time_are_predicted_from_the_others() -> None:
