@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,16 +27,7 @@ def identification_tables(found: Identification, hidden: frozenset[str] = frozen
         ("method", f"{data['method']}: {found.outcome}"),
         ("RMS error", f"{number(data['rms_before_mm'])} -> {number(data['rms_after_mm'])} mm ({compared(found)})"),
         ("largest error", f"{number(data['max_before_mm'])} -> {number(data['max_after_mm'])} mm"),
-        *(
-            []
-            if found.expected_tip is None
-            else [
-                (
-                    "expected error",
-                    f"{number(found.expected_tip)} mm at the tip, RMS over the joint limits, if the model is right",
-                )
-            ]
-        ),
+        *([("expected error", tip_in_words(data))] if found.expected_tip is not None else []),
         ("sigma", f"{number(data['sigma_mm'], 5)} mm per axis ({given}), {data['dof']} degrees of freedom"),
     ]
     if data["p_value"] is not None:
@@ -52,6 +43,12 @@ def identification_tables(found: Identification, hidden: frozenset[str] = frozen
         shown.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         shown.extend(Text(f"  {combination}") for combination in data["not_identifiable"])
     return shown
+
+
+def tip_in_words(data: Mapping[str, Any]) -> str:
+    """How far the tip may be off where nothing was measured, by the JSON object of `identify`."""
+    inside, anywhere = (number(data[key]) for key in ("expected_tip_measured_mm", "expected_tip_mm"))
+    return f"{inside} mm at the tip within the angles measured, {anywhere} mm over the joint limits (RMS)"
 
 
 def compared(found: Identification) -> str:

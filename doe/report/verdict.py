@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from doe.report.gap_tables import is_described
+from doe.report.identification_tables import tip_in_words
 from doe.report.page import Action
 from doe.report.terminal import number
 from identification.effects import library
@@ -132,9 +133,9 @@ def identification_verdict(data: Data) -> str:
 
 def expected_elsewhere(data: Data) -> str:
     """What a fit promises where nothing was measured; files of earlier versions do not say."""
-    if (expected := data.get("expected_tip_mm")) is None:
+    if data.get("expected_tip_mm") is None or data.get("expected_tip_measured_mm") is None:
         return ""
-    return f" Over the joint limits the tip is expected within {number(expected)} mm (RMS) if the model is right."
+    return f" Expected error if the model is right: {tip_in_words(data)}."
 
 
 def validation_verdict(

@@ -34,27 +34,45 @@ def expected_tip(model: Model, parameters: Array, covariance: Array, postures: A
     return float(np.sqrt(np.einsum("mdp,pq,mdq->", jacobian, covariance, jacobian, optimize=True) / len(postures)))
 
 
-def everywhere(arm: Arm, measured: Mapping[str, Any]) -> Array:
-    """(k, n) random postures within the joint limits; of a joint without limits, within the angles measured.
+def working_postures(arm: Arm, origin: Mapping[str, Any], *, measured: bool) -> Array:
+    """(k, n) random postures within the joint limits, of a joint without limits within the angles measured; or within
+    the angles measured of every joint.
 
-    measured : `Measurements.origin`
+    origin : `Measurements.origin`
     """
     low, high = arm.lower, arm.upper
-    if (ranges := measured.get("joint_range_deg")) is not None:
-        low, high = np.where(limited(arm), [low, high], np.radians(ranges).T)
+    if (ranges := origin.get("joint_range_deg")) is not None:
+        low, high = np.where(limited(arm) & (not measured), [low, high], np.radians(ranges).T)
     return np.random.default_rng(0).uniform(low, high, (POSES, arm.links))
 
 
+def tip_of(found: Identification, *, measured: bool) -> float | None:
+    """`expected_tip` of a fit over `working_postures` [mm]; None where something is not identifiable, without
+    deviations, and of other models than an arm's."""
+    arm = getattr(found.model, "arm", None)
+    if not isinstance(arm, Arm) or found.not_identifiable or not np.all(np.isfinite(found.covariance)):
+        return None
+    postures = working_postures(arm, found.provenance, measured=measured)
+    return expected_tip(found.model, found.parameters, found.covariance, postures)
+
+
 def hardly_determined(found: Identification) -> list[str]:
-    """What is doubtful about a fit that leaves the tip less certain than half of what the drawing was off by, and than
-    one measurement of it."""
+    """What is doubtful about a fit that leaves the tip uncertain beyond the noise of one measurement: by more than half of
+    what the arm was off before, within the angles measured; or by more than all of it, within the joint limits."""
+    inside, anywhere = found.expected_tip_measured, found.expected_tip
+    if inside is None or anywhere is None:
+        return []
     equations = found.residuals_before.size
     spare = equations - len(placing(found.model.parameters))
-    drawn = found.rms_before * float(np.sqrt(equations / spare)) if spare > 0 else 0.0
+    before = found.rms_before * float(np.sqrt(equations / spare)) if spare > 0 else 0.0
     noise = (found.scatter or found.sigma or 0.0) * float(np.sqrt(found.model.arm.dimension))
-    expected = found.expected_tip
-    if expected is None or expected <= max(SHARE * drawn, noise):
-        return []
-    off = f"; before the fit the arm was {found.rms_before:.3g} mm off where it was measured" if spare > 0 else ""
-    said = f"elsewhere the tip may be {expected:.3g} mm off (RMS over the joint limits) from where it is computed{off}"
-    return [f"too few measurements, or too much alike: {said}. Measure more postures, all over where the arm works"]
+    was = f"; before the fit the arm was {found.rms_before:.3g} mm off where it was measured" if spare > 0 else ""
+    if inside > max(SHARE * before, noise):
+        said = (
+            f"at other postures within the same angles the tip may be {inside:.3g} mm (RMS) from where it is computed"
+        )
+        return [f"too few measurements: {said}{was}. Measure more postures"]
+    if anywhere > max(before, noise):
+        said = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
+        return [f"outside the angles measured {said}. Keep to these angles, or measure beyond them"]
+    return []

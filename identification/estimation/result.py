@@ -16,7 +16,7 @@ from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_rows
 from identification.estimation import shown
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
-from identification.estimation.expected_tip import everywhere, expected_tip, hardly_determined
+from identification.estimation.expected_tip import hardly_determined, tip_of
 from identification.estimation.intervals import freedom_kept, limits_95
 from identification.estimation.prior import Prior
 from identification.estimation.shown import in_words
@@ -106,12 +106,13 @@ class Identification:
 
     @cached_property
     def expected_tip(self) -> float | None:
-        """How far the tip may be from where this fit computes it [mm]: standard deviation of its position, root mean
-        square over the joint limits (see `estimation.expected_tip`). None without deviations, or an arm."""
-        arm = getattr(self.model, "arm", None)
-        if not isinstance(arm, Arm) or self.not_identifiable or not np.all(np.isfinite(self.covariance)):
-            return None
-        return expected_tip(self.model, self.parameters, self.covariance, everywhere(arm, self.provenance))
+        """How far the tip may be from where this fit computes it [mm], RMS over the joint limits; None: not known."""
+        return tip_of(self, measured=False)
+
+    @cached_property
+    def expected_tip_measured(self) -> float | None:
+        """The same within the angles measured."""
+        return tip_of(self, measured=True)
 
     @property
     def misfit(self) -> str | None:
@@ -238,6 +239,7 @@ class Identification:
             "max_before_mm": self.max_before,
             "max_after_mm": self.max_after,
             "expected_tip_mm": self.expected_tip,
+            "expected_tip_measured_mm": self.expected_tip_measured,
             **dict(zip(("rms_before_deg", "rms_after_deg"), np.degrees(self.rms_angles or ()).tolist(), strict=False)),
             "method": self.method,
             "status": self.status.name,

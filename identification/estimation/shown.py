@@ -53,7 +53,8 @@ def remarks(found: Identification) -> list[str]:
     lines.append(f"RMS {found.rms_before:.4g} -> {found.rms_after:.4g} mm")
     lines.append(f"max {found.max_before:.4g} -> {found.max_after:.4g} mm")
     if found.expected_tip is not None:
-        lines.append(f"expected error of the tip {found.expected_tip:.4g} mm, RMS over the joint limits")
+        measured = f"{found.expected_tip_measured:.4g} mm within the angles measured"
+        lines.append(f"expected error of the tip {measured}, {found.expected_tip:.4g} mm over the joint limits (RMS)")
     if found.rms_angles is not None:
         lines.append("orientations, RMS {:.4g} -> {:.4g} deg".format(*np.degrees(found.rms_angles)))
     return [*lines, f"{found.method}: {found.outcome}"]

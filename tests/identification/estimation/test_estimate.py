@@ -24,6 +24,7 @@ UR10 = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "measurem
 DOCUMENTED_KEYS = {"parameters", "corrected_values", "not_identifiable", "sigma_mm", "chi2", "dof", "p_value"}
 DOCUMENTED_KEYS |= {"status", "warnings", "outlier_rows", "scatter_mm", "intervals", "clusters"}
 DOCUMENTED_KEYS |= {"rms_before_mm", "rms_after_mm", "max_before_mm", "max_after_mm", "method", "expected_tip_mm"}
+DOCUMENTED_KEYS |= {"expected_tip_measured_mm"}
 
 
 def dft_plan(m: int) -> np.ndarray:
@@ -251,7 +252,7 @@ def test_result_is_read_only_and_prints() -> None:
     page = found._repr_html_()
     assert "<pre>" not in page
     assert page.count("<tr>") == 1 + len(found.names)
-    assert "<td>joint_offset:2</td>" in page
+    assert ">joint_offset:2</td>" in page
 
 
 # -- refusals --------------------------------------------------------------------------------------------------------

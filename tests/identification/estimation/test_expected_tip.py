@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import estimate, estimate_batch
-from identification.estimation.expected_tip import everywhere, expected_tip
+from identification.estimation.expected_tip import expected_tip, working_postures
 from identification.measurements import Measurements
 from identification.model import Model
 from tests.identification.estimation.cases import LENGTHS, SIGMA, arm, data, plan, truth
@@ -51,23 +51,31 @@ def test_it_is_the_error_that_repeated_experiments_show() -> None:
 
 def test_few_measurements_are_said_and_many_are_not() -> None:
     model = Model(limited())
-    near = np.random.default_rng(5).normal(0.0, 0.2, (5, 4))  # five postures, nearly the same
+    near = np.random.default_rng(5).normal(0.0, 0.1, (5, 4))  # five postures, nearly the same
     alike, many = (estimate(model, data(model, postures), sigma=SIGMA) for postures in (near, plan(30)))
     assert alike.expected_tip > 10.0 * many.expected_tip
-    assert any("too few measurements, or too much alike" in said for said in alike.warnings)
+    assert [said.partition(" the tip may be ")[0] for said in alike.warnings] == ["outside the angles measured"]
+    again = estimate(Model(many.calibrated_arm()), data(model, plan(6)), sigma=SIGMA)
+    assert again.expected_tip_measured > 0.5 * again.rms_before
+    assert again.warnings == ()  # the arm was right before: what it was off is noise
+    few = estimate(model, data(model, plan(4)), sigma=60.0 * SIGMA)
+    assert [said.partition(":")[0] for said in few.warnings] == ["too few measurements"]
     assert many.warnings == ()
     assert many.to_json()["expected_tip_mm"] == many.expected_tip
-    assert f"expected error of the tip {many.expected_tip:.4g} mm" in str(many)
+    assert f"{many.expected_tip:.4g} mm over the joint limits" in str(many)
+    assert many.to_json()["expected_tip_measured_mm"] == pytest.approx(many.expected_tip, rel=0.2)  # nearly all angles
 
 
 def test_a_joint_without_limits_counts_where_it_was_measured() -> None:
     one = replace(arm(), lower=np.array([-np.pi, -1.0, -np.pi, -np.pi]), upper=np.array([np.pi, 0.5, np.pi, np.pi]))
     rows = Measurements(plan(20) * 0.5, np.zeros((20, 2)))
-    postures = everywhere(one, rows.origin)
+    postures = working_postures(one, rows.origin, measured=False)
     low, high = rows.postures.min(axis=0), rows.postures.max(axis=0)
     low[1], high[1] = -1.0, 0.5
     np.testing.assert_allclose(postures.min(axis=0), low, atol=0.02)
     np.testing.assert_allclose(postures.max(axis=0), high, atol=0.02)
+    inside = working_postures(one, rows.origin, measured=True)
+    assert np.all((inside >= rows.postures.min(axis=0)) & (inside <= rows.postures.max(axis=0)))
 
 
 def test_what_is_not_identifiable_has_no_expected_error() -> None:
