@@ -57,7 +57,7 @@ def tip_of(found: Identification, *, measured: bool) -> float | None:
 
 
 def hardly_determined(found: Identification) -> list[str]:
-    """What is doubtful about a fit that leaves the tip uncertain beyond the noise of one measurement: by more than half of
+    """What is doubtful about a fit that leaves the tip uncertain, beyond the noise of one measurement: by over half of
     what the arm was off before, within the angles measured; or by more than all of it, within the joint limits."""
     inside, anywhere = found.expected_tip_measured, found.expected_tip
     if inside is None or anywhere is None:
@@ -65,7 +65,7 @@ def hardly_determined(found: Identification) -> list[str]:
     equations = found.residuals_before.size
     spare = equations - len(placing(found.model.parameters))
     before = found.rms_before * float(np.sqrt(equations / spare)) if spare > 0 else 0.0
-    noise = (found.scatter or found.sigma or 0.0) * float(np.sqrt(found.model.arm.dimension))
+    noise = max(found.scatter or 0.0, found.sigma or 0.0) * float(np.sqrt(found.model.arm.dimension))
     was = f"; before the fit the arm was {found.rms_before:.3g} mm off where it was measured" if spare > 0 else ""
     if inside > max(SHARE * before, noise):
         said = (
