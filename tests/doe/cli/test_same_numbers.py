@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from doe.cli import main
 from tests.doe.faults import ROOT, prepare
 
 COMMANDS = (
@@ -48,9 +50,9 @@ def prepare_six(folder: Path) -> Path:
     lines = [",".join(["run", *(f"q{j}_deg" for j in range(1, 7))])]
     lines += [",".join(map(repr, [k, *generator.uniform(-150.0, 150.0, 6).tolist()])) for k in range(1, 31)]
     (folder / "plan.csv").write_text("\n".join(lines) + "\n")
-    words = ["simulate", "six.toml", "plan.csv", "--truth", "truth.toml", "--out", "measured.csv"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    subprocess.run([sys.executable, "-m", "doe", *words], cwd=folder, env=environment, check=True, capture_output=True)
+    arm, plan, truth, out = (str(folder / name) for name in ("six.toml", "plan.csv", "truth.toml", "measured.csv"))
+    done = CliRunner().invoke(main, ["simulate", arm, plan, "--truth", truth, "--out", out], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
     return folder
 
 
