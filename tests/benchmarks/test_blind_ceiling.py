@@ -13,6 +13,7 @@ of two such columns.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -24,6 +25,7 @@ import pytest
 from doe.discrimination.design import discrimination_design
 from doe.problem.problem import DesignProblem
 from doe.studies.blind import cells, hidden_effects, simulator
+from identification.effects.rare import RARE
 from identification.model import Model
 
 COUNT = 400
@@ -34,6 +36,7 @@ PAIRS = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_sk
 PAIRS |= {"base_offset": "xy", "base_drift": "xy"}
 SAGGING = ("joint_compliance", "gravity_backlash", "link_bending")  # of one sign only
 NAMES = hidden_effects.LIBRARY_JOINT + hidden_effects.LIBRARY_WHOLE
+ONE = {"payload_error": {"d": 1.0}, "gravity_tilt": {"angle": 1.0}}  # wrong loads, of one parameter
 CELLS = [
     "one, lambda 6, m=50",
     "one, lambda 6, m=200",
@@ -65,7 +68,10 @@ def directions(bare: simulator.Truth, run: simulator.Session, name: str, j: int 
     def probe(values: dict) -> np.ndarray:
         return hidden_effects.column(bare, run, (name.rstrip("*"), j, values))
 
-    if name in PAIRS:
+    if name in ONE:
+        one = hidden_effects.column(bare, run, (name, None, ONE[name]))[:, None]
+        yield np.hstack([one, -one])
+    elif name in PAIRS:
         for k in range(3, 65) if name == "transmission_ripple" else [None]:
             order = {} if k is None else {"k": k}
             both = [probe({c: float(c == one) for c in PAIRS[name]} | order) for one in PAIRS[name]]
@@ -98,6 +104,8 @@ def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, simu
     if postures is None:
         postures = rng.uniform(truth.lower, truth.upper, (max(spec.m, truth.n + 4), truth.n))
     run = simulator.session(truth, postures, rng)
+    if spec.rare:
+        truth = replace(truth, known=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
     truth = replace(truth, effects=cells.hidden(spec, truth, run, rng))
     bare = replace(truth, effects=[])
     measured = simulator.position(truth, run) + simulator.noise(truth, run, rng, spec.noise)
@@ -108,8 +116,8 @@ def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, simu
         return columns - basis @ (basis.T @ columns)
 
     found = []
-    for name in NAMES:
-        whole = name in hidden_effects.LIBRARY_WHOLE
+    for name in (*NAMES, *(ONE if spec.rare else ())):
+        whole = name in (*hidden_effects.LIBRARY_WHOLE, *ONE)
         joints = [None] if whole else list(range(2 if name == "joint_coupling" else 1, truth.n + 1))
         for j in joints:
             columns = np.hstack([_unit(part, off) for part in directions(bare, run, name, j)])
@@ -170,3 +178,23 @@ def test_ceiling(cell: str) -> None:
     shares = [float(np.mean(values)) for values in (exact, classes, inside, sizes)]
     print(f"\n{cell}: exact {shares[0]:.3f}, class {shares[1]:.3f}, in the set {shares[2]:.3f}, size {shares[3]:.2f}")
     assert shares[1] > 0.9  # the classifier itself works
+
+
+@pytest.mark.benchmark
+@pytest.mark.parametrize("weight", [1.0, RARE])
+@pytest.mark.parametrize("name", ONE)
+def test_ceiling_of_wrong_loads(name: str, weight: float) -> None:
+    """Their prior beside the common effects is 1, or what the library says (`RARE`), which costs names."""
+    named: Counter[str] = Counter()
+    inside = 0
+    for seed in range(COUNT // 2):
+        residual, possible, lam, _ = drawn(f"{name}, lambda 8", seed)
+        rare = np.log([weight if one.key in ONE else 1.0 for one in possible])
+        found = [log_mean(lam * (residual @ one.columns) - lam**2 / 2.0) + one.prior for one in possible] + rare
+        scores = {one.key: float(score) for one, score in zip(possible, found, strict=True)}
+        best = max(scores, key=lambda key: scores[key])
+        named[best.split(":")[0]] += 1
+        inside += scores[name] > scores[best] - 3.0
+    shares = {key: round(count / named.total(), 3) for key, count in named.most_common(4)}
+    print(f"\n{name}, prior {weight:g}: named {shares}, in the set {inside / named.total():.3f}")
+    assert inside > 0.9 * named.total()

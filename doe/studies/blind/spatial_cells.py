@@ -32,7 +32,8 @@ class SpatialCell:
 
     lam : size of the hidden effect, None: nothing is hidden;  reflectors : measured points, taking turns
     gravity : the hidden effect is one of gravity, and the arm file is wrong about `masses` of the links (by up to
-        30 %), the mass of the `tool` (missing, a parameter), or about how the base leans (1 to 3 degrees, `tilt`)
+        30 %), the mass of the `tool` (missing, a parameter), how the base leans (1 to 3 degrees, `tilt`), or the
+        `place` of the payload (see `beside`, `loaded`)
     """
 
     m: int
@@ -52,6 +53,7 @@ CELLS = {
     "space, gravity, wrong masses": SpatialCell(60, 8.0, gravity="masses"),
     "space, gravity, unknown tool mass": SpatialCell(60, 8.0, gravity="tool"),
     "space, gravity, tilted base": SpatialCell(60, 8.0, gravity="tilt"),
+    "space, gravity, load elsewhere": SpatialCell(60, 8.0, gravity="place"),
 }
 
 
@@ -137,6 +139,27 @@ def leaning(truth: SpatialTruth, rng: np.random.Generator) -> SpatialTruth:
     return replace(truth, gravity=turn(angle * np.array([np.cos(phase), np.sin(phase), 0.0])) @ truth.gravity)
 
 
+def beside(truth: SpatialTruth, rng: np.random.Generator) -> SpatialTruth:
+    """The arm with a payload of 5 to 20 kg that hangs 150 to 300 mm beside the first measured point."""
+    phase = rng.uniform(0.0, 2.0 * np.pi)
+    away = rng.uniform(150.0, 300.0) * np.array([np.cos(phase), np.sin(phase), rng.uniform(-0.3, 0.6)])
+    return replace(truth, payload=float(rng.uniform(5.0, 20.0)), load=truth.tools[0] + away)
+
+
+def loaded(spec: SpatialCell, truth: SpatialTruth, run: Session, rng: np.random.Generator) -> list[Drawn]:
+    """Compliance in all joints, such that the payload's place adds lambda sigma off the compliance that would fit best
+    without it; and that place."""
+    c = rng.uniform(0.5, 1.5, truth.n)
+    effects = [("joint_compliance", j, {"c": float(one)}) for j, one in enumerate(c, start=1)]
+    there = np.stack([column(truth, run, None, effect) for effect in effects], axis=1)
+    here = np.stack([column(replace(truth, load=None), run, None, effect) for effect in effects], axis=1)
+    unseen = np.column_stack([base_jacobian(truth, run), here])
+    assert spec.lam is not None and truth.load is not None  # noqa: PT018
+    size = spec.lam * truth.sigma / np.linalg.norm(off(unseen, np.sum(there - here, axis=1)))
+    place = dict(zip("xyz", (truth.load - truth.tools[0]).tolist(), strict=True))
+    return [("joint_compliance", None, {"c": size * c}), ("payload_place", None, place)]
+
+
 def measured(truth: SpatialTruth, spec: SpatialCell, run: Session, rng: np.random.Generator) -> Measurements:
     """What the instrument says, reflectors taking turns."""
     marker = markers(spec, run)
@@ -173,9 +196,12 @@ def data_set(cell: str, seed: int, _: Array | None = None) -> DataSet:
     truth = random_truth(spec, rng)
     if spec.gravity == "tilt":
         truth = leaning(truth, rng)
+    truth = beside(truth, rng) if spec.gravity == "place" else truth
     run, fresh = (_session(spec, truth, count, rng) for count in (spec.m, FRESH))
     arm = arm_of(spec, truth, rng)
-    if spec.lam is not None:
+    if spec.gravity == "place":
+        truth = replace(truth, effects=loaded(spec, truth, run, rng))
+    elif spec.lam is not None:
         truth = replace(truth, effects=[random_effect(spec, truth, run, markers(spec, run), rng)])
     return DataSet(
         arm,
