@@ -38,6 +38,11 @@ def command(session: Session, arm: Path, plan: Path, truth: Path, out: Path, for
     loaded, true_arm = load_arm(arm), load_arm(truth)
     if true_arm.links != loaded.links:
         raise InputError(f"{truth}: {true_arm.links} links, allowed: {loaded.links} as in {arm}")
+    if true_arm.dimension < loaded.dimension or true_arm.joint_types != loaded.joint_types:
+        kinds = [
+            f"{'planar' if a.dimension == 2 else 'spatial'}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)
+        ]
+        raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
     postures = load_plan(plan, loaded.joint_types).postures
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
     if sigma is None:

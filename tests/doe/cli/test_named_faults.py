@@ -84,6 +84,14 @@ def test_a_payload_heavier_than_any(folder: Folder) -> None:
     refused(folder, ["simulate", "arm.toml", "heavy.csv", "--truth", "arm.toml", "--out", "out.file"], "payload_kg")
 
 
+def test_a_planar_truth_of_a_spatial_arm(folder: Folder) -> None:
+    """It wrote measurements without `z_mm`, which the arm's own reader refuses."""
+    rows = "[[dh]]\na_mm = 300.0\nalpha_deg = 90.0\nd_mm = 50.0\n" * 4
+    folder.write("space.toml", f'kind = "spatial"\n{rows}[measurement]\nsigma_mm = 0.1\n')
+    words = ["simulate", "space.toml", "plan.csv", "--truth", "arm.toml", "--out", "out.file"]
+    refused(folder, words, "arm.toml: found an arm that is planar", "allowed: spatial, revolute")
+
+
 def test_more_draws_than_memory(folder: Folder) -> None:
     folder.simulated()
     refused(folder, ["diagnose", "arm.toml", "data.csv", "--draws", "1000000000"], "--draws", "1000000000")
