@@ -130,7 +130,7 @@ class PayloadPlace(_Load):
     """The payload hangs elsewhere than the file says: shifted by (x, y, z) in the frame of the tip."""
 
     name = "payload_place"
-    summary = "payload hangs elsewhere than the file says"
+    summary = "payload hangs elsewhere than the file says (payload_at_mm)"
     family = "payload_error"
     dimensions = (3,)
 
