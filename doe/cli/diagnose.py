@@ -64,6 +64,7 @@ def command(
     from identification.servo import with_servo_errors
 
     loaded = load_arm(arm)
+    check_no_arm_file(data, prior.prior)
     measurements, held_out = parts(data, holdout, loaded, session.seed)
     loaded = with_servo_errors(loaded, measurements)
     with session.progress() as progress:
@@ -81,6 +82,14 @@ def command(
         say(str(error))
         answer.exit_code = error.exit_code
     return answer
+
+
+def check_no_arm_file(data: tuple[Path, ...], prior: bool) -> None:
+    """Raise `InputError` for an arm file among the data, as `--prior FILE` of `identify` leads one to give it."""
+    for path in data:
+        if path.suffix.lower() == ".toml":
+            flag = f"--prior of diagnose takes no file; armcal identify --prior {path} does; " if prior else ""
+            raise InputError(f"{path}: found an arm file among the data, {flag}allowed: files of measurements")
 
 
 def parts(

@@ -162,7 +162,8 @@ def check_same_arm(base: Fit, measurements: Measurements, holdout: Measurements)
     if missed > limit:
         raise InputError(
             f"holdout: median residual {missed:.3g} mm with the arm calibrated on the data, allowed: up to {limit:.3g} "
-            "mm; another arm, set-up or unit?"
+            "mm; another arm, set-up or unit? Where base or instrument stand elsewhere: give both files as DATA, "
+            "sessions with a base each, or refit the base (armcal validate --refit base)"
         )
 
 

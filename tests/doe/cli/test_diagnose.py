@@ -113,3 +113,29 @@ def test_the_diagnosis_is_shown_where_the_file_cannot_be_written(
     assert done.code == 2
     assert done.out.startswith("named: encoder_eccentricity:2")
     assert "armcal: length_errors_mm: found -231.6 for link 3" in done.err
+
+
+def test_an_arm_file_is_no_data(folder: Folder) -> None:
+    """As `identify --prior FILE` leads one to write it; without --prior nothing is said of it."""
+    for name in ("cal.toml", "Cal.TOML"):
+        folder.write(name, ARM + CALIBRATION)
+        done = folder.armcal("diagnose", "arm.toml", "data.csv", "--prior", name)
+        assert (done.code, done.err.count("\n")) == (2, 1)
+        assert f"--prior of diagnose takes no file; armcal identify --prior {name} does" in done.err
+        alone = folder.armcal("diagnose", "arm.toml", name)
+        assert alone.code == 2
+        assert alone.err == f"armcal: {name}: found an arm file among the data, allowed: files of measurements\n"
+
+
+def test_a_hold_out_of_another_frame_is_a_session_of_its_own(sessions: Folder) -> None:
+    """The instrument moved by 300 mm: what the message proposes works on the same two files."""
+    rows = (sessions.path / "same.csv").read_text().splitlines()
+    column = rows[0].split(",").index("x_mm")
+    cells = [row.split(",") for row in rows[1:]]
+    moved = [",".join([*row[:column], str(float(row[column]) + 300.0), *row[column + 1 :]]) for row in cells]
+    sessions.write("moved.csv", "\n".join([rows[0], *moved]) + "\n")
+    done = sessions.armcal(*WORDS, "--holdout", "moved.csv")
+    assert done.code == 2
+    assert "give both files as DATA" in done.err
+    assert "armcal validate --refit base" in done.err
+    assert sessions.armcal("diagnose", "arm.toml", "data.csv", "moved.csv", "--draws", "399").code == 0
