@@ -8,14 +8,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from identification.arm import Arm, Calibration
+from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.estimation.prior import Earlier
-from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, Parameter
+from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
 from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.measurements import Measurements
 from identification.model import Model
@@ -23,6 +25,7 @@ from identification.placed import with_markers
 from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import SESSIONS, with_base
 
+HELD_FROM = "held_from"  # key of a calibration's provenance
 # word -> kinds of parameters
 KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -93,13 +96,38 @@ def _check_places(arm: Arm, model: Model, held: set[str], measurements: Measurem
         raise InputError("only: base is to be held, but the data have several sessions, allowed: --only with base")
 
 
-def with_held(found: Calibration, before: Calibration | None) -> Calibration:
-    """A calibration with the covariance that parameters had before that it does not estimate, as independent of its."""
-    if before is None or before.covariance is None or found.covariance is None:
+def with_held(found: Calibration, before: Calibration | None, kinds: Sequence[str] = ()) -> Calibration:
+    """A calibration with what parameters had before that it does not estimate: their covariance, as independent of its
+    own, the angles that they were found on, and the data that they come from (`held_from` of the provenance).
+
+    kinds : of the joints, none: all turn
+    """
+    if before is None or not (names := set(before.parameter_names) & set(found.values) - set(found.parameter_names)):
         return found
-    held = before.about(set(before.parameter_names) & set(found.values) - set(found.parameter_names))
-    names, covariance = (*found.parameter_names, *held.parameter_names), block_diag(found.covariance, held.covariance)
-    return replace(found, parameter_names=names, covariance=covariance)
+    found = replace(found, provenance=MappingProxyType(_of_both(found.provenance, before.provenance, kinds)))
+    if before.covariance is None or found.covariance is None:
+        return found
+    held = before.about(names)
+    covariance = block_diag(found.covariance, held.covariance)
+    return replace(found, parameter_names=(*found.parameter_names, *held.parameter_names), covariance=covariance)
+
+
+def _of_both(own: Mapping[str, Any], before: Mapping[str, Any], kinds: Sequence[str]) -> dict[str, Any]:
+    """Provenance of a calibration that keeps parameters of an earlier one."""
+    data = {key: before[key] for key in ("sha256", "rows") if key in before}
+    both = {**own, HELD_FROM: {**before.get(HELD_FROM, {}), str(before.get("file", "data")): data}}
+    ranges = [np.array(one.get("joint_range_deg", ()), dtype=float) for one in (own, before)]
+    if ranges[0].shape == ranges[1].shape and ranges[0].ndim == 2:
+        turning = [kind == REVOLUTE for kind in kinds] or [True] * len(ranges[0])
+        both["joint_range_deg"] = [_widest(*three) for three in zip(*ranges, turning, strict=True)]
+    return both
+
+
+def _widest(new: Array, old: Array, turns: bool) -> list[float]:
+    """The range [deg] that has two in it, the new one by the whole turns away that leave it the narrowest."""
+    shifts = 360.0 * (round((old.mean() - new.mean()) / 360.0) + np.arange(-1, 2)) if turns else [0.0]
+    hulls = [[min(old[0], new[0] + shift), max(old[1], new[1] + shift)] for shift in shifts]
+    return [float(f"{end:.9g}") for end in min(hulls, key=np.ptp)]
 
 
 # -- an earlier calibration as the prior ------------------------------------------------------------------------------

@@ -244,8 +244,9 @@ def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Condition
 
 def _notes(arm: Arm, measurements: Measurements, undetermined: int) -> Iterator[str]:
     """What to know before these figures are believed."""
-    sha = identified(arm).get("sha256")
-    if sha is not None and sha == measurements.provenance.get("sha256"):
+    own = identified(arm)
+    known = [one.get("sha256") for one in (own, *own.get("held_from", {}).values())]
+    if (sha := measurements.provenance.get("sha256")) is not None and sha in known:
         yield "these are the measurements that the model was identified from: this says nothing about others"
     if far := extrapolation(arm, measurements.postures):
         yield far

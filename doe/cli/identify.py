@@ -222,7 +222,7 @@ def answer(
 ) -> Answer:
     """The answer for a fit; writes the requested files unless the fit is not good enough (`no_file`).
 
-    before : the earlier calibration; parameters that were not estimated keep its covariance
+    before : the earlier calibration; parameters that were not estimated keep its covariance and its data
     """
     from doe.report.identification_tables import identification_tables
 
@@ -282,7 +282,8 @@ def arm_file(found: Identification, path: Path, hidden: frozenset[str], before: 
     from identification.sessions import SESSIONS, without_sessions
 
     effects = [spec for spec in found.model.arm.effects if spec.name != SESSIONS]
-    kept = with_held(found.calibration().about(set(found.names) - hidden), before)
+    own = found.calibration().about(set(found.names) - hidden)
+    kept = with_held(own, before, found.model.arm.joint_types)
     text = with_effects(read_text(path), effects, path.parent)
     return with_calibration(text, without_sessions(kept), path.parent)
 

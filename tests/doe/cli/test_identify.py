@@ -123,6 +123,32 @@ def test_what_is_not_named_stays_and_keeps_its_covariance(folder: Folder) -> Non
     assert (wrong.code, "did you mean 'lengths'" in wrong.err) == (2, True)
 
 
+def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
+    """The range of two files is that of all their rows, a joint read a whole turn away included; with nothing kept it
+    is that of the new rows. `validate` then knows the old rows, and finds none of them outside."""
+    folder.simulated()
+    folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
+    head, *rows = folder.read("data.csv").splitlines()
+    column = head.split(",").index("q1_deg")
+    old = np.array([float(row.split(",")[column]) for row in rows])
+    few = [row.split(",") for row in rows[:6]]
+    turned = [[*r[:column], str(float(r[column]) + 360.0), *r[column + 1 :]] for r in few]
+    folder.write("few.csv", "\n".join([head, *(",".join(r) for r in turned)]) + "\n")
+    for words, kept in ((["--only", "joint_offset:2"], True), ([], False)):
+        folder.armcal("identify", "calibrated.toml", "few.csv", *words, "--out", "again.toml", "--force")
+        found = tomllib.loads(folder.read("again.toml"))["calibration"]["provenance"]
+        assert (found["file"], found["rows"]) == ("few.csv", 6)
+        expected = [old.min(), old.max()] if kept else [old[:6].min() + 360.0, old[:6].max() + 360.0]
+        np.testing.assert_allclose(found["joint_range_deg"][0], expected, atol=1e-6)
+        assert ("held_from" in found) is kept
+        if kept:
+            assert found["held_from"]["data.csv"]["rows"] == len(rows)
+            notes = folder.armcal("validate", "again.toml", "data.csv", "--json").data["notes"]
+            assert [note.partition(":")[0] for note in notes] == [
+                "these are the measurements that the model was identified from"
+            ]
+
+
 def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
     """`--prior` alone means the library, wherever it stands; before a file an earlier calibration."""
     folder.simulated()
