@@ -139,7 +139,7 @@ class Inspection:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `check` (identification/files/README.md, "JSON keys")."""
-        better, fit = self.readings.better, self.fit
+        fit = self.fit
         return {
             "rows": self.rows,
             "postures": self.postures,
@@ -149,7 +149,7 @@ class Inspection:
             "joints": [joint.to_json() for joint in self.joints],
             **{name: value for name, value in self.floor.to_json().items() if "repeats_mm" in name},
             "rms_drawing_mm": self.drawing,
-            "better_reading": None if better is None else {"changes": better.words, "rms_mm": better.rms},
+            "better_reading": self.readings.to_json(),
             "rms_fitted_mm": None if fit is None else rms_distance(fit.residuals_after),
             "not_identifiable": () if fit is None else fit.not_identifiable,
             "ok": not self.problems,

@@ -6,8 +6,8 @@ read the columns the base (and in space the measured point) is fitted to the dra
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import combinations, product
 
@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array
 from identification.data_checks import CLEARLY
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC
 from identification.kinematics.placement import placed
@@ -23,109 +22,18 @@ from identification.kinematics.spatial import SpatialChain
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.placed import frames_of_tip, placed_model, some
+from identification.reading import Reading, Readings
 
 ENOUGH = 200  # rows that are used: a wrong sign shows in far fewer
 ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
 EQUATIONS = 4  # for each fitted number, below which anything may fit
+OTHERS = 2  # readings that are named beside the simplest
 KEPT = 4  # effort: readings from which the next kind of change starts
 DRAWN = 0.02  # of the reach: what may well be the drawing's errors, so that nothing more is tried
 ZEROS = tuple(np.arange(0.0, 4.0, 0.25))  # quarter turns: starts, of which one is near enough to the best
 FINE, WHOLE = 1e-3, 0.02  # quarter turns, 0.1 and 2 deg: how well a zero is found; what is a whole quarter turn
 MANY = 6  # joints, up to which all combinations of signs are tried
-UPRIGHT, QUARTER = np.radians(20.0), np.radians(45.0)  # a base is this near to the frame's axes; or to a half turn
 PLANE, SPACE = 3, 9  # numbers fitted: a pose in the plane; a pose and a point in space
-
-
-@dataclass(frozen=True)
-class Reading:
-    """One way to read the columns.
-
-    order : joint j is in column order[j];  signs : +1 or -1 of each joint
-    quarters : quarter turns to add to each joint, whole ones or a zero of any angle
-    mirrored : the positions are those of a mirror image: their last axis is read the other way
-    turn : of the base [rad] that then explains the positions best, in the plane; None: it says nothing
-    rms : distance [mm] that the drawing leaves
-    """
-
-    order: tuple[int, ...]
-    signs: tuple[int, ...]
-    quarters: tuple[float, ...]
-    mirrored: bool = False
-    turn: float | None = None
-    rms: float = np.inf
-
-    @classmethod
-    def as_written(cls, joints: int) -> Reading:
-        """As the columns say."""
-        return cls(tuple(range(joints)), (1,) * joints, (0,) * joints)
-
-    @property
-    def changes(self) -> int:
-        """How many things are read differently."""
-        swapped = sum(a != b for a, b in enumerate(self.order)) // 2
-        return swapped + sum(s < 0 for s in self.signs) + sum(k != 0 for k in self.quarters) + self.mirrored
-
-    def postures(self, given: Array) -> Array:
-        """(m, n) what the arm's joints are, of columns (m, n)."""
-        return given[:, list(self.order)] * np.array(self.signs) + 0.5 * np.pi * np.array(self.quarters)
-
-    def positions(self, given: Array) -> Array:
-        """(m, d) what the positions are in axes of the right hand."""
-        return given * np.r_[np.ones(given.shape[1] - 1), -1.0] if self.mirrored else given
-
-    @property
-    def words(self) -> tuple[str, ...]:
-        """What is different, each in a sentence; joints and columns from 1."""
-        swaps = sorted({tuple(sorted((a, b))) for a, b in enumerate(self.order) if a != b})
-        said = [f"columns of joints {a + 1} and {b + 1} are swapped" for a, b in swaps]
-        said += [f"joint {j} turns the other way" for j, sign in enumerate(self.signs, start=1) if sign < 0]
-        zeros = ((j, np.degrees(x)) for j, x in enumerate(self.zeros, start=1) if x)
-        said += [f"joint {j} has another zero than the drawing: add {x:.3g} deg to it" for j, x in zeros]
-        return (*said, *([self._mirror] if self.mirrored else []))
-
-    @property
-    def zeros(self) -> tuple[float, ...]:
-        """(n) what to add to each joint [rad], by the shorter way."""
-        return tuple(float(np.radians(180.0 - (180.0 - 90.0 * k) % 360.0)) for k in self.quarters)
-
-    @property
-    def moved_zeros(self) -> bool:
-        """Nothing but zeros of joints that are off by no whole quarter turns: a fit takes them for what they are."""
-        as_written = Reading.as_written(len(self.order))
-        same = replace(self, quarters=as_written.quarters, turn=None, rms=np.inf) == as_written
-        return same and any(k % 1.0 for k in self.quarters)
-
-    @property
-    def _mirror(self) -> str:
-        """What makes a mirror image: with x and y swapped the last axis turned gives back the drawing a quarter turn
-        away, with an axis turned it stands as drawn or half a turn away."""
-        flipped, swapped = "an axis of the positions points the other way", "x_mm and y_mm are swapped"
-        if self.turn is None:
-            return f"two of x_mm, y_mm, z_mm are swapped, or {flipped}"
-        if abs(np.sin(2.0 * self.turn)) > np.sin(2.0 * UPRIGHT):
-            return f"{swapped}, or {flipped}"
-        return flipped if abs(np.cos(self.turn)) > np.cos(QUARTER) else swapped
-
-
-@dataclass(frozen=True)
-class Readings:
-    """written : as the columns say;  better : one that explains the positions clearly better, or None;
-    alike : others as simple that explain them as well: at a wrist whose axes meet, joint 5 reversed and joint 4 half
-    a turn away are the same
-    """
-
-    written: Reading
-    better: Reading | None
-    alike: tuple[Reading, ...] = ()
-
-    @property
-    def sentences(self) -> list[str]:
-        """What looks wrong, in a sentence; none where nothing does."""
-        if self.better is None:
-            return []
-        gain = f"the drawing then leaves {self.better.rms:.3g} mm instead of {self.written.rms:.4g}"
-        ways = (", and ".join(reading.words) for reading in (self.better, *self.alike))
-        return [f"it looks as if {', or '.join(ways)}: {gain}"]
 
 
 def read_differently(arm: Arm, measurements: Measurements) -> Readings:
@@ -146,23 +54,37 @@ def _read_differently(arm: Arm, rows: Measurements) -> Readings:
         return Readings(written, None)
     known = {replace(written, rms=0.0): written}
     zero = partial(_moved_zero, left=left)
-    for stage in (zero, zero, _mirrored, _signs, _swaps, _zeros, _flips, _zeros):
+    for stage in (zero, zero, _mirrored, _signs, _swaps, _zeros, _flips, _zeros, _pairs_and_zero):
         kept = sorted(known.values(), key=lambda reading: reading.rms)
         if kept[0].rms < DRAWN * arm.reach:
             break
         whole = [reading for reading in kept if not reading.moved_zeros][:KEPT]
-        starts = kept[:1] if stage is zero else dict.fromkeys((written, *whole))
+        starts = kept[:1] if stage is zero else dict.fromkeys((written, *([] if stage is _pairs_and_zero else whole)))
         for reading in (other for start in starts for other in stage(replace(start, rms=0.0), arm)):
             if reading not in known:
                 known[reading] = replace(reading, rms=left(reading))
     best = _simplest(list(known.values()))
     if CLEARLY * best.rms >= written.rms:
         return Readings(written, None)
-    if arm.chain is None:
-        return Readings(written, replace(best, turn=float(np.angle(np.vdot(*_in_plane(arm, rows, best))))))
-    flips = (replace(flip, rms=left(flip)) for flip in _flips(replace(written, rms=0.0), arm))
-    half_turn = best.changes == 1 and 2.0 in best.quarters
-    return Readings(written, best, tuple(r for r in flips if half_turn and r.rms <= ALIKE * best.rms))
+    explained = best.rms < DRAWN * arm.reach
+    if explained and not best.moved_zeros:  # the search ends early: at a zero, say, that a sign is as good as
+        known |= {r: replace(r, rms=left(r)) for r in _signs(replace(written, rms=0.0), arm) if r not in known}
+    alike = [r for r in _as_good(best, known.values()) if explained and r != best]
+    best, *alike = (_turned(arm, rows, reading) for reading in (best, *alike[:OTHERS]))
+    return Readings(written, best, tuple(alike), explained)
+
+
+def _as_good(best: Reading, tried: Iterable[Reading]) -> list[Reading]:
+    """Those as simple as the best that leave about as little, the least first."""
+    alike = [r for r in tried if r.changes == best.changes and r.rms <= ALIKE * best.rms and not r.moved_zeros]
+    return sorted(alike, key=lambda reading: reading.rms)
+
+
+def _turned(arm: Arm, rows: Measurements, reading: Reading) -> Reading:
+    """The reading with the turn of the base, in the plane."""
+    if arm.chain is not None:
+        return reading
+    return replace(reading, turn=float(np.angle(np.vdot(*_in_plane(arm, rows, reading)))))
 
 
 def _few(arm: Arm, rows: Measurements) -> bool:
@@ -260,6 +182,12 @@ def _zeros(best: Reading, arm: Arm) -> Iterator[Reading]:
     for j, k in product(range(arm.links), (1, 2, 3)):
         if arm.joint_types[j] != PRISMATIC:
             yield replace(best, quarters=tuple(k if i == j else old for i, old in enumerate(best.quarters)))
+
+
+def _pairs_and_zero(best: Reading, arm: Arm) -> Iterator[Reading]:
+    """Up to two joints turning the other way, and the zero of one: each alone may explain next to nothing."""
+    for signs in {pair for flip in _flips(best, arm) for pair in (flip, *_flips(flip, arm))}:
+        yield from _zeros(signs, arm)
 
 
 def _some(measurements: Measurements) -> Measurements:

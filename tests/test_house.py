@@ -64,6 +64,7 @@ LAYERS = {
     "identification.sessions": 5,
     "identification.validate": 6,
     "identification.gap": 6,
+    "identification.reading": 2,
     "identification.readings": 5,
     "identification.inspection": 7,
     "doe.criteria": 11,

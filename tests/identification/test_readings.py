@@ -84,6 +84,33 @@ def test_a_zero_of_any_angle_is_found_and_no_reversed_joints(
     assert better.words == (f"joint 3 has another zero than the drawing: add {-degrees:.3g} deg to it",)
 
 
+def test_two_reversed_joints_of_a_planar_arm_have_two_explanations(planar: Measurements) -> None:
+    """Joints 1 and 3 reversed are joint 2 reversed in a mirror: conj(exp(i(a + b + c))) = exp(i(-a - b - c))."""
+    found = read_differently(PLANAR, replace(planar, postures=planar.postures * [-1.0, 1.0, -1.0]))
+    assert found.better is not None
+    both = {found.better.words, *(reading.words for reading in found.alike)}
+    mirrored = ("joint 2 turns the other way", "an axis of the positions points the other way")
+    assert both == {mirrored, ("joint 1 turns the other way", "joint 3 turns the other way")}
+    assert ", or, equally well, " in found.sentences[0]
+
+
+def test_a_zero_and_two_signs_at_once(six_axis: tuple[Arm, Measurements]) -> None:
+    change: Change = lambda q: q * [1, -1, -1, 1, 1, 1] + [0, 0, 0, np.pi / 2.0, 0, 0]  # noqa: E731
+    ways = ("joint 2 turns the other way", "joint 3 turns the other way")
+    assert words(*six_axis, change) == (*ways, "joint 4 has another zero than the drawing: add -90 deg to it")
+
+
+def test_what_nothing_explains_is_not_said_to_be_found(planar: Measurements) -> None:
+    """Three columns moved round and a sign: no pair of columns and no change of signs undoes that."""
+    moved = replace(planar, postures=planar.postures[:, [2, 0, 1]] * [1, -1, 1] + [0.0, 0.9, 0.0])
+    found = read_differently(PLANAR, moved)
+    assert found.better is not None
+    assert found.better.rms > 0.02 * PLANAR.reach
+    (said,) = found.sentences
+    assert said.startswith("no one or two signs, ")
+    assert " Closest: " in said
+
+
 def test_two_zeros_are_the_fit_s_to_name(six_axis: tuple[Arm, Measurements]) -> None:
     arm, data = six_axis
     found = inspect(arm, replace(data, postures=data.postures + np.radians([0, 20, 0, -12, 0, 0])))
@@ -156,4 +183,7 @@ def test_a_wrist_whose_axes_meet_has_two_explanations(tmp_path: Path) -> None:
         measured.append(point)
     data = Measurements(q * [1, 1, 1, 1, -1, 1], np.array(measured))
     (said,) = read_differently(load_arm(tmp_path / "arm.toml"), data).sentences
-    assert "joint 4 has another zero than the drawing: add 180 deg to it, or joint 5 turns the other way" in said
+    assert (
+        "joint 4 has another zero than the drawing: add 180 deg to it, or, equally well, joint 5 turns the other way"
+        in said
+    )
