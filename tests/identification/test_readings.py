@@ -97,7 +97,11 @@ def test_two_reversed_joints_of_a_planar_arm_have_two_explanations(planar: Measu
 def test_a_zero_and_two_signs_at_once(six_axis: tuple[Arm, Measurements]) -> None:
     change: Change = lambda q: q * [1, -1, -1, 1, 1, 1] + [0, 0, 0, np.pi / 2.0, 0, 0]  # noqa: E731
     ways = ("joint 2 turns the other way", "joint 3 turns the other way")
-    assert words(*six_axis, change) == (*ways, "joint 4 has another zero than the drawing: add -90 deg to it")
+    arm, data = six_axis
+    assert words(arm, data.rows(slice(None, None, 7)), change) == (
+        *ways,
+        "joint 4 has another zero than the drawing: add -90 deg to it",
+    )
 
 
 def test_what_nothing_explains_is_not_said_to_be_found(planar: Measurements) -> None:
