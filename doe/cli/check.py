@@ -28,4 +28,4 @@ def command(session: Session, arm: Path, data: Path) -> Answer:
 
     loaded = load_arm(arm)
     found = inspect(loaded, load_measurements(data, loaded))
-    return Answer(found.to_json(), inspection_tables(found))
+    return Answer(found.to_json(), inspection_tables(found, str(arm), str(data)))

@@ -23,7 +23,7 @@ HOLDOUT = FileOrShare(path_type=Path)
 
 
 @verb(
-    "armcal diagnose arm.toml data.csv --holdout more.csv --out extended.toml --report gap.html",
+    "armcal diagnose arm.toml data.csv --holdout more.csv --report gap.html",
     "Find and name the effect that the model lacks.",
 )
 @click.argument("arm", type=FILE)

@@ -13,7 +13,7 @@ from identification.errors import InputError
 
 
 @verb(
-    "armcal discriminate arm.toml data.csv --runs 4 --payloads 0,5,10 --out next.csv",
+    "armcal discriminate arm.toml data.csv --runs 4 --payloads 0,5 --out next.csv",
     "Next postures for an ambiguous diagnosis.",
 )
 @click.argument("arm", type=FILE)

@@ -11,7 +11,7 @@ from doe.cli.options import FILE, force_option
 from doe.cli.typed import origin
 
 
-@verb("armcal report arm.toml calibrated.toml plan.csv data.csv other.csv diagnosis.json --out page.html", "One page.")
+@verb("armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html", "One page.")
 @click.argument("files", type=FILE, nargs=-1, required=True)
 @click.option("--out", type=FILE, metavar="PAGE.html", required=True, help="Write the page.")
 @force_option

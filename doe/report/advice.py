@@ -13,21 +13,22 @@ from rich.text import Text
 from doe.advise import Advice
 from doe.design import Design
 from doe.report.pictures import AFTER, BEFORE
-from doe.report.terminal import NARROW, number, table
+from doe.report.terminal import number, table
 
 NONE = "None of these plans is within 0.1 % of the bound."
 ENOUGH = 0.999  # of the bound
 MOST = 12  # rows of the table
 # figure of `TipError` -> heading
 TIP_ERRORS = {
-    "right": "tip error,\nmodel\nright [mm]",
-    "worst": "at the\nworst\npose [mm]",
+    "right": "model\nright\n[mm]",
+    "worst": "worst\npose\n[mm]",
     "missing": "effects\nmissing\n[mm]",
-    "with_prior": "missing,\n--prior\n[mm]",
+    "with_prior": "library\nprior\n[mm]",
 }
 TIP = (
-    "Tip errors are expected values where nothing was measured (RMS over the workspace): if the model lacks nothing, "
-    "if it lacks effects of typical size, and if identify --prior allows for these.",
+    "The last four columns are expected errors of the tip where nothing was measured (RMS over the workspace): if the "
+    "model is right, then at the worst pose, if effects of typical size are missing, and if these are allowed for by "
+    "identify --library-prior.",
     "The last two may rise with the runs: more runs average out noise, not what a model lacks, which wrong lengths and "
     "zeros take up, by more or less from plan to plan. Where effects may be missing, choose the postures with armcal "
     "design --robust.",
@@ -67,13 +68,13 @@ def advice_tables(advice: Advice) -> list[Any]:
         "efficiency": (efficiency(design) for design in advice.designs),
     }
     if not advice.of_tip:
-        columns["length\nstd [mm]"] = [number(None if d is None else d.largest_length, 5) for d in known]
-        columns["angle\nstd [deg]"] = [number(None if d is None else np.degrees(d.largest_angle), 5) for d in known]
+        columns["length\nstd\n[mm]"] = [number(None if d is None else d.largest_length, 5) for d in known]
+        columns["angle\nstd\n[deg]"] = [number(None if d is None else np.degrees(d.largest_angle), 5) for d in known]
     for key, heading in TIP_ERRORS.items() if advice.tip_errors else ():
         columns[heading] = [number(getattr(error, key), 4) for error in advice.tip_errors]
     every, wanted = list(zip(*columns.values(), strict=True)), set(shown_runs(advice))
     rows = [row for m, row in zip(advice.runs, every, strict=True) if m in wanted]
-    shown: list[Any] = [Text(sentence(advice), style="bold"), table(list(columns), rows, **NARROW | {"padding": 0})]
+    shown: list[Any] = [Text(sentence(advice), style="bold"), table(list(columns), rows)]
     lines = ["* within 0.1 % of the bound."] if advice.efficient_runs() else []
     lines += (
         [] if len(rows) == len(every) else [f"{len(rows)} of {len(every)} numbers of runs; --json has all of them."]

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from doe.bounds.approximate_design import ApproximateDesign
 from doe.cross_check import CrossCheck
-from doe.report.terminal import NARROW, facts, number, table
+from doe.report.terminal import facts, number, table
 
 MOST = 24
 
@@ -44,4 +44,4 @@ def cross_check_table(compared: CrossCheck) -> Table:
     rows = ([row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared.rows())
     headings = ("method", "over", "value", "upper bound", "deviation from orthogonality (Table I)")
     left = ("method", "over")
-    return table(headings, rows, "Cross-check: independent answers", left=left, no_wrap=headings[:4], **NARROW)
+    return table(headings, rows, "Cross-check: independent answers", left=left, no_wrap=headings[:4])

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from doe.report.pictures import save
-from doe.report.terminal import NARROW, table
+from doe.report.terminal import table
 from doe.studies.blind.reliability import ALL
 from doe.studies.blind.score import BlindStudy
 from identification.arrays import Array
@@ -50,7 +50,7 @@ def cell_table(cells: pl.DataFrame) -> Table:
     headings = ["hidden", "sets", *COLUMNS.values(), "+-"]
     of_cells = cells.filter(pl.col("cell") != ALL).partition_by("cell", maintain_order=True)
     rows = map(_cell_row, of_cells)
-    return table(headings, rows, "Blind study", left=("hidden",), no_wrap=headings, **NARROW)
+    return table(headings, rows, "Blind study", left=("hidden",), no_wrap=headings)
 
 
 def _cell_row(part: pl.DataFrame) -> list[str]:

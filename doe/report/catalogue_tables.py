@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.text import Text
 
-from doe.report.terminal import NARROW, facts, table
+from doe.report.terminal import facts, table
 from identification.effects.catalogue import Entry
 
 TITLES = {
@@ -28,7 +28,7 @@ def library_tables(entries: Sequence[Entry]) -> list[Any]:
     for kind, title in TITLES.items():
         rows = [[_name(e), e.summary, ", ".join(e.needs)] for e in entries if e.kind == kind]
         if rows:
-            shown.append(table(HEADINGS, rows, title, left=HEADINGS, **NARROW))
+            shown.append(table(HEADINGS, rows, title, left=HEADINGS))
     return [*shown, "A name with :j belongs to joint j. More about one of them: armcal effects backlash"]
 
 
@@ -52,12 +52,10 @@ def entry_tables(entry: Entry) -> list[Any]:
     if entry.parameters:
         rows = [[p.toml_key, p.file_unit, _size(p.typical, p.to_file)] for p in entry.parameters]
         title = "Parameters" if entry.place != "one joint or all" else "Parameters (of an arm of three joints)"
-        shown.append(table(("key", "unit", "typical size"), rows, title, left=("key", "unit"), **NARROW))
+        shown.append(table(("key", "unit", "typical size"), rows, title, left=("key", "unit")))
     if entry.settings:
         rows = [[name, allowed] for name, allowed in entry.settings.items()]
-        shown.append(
-            table(("key", "allowed"), rows, "Settings: chosen, not estimated", left=("key", "allowed"), **NARROW)
-        )
+        shown.append(table(("key", "allowed"), rows, "Settings: chosen, not estimated", left=("key", "allowed")))
     intro = "In an arm file, with its parameters left out so that identify estimates them:"
     return [*shown, entry.example if entry.kind == "table" else Text(f"{intro}\n\n{entry.example}\n")]
 

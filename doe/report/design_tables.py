@@ -45,7 +45,8 @@ def accuracy_table(design: Design) -> Table | str:
     names = map(str, range(1, mean.length.size + 1)) if mean.planar else each_parameter
     rows = ([name, *(number(v, 5) for v in figures)] for name, figures in zip(names, values, strict=True) if name)
     first = "link" if mean.planar else "parameter"
-    return table([first, *headings], rows, f"Expected standard deviations (sigma = {sigma:g} mm{over})")
+    given = "if effects of typical size may be missing" if may_be_missing else "if the model lacks nothing"
+    return table([first, *headings], rows, f"Expected standard deviations {given} (sigma = {sigma:g} mm{over})")
 
 
 def deviation_columns(deviations: ExpectedDeviations) -> dict[str, Array]:
@@ -85,7 +86,7 @@ def repeats_line(design: Design) -> list[Text]:
     if design.certified_optimal or distance_to_keep(design.problem, len(design.plan)) == 0.0:
         return []
     apart = design.problem.spacing
-    return [Text(f"postures are kept {apart} apart; with --repeats they may be equal, which can be better")]
+    return [Text(f"postures are kept {apart} apart; armcal design --repeats lets them be equal, which can be better")]
 
 
 def not_estimable_line(design: Design, most: int = 4) -> list[Text]:

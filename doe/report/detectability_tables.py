@@ -8,7 +8,7 @@ from rich.text import Text
 
 from doe.discrimination.design import DiscriminationDesign
 from doe.discrimination.misidentification import LAMBDA
-from doe.report.terminal import NARROW, table
+from doe.report.terminal import table
 from identification.gap.detectability import Detectability
 from identification.gap.notes import untested
 
@@ -22,12 +22,12 @@ def preflight_tables(sees: Detectability) -> list[Any]:
     def row(name: str, visible: float) -> list[str]:
         alike = [f"{other} ({likeness:.2f})" for one, other, likeness in pairs if one == name]
         more = f" and {len(alike) - 2} more" if len(alike) > 2 else ""
-        return [name, f"{visible:.2f}", str(sees.detectable[name]), ", ".join(alike[:2]) + more]
+        return [name, f"{visible:.2f}", str(sees.detectable[name]), ",\n".join(alike[:2]) + more]
 
     headings = ("effect", "visible", "smallest found", "looks like")
     title = "What this plan can show of missing effects (smallest: with 90 % power)"
     rows, text = map(row, sees.names, sees.norm_fractions), ("effect", "looks like")
-    shown = table(headings, rows, title, left=text, no_wrap=headings[:3], **NARROW)
+    shown = table(headings, rows, title, left=text, no_wrap=headings[:3], padding=0)
     skipped = [Text(sentence) for sentence in untested(sees.skipped)]
     never = [Text(f"never identifiable: {key}: equivalent to {why}") for key, why in sees.aliases.items()]
     return [shown, Text(f"{sees.freedom} residual degrees of freedom"), *skipped, *never]

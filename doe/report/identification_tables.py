@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from doe.report.page import Sheet
-from doe.report.terminal import NARROW, estimate, facts, number, table
+from doe.report.terminal import estimate, facts, number, table
 from identification.compensate import Compensation
 from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
@@ -74,9 +74,9 @@ def as_drawn(row: CorrectedValue) -> bool:
 
 def corrected_table(rows: Sequence[CorrectedValue]) -> Table:
     """The same for a terminal, at most 80 columns wide."""
-    sheet, style = corrected_sheet(rows), NARROW | {"padding": 0}  # 80 columns
+    sheet = corrected_sheet(rows)
     left, figures = ("", "unit"), sheet.headings[1:]
-    return table(sheet.headings, sheet.rows, "Corrected values", left=left, no_wrap=figures, **style)
+    return table(sheet.headings, sheet.rows, "Corrected values", left=left, no_wrap=figures, padding=0)
 
 
 def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
@@ -124,6 +124,7 @@ def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     )
     caption = f"first {most} of {len(found.targets)} targets; --out writes all"
     joints = (f"q{j}" if kind == REVOLUTE else f"q{j} [mm]" for j, kind in enumerate(types, start=1))
+    padding = (0, 0, 0, int(fine))
     headings, title = ("row", *(f"{axis} [mm]" for axis in axes), *joints, "left"), "Commands [deg]"
     reached = f"{np.count_nonzero(found.reached)} of {len(found.targets)} targets reached by the calibrated model"
     if found.angles is not None:
@@ -134,7 +135,7 @@ def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     return [
         reached,
         *(Text(warning, style="bold") for warning in found.warnings),
-        table(headings, rows, title, most=most, caption=caption, **(NARROW if fine else NARROW | {"padding": 0})),
+        table(headings, rows, title, most=most, caption=caption, padding=padding),
         *([] if fine else [Text("Rounded to 0.01 deg here; --out and --json give every digit.")]),
         *map(Text, said[:most]),
         *more,

@@ -6,12 +6,12 @@ from typing import Any
 
 from rich.text import Text
 
-from doe.report.terminal import NARROW, facts, number, table
+from doe.report.terminal import facts, number, table
 from identification.inspection import Inspection
 
 
-def inspection_tables(found: Inspection) -> list[Any]:
-    """Problems first, then the facts, the range of each joint, and what the data cannot say."""
+def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
+    """Problems first, then the facts, the range of each joint, what the data cannot say, and the next command."""
     data = found.to_json()
     head = "Put right first:" if found.problems else "Nothing speaks against these data."
     shown: list[Any] = [Text(head, style="bold"), *(Text(f"  - {sentence}") for sentence in found.problems)]
@@ -37,9 +37,10 @@ def inspection_tables(found: Inspection) -> list[Any]:
         for j in found.joints
     ]
     headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
-    shown += [facts(lines), table(headings, rows, "Joints", left=("unit",), **NARROW)]
-    return [*shown, *(Text(f"note: {note}") for note in found.notes), *_next(found)]
+    shown += [facts(lines), table(headings, rows, "Joints", left=("unit",))]
+    return [*shown, *(Text(f"note: {note}") for note in found.notes), *_next(found, f"{arm} {data_file}")]
 
 
-def _next(found: Inspection) -> list[str]:
-    return [] if found.problems else ["Next: armcal identify ARM DATA --out calibrated.toml, then armcal diagnose"]
+def _next(found: Inspection, files: str) -> list[str]:
+    said = f"Next: armcal identify {files} --out calibrated.toml, then armcal diagnose {files}"
+    return [] if found.problems else [said]

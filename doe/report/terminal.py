@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
-NARROW: dict[str, Any] = {"box": SIMPLE_HEAD, "padding": (0, 0, 0, 1)}  # style of tables with many columns
+STYLE: dict[str, Any] = {"box": SIMPLE_HEAD, "padding": (0, 0, 0, 1)}  # of every table: one line, below the head
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -58,9 +58,9 @@ def table(
     left : headings of the columns that start at the left; the others are figures and end at the right
     no_wrap : headings of columns that are never broken
     most : number of rows shown;  caption : the line below when there are more
-    style : as `rich.table.Table` takes it
+    style : what is other than `STYLE`, as `rich.table.Table` takes it
     """
-    found = Table(title=title, title_justify="left", **style)
+    found = Table(title=title, title_justify="left", **STYLE | style)
     for heading in headings:
         justify: Any = "left" if heading in left else "right"
         found.add_column(Text(heading), justify=justify, overflow="fold", no_wrap=heading in no_wrap)

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from doe.report.gap_figures import binned_rms
 from doe.report.pictures import AFTER, BEFORE, MANY, draw_residual_arrows, projections, workspace_axes
-from doe.report.terminal import NARROW, number, table
+from doe.report.terminal import number, table
 from identification.arrays import Array
 from identification.measurements import distances
 from identification.validate import Figures, Validation
@@ -28,7 +28,7 @@ def validation_tables(found: Validation) -> list[Any]:
     sessions = f" in each of {len(found.refitted)} sessions" if len(found.refitted) > 1 else ""
     points = " and the measured points" if found.arm.chain is not None and found.refit != "none" else ""
     summary = f"{len(found.residuals)} rows, {REFITTED[found.refit]}{points}{sessions}; everything else as in the file"
-    figures_of = ("RMS", "mean", "95 % below", "largest")
+    figures_of = ("RMS", "mean", "95 %\nbelow", "largest")
     rows = ((name, *_cells(figures)) for name, figures in (("drawing", found.nominal), ("model", found.model)))
     shown: list[Any] = [summary, table(("", *figures_of), rows, "Distances in mm", left=("",))]
     if found.model.rms >= found.nominal.rms:
@@ -39,8 +39,8 @@ def validation_tables(found: Validation) -> list[Any]:
             [block.kind, block.name, str(block.rows), number(block.nominal.rms), *_cells(block.model)]
             for block in blocks
         )
-        headings = ("block", "which", "rows", "RMS drawing", *figures_of)
-        shown.append(table(headings, lines, "Block by block, in mm", left=("block", "which"), **NARROW))
+        headings = ("block", "which", "rows", "RMS\ndrawing", *figures_of)
+        shown.append(table(headings, lines, "Block by block, in mm", left=("block", "which")))
     return shown
 
 

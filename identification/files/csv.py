@@ -21,6 +21,7 @@ from identification.files.io import PathLike, decode, read_bytes
 
 FINITE = "a finite number"
 PARQUET = b"PAR1"  # first bytes of every such file
+SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # of .xlsx and .ods, and of .xls
 QUOTED = "cells without quotation marks, or in a pair of them"
 # columns that mean something by themselves: none of them is a misspelling of another
 KNOWN = re.compile(
@@ -131,6 +132,8 @@ def read_table(path: PathLike) -> Table:
     content = read_bytes(path)
     if content.startswith(PARQUET):
         return _of_parquet(path, content)
+    if content.startswith(SPREADSHEETS):
+        raise InputError(f"{path}: found a spreadsheet, allowed: CSV or Parquet; save it as CSV")
     separator, header = _header(path, content)
     frame = _frame(path, content, header, separator)
     lines = pl.arange(2, frame.height + 2, eager=True, dtype=pl.Int64)

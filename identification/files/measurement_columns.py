@@ -47,7 +47,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     poses = isinstance(links, Arm) and links.chain is not None and links.chain.angle_scale is not None
     found: dict[str, Any] = {
         "postures": postures,
-        "positions": np.column_stack([_millimetres(table, axis) for axis in axes]),
+        "positions": np.column_stack([millimetres(table, axis) for axis in axes]),
         "order": (order := read_order(table)),
         **read_conditions(table, n),
         "sigma": _sigma(table),
@@ -217,7 +217,7 @@ def _unit(table: Table, name: str) -> tuple[str, float]:
     return ("m", 1000.0) if f"{name}_m" in table else ("mm", 1.0)
 
 
-def _millimetres(table: Table, name: str) -> Array:
+def millimetres(table: Table, name: str) -> Array:
     """(m,) column `x_mm`, or `x_m` converted."""
     unit, factor = _unit(table, name)
     return up_to(table, f"{name}_{unit}", "a finite length", LARGEST_LENGTH / factor) * factor

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arm import LARGEST_LENGTH, Arm
+from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.csv import read_table
@@ -16,9 +16,9 @@ from identification.files.measurement_columns import (
     JointTypes,
     csv_text,
     joint_columns,
+    millimetres,
     posture_columns,
     read_postures,
-    up_to,
     warn_unknown,
 )
 from identification.files.orientation import angle_columns, orientation_columns, read_orientations
@@ -37,7 +37,7 @@ class Targets:
 
 
 def load_targets(path: PathLike, links: int | Arm) -> Targets:
-    """The targets of a CSV file with `x_mm, y_mm`, or with `q1_deg..qn_deg` of nominal postures.
+    """The targets of a CSV file with `x_mm, y_mm` (or `x_m, y_m`), or with `q1_deg..qn_deg` of nominal postures.
 
     links : how many the planar arm has, or the arm; targets of a spatial one have `z_mm` too, and may have orientations
 
@@ -47,19 +47,16 @@ def load_targets(path: PathLike, links: int | Arm) -> Targets:
     table = read_table(path)
     types, dimension = (links.joint_types, links.dimension) if isinstance(links, Arm) else (links, 2)
     columns = [f"{axis}_mm" for axis in "xyz"[:dimension]]
-    has_positions, joints = any(column in table for column in columns), joint_columns(table, types)
+    given = [f"{axis}_{unit}" for axis in "xyz"[:dimension] for unit in ("mm", "m")]
+    has_positions, joints = any(column in table for column in given), joint_columns(table, types)
     if not has_positions and not joints:
         count = types if isinstance(types, int) else len(types)
         allowed = f"{', '.join(columns[:-1])} and {columns[-1]}, or q1_deg..q{count}_deg"
         raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
-    positions = (
-        np.column_stack([up_to(table, name, "a finite length", LARGEST_LENGTH) for name in columns])
-        if has_positions
-        else None
-    )
+    positions = np.column_stack([millimetres(table, axis) for axis in "xyz"[:dimension]]) if has_positions else None
     postures = read_postures(table, types) if joints else None
     spatial = has_positions and dimension == 3
-    warn_unknown(table, ["run", *columns, *joints, *(orientation_columns(table) if spatial else ())])
+    warn_unknown(table, ["run", *given, *joints, *(orientation_columns(table) if spatial else ())])
     return Targets(positions, postures, read_orientations(table) if spatial else None)
 
 

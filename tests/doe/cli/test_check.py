@@ -21,7 +21,9 @@ def test_simulated_data_are_fine(folder: Folder) -> None:
     assert done.data["problems"] == []
     assert done.data["ok"] is True
     assert [joint["limit_high"] for joint in done.data["joints"]] == pytest.approx([180.0, 120.0, 60.0, 90.0])
-    assert "Nothing speaks against these data." in folder.armcal("check", "arm.toml", "data.csv").out
+    text = folder.armcal("check", "arm.toml", "data.csv").out
+    assert "Nothing speaks against these data." in text
+    assert "armcal identify arm.toml data.csv --out" in text
 
 
 def test_a_joint_that_turns_the_other_way(folder: Folder) -> None:

@@ -26,4 +26,6 @@ def test_effects_that_may_be_missing_are_counted_not_listed() -> None:
         console.print(found)
     assert "rotation_x:2 [deg]" in capture.get()
     assert "gear_ratio" not in capture.get()
+    assert "if effects of typical size may be missing" in str(found.title)
+    assert "if the model lacks nothing" in str(getattr(accuracy_table(score(plain, design.plan.postures)), "title", ""))
     assert any("6 parameters of gear_ratio" in line.plain for line in missing_lines(design))

@@ -122,6 +122,7 @@ BAD = [
         with_columns(direction1=(1, 1), direction2=(1, 1), direction3=(1, 1)),
         ["direction3", "allowed: direction1 to direction2"],
     ),
+    ("PK\x03\x04\x14", ["found a spreadsheet", "save it as CSV"]),
     (with_columns(posture=("A", "B")), ["row 1 (line 2), column posture", "found 'A'", "allowed: a whole number"]),
     (with_columns(posture=(1, 1.5)), ["row 2 (line 3), column posture", "found '1.5'", "allowed: a whole number"]),
     (with_columns(order=(1, "")), ["row 2 (line 3), column order", "an empty cell"]),

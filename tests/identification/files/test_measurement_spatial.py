@@ -85,3 +85,6 @@ def test_plans_and_targets(tmp_path: Path) -> None:
     assert found.postures is not None
     np.testing.assert_allclose(found.positions, positions)
     np.testing.assert_allclose(found.postures, plan.postures[:1])
+    in_metres = load_targets(saved(tmp_path, "x_m,y_m,z_mm\n0.001,0.002,3\n"), ARM)
+    assert in_metres.positions is not None
+    np.testing.assert_allclose(in_metres.positions, positions)
