@@ -18,15 +18,24 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_columns
 from identification.errors import InputError
-from identification.inverse_kinematics import TOLERANCE, Constraints, best_of_seeds, reaching, violations
+from identification.inverse_kinematics import (
+    TOLERANCE,
+    Constraints,
+    best_of_seeds,
+    inverse_kinematics,
+    reaching,
+    violations,
+)
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.parameters import REVOLUTE
+from identification.kinematics.turns import turned_into
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
-from identification.row_groups import extrapolated, outside
+from identification.row_groups import extrapolated, identified, identified_range, outside
 from identification.servo import servo_shift
 
 TURNED = 1e-8  # [rad] a pose is reached if the model comes this close
+ROOM = 0.02  # of a joint's range at either end, left for the corrections of a posture
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +50,7 @@ class Compensation:
     joint_types : (n) of the arm, empty: all revolute
     constraints : kinds of those given;  violations : (k, c) by how much each command misses them [mm]
     outside : (k, n) True where a joint is outside the angles of the identification, None: these are not known
+    model_rms : [mm] that the calibrated model left of its own measurements, None: not known
     """
 
     targets: Array
@@ -53,6 +63,7 @@ class Compensation:
     constraints: tuple[str, ...] = ()
     violations: Array | None = None
     outside: NDArray[np.bool_] | None = None
+    model_rms: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("targets", "nominal", "commands", "errors"):
@@ -87,6 +98,13 @@ class Compensation:
         return "; ".join(said)
 
     @property
+    def safe_commands(self) -> Array:
+        """(k, n) as `commands`, NaN where they miss a constraint: nobody may drive to these."""
+        if self.violations is None:
+            return self.commands
+        return np.where(np.any(self.violations > 0.0, axis=1)[:, None], np.nan, self.commands)
+
+    @property
     def warnings(self) -> list[str]:
         """What must be known of the commands, in sentences."""
         said = extrapolated(self.outside, "targets")
@@ -101,6 +119,7 @@ class Compensation:
             "reached": int(np.count_nonzero(reached)),
             "max_error_mm": float(np.max(self.errors[reached])) if reached.any() else None,
             "max_error_over": "targets reached",
+            "model_rms_mm": self.model_rms,
             "max_unreached_mm": None if reached.all() else float(np.max(self.errors[~reached])),
             **({} if self.angles is None else {"max_error_deg": self._largest_angle}),
             "unreachable": [int(row) + 1 for row in np.flatnonzero(~reached)],
@@ -170,7 +189,8 @@ def compensate(
 
     arm : with a calibration, or with known effect values
     targets : (k, d) tip positions [mm]; left out: where the nominal arm has its tip at `postures`
-    postures : (k, n) nominal joint commands [rad]; left out: found, the nearest to the middle of the limits
+    postures : (k, n) nominal joint commands [rad]; left out: found, the nearest to the middle of the
+        angles of the identification, and where possible within them; where these are not known, of the limits
     conditions : payload, temperature and the like of every row; directions follow from the order of the rows
     orientations : (k, 3, 3) axes of a spatial arm's tool for the instrument at the targets; left out: any will do, but
         that where targets are left out, too, an arm that measures orientations keeps those of its nominal postures
@@ -192,7 +212,7 @@ def compensate(
     if turned is not None and len(turned) != len(goals):
         raise InputError(f"orientations: {len(turned)} rows for {len(goals)} targets, allowed: as many")
     where = replace(conditions or Conditions(), orientation=turned)
-    nominal = given if given is not None else _nominal_postures(nominal_arm, goals, where, constraints)
+    nominal = given if given is not None else _nominal_postures(nominal_arm, _familiar(arm), goals, where, constraints)
     model = Model(arm)
     if where.directions is None and len(nominal):
         past = past_from_order(nominal) if model.remembers else None
@@ -213,7 +233,9 @@ def _compensation(
     if where.directions is not None:
         commands = commands - servo_shift(arm, where.directions)
     kinds = tuple(each.kind for each in constraints)
-    figures = commands, distances(left), arm.joint_types, where.orientation, angles, kinds, missed, beyond
+    rms = identified(arm).get("rms_after_mm")
+    rms = float(rms) if isinstance(rms, float | int) else None
+    figures = commands, distances(left), arm.joint_types, where.orientation, angles, kinds, missed, beyond, rms
     return Compensation(goals[:, POINT], nominal, *figures)
 
 
@@ -262,7 +284,35 @@ def _checked(name: str, values: ArrayLike, columns: int) -> Array:
     return array
 
 
-def _nominal_postures(model: Model, goals: Array, conditions: Conditions, constraints: Constraints) -> Array:
-    """(k, n) nominal inverse kinematics nearest to the middle of the limits; where none exists, the best found."""
-    middle = np.tile((model.arm.lower + model.arm.upper) / 2.0, (len(goals), 1))
-    return best_of_seeds(model, goals, middle, Conditions(orientation=conditions.orientation), constraints)[0]
+def _familiar(arm: Arm) -> tuple[Array, Array]:
+    """(n,) least and largest angles of the identification but for `ROOM`, moved by whole turns into the limits; the
+    limits themselves where these are not known."""
+    if (known := identified_range(arm)) is None:
+        return arm.lower, arm.upper
+    middle = known.mean(axis=0)
+    known = middle + (1.0 - 2.0 * ROOM) * (known - middle)
+    moved = known + turned_into(middle[None], arm.lower, arm.upper, arm.joint_types)[0] - middle
+    lower, upper = np.clip(moved, arm.lower, arm.upper)
+    return lower, upper
+
+
+def _nominal_postures(
+    model: Model, familiar: tuple[Array, Array], goals: Array, conditions: Conditions, constraints: Constraints
+) -> Array:
+    """(k, n) nominal inverse kinematics nearest to the middle of familiar angles, and where possible within them; where
+    none exists, the best found."""
+    lower, upper = familiar
+    near, where = np.tile((lower + upper) / 2.0, (len(goals), 1)), Conditions(orientation=conditions.orientation)
+    found = best_of_seeds(model, goals, near, where, constraints)[0]
+    out = np.flatnonzero(np.any((found < lower) | (found > upper), axis=1))
+    if not out.size or np.any(lower >= upper):
+        return found
+    inside = Model(replace(model.arm, lower=lower, upper=upper))
+    for starts in (np.clip(found, lower, upper), near):
+        if not out.size:
+            break
+        postures, left = inverse_kinematics(inside, goals[out], starts[out], where.rows(out))
+        better = (left <= TOLERANCE) & ~violations(constraints, postures).any(axis=1)
+        found[out[better]] = postures[better]
+        out = out[~better]
+    return found

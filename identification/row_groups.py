@@ -48,12 +48,17 @@ def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
 def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
     """(m, n) True where a joint of postures (m, n) is outside the angles of the identification, whole turns aside; None
     where they are not known."""
-    limits = np.array(identified(arm).get("joint_range_deg", ()), dtype=float)
-    if limits.shape != (arm.links, 2):
+    if (limits := identified_range(arm)) is None:
         return None
-    (lower, upper), types = np.radians(limits.T), Model(arm).joint_types
+    (lower, upper), types = limits, Model(arm).joint_types
     q = turned_into(postures, lower, upper, types, READ)
     return (q < lower - READ) | (q > upper + READ)
+
+
+def identified_range(arm: Arm) -> Array | None:
+    """(2, n) least and largest angles of the identification [rad, mm], None where they are not known."""
+    limits = np.array(identified(arm).get("joint_range_deg", ()), dtype=float)
+    return np.radians(limits.T) if limits.shape == (arm.links, 2) else None
 
 
 def row_groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str, NDArray[np.int64]]]:

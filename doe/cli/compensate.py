@@ -40,5 +40,5 @@ def command(session: Session, calibrated: Path, targets: Path, output: Output) -
     found = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
     warn_beside_json(found.warnings)
     columns = found.targets, found.errors, arm.joint_types, found.orientations, found.angles, found.reached
-    written = output.write(commands_text(found.commands, *columns), "commands")
+    written = output.write(commands_text(found.safe_commands, *columns, found.messages), "commands")
     return Answer(found.to_json(), [*compensation_tables(found), *written])

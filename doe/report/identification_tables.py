@@ -112,12 +112,13 @@ def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     """Joint commands for the first targets, and how many are reached."""
     types, axes = found.joint_types or (REVOLUTE,) * found.commands.shape[1], "xyz"[: found.targets.shape[1]]
     fine = len(types) + len(axes) <= 6  # more columns with fewer decimals, for 80 characters a line
-    found_rows = zip(found.targets, found.commands_in_file_units, found.errors, found.reached, strict=True)
+    commands = np.where(np.isnan(found.safe_commands), np.nan, found.commands_in_file_units)
+    found_rows = zip(found.targets, commands, found.errors, found.reached, strict=True)
     rows = (
         [
             f"{row}{'' if reached else ' !'}",
             *(f"{v:.{1 if fine else 0}f}" for v in target),
-            *(f"{v:.{3 if fine else 2}f}" for v in command),
+            *("-" if np.isnan(v) else f"{v:.{3 if fine else 2}f}" for v in command),
             residual_text(error),
         ]
         for row, (target, command, error, reached) in enumerate(found_rows, start=1)
@@ -127,9 +128,11 @@ def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
     padding = (0, 0, 0, int(fine))
     headings, title = ("row", *(f"{axis} [mm]" for axis in axes), *joints, "left"), "Commands [deg]"
     reached = f"{np.count_nonzero(found.reached)} of {len(found.targets)} targets reached by the calibrated model"
+    if found.model_rms is not None:
+        reached += f" (RMS {found.model_rms:.4g} mm on its own measurements)"
     if found.angles is not None:
         largest = found.to_json()["max_error_deg"]
-        reached += f"; orientations are those wanted to {residual_text(largest or 0.0)} deg there"
+        reached += f"; orientations are those wanted to {residual_text(largest or 0.0)} deg, by the same model"
     said = [f"target {k} ! {message}" for k, message in enumerate(found.messages, start=1) if message]
     more = [f"... and {len(said) - most} more not reached; --out writes all"] if len(said) > most else []
     return [

@@ -166,7 +166,10 @@ def posture_columns(postures: Array, types: JointTypes = None) -> dict[str, NDAr
 
 
 def csv_text(columns: dict[str, NDArray[np.generic]]) -> str:
-    """CSV of columns of one length; whole floats that only count (`order`, directions) lose their `.0`."""
+    """CSV of columns of one length; whole floats that only count (`order`, directions) lose their `.0`.
+
+    NaN is an empty cell.
+    """
     series = []
     for name, values in columns.items():
         counts = name == "order" or _DIRECTION.fullmatch(name)
@@ -177,7 +180,7 @@ def csv_text(columns: dict[str, NDArray[np.generic]]) -> str:
             series.append(pl.Series(name, values).fill_nan(None).cast(pl.Int64))
         else:
             series.append(pl.Series(name, values.astype(np.int64) if small else np.ascontiguousarray(values)))
-    return pl.DataFrame(series).write_csv()
+    return pl.DataFrame(series).fill_nan(None).write_csv()
 
 
 def warn_unknown(table: Table, known: Iterable[str], hint: str = "") -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,15 +69,19 @@ def commands_text(
     orientations: Array | None = None,
     angles: Array | None = None,
     reached: NDArray[np.bool_] | None = None,
+    messages: Sequence[str] = (),
 ) -> str:
     """CSV `q1_deg..qn_deg, x_mm, y_mm, error_mm`: joint commands, the targets, and what is left between [mm].
 
     orientations, angles : of poses (k, 3, 3) that are wanted, and (k,) what is left [rad]: `rx_deg..`, `error_deg`
-    reached : (k,) `reachable`, 1 or 0
+    reached : (k,) `reachable`, 1 or 0;  messages : (k,) `message`, why not, where any is not
+    commands : NaN where none may be driven to: empty cells
     """
     wanted = {f"{axis}_mm": column for axis, column in zip("xyz", targets.T, strict=False)}
     wanted |= {} if orientations is None else angle_columns(orientations)
     left = {"error_mm": errors} | ({} if angles is None else {"error_deg": np.degrees(angles)})
     if reached is not None:
         left["reachable"] = reached.astype(int)
+    if any(messages):
+        left["message"] = np.array(messages)
     return csv_text({**posture_columns(commands, joint_types), **wanted, **left})

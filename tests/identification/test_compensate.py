@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ import pytest
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.compensate import TOLERANCE, compensate
 from identification.errors import InputError
+from identification.files.target import commands_text
 from identification.measurements import Conditions, directions_from_order, joint_range
 from identification.model import Model
 
@@ -183,3 +184,39 @@ def test_joints_beyond_the_angles_of_the_identification_are_counted() -> None:
     assert whole.warnings == []
     near = compensate(arm, targets[:1], np.column_stack([first, bends])[:1])
     assert near.warnings == []
+
+
+@dataclass(frozen=True)
+class TipAbove:
+    """A constraint of the nominal tip: y >= least [mm]."""
+
+    least: float
+    kind: str = "tip_above"
+
+    def margin(self, postures: np.ndarray) -> np.ndarray:
+        return tip(postures, LENGTHS, np.zeros(4))[:, 1:] - self.least
+
+
+def test_nobody_may_drive_to_what_misses_a_constraint() -> None:
+    """A target below the line has no command in the file and says why; one above has, as without the constraint."""
+    found = compensate(arm(), [[300.0, -200.0], [300.0, 250.0]], constraints=[TipAbove(-100.0)])
+    assert found.reached.tolist() == [False, True]
+    assert np.isnan(found.safe_commands[0]).all()
+    np.testing.assert_array_equal(found.safe_commands[1], found.commands[1])
+    text = commands_text(found.safe_commands, found.targets, found.errors, messages=found.messages)
+    heading, missed, kept = text.splitlines()
+    assert heading.endswith("error_mm,message")
+    assert missed.startswith(",,,,300.0,-200.0,")
+    assert "constraint 1 (tip_above) is missed by" in missed
+    assert kept.endswith('""')
+
+
+def test_targets_are_reached_at_the_angles_of_the_identification() -> None:
+    """Where any posture will do, one inside the angles measured is taken: here the elbow is bent to one side only."""
+    low, high = np.radians([[-100.0, 20.0, 20.0, -60.0], [100.0, 100.0, 80.0, 60.0]])
+    inside = np.random.default_rng(3).uniform(low + 0.2, high - 0.2, (20, 4))
+    known = replace(arm().calibration, provenance={"joint_range_deg": np.degrees([low, high]).T.tolist()})
+    targets = tip(inside, LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets)
+    found = compensate(replace(arm(), calibration=known), targets)
+    assert found.reached.all()
+    assert np.count_nonzero((found.commands < low) | (found.commands > high)) == 0

@@ -137,4 +137,4 @@ def test_target_files(tmp_path: Path) -> None:
     found = compensate(given, wanted.positions, orientations=wanted.orientations)
     text = commands_text(found.commands, found.targets, found.errors, (), found.orientations, found.angles)
     assert text.splitlines()[0].endswith("q6_deg,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg,error_mm,error_deg")
-    assert "orientations are those wanted to < 1e-6 deg there" in compensation_tables(found)[0]
+    assert "orientations are those wanted to < 1e-6 deg, by the same model" in compensation_tables(found)[0]
