@@ -23,6 +23,11 @@ from identification.model import Model
 from identification.placed import placed_model
 
 SMALL_ANGLE = np.radians(7.0)  # below which numbers may be radians
+LARGE_ANGLE = 7.0  # [rad], more than a turn, above which numbers may be degrees
+ANGLES = {  # factors to radians as read, and what the numbers then were
+    "small": {180.0 / np.pi: "radians: name the columns q1_rad.. instead of q1_deg.."},
+    "large": {np.pi / 180.0: "degrees: name the columns q1_deg.. instead of q1_rad.."},
+}
 UNITS = {1000.0: "metres", 25.4: "inches"}  # factor to millimetres
 # distances from their middle as shares of the reach: numbers that may be of a larger unit (two reaches, in inches), and
 # farther than any arm moves
@@ -40,12 +45,14 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     if measurements.links != arm.links:
         raise InputError(f"measurements: found {measurements.links} joints, allowed: {arm.links}, as the arm has")
     bare = replace(arm, effects=(), calibration=None)
-    if arm.chain is None:
-        return _units(measurements, bare)
-    if measurements.positions.size < 4 * len(Model(bare).parameters):
-        return []
-    said = _units(measurements, bare)
-    return said or [*_orientations(measurements, bare), *_far_rows(measurements, bare)]
+    said = wrong_units(measurements, bare)
+    if said or arm.chain is None or _few(measurements, bare):
+        return said
+    return [*_orientations(measurements, bare), *_far_rows(measurements, bare)]
+
+
+def _few(measurements: Measurements, arm: Arm) -> bool:
+    return arm.chain is not None and measurements.positions.size < 4 * len(Model(arm).parameters)
 
 
 def gap_notes(measurements: Measurements) -> list[str]:
@@ -57,26 +64,30 @@ def gap_notes(measurements: Measurements) -> list[str]:
     return [f"{found}: from which side the joints came is not known there (play in gears needs it; {how})"]
 
 
-def _units(measurements: Measurements, arm: Arm) -> list[str]:
-    """Radians in `_deg` columns, other units of length in `_mm` columns or in the arm file, where that fits the arm
-    clearly better.
+def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
+    """Radians in `_deg` columns, degrees in `_rad` columns, other units of length in `_mm` columns or in the arm file,
+    where that fits the arm clearly better.
 
-    Suspected only where all angles are below 7 deg, or the positions lie within a twelfth of the reach, or some of them
-    farther apart than the arm could reach.
+    Suspected only where all angles are below 7 deg, or one is above 7 rad, or the positions lie within a twelfth of the
+    reach, or some of them farther apart than the arm could reach.
     """
+    arm = replace(arm, effects=(), calibration=None)
+    if _few(measurements, arm):
+        return []
     turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
-    small = bool(turning.any() and np.all(np.abs(measurements.postures[:, turning]) < SMALL_ANGLE))
+    largest = float(np.abs(measurements.postures[:, turning]).max(initial=0.0))
+    angle = ANGLES["small"] if 0.0 < largest < SMALL_ANGLE else ANGLES["large"] if largest > LARGE_ANGLE else {}
     size = float(distances(measurements.positions - measurements.positions.mean(axis=0)).max()) / arm.reach
     units = UNITS if size < NEAR else {1.0 / f: words for f, words in UNITS.items()} if size > BEYOND else {}
-    if not small and not units:
+    if not angle and not units:
         return []
-    readings = [(q, f) for q in (False, True)[: 1 + small] for f in (1.0, *units)]
-    misfits = [_misfit(measurements, arm, turning & radians, factor) for radians, factor in readings]
+    readings = [(q, f) for q in (1.0, *angle) for f in (1.0, *units)]
+    misfits = [_misfit(measurements, arm, np.where(turning, turned, 1.0), factor) for turned, factor in readings]
     best = int(np.argmin(misfits))
     if CLEARLY * misfits[best] >= misfits[0]:
         return []
-    radians, factor = readings[best]
-    said = ["the joint angles look like radians: name the columns q1_rad.. instead of q1_deg.."] if radians else []
+    turned, factor = readings[best]
+    said = [] if turned == 1.0 else [f"the joint angles look like {angle[turned]}"]
     return said if factor == 1.0 else [*said, _length_unit(factor, units[factor], "xyz"[: arm.dimension])]
 
 
@@ -120,9 +131,9 @@ def _median_angle(measurements: Measurements, arm: Arm, orientations: Array) -> 
     return float(np.median(np.linalg.norm(computed[:, POINT.stop :], axis=1))) / (chain.angle_scale or 1.0)
 
 
-def _misfit(measurements: Measurements, arm: Arm, radians: NDArray[np.bool_], unit: float) -> float:
-    """Median distance [mm] from the nominal arm, with angles of joints (n,) read as `radians`, positions in `unit`s."""
-    postures = np.where(radians, np.degrees(measurements.postures), measurements.postures)
+def _misfit(measurements: Measurements, arm: Arm, turned: Array, unit: float) -> float:
+    """Median distance [mm] from the nominal arm, with joints times factors (n,), positions times a `unit`."""
+    postures = measurements.postures * turned
     read = replace(measurements, postures=postures, positions=measurements.positions * unit)
     if arm.chain is None:
         drawn = joint_points(arm.lengths, postures)[:, -1]

@@ -9,7 +9,7 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.data_checks import data_warnings, gap_notes
+from identification.data_checks import data_warnings, gap_notes, wrong_units
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.estimation.plausibility import (
@@ -24,7 +24,8 @@ from identification.gap.repeats import NoiseFloor, noise_floor
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
-from identification.readings import Readings, out_of_step, read_differently
+from identification.reading import Reading, Readings
+from identification.readings import out_of_step, read_differently
 from identification.sessions import with_sessions
 from identification.status import Status
 from identification.validate import drawing_residuals
@@ -70,6 +71,7 @@ class Inspection:
     readings : the columns as they are, and a better way to read them if there is one
     drawing : RMS distance [mm] that the drawing leaves with its place in the instrument's frame fitted, as of
         `validate`;  fit : the geometry fitted, None with too few rows
+    other_units : the numbers are of other units, so that neither a fit nor limits would mean anything
     units : sentences about units, swapped markers and rows that are far off;  frame : about a base elsewhere
     step : about positions beside another posture
     rest : about copied rows and postures outside the limits;  gaps : about rows that are missing between others
@@ -86,6 +88,7 @@ class Inspection:
     readings: Readings
     drawing: float
     fit: Identification | None
+    other_units: bool
     units: tuple[str, ...]
     frame: tuple[str, ...]
     step: tuple[str, ...]
@@ -104,7 +107,7 @@ class Inspection:
         if self.fit is not None and not said:
             outlier = np.isin(np.arange(self.rows) + 1, self.fit.outlier_rows)
             said += far_rows(self.fit.residuals_after, outlier)
-        if self.fit is None:
+        if self.fit is None and not self.other_units:
             said.append("too few rows for a fit of the geometry")
         return (*said, *self.rest)
 
@@ -119,7 +122,9 @@ class Inspection:
     def notes(self) -> tuple[str, ...]:
         """What these data cannot say, in sentences."""
         still = [str(j.joint) for j in self.joints if j.kind == REVOLUTE and j.high - j.low < STILL]
-        said = [f"joint {', '.join(still)} hardly moves: its own errors cannot be seen"] if still else []
+        said = [] if self.other_units or not still else [_hardly(still)]
+        if self.fit is not None and self.fit.misfit and not self.problems:
+            said.append(self.fit.misfit.partition(". ")[0] + "; armcal diagnose looks for what is missing")
         if self.fit is not None and self.fit.not_identifiable:
             said.append(f"not estimable separately: {'; '.join(self.fit.not_identifiable)}")
         if self.postures == self.rows:
@@ -158,6 +163,13 @@ class Inspection:
         }
 
 
+def _hardly(joints: list[str]) -> str:
+    """Which joints hardly move."""
+    if len(joints) == 1:
+        return f"joint {joints[0]} hardly moves: its own errors cannot be seen"
+    return f"joints {', '.join(joints)} hardly move: their own errors cannot be seen"
+
+
 def _list(missing: dict[str, str], there: set[str]) -> str:
     return " and ".join(what for what in missing if what not in there)
 
@@ -171,10 +183,12 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         raise InputError(
             f"measurements: {measurements.links} joints for an arm of {arm.links} links, allowed: {arm.links}"
         )
-    fit = _fit(arm, measurements)
+    other_units = bool(wrong_units(measurements, arm))
+    fit = None if other_units else _fit(arm, measurements)
     units = data_warnings(measurements, arm)
     residual = np.zeros_like(measurements.positions) if fit is None else fit.residuals_after
-    readings = read_differently(arm, measurements)
+    as_written = Readings(Reading.as_written(arm.links), None)
+    readings = as_written if other_units else read_differently(arm, measurements)
     floor = noise_floor(residual, measurements, np.ones(len(measurements), dtype=bool), None)
     return Inspection(
         arm=arm,
@@ -188,10 +202,11 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         readings=readings,
         drawing=_drawing(arm, measurements, readings),
         fit=fit,
+        other_units=other_units,
         units=tuple(units),
         frame=tuple(another_frame(arm, measurements)),
         step=tuple(out_of_step(arm, measurements)),
-        rest=(*copied_rows(measurements), *outside_limits(arm, measurements)),
+        rest=(*copied_rows(measurements), *([] if other_units else outside_limits(arm, measurements))),
         gaps=tuple(gap_notes(measurements)),
     )
 

@@ -25,6 +25,8 @@ def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
         lines.append(("measured points", ", ".join(found.markers)))
     if found.floor.source is not None:
         lines.append(("repeats scatter by", f"{found.floor.value:.4g} mm"))
+    if found.other_units:
+        return [*shown, facts(lines)]
     lines.append(("the drawing leaves", f"{number(found.drawing)} mm (RMS; where it stands is fitted, as by validate)"))
     lines.append(("a fit leaves", f"{number(data['rms_fitted_mm'])} mm"))
     rows = [

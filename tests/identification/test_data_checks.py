@@ -100,6 +100,16 @@ def test_radians_in_a_column_of_degrees() -> None:
     assert "look like radians: name the columns q1_rad" in sentence
 
 
+def test_degrees_in_a_column_of_radians() -> None:
+    (sentence,) = data_warnings(simulated(3.0, angles=180.0 / np.pi), PLANAR)
+    assert sentence == "the joint angles look like degrees: name the columns q1_deg.. instead of q1_rad.."
+    data = measured()
+    (sentence,) = data_warnings(replace(data, postures=np.degrees(data.postures)), ARM)
+    assert sentence.startswith("the joint angles look like degrees")
+    whole_turns = simulated(3.0)  # an axis that counts on
+    assert data_warnings(replace(whole_turns, postures=whole_turns.postures + 20.0 * np.pi), PLANAR) == []
+
+
 def test_metres_in_a_column_of_millimetres() -> None:
     (sentence,) = data_warnings(simulated(3.0, lengths=1e-3), PLANAR)
     assert "look like metres: name the columns x_m, y_m" in sentence

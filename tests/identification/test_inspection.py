@@ -70,6 +70,25 @@ def test_each_fault_has_its_sentence() -> None:
     assert wrong.startswith("the drawing is")
 
 
+def test_other_units_are_said_and_nothing_that_would_follow_from_them() -> None:
+    """Radians as degrees, and degrees as radians: neither a fit nor limits nor ranges of joints mean anything."""
+    good = data()
+    for change, unit in ((np.radians, "radians"), (np.degrees, "degrees")):
+        found = inspect(ARM, replace(good, postures=change(good.postures)))
+        assert len(found.problems) == 1
+        assert found.problems[0].startswith(f"the joint angles look like {unit}: ")
+        assert found.fit is None
+        assert not any("hardly" in note for note in found.notes)
+
+
+def test_scatter_beyond_sigma_is_a_note() -> None:
+    """The noise is 0.05 mm: a sigma of 0.01 mm is contradicted by it, chi2 about 25 times its degrees of freedom."""
+    notes = {sigma: " ".join(inspect(replace(ARM, sigma=sigma), data()).notes) for sigma in (0.05, 0.01)}
+    assert "times sigma_mm" not in notes[0.05]
+    assert "times sigma_mm = 0.01 " in notes[0.01]
+    assert "armcal diagnose looks for what is missing" in notes[0.01]
+
+
 def test_a_base_away_from_the_origin_asks_for_its_effect() -> None:
     away = data(base=300.0 - 120.0j)
     (sentence,) = inspect(ARM, away).problems
@@ -90,6 +109,9 @@ def test_whole_turns_beyond_the_limits_are_said() -> None:
 def test_what_the_data_cannot_say() -> None:
     found = inspect(ARM, data(still=True))
     assert "joint 3 hardly moves: its own errors cannot be seen" in found.notes
+    still = data()
+    both = inspect(ARM, replace(still, postures=still.postures * [1.0, 0.01, 0.01]))
+    assert "joints 2, 3 hardly move: their own errors cannot be seen" in both.notes
     assert any(note.startswith("not estimable separately: ") for note in found.notes)
     few = inspect(ARM, data(m=2))
     assert few.fit is None
