@@ -23,10 +23,12 @@ from doe.plan.plan import Plan
 from doe.plan.tip_error import TipError, robust_or_none, tip_error
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
+from identification.arm import SIGMA_RANGE, Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.parameters import LENGTH_ERROR
 from identification.progress import Progress, silent
+from identification.row_groups import identified
 
 FRESH = 5  # random starts beside the plan of fewer runs, where a start climbs on gradients
 SHARE = 0.25  # of the time, at most, for the bounds
@@ -132,6 +134,19 @@ def advise(
     designs = tuple(found[m] for m in runs if m in found)
     errors = () if wide is None else tuple(tip_error(problem, wide, design.plan.postures) for design in designs)
     return Advice(designs, target, errors)
+
+
+def with_scatter(arm: Arm) -> tuple[Arm, str]:
+    """The arm with a sigma, where it has none the scatter that its calibration left; and where it comes from, or what
+    is missing without one."""
+    if arm.sigma is not None:
+        return arm, ""
+    scatter = identified(arm).get("scatter_mm")
+    if not isinstance(scatter, float) or not SIGMA_RANGE[0] <= scatter <= SIGMA_RANGE[1]:
+        add = "add a table [measurement] with sigma_mm, the standard deviation of one coordinate of the instrument"
+        return arm, f"No standard deviations, no tip error: the arm file has no sigma_mm; for these {add}."
+    given = f"sigma_mm = {scatter:.3g}, the scatter that its identification left"
+    return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {given}, is taken for it."
 
 
 def check_wanted(problem: DesignProblem, runs: Sequence[int], target: float | None) -> None:

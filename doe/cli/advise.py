@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 from click.core import ParameterSource
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, Session, verb, warn_beside_json
 from doe.cli.options import FILE, Output, Seconds, only_option, output_options
 from identification.errors import InputError
 
@@ -43,7 +43,7 @@ def command(
 
     With --only how few postures are enough to find these parameters anew, the others as in ARM, for `identify --only`.
     """
-    from doe.advise import advise
+    from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
     from doe.report.advice import advice_figure, advice_tables
     from identification.files.arm import load_arm
@@ -51,7 +51,7 @@ def command(
     from identification.reuse import only as only_these
     from identification.reuse import words_of
 
-    loaded, words = load_arm(arm), words_of(only)
+    (loaded, given_sigma), words = with_scatter(load_arm(arm)), words_of(only)
     problem = DesignProblem.of(only_these(loaded, words) if words else Model(loaded))
     if words and not given("runs"):
         runs = f"{problem.fewest_runs}:40"
@@ -60,8 +60,11 @@ def command(
         advice = advise(problem, numbers, target=target_mm, seed=session.seed, seconds=seconds, progress=progress)
     said = {"only": words, "fewest_runs": problem.fewest_runs} if words else {}
     fewest = f"{problem.fewest_runs} run{'' if problem.fewest_runs == 1 else 's'}"
-    lines = [f"Of {', '.join(words)} alone, {fewest} or more:"] if words else []
-    answer = Answer(advice.to_json() | said, [*lines, *advice_tables(advice)])
+    found = f"identifiable from {fewest} or more at well-chosen postures; how accurately, the table says"
+    enough = f"{', '.join(words)} alone: {found}"
+    shown = [*([enough] if words else []), *advice_tables(advice), *([given_sigma] if given_sigma else [])]
+    warn_beside_json([given_sigma] if given_sigma else [])
+    answer = Answer(advice.to_json() | said, shown)
     output.draw(lambda: advice_figure(advice))
     return answer
 

@@ -67,7 +67,7 @@ def advice_tables(advice: Advice) -> list[Any]:
         "runs": map(str, advice.runs),
         "efficiency": (efficiency(design) for design in advice.designs),
     }
-    if not advice.of_tip:
+    if not advice.of_tip and any(known):
         columns["length\nstd\n[mm]"] = [number(None if d is None else d.largest_length, 5) for d in known]
         columns["angle\nstd\n[deg]"] = [number(None if d is None else np.degrees(d.largest_angle), 5) for d in known]
     for key, heading in TIP_ERRORS.items() if advice.tip_errors else ():

@@ -10,11 +10,12 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 from rich.console import Console
+from rich.table import Table
 
-from doe.advise import advise
+from doe.advise import advise, with_scatter
 from doe.problem.problem import DesignProblem
 from doe.report.advice import advice_tables, sentence, shown_runs, spans
-from identification.arm import Arm
+from identification.arm import Arm, Calibration
 from identification.errors import InputError
 from identification.reuse import only
 from tests.doe.arms import FIVE, FOUR, problem
@@ -124,3 +125,17 @@ def test_a_table_of_many_runs_has_a_few_rows_and_the_smallest_for_the_target() -
     error = found.tip_errors[20 - 4]
     wanted = [error.right, error.worst, error.missing, error.with_prior]
     assert rows[20][-4:] == [f"{value:.4f}" for value in wanted]  # each figure in its own column
+
+
+def test_without_a_sigma_the_scatter_of_the_calibration_stands_in() -> None:
+    arm = Arm([260.0, 180.0, 120.0])
+    assert with_scatter(replace(arm, sigma=0.1)) == (replace(arm, sigma=0.1), "")
+    same, said = with_scatter(arm)
+    assert same.sigma is None
+    assert "add a table [measurement] with sigma_mm" in said
+    lengths = {f"length_error:{k}": 0.0 for k in (1, 2, 3)}
+    found, said = with_scatter(replace(arm, calibration=Calibration(lengths, provenance={"scatter_mm": 0.254})))
+    assert found.sigma == 0.254
+    assert "sigma_mm = 0.254, the scatter" in said
+    shown = advice_tables(advise(problem(arm), [4]))
+    assert not any(isinstance(part, Table) and len(part.columns) != 2 for part in shown)

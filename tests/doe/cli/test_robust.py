@@ -119,7 +119,7 @@ def test_advise_of_some_parameters(arm: Path) -> None:
     assert (found["only"], found["fewest_runs"]) == (["base", "joint_offset:2"], 2)
     assert found["rows"][0]["largest_length_std_mm"] == 0.0
     shown = armcal("advise", arm, "--only", "joint_offset:2", "--runs", "1").output
-    assert "Of joint_offset:2 alone, 1 run or more" in shown
+    assert "joint_offset:2 alone: identifiable from 1 run or more at well-chosen postures" in " ".join(shown.split())
 
 
 def test_a_budget_of_the_bound_cuts_it_and_says_so(arm: Path, tmp_path: Path) -> None:
