@@ -122,7 +122,10 @@ class Wanted:
             return estimate(model, data, method=self.method, sigma=self.sigma), None, self.said(model)
         check_with_prior(self.minimal, self.method)
         prior = Prior({} if library is None else library.prior.deviations, self.earlier(model))
-        return estimate_with_prior(model, data, prior, sigma=self.sigma), library, self.said(model, prior)
+        found, said = estimate_with_prior(model, data, prior, sigma=self.sigma), self.said(model, prior)
+        if prior.earlier is not None:
+            said["prior_from"]["contradicted"] = [one.to_json() for one in found.contradictions]
+        return found, library, said
 
     def without_outliers(
         self, arm: Arm, data: Measurements

@@ -84,6 +84,7 @@ def corrected_values(
     freedom: Collection[float] | None = None,
     unknown: Collection[str] = (),
     known: Array | None = None,
+    seen: Array | None = None,
 ) -> tuple[CorrectedValue, ...]:
     """What was estimated or differs from the drawing: geometry, then effects.
 
@@ -92,6 +93,7 @@ def corrected_values(
     unknown : names of parameters that are not estimable
     known : (p, r) factor of the covariance of `found.parameter_names` before the measurements, 0 where there is none;
         None: that of the arm's machining, where all that it says something of was estimated
+    seen : (p, p) covariance by which the measurements say next to nothing; None: that of `found`
     """
     model, found = Model(arm), found or arm.calibration or Calibration({})
     values = {**model.fixed, **found.values}
@@ -100,12 +102,13 @@ def corrected_values(
     spread = freedom_of(found) if freedom is None else np.array([*freedom], dtype=float)
     prior = model.prior if {*model.prior} <= {*found.parameter_names} else {}
     before = np.diag([prior.get(name, 0.0) for name in found.parameter_names]) if known is None else known
-    rows = (_row(quantity, found, spread, unknown, before) for quantity in (*geometry, *_effects(model, values)))
+    seen = found.covariance if seen is None else seen
+    rows = (_row(quantity, found, spread, unknown, before, seen) for quantity in (*geometry, *_effects(model, values)))
     return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
 
 
 def _row(
-    quantity: _Quantity, found: Calibration, freedom: Array, unknown: Collection[str], before: Array
+    quantity: _Quantity, found: Calibration, freedom: Array, unknown: Collection[str], before: Array, seen: Array | None
 ) -> CorrectedValue:
     slope = np.array([quantity.derivatives.get(name, 0.0) for name in found.parameter_names])
     undetermined, deviation = any(quantity.derivatives.get(name) for name in unknown), np.nan
@@ -117,7 +120,9 @@ def _row(
     value, std, low, high = (float(figure) if np.isfinite(figure) else None for figure in figures)
     own = quantity.name, quantity.parameter, quantity.nominal
     prior = _prior_std(slope, before)
-    held = std is not None and prior is not None and std**2 > (1.0 - LITTLE) * prior**2
+    held = False
+    if std is not None and prior is not None and seen is not None:
+        held = bool(slope @ seen @ slope > (1.0 - LITTLE) * prior**2)
     return CorrectedValue(*own, value, std, low, high, quantity.unit, quantity.convention, prior, held)
 
 

@@ -14,7 +14,8 @@ from scipy.special import chdtrc
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_rows
-from identification.estimation import shown
+from identification.estimation import contradictions, shown
+from identification.estimation.contradictions import Contradiction
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.estimation.expected_tip import hardly_determined, tip_of
 from identification.estimation.intervals import freedom_kept, limits_95
@@ -51,6 +52,8 @@ class Identification:
     doubts : what is doubtful about the fit, in sentences
     outlier_rows : numbers from 1 of rows that the model does not explain, which are in the fit all the same
     prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it
+    contradictions : parameters whose prior, an earlier calibration, the measurements contradict
+    covariance_seen : (p, p) with the noise that is there without that prior; None: no such prior
     """
 
     model: Model
@@ -72,6 +75,8 @@ class Identification:
     outlier_rows: tuple[int, ...] = ()
     prior: Prior | None = None
     machining_factor: float | None = None
+    contradictions: tuple[Contradiction, ...] = ()
+    covariance_seen: Array | None = None
     iterations: int = 1
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -122,15 +127,20 @@ class Identification:
         figures = f"chi2 {self.chi2:.4g}, {self.dof} degrees of freedom, {in_words(self.p_value)}"
         times = f"{self.scatter / self.sigma:{'.3g' if self.scatter < 1000.0 * self.sigma else '.0f'}}"
         found = f"the residuals scatter {times} times sigma_mm = {self.sigma:.4g} ({figures})"
-        cause = "the model is incomplete or sigma_mm too small"
+        prior = "the prior does not hold (above), " if self.contradictions else ""
+        cause = f"{prior}the model is incomplete or sigma_mm too small"
         relied = self.uncertainty.kind == "given"
         follows = "rely on sigma_mm and are too narrow" if relied else "do not rely on sigma_mm"
-        return f"misfit: {found}: {cause}. The intervals {follows}; armcal diagnose looks for what is missing"
+        do = "settle the prior first" if self.contradictions else "armcal diagnose looks for what is missing"
+        return f"misfit: {found}: {cause}. The intervals {follows}; {do}"
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings to be read before the results."""
-        misfit, doubts = (self.misfit,) if self.misfit else (), (*self.doubts, *hardly_determined(self))
+        prior = () if self.prior is None else self.prior.names
+        anew = [p for p in getattr(self.model, "parameters", ()) if p.name not in prior]
+        misfit = (*contradictions.in_words(self.contradictions, anew), *((self.misfit,) if self.misfit else ()))
+        doubts = (*self.doubts, *hardly_determined(self))
         return (*doubts, *misfit) if self.status is Status.implausible else (*misfit, *doubts)
 
     @cached_property
@@ -261,7 +271,7 @@ class Identification:
         found = Calibration(self._everything, self.names, self.covariance)
         unknown = [name for name, known in zip(self.names, self.identifiable, strict=True) if not known]
         known = None if self.prior is None else self.prior.factor(self.model.parameters)
-        return corrected_values(self.model.arm, found, self.uncertainty.freedom, unknown, known)
+        return corrected_values(self.model.arm, found, self.uncertainty.freedom, unknown, known, self.covariance_seen)
 
     def to_frame(self, kind: str = "polars") -> Any:
         """`corrected_values` as a frame, polars or pandas."""

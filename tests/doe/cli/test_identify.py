@@ -162,6 +162,7 @@ def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
     assert found[0] == found[1] == found[2]
     assert found[0]["prior_from"]["file"] == "calibrated.toml"
     assert len(found[0]["prior_from"]["parameters"]) == 8
+    assert found[0]["prior_from"]["contradicted"] == []  # the same data
     alone = folder.armcal("identify", "arm.toml", "data.csv", "--json").data
     for with_prior, without in zip(found[0]["parameters"], alone["parameters"], strict=True):
         assert with_prior["std"] == pytest.approx(without["std"] / np.sqrt(2.0), rel=0.1)  # the same data, twice
@@ -173,6 +174,23 @@ def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
     wrong = folder.armcal("identify", "arm.toml", "data.csv", "more.csv", "--prior")
     assert (wrong.code, "unexpected extra argument" in wrong.err) == (2, True)
     assert "found no covariance" in folder.armcal(*last[:-1], "arm.toml").err
+
+
+def test_a_prior_that_the_data_contradict_is_named_first(folder: Folder) -> None:
+    """The zero of joint 3 moved by 1.3 deg since, and nothing else."""
+    folder.simulated()
+    folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
+    text = folder.read("calibrated.toml")
+    zeros = tomllib.loads(text)["calibration"]["joint_offsets_deg"]
+    moved = [*zeros[:2], zeros[2] + 1.3, zeros[3]]
+    folder.write("moved.toml", re.sub(r"joint_offsets_deg = .*", f"joint_offsets_deg = {moved}", text))
+    words = ["identify", "arm.toml", "data.csv", "--prior", "moved.toml"]
+    (one,) = folder.armcal(*words, "--json").data["prior_from"]["contradicted"]
+    assert (one["name"], one["unit"], one["prior"]) == ("joint_offset:3", "deg", pytest.approx(moved[2]))
+    assert one["value"] == pytest.approx(zeros[2], abs=4.0 * one["std"])
+    shown = folder.armcal(*words).out
+    assert shown.startswith("the measurements contradict the prior: joint_offset:3 is ")
+    assert "settle the prior first" in shown
 
 
 def test_lost_beams_are_named_and_left_out(folder: Folder) -> None:

@@ -1,0 +1,137 @@
+"""Whether measurements and an earlier calibration as their prior agree, and which of its parameters they contradict.
+
+The drop of the weighted squares, where a parameter's own prior is released and the others' stay, is chi2 of one degree
+of freedom if both agree (F where the noise is estimated). What drops it most is released first, since errors of one
+parameter look like errors of others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from scipy.special import chdtrc, fdtrc
+
+from identification.arrays import Array
+from identification.estimation.prior import Earlier, Prior, effective_count
+from identification.estimation.problem import Problem
+from identification.estimation.uncertainty import LEVEL
+from identification.kinematics.parameters import Parameter
+from identification.kinematics.spatial import BASE, TOOL
+
+if TYPE_CHECKING:
+    from identification.estimation.result import Identification
+
+ROUNDS = 3  # of noise and of what the machining's prior is worth beside it
+SHOWN = 3  # parameters in a sentence
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A parameter in file units: as the prior has it, and as the measurements do without that prior; both with the
+    parameters that are not contradicted as the earlier calibration has them."""
+
+    name: str
+    unit: str
+    prior: float
+    prior_std: float
+    value: float
+    std: float
+
+    @classmethod
+    def of(cls, name: str, before: Earlier, found: Identification) -> Contradiction:
+        """Of a parameter before, and of a fit without that prior."""
+        p, deviations = found.model.parameters[k := found.names.index(name)], np.sqrt(np.diag(before.covariance))
+        there = before.names.index(name)
+        figures = before.values[there], deviations[there], found.parameters[k], found.std[k]
+        return cls(name, p.file_unit, *(float(x * p.to_file) for x in figures))
+
+    def __str__(self) -> str:
+        before, now = f"{self.prior:.4g} +- {self.prior_std:.2g}", f"{self.value:.4g} +- {self.std:.2g}"
+        return f"{self.name} is {before} {self.unit} in the earlier calibration, {now} by these measurements"
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `contradicted` (identification/files/README.md, "JSON keys")."""
+        return dict(vars(self))
+
+
+def in_words(found: Sequence[Contradiction], anew: Sequence[Parameter]) -> list[str]:
+    """The warning;  anew : parameters without a prior."""
+    if not found:
+        return []
+    more = f"; and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+    words = [one.name for one in found] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in anew]
+    said = f"the measurements contradict the prior: {'; '.join(map(str, found[:SHOWN]))}{more} (others as there)"
+    do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
+    lacks = "the model lacks what differs between both measurements: armcal diagnose"
+    return [f"{said}. The fit is right for neither. Either they changed and are to be found anew: {do}; or {lacks}"]
+
+
+class Linear(NamedTuple):
+    """A problem about values x (p,), without its prior: residual (N,) and jacobian (N, p), both weighted."""
+
+    problem: Problem
+    x: Array
+    residual: Array
+    jacobian: Array
+
+    def released(self, names: Collection[str]) -> Prior:
+        """The prior with that of the earlier calibration released for these; the machining's stays."""
+        assert self.problem.prior is not None
+        return released(self.problem.prior, names, self.problem.model.prior)
+
+    def squares(self, prior: Prior, noise: float) -> float:
+        """Least weighted squares, of measurements and prior together, in units of the noise."""
+        parameters = self.problem.model.parameters
+        rows = prior.rows(parameters, noise)
+        whole = np.concatenate([self.jacobian, rows])
+        target = np.concatenate([self.residual, rows @ (prior.center(parameters) - self.x)])
+        scaled = whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny)
+        left = target - scaled @ np.linalg.lstsq(scaled, target, rcond=None)[0]
+        return float(left @ left) / noise**2
+
+    def noise(self, known: bool, given: bool) -> tuple[float, float]:
+        """That the measurements have without the earlier calibration, and its degrees of freedom: infinite where it is
+        the one given, 0 where nothing is left to tell.
+
+        known : rows are divided by sigma, which the noise is not below;  given : it is the noise
+        """
+        alone = self.released(self.problem.model.names)
+        equations = self.problem.model.dimension * int(np.count_nonzero(self.problem.weights))
+        noise, spare = 1.0 if known or given else self.problem.noise, 0.0
+        for _ in range(0 if given else ROUNDS):
+            rows = alone.rows(self.problem.model.parameters, noise)
+            spare = equations - effective_count(self.jacobian, rows)
+            if spare < 1.0:
+                break
+            noise = float(np.sqrt(self.squares(alone, noise) * noise**2 / spare))
+            noise = max(noise, 1.0) if known else noise
+        return (noise, np.inf) if given or (known and noise == 1.0) else (noise, max(spare, 0.0))
+
+
+def released(prior: Prior, names: Collection[str], machining: Mapping[str, float]) -> Prior:
+    """A prior without what the earlier calibration says of these; that of the machining stays."""
+    assert prior.earlier is not None
+    kept = prior.earlier.about(set(prior.earlier.names) - set(names))
+    machined = {name: size for name, size in machining.items() if name in names}
+    return Prior({**machined, **prior.deviations}, kept if kept.names else None)
+
+
+def contradicted(linear: Linear, noise: float, freedom: float) -> list[str]:
+    """Names of the parameters whose prior the measurements contradict, the clearest first;  noise, freedom : as of
+    `Linear.noise`."""
+    assert linear.problem.prior is not None
+    assert linear.problem.prior.earlier is not None
+    names = [name for name in linear.problem.prior.earlier.names if name in linear.problem.model.names]
+    found, least = list[str](), linear.squares(linear.problem.prior, noise)
+    while rest := [name for name in names if freedom >= 1.0 and noise > 0.0 and name not in found]:
+        left = {name: linear.squares(linear.released([*found, name]), noise) for name in rest}
+        best = min(left, key=lambda name: left[name])
+        drop = max(least - left[best], 0.0)
+        p = chdtrc(1.0, drop) if np.isinf(freedom) else fdtrc(1.0, freedom, drop)
+        if p * len(rest) >= LEVEL:
+            break
+        found, least = [*found, best], left[best]
+    return found
