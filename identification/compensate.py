@@ -18,11 +18,9 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_columns
 from identification.errors import InputError
-from identification.inverse_kinematics import (
+from identification.inverse_kinematics import TOLERANCE, Constraints, reaching, violations, within_or_near
     TOLERANCE,
     Constraints,
-    best_of_seeds,
-    inverse_kinematics,
     reaching,
     violations,
 )
@@ -212,7 +210,11 @@ def compensate(
     if turned is not None and len(turned) != len(goals):
         raise InputError(f"orientations: {len(turned)} rows for {len(goals)} targets, allowed: as many")
     where = replace(conditions or Conditions(), orientation=turned)
-    nominal = given if given is not None else _nominal_postures(nominal_arm, _familiar(arm), goals, where, constraints)
+    nominal = (
+        given
+        if given is not None
+        else within_or_near(nominal_arm, _familiar(arm), goals, Conditions(orientation=turned), constraints)
+    )
     model = Model(arm)
     if where.directions is None and len(nominal):
         past = past_from_order(nominal) if model.remembers else None
@@ -294,25 +296,3 @@ def _familiar(arm: Arm) -> tuple[Array, Array]:
     moved = known + turned_into(middle[None], arm.lower, arm.upper, arm.joint_types)[0] - middle
     lower, upper = np.clip(moved, arm.lower, arm.upper)
     return lower, upper
-
-
-def _nominal_postures(
-    model: Model, familiar: tuple[Array, Array], goals: Array, conditions: Conditions, constraints: Constraints
-) -> Array:
-    """(k, n) nominal inverse kinematics nearest to the middle of familiar angles, and where possible within them; where
-    none exists, the best found."""
-    lower, upper = familiar
-    near, where = np.tile((lower + upper) / 2.0, (len(goals), 1)), Conditions(orientation=conditions.orientation)
-    found = best_of_seeds(model, goals, near, where, constraints)[0]
-    out = np.flatnonzero(np.any((found < lower) | (found > upper), axis=1))
-    if not out.size or np.any(lower >= upper):
-        return found
-    inside = Model(replace(model.arm, lower=lower, upper=upper))
-    for starts in (np.clip(found, lower, upper), near):
-        if not out.size:
-            break
-        postures, left = inverse_kinematics(inside, goals[out], starts[out], where.rows(out))
-        better = (left <= TOLERANCE) & ~violations(constraints, postures).any(axis=1)
-        found[out[better]] = postures[better]
-        out = out[~better]
-    return found

@@ -10,7 +10,7 @@ of six axes takes longer than most fits of it, and `diagnose` needs hundreds of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm, Gravity
 from identification.arrays import Array
-from identification.conditions import Conditions
-from identification.effects import Chain, Effect
+from identification.effects import Effect
+from identification.effects.chain import chain_at, condition_width
 from identification.effects.places import (
     OF_FRAME,
     contributions,
@@ -38,7 +38,6 @@ from identification.vectorize import Evaluate, vectorize
 INSTRUMENT = "instrument"
 INSIDE = ("joint_angles", "extensions", *OF_FRAME, "tool", "base_rotation", "base_translation")  # of the geometry
 POINT = slice(DIMENSION)  # of the position
-ORIENTATION = 10  # columns of a measured orientation: nine, and whether there is none
 LOADED = slice(0, load_size(DIMENSION))  # of the state, and of all places
 Outputs = tuple[np.ndarray, ...]  # of `Part.evaluate`
 
@@ -60,33 +59,6 @@ class Symbols:
         """(P,) contributions of an effect at all places, and the symbols of its parameters."""
         v = ca.SX.sym("v", len(effect.parameters))
         return contributions(effect, self.chain, self.loaded, v, self.state), v
-
-
-def condition_width(links: int, remembers: bool, extra: tuple[str, ...]) -> int:
-    """Number of columns of the conditions of a model."""
-    return orientation_columns(links, remembers, extra).stop + (links + 1) * ("errors" in extra)
-
-
-def orientation_columns(links: int, remembers: bool, extra: tuple[str, ...]) -> slice:
-    """Columns of a measured orientation among those of the conditions; empty without one."""
-    start = Conditions.columns(links, remembers) + ("marker" in extra)
-    return slice(start, start + ORIENTATION * ("orientation" in extra))
-
-
-def chain_at(arm: Arm, q: ca.SX, c: ca.SX, remembers: bool, extra: tuple[str, ...]) -> Chain:
-    """The nominal chain at the symbols of a posture and its conditions.
-
-    extra : further columns of the conditions, in order: `marker`; `orientation` as measured (nine elements, column by
-        column, and 1 where there is none); `errors`, values of error curves,
-        and the share of their geometry that is off
-    """
-    width, measured = Conditions.columns(arm.links, remembers), orientation_columns(arm.links, remembers, extra)
-    chain = Chain.of(arm, q, c[:width])
-    if "marker" in extra:
-        chain = replace(chain, marker=c[width])
-    if "orientation" in extra:
-        chain = replace(chain, reference=c[measured.start : measured.stop - 1])
-    return replace(chain, errors=c[measured.stop : measured.stop + arm.links]) if "errors" in extra else chain
 
 
 @dataclass(frozen=True)

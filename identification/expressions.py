@@ -11,16 +11,10 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.composition import (
-    ORIENTATION,
-    Composition,
-    chain_at,
-    condition_width,
-    orientation_columns,
-    parts,
-)
+from identification.composition import Composition, parts
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, measured_position
+from identification.effects.chain import ORIENTATION, chain_at, condition_width, orientation_columns
 from identification.effects.places import position_and_state, split, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError

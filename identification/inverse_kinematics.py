@@ -7,6 +7,7 @@ arm stays near where it started. Where that ends short, or where no arm may stan
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -111,6 +112,28 @@ def best_of_seeds(
             for k, ordered in zip(rows[missed], found[missed], strict=True):
                 postures[k], errors[k] = _turned_away(model, goals[k], ordered, conditions.rows([k]), constraints)
     return postures, errors
+
+
+def within_or_near(
+    model: Model, familiar: tuple[Array, Array], goals: Array, conditions: Conditions, constraints: Constraints
+) -> Array:
+    """(k, n) postures for goals (k, d) nearest to the middle of familiar angles, and where possible within them; the
+    best found where no posture gets there."""
+    lower, upper = familiar
+    near = np.tile((lower + upper) / 2.0, (len(goals), 1))
+    found = best_of_seeds(model, goals, near, conditions, constraints)[0]
+    out = np.flatnonzero(np.any((found < lower) | (found > upper), axis=1))
+    if not out.size or np.any(lower >= upper):
+        return found
+    inside = Model(replace(model.arm, lower=lower, upper=upper))
+    for starts in (np.clip(found, lower, upper), near):
+        if not out.size:
+            break
+        postures, left = inverse_kinematics(inside, goals[out], starts[out], conditions.rows(out))
+        better = (left <= TOLERANCE) & ~violations(constraints, postures).any(axis=1)
+        found[out[better]] = postures[better]
+        out = out[~better]
+    return found
 
 
 def _tried(

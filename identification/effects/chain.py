@@ -17,6 +17,8 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.kinematics.planar import PlanarGeometry, rotate, symbolic_points
 from identification.kinematics.spatial import SpatialChain
 
+ORIENTATION = 10  # columns of a measured orientation: nine, and whether there is none
+
 
 def geometry_of(arm: Arm) -> PlanarGeometry | SpatialChain:
     """Kinematics of an arm, planar or spatial, with one interface."""
@@ -187,3 +189,30 @@ class SpatialState(Chain):
         """(3,) force [N] of all loads beyond a joint, from 0, in the axes of its frame."""
         mass = sum((mass for mass, k, _ in self.loads if k >= joint), ca.SX(0))
         return ca.mtimes(self.frames[joint + 1].axes.T, mass * self.acceleration)
+
+
+def condition_width(links: int, remembers: bool, extra: tuple[str, ...]) -> int:
+    """Number of columns of the conditions of a model."""
+    return orientation_columns(links, remembers, extra).stop + (links + 1) * ("errors" in extra)
+
+
+def orientation_columns(links: int, remembers: bool, extra: tuple[str, ...]) -> slice:
+    """Columns of a measured orientation among those of the conditions; empty without one."""
+    start = Conditions.columns(links, remembers) + ("marker" in extra)
+    return slice(start, start + ORIENTATION * ("orientation" in extra))
+
+
+def chain_at(arm: Arm, q: ca.SX, c: ca.SX, remembers: bool, extra: tuple[str, ...]) -> Chain:
+    """The nominal chain at the symbols of a posture and its conditions.
+
+    extra : further columns of the conditions, in order: `marker`; `orientation` as measured (nine elements, column by
+        column, and 1 where there is none); `errors`, values of error curves,
+        and the share of their geometry that is off
+    """
+    width, measured = Conditions.columns(arm.links, remembers), orientation_columns(arm.links, remembers, extra)
+    chain = Chain.of(arm, q, c[:width])
+    if "marker" in extra:
+        chain = replace(chain, marker=c[width])
+    if "orientation" in extra:
+        chain = replace(chain, reference=c[measured.start : measured.stop - 1])
+    return replace(chain, errors=c[measured.stop : measured.stop + arm.links]) if "errors" in extra else chain
