@@ -19,11 +19,6 @@ from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_columns
 from identification.errors import InputError
 from identification.inverse_kinematics import TOLERANCE, Constraints, reaching, violations, within_or_near
-    TOLERANCE,
-    Constraints,
-    reaching,
-    violations,
-)
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.parameters import REVOLUTE
 from identification.kinematics.turns import turned_into
