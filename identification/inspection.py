@@ -24,8 +24,8 @@ from identification.gap.repeats import NoiseFloor, noise_floor
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
-from identification.reading import Reading, Readings
-from identification.readings import out_of_step, read_differently
+from identification.reading import Readings
+from identification.readings import as_written, out_of_step, read_differently, unseen_joints
 from identification.sessions import with_sessions
 from identification.status import Status
 from identification.validate import drawing_residuals
@@ -74,6 +74,7 @@ class Inspection:
     other_units : the numbers are of other units, so that neither a fit nor limits would mean anything
     units : sentences about units, swapped markers and rows that are far off;  frame : about a base elsewhere
     step : about positions beside another posture
+    unseen : joints (from 1) whose sign and zero do not show
     rest : about copied rows and postures outside the limits;  gaps : about rows that are missing between others
     """
 
@@ -92,6 +93,7 @@ class Inspection:
     units: tuple[str, ...]
     frame: tuple[str, ...]
     step: tuple[str, ...]
+    unseen: tuple[int, ...]
     rest: tuple[str, ...]
     gaps: tuple[str, ...]
 
@@ -123,6 +125,7 @@ class Inspection:
         """What these data cannot say, in sentences."""
         still = [str(j.joint) for j in self.joints if j.kind == REVOLUTE and j.high - j.low < STILL]
         said = [] if self.other_units or not still else [_hardly(still)]
+        said += [_unseen(j) for j in self.unseen if str(j) not in still]
         if self.fit is not None and self.fit.misfit and not self.problems:
             said.append(self.fit.misfit.partition(". ")[0] + "; armcal diagnose looks for what is missing")
         if self.fit is not None and self.fit.not_identifiable:
@@ -170,6 +173,11 @@ def _hardly(joints: list[str]) -> str:
     return f"joints {', '.join(joints)} hardly move: their own errors cannot be seen"
 
 
+def _unseen(joint: int) -> str:
+    found = f"which way joint {joint} turns and where its zero is do not show in these data"
+    return f"{found}: the measured point is on its axis, or so near that the drawing's errors hide it"
+
+
 def _list(missing: dict[str, str], there: set[str]) -> str:
     return " and ".join(what for what in missing if what not in there)
 
@@ -187,8 +195,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     fit = None if other_units else _fit(arm, measurements)
     units = data_warnings(measurements, arm)
     residual = np.zeros_like(measurements.positions) if fit is None else fit.residuals_after
-    as_written = Readings(Reading.as_written(arm.links), None)
-    readings = as_written if other_units else read_differently(arm, measurements)
+    readings = (as_written if other_units else read_differently)(arm, measurements)
     floor = noise_floor(residual, measurements, np.ones(len(measurements), dtype=bool), None)
     return Inspection(
         arm=arm,
@@ -205,6 +212,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         other_units=other_units,
         units=tuple(units),
         frame=tuple(another_frame(arm, measurements)),
+        unseen=unseen_joints(arm, measurements),
         step=tuple(out_of_step(arm, measurements)),
         rest=(*copied_rows(measurements), *([] if other_units else outside_limits(arm, measurements))),
         gaps=tuple(gap_notes(measurements)),

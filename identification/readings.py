@@ -42,8 +42,48 @@ def read_differently(arm: Arm, measurements: Measurements) -> Readings:
     Tried are zeros, of one joint at any angle, signs, pairs of swapped columns, zeros off by quarter turns, and a
     mirrored frame. With few rows nothing is tried. Where a spatial arm stands and what is measured on it are fitted.
     """
+    return _read_differently(_anywhere(arm), _some(measurements))
+
+
+def as_written(arm: Arm, measurements: Measurements) -> Readings:
+    """What the columns say, and no other reading looked for."""
+    reading = Reading.as_written(arm.links)
+    return Readings(replace(reading, rms=_distance(_anywhere(arm), _some(measurements))(reading)), None)
+
+
+def unseen_joints(arm: Arm, measurements: Measurements) -> tuple[int, ...]:
+    """Turning joints (from 1) whose sign and zero no measured point shows: reversed and a quarter or half turn away the
+    drawing leaves no more; none with orientations, few rows, or where the drawing leaves much as it is."""
+    numbers, arm = measurements.marker_numbers, _anywhere(arm)
+    numbers = np.zeros(len(measurements), dtype=np.int64) if numbers is None else numbers
+    points = (_some(measurements.rows(np.flatnonzero(numbers == number))) for number in np.unique(numbers))
+    if measurements.orientations is not None:
+        return ()
+    return tuple(sorted(set.intersection(*(_unseen(arm, rows) for rows in points))))
+
+
+def _unseen(arm: Arm, rows: Measurements) -> set[int]:
+    """Those that one measured point does not show."""
+    plain, left = Reading.as_written(arm.links), _distance(arm, rows)
+    written = left(plain)
+    if _few(arm, rows) or written > DRAWN * arm.reach:
+        return set()
+    most = ALIKE * max(written, float(np.sqrt(np.finfo(float).eps)) * arm.reach)  # rounded, of data without noise
+    others = [*_flips(plain, arm), *_zeros(plain, arm)]
+    shown = {_changed(reading) for reading in others if left(reading) > most}
+    turning = {j for j, kind in enumerate(arm.joint_types, start=1) if kind != PRISMATIC}
+    return turning - shown
+
+
+def _changed(reading: Reading) -> int:
+    """The joint (from 1) that is read differently."""
+    return next(j for j, (s, k) in enumerate(zip(reading.signs, reading.quarters, strict=True), start=1) if s < 0 or k)
+
+
+def _anywhere(arm: Arm) -> Arm:
+    """The arm as drawn, where it stands and what is measured on it left open."""
     chain = None if arm.chain is None else SpatialChain(arm.chain.joints, arm.chain.end)
-    return _read_differently(replace(arm, chain=chain), _some(measurements))
+    return replace(arm, chain=chain)
 
 
 @lru_cache(maxsize=2)  # a fit asks before it begins, and again when it has placed the arm
