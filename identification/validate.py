@@ -18,6 +18,8 @@ from identification.arrays import Array, readonly
 from identification.errors import InputError, nearest
 from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
+from identification.gap.confirmation import LEVEL, mean_of
+from identification.gap.holdout import groups_of
 from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
@@ -182,7 +184,8 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     nominal = drawing_residuals(arm, measurements, refit)
     found = Validation(arm, measurements, refit, tuple(refitted), residuals, nominal)
     angles = found.rms_angles
-    said = [f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"] if angles else []
+    said = _hardly_better(found)
+    said += [f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"] if angles else []
     return replace(found, notes=(*said, *_notes(arm, measurements, free)))
 
 
@@ -240,6 +243,18 @@ def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Condition
     if measurements.temperature is None or mean is None:
         return conditions
     return replace(conditions, temperature=measurements.temperature - float(mean))
+
+
+def _hardly_better(found: Validation) -> list[str]:
+    """Where the squares saved are no more than groups of rows, by time or by region of posture, scatter by."""
+    after, before = (distances(residuals) ** 2 for residuals in (found.residuals, found.nominal_residuals))
+    gained = mean_of(before - after, groups_of(found.measurements, np.ones(len(after), dtype=bool)))
+    if gained.value <= 0.0 or gained.p_above() <= LEVEL / 2.0:
+        return []
+    share = (
+        f"{100.0 * after.sum() / before.sum():.0f} % of the squares that the drawing leaves, refitted in the same way"
+    )
+    return [f"the model leaves {share}: hardly better, as far as these rows tell (p = {gained.p_above():.2g})"]
 
 
 def _notes(arm: Arm, measurements: Measurements, undetermined: int) -> Iterator[str]:

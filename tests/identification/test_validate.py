@@ -67,6 +67,19 @@ def test_a_right_model_predicts_another_set_up(effects: tuple[EffectSpec, ...]) 
     assert values["joint_offset:1"] == pytest.approx(150.5, abs=1e-9)
 
 
+def test_a_gain_within_what_the_rows_scatter_by_is_said() -> None:
+    """Noise far above the errors hides what the model gains; a tenth of them does not."""
+    q = postures(40, 0)
+    for sigma, hardly in ((8.0, True), (0.02, False)):
+        measured = tip(q, 0.0, 0.0) + np.random.default_rng(3).normal(0.0, sigma, (40, 2))
+        found = validate(calibrated(), Measurements(q, measured))
+        after, before = (float(np.sum(r**2)) for r in (found.residuals, found.nominal_residuals))
+        said = [note for note in found.notes if "hardly better" in note]
+        assert bool(said) == hardly
+        assert all(f"{100.0 * after / before:.0f} % of the squares" in note for note in said)
+        assert after < before
+
+
 def test_figures_of_the_drawing_are_those_of_a_rigid_motion() -> None:
     q = postures(60, 1)
     measured = tip(q, 0.3, 20.0j) + np.random.default_rng(2).normal(0.0, 0.1, (60, 2))
