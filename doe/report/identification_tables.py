@@ -17,6 +17,7 @@ from identification.estimation.corrected_values import CorrectedValue
 from identification.estimation.shown import in_words
 from identification.kinematics.parameters import REVOLUTE
 from identification.servo import ServoError
+from identification.sessions import placing
 
 
 def identification_tables(found: Identification, hidden: frozenset[str] = frozenset()) -> list[Any]:
@@ -53,8 +54,9 @@ def tip_in_words(data: Mapping[str, Any]) -> str:
 
 def compared(found: Identification) -> str:
     """What the errors before and after the fit are those of."""
-    known = found.geometry is None or found.model.arm.calibration is not None
-    return f"{'arm file' if known else 'drawing, its place fitted'} -> identified"
+    known, places = found.geometry is None or found.model.arm.calibration is not None, placing(found.model.parameters)
+    fitted = bool(places) and len(places) < len(found.names)
+    return f"{'arm file' if known else 'drawing'}{', its place fitted' if fitted else ''} -> identified"
 
 
 def corrected_sheet(rows: Sequence[CorrectedValue]) -> Sheet:

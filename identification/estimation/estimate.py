@@ -13,7 +13,7 @@ from identification.errors import InputError, JobError, nearest
 from identification.estimation.checks import Noise, check, weighting
 from identification.estimation.levenberg_marquardt import Solution
 from identification.estimation.methods import METHODS
-from identification.estimation.outcome import Spread, identification
+from identification.estimation.outcome import Spread, as_filed, identification
 from identification.estimation.prior import Prior
 from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
@@ -59,12 +59,13 @@ def estimate(
         if method not in (None, "gauss_newton"):
             raise InputError(f"method: {method} for a spatial arm held by a prior, allowed: gauss_newton")
         return estimate_with_prior(model, measurements, Prior(prior), sigma, weights)
-    model = placed_model(model, measurements)
+    filed, model = as_filed(model, measurements), placed_model(model, measurements)
     noise = weighting(model, measurements, sigma, weights)
     problem = Problem.of(model, measurements, noise.weights)
     chosen = _known_method(method or ("linear" if problem.exact_form else "gauss_newton"))
     solution, decomposed, problem = _solve(problem, chosen, noise)
-    return _result(problem, measurements, chosen, solution, decomposed, noise)
+    found = _result(problem, measurements, chosen, solution, decomposed, noise)
+    return found if filed is None else replace(found, residuals_before=filed)
 
 
 def _known_method(name: str) -> str:

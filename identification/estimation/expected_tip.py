@@ -63,10 +63,12 @@ def hardly_determined(found: Identification) -> list[str]:
     if inside is None or anywhere is None:
         return []
     equations = found.residuals_before.size
-    spare = equations - len(placing(found.model.parameters))
-    before = found.rms_before * float(np.sqrt(equations / spare)) if spare > 0 else 0.0
+    spare = equations - len(places := placing(found.model.parameters))
+    off = found.rms_before if len(places) < len(found.names) else found.rms_after  # its place says nothing of the arm
+    before = off * float(np.sqrt(equations / spare)) if spare > 0 else 0.0
     noise = max(found.scatter or 0.0, found.sigma or 0.0) * float(np.sqrt(found.model.arm.dimension))
-    was = f"; before the fit the arm was {found.rms_before:.3g} mm off where it was measured" if spare > 0 else ""
+    far = f"{found.rms_before:{'.3g' if found.rms_before < 1000.0 else '.0f'}} mm"
+    was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""
     if inside > max(SHARE * before, noise):
         said = (
             f"at other postures within the same angles the tip may be {inside:.3g} mm (RMS) from where it is computed"

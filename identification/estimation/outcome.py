@@ -17,7 +17,9 @@ from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import Uncertainty
 from identification.information import Spectrum, identifiability_of
+from identification.kinematics.spatial import BASE, TOOL
 from identification.measurements import Measurements
+from identification.model import Model
 from identification.sessions import placing
 from identification.status import Status
 
@@ -45,6 +47,19 @@ def as_it_was(problem: Problem) -> Array:
     there = problem.start.copy()
     there[free] += step
     return np.asarray(problem.residuals(there)[0])
+
+
+def as_filed(model: Model, data: Measurements) -> Array | None:
+    """(m, d) residuals [mm] of a spatial arm where its calibration has it, if nothing but that place is estimated; None
+    for other fits and where the file does not say it: `as_it_was` fits it."""
+    arm = getattr(model, "arm", None)
+    chain, there = (None, None) if arm is None else (arm.chain, arm.calibration)
+    if chain is None or there is None or len(data.session_names) > 1:
+        return None
+    said = (BASE in chain.known or there.base is not None) and (TOOL in chain.known or {*there.tools} >= {*chain.tools})
+    if not said or len(placing(model.parameters)) < len(model.names):
+        return None
+    return np.asarray(data.positions - model.position(data.postures, model.values, data.conditions))
 
 
 def identification(
