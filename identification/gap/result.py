@@ -133,7 +133,8 @@ class Diagnosis:
         tries = "the tries without a fifth of the rows"
         again = f"; chosen again in {100.0 * self.choice.again:.0f} % of {tries}" if self.choice else ""
         curves = ", a cause without a name, which the curves describe" if summary.described(self) else ""
-        return f"probability: {text}{curves}" + (f" (of that {other})" if other else "") + again
+        among = summary.among(self)
+        return f"probability{among}: {text}{curves}" + (f" (of that {other})" if other else "") + again
 
     @property
     def other_sets(self) -> dict[str, float]:

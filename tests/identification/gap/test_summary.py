@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import pytest
 
+from identification.gap.result import Diagnosis
 from identification.gap.rounds import Round
-from identification.gap.summary import of_joints
+from identification.gap.summary import among, of_joints
 
 
 @pytest.mark.parametrize(
@@ -27,3 +31,13 @@ def test_a_round_spells_out_a_few_names() -> None:
     assert str(Round(("gear_ratio:1",), removed, 0.125)) == (
         "+ gear_ratio:1 - backlash:1 - backlash:2 - backlash:3 - backlash:4 - backlash:5 - 3 more: 0.125 mm left"
     )
+
+
+def test_a_probability_says_what_it_is_among() -> None:
+    def said(effects: tuple[str, ...], shapes: tuple[str, ...], *confirmed: bool | None) -> str:
+        tests = [SimpleNamespace(confirmed=one) for one in confirmed]
+        return among(cast(Diagnosis, SimpleNamespace(effects=effects, shapes=shapes, curves=(), tests=tests)))
+
+    assert said(("ripple",), (), True) == said(("ripple",), (), None, True) == said((), (), None) == ""
+    assert said(("ripple",), ("k",), True) == " (among the library's shapes, whatever makes them)"
+    assert said(("ripple",), (), None, None) == " (too few rows to confirm it on others)"
