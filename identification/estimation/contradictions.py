@@ -7,17 +7,19 @@ parameter look like errors of others.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from identification.arrays import Array
+from identification.estimation.checks import Noise
 from identification.estimation.prior import Earlier, Prior, effective_count
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL
+from identification.information import spectrum
 from identification.kinematics.parameters import Parameter
 from identification.kinematics.spatial import BASE, TOOL
 
@@ -135,3 +137,26 @@ def contradicted(linear: Linear, noise: float, freedom: float) -> list[str]:
             break
         found, least = [*found, best], left[best]
     return found
+
+
+def compared(
+    found: Identification, problem: Problem, noise: Noise, again: Callable[[Mapping[str, float]], Identification]
+) -> Identification:
+    """The fit with what contradicts its prior, and with the covariance of the noise that is there without it.
+
+    problem : as it was solved;  again : the fit without the earlier calibration's prior, some parameters known
+    """
+    x = found.parameters
+    residuals, jacobians = replace(problem, prior=None).least_squares.linearize(x[None], np.arange(1))
+    linear = Linear(problem, x, residuals[0], jacobians[0])
+    least, freedom = linear.noise(noise.sigma is not None, noise.reliance == "given")
+    names = contradicted(linear, least, freedom)
+    rows = replace(problem, noise=min(least, problem.noise)).prior_rows
+    seen = spectrum(np.concatenate([linear.jacobian, rows]), problem.model.scales, problem.tolerance).covariance
+    found = replace(found, covariance_seen=min(least, problem.noise) ** 2 * seen)
+    if not names or problem.prior is None or problem.prior.earlier is None:
+        return found
+    earlier = problem.prior.earlier
+    known = {name: x for name, x in zip(earlier.names, earlier.values.tolist(), strict=True) if name not in names}
+    free, before = again(known), earlier.given(known)
+    return replace(found, contradictions=tuple(Contradiction.of(name, before, free) for name in names))

@@ -7,7 +7,7 @@ likelihood, H. D. Patterson, R. Thompson 1971), and no less than a sigma that is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Literal, NamedTuple
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arm import Machining
 from identification.arrays import Array
 from identification.estimation.checks import Noise, check, weighting
-from identification.estimation.contradictions import Contradiction, Linear, contradicted
+from identification.estimation.contradictions import compared
 from identification.estimation.levenberg_marquardt import ITERATIONS, Index, LeastSquares, Solution, levenberg_marquardt
 from identification.estimation.methods import starts
 from identification.estimation.outcome import Spread, identification
@@ -90,28 +90,6 @@ def estimate_with_prior(
         return estimate_with_prior(held, measurements, Prior(prior.deviations), sigma, weights)
 
     return compared(found, problem, noise, again)
-
-
-def compared(
-    found: Identification, problem: Problem, noise: Noise, again: Callable[[Mapping[str, float]], Identification]
-) -> Identification:
-    """The fit with what contradicts its prior, and with the covariance of the noise that is there without it.
-
-    problem : as it was solved;  again : the fit without the earlier calibration's prior, some parameters known
-    """
-    x, alone = found.parameters, replace(problem, prior=None)
-    linear = Linear(problem, x, *_Linearizations(alone).at(x))
-    least, freedom = linear.noise(noise.sigma is not None, noise.reliance == "given")
-    names = contradicted(linear, least, freedom)
-    rows = replace(problem, noise=min(least, problem.noise)).prior_rows
-    seen = spectrum(np.concatenate([linear.jacobian, rows]), problem.model.scales, problem.tolerance).covariance
-    found = replace(found, covariance_seen=min(least, problem.noise) ** 2 * seen)
-    if not names or problem.prior is None or problem.prior.earlier is None:
-        return found
-    earlier = problem.prior.earlier
-    known = {name: x for name, x in zip(earlier.names, earlier.values.tolist(), strict=True) if name not in names}
-    free, before = again(known), earlier.given(known)
-    return replace(found, contradictions=tuple(Contradiction.of(name, before, free) for name in names))
 
 
 def far_from_drawing(machining: Machining, widths: Widths) -> list[str]:
