@@ -27,5 +27,7 @@ def command(session: Session, arm: Path, data: Path) -> Answer:
     from identification.inspection import inspect
 
     loaded = load_arm(arm)
-    found = inspect(loaded, load_measurements(data, loaded))
+    measurements = load_measurements(data, loaded)
+    session.report(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
+    found = inspect(loaded, measurements)
     return Answer(found.to_json(), inspection_tables(found, str(arm), str(data)))

@@ -48,7 +48,13 @@ def command(
         sentence = f"nothing to distinguish: the verdict is not ambiguous but {diagnosis.sentence}"
         return Answer({"verdict": diagnosis.verdict, "postures_deg": [], "chance": None}, [sentence])
     end = perf_counter() + seconds
-    found = discriminate(loaded, diagnosis, measurements, runs, session.seed, masses, stop=lambda: perf_counter() > end)
+
+    def late() -> bool:
+        left = end - perf_counter()
+        session.report(5, None, f"choosing the next postures, at most {max(left, 0.0):.0f} s left")
+        return left < 0.0
+
+    found = discriminate(loaded, diagnosis, measurements, runs, session.seed, masses, stop=late)
     written = [
         f"{line}; measure them and append the rows to {data}"
         for line in output.write(next_text(found), "next postures")

@@ -85,6 +85,7 @@ def command(
     measurements = read_measurements(data, loaded)
     loaded, errors = with_servo_errors(loaded, measurements), servo_errors(measurements, loaded.joint_types)
     wanted = Wanted(words, prior, prior_from, method, sigma, parameters == "minimal")
+    session.report(0, None, f"fitting {len(measurements)} rows")
     found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
     before = loaded.calibration if words else None
     answered = answer(found, arm, output, urdf, library, before)

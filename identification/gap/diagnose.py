@@ -91,7 +91,9 @@ def diagnose(
         library_prior(arm, given_by(measurements), missing)
     generator = np.random.default_rng(seed)
     found = findings_of(arm, measurements, holdout, draws, generator, progress)
+    progress(3, None, "comparing explanations and fitting error curves")
     explained, fits = explained_fits(found, measurements, draws, generator, prior, missing)
+    progress(4, None, "assessing the sizes excluded, and testing on other rows")
     result = diagnosis_of(measurements, holdout, explained, fits, generator)
     progress(1, 1, result.sentence)
     return result if arm is given else of_first_session(result, given)
@@ -113,9 +115,7 @@ def findings_of(
     if holdout is not None:
         check_same_arm(first, measurements, holdout)
     progress(1, None, "base model fitted")
-    found = Workflow(library, draws, generator, lambda message: progress(2, None, message)).findings(rows)
-    progress(6, None, "assessing the plan, the sizes excluded, and the held-out data")
-    return found
+    return Workflow(library, draws, generator, lambda message: progress(2, None, message)).findings(rows)
 
 
 def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import lgamma
 
@@ -68,7 +69,11 @@ def best_of(search: HypothesisSearch, chosen: Choice, members: list[Hypothesis],
 
 
 def select(
-    search: HypothesisSearch, draws: int, generator: np.random.Generator, known: tuple[Choice, ...] = ((),)
+    search: HypothesisSearch,
+    draws: int,
+    generator: np.random.Generator,
+    known: tuple[Choice, ...] = ((),),
+    tell: Callable[[int], None] = lambda named: None,
 ) -> Selection:
     """Add effects while the omnibus test or the test of several effects at once is significant.
 
@@ -77,15 +82,18 @@ def select(
     false, whatever k (a bound on the false discovery rate rather than on any false name at all).
 
     known : path of a search with another noise model, which a `linear` search continues
+    tell : called with the number of effects named so far
     """
     many = search.linear
     first = search.tested((), draws, generator)
     path: list[Choice] = list(known) if many else [()]
     chosen = path[-1]
+    tell(len(chosen))
     tested = search.tested(chosen, draws, generator)
     while len(chosen) < MOST and (longer := _next(search, chosen, tested, generator)) is not None:
         chosen = longer if many else swapped(search, longer)
         path.append(chosen)
+        tell(len(chosen))
         tested = search.tested(chosen, draws, generator)
     shorter = backward(search, swapped(search, chosen) if many else chosen)
     if shorter != chosen:

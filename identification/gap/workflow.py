@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,10 +91,9 @@ class Workflow:
         seen: list[tuple[object, ...]] = []
         known: tuple[Choice, ...] = ((),)
         for number in range(PASSES):
-            self.tell(f"testing the effects, pass {number + 1}")
             used = scatter, outlier
             search = HypothesisSearch(self.hypotheses, noisy.pick(~outlier), noise_estimated=bool(scatter))
-            selection = select(search, self.draws, self.generator, known)
+            selection = select(search, self.draws, self.generator, known, partial(self._testing, number + 1))
             known = selection.path
             again = outliers(search.fit(selection.chosen), noisy)
             plain = rows.pick(~again)
@@ -111,6 +111,10 @@ class Workflow:
         found = best if cost(best, len(rows)) < cost(found, len(rows)) - CREDIT else found
         return min((found, *self._with_memory(found, rows)), key=lambda f: cost(f, len(rows)))
 
+    def _testing(self, number: int, named: int) -> None:
+        """How many passes follow depends on what they find: there is no honest time left to tell."""
+        self.tell(f"testing the effects, pass {number} of at most {PASSES}, {named} named so far")
+
     def _extended(
         self, search: HypothesisSearch, selection: Selection, scatter: tuple[Finding, ...], outlier: NDArray[np.bool_]
     ) -> Findings:
@@ -122,6 +126,7 @@ class Workflow:
         self, before: Findings, rows: Rows, scatter: tuple[Finding, ...], outlier: NDArray[np.bool_]
     ) -> Findings:
         """The findings with another explanation of the scatter than before."""
+        self.tell("trying another explanation of the scatter")
         search = HypothesisSearch(before.search.hypotheses, rows.pick(~outlier), noise_estimated=bool(scatter))
         selection = select(search, self.draws, self.generator, before.selection.path)
         return self._extended(search, selection, scatter, outlier)

@@ -17,7 +17,9 @@ def test_of_very_many_rows_some_are_searched_and_all_are_fitted(monkeypatch: pyt
     """At the estimates the sum of squares of all rows has no gradient."""
     rows = searched()[0].rows
     monkeypatch.setattr("identification.gap.workflow.MOST_ROWS", 80)
-    found = Workflow(LIBRARY, 399, np.random.default_rng(1)).findings(rows)
+    told: list[str] = []
+    found = Workflow(LIBRARY, 399, np.random.default_rng(1), told.append).findings(rows)
+    assert f"testing the effects, pass 1 of at most 4, {len(NAMES)} named so far" in told
     assert {h.label for h in found.unknown.chosen} == set(NAMES)
     assert len(found.outlier) == len(rows) == 120
     assert len(found.search.rows) <= 80
