@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from identification.estimation.result import Identification
 
 ROUNDS = 3  # of noise and of what the machining's prior is worth beside it
+LEAST = 1e-12  # [mm] of noise: data without any
 SHOWN = 3  # parameters in a sentence
 
 
@@ -109,7 +110,7 @@ class Linear(NamedTuple):
             if spare < 1.0:
                 break
             noise = float(np.sqrt(self.squares(alone, noise) * noise**2 / spare))
-            noise = max(noise, 1.0) if known else noise
+            noise = max(noise, 1.0 if known else LEAST)
         return (noise, np.inf) if given or (known and noise == 1.0) else (noise, max(spare, 0.0))
 
 
@@ -128,7 +129,7 @@ def contradicted(linear: Linear, noise: float, freedom: float) -> list[str]:
     assert linear.problem.prior.earlier is not None
     names = [name for name in linear.problem.prior.earlier.names if name in linear.problem.model.names]
     found, least = list[str](), linear.squares(linear.problem.prior, noise)
-    while rest := [name for name in names if freedom >= 1.0 and noise > 0.0 and name not in found]:
+    while rest := [name for name in names if freedom >= 1.0 and noise > LEAST and name not in found]:
         left = {name: linear.squares(linear.released([*found, name]), noise) for name in rest}
         best = min(left, key=lambda name: left[name])
         drop = max(least - left[best], 0.0)

@@ -118,3 +118,14 @@ def test_too_few_rows_to_tell() -> None:
     earlier, data = before(generator), measured(generator, 2, TRUTH + 0.01 * np.eye(6)[4])
     assert with_prior(earlier, data, "estimated").contradictions == ()
     assert with_prior(earlier, data, "given").contradictions != ()
+
+
+def test_data_without_noise() -> None:
+    """Nothing fails where the residuals are zero or rounding."""
+    generator = np.random.default_rng(9)
+    earlier = before(generator)
+    postures = generator.uniform(-2.0, 2.0, (12, 3))
+    drawn = Earlier(earlier.names, np.zeros(6), earlier.covariance)
+    exact = Measurements(postures, MODEL.position(postures, np.zeros(6)))
+    for sigma in (None, "given", "estimated"):
+        assert with_prior(drawn, exact, sigma).contradictions == ()
