@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 ROUNDS = 3  # of noise and of what the machining's prior is worth beside it
 LEAST = 1e-12  # [mm] of noise: data without any
+RIVAL = 0.05  # p-value from which another parameter explains a contradiction as well
 SHOWN = 3  # parameters in a sentence
 
 
@@ -42,18 +43,22 @@ class Contradiction:
     prior_std: float
     value: float
     std: float
+    instead: tuple[str, ...] = ()  # parameters that would explain the measurements as well
 
     @classmethod
-    def of(cls, name: str, before: Earlier, found: Identification) -> Contradiction:
+    def of(cls, name: str, before: Earlier, found: Identification, instead: tuple[str, ...]) -> Contradiction:
         """Of a parameter before, and of a fit without that prior."""
         p, deviations = found.model.parameters[k := found.names.index(name)], np.sqrt(np.diag(before.covariance))
         there = before.names.index(name)
         figures = before.values[there], deviations[there], found.parameters[k], found.std[k]
-        return cls(name, p.file_unit, *(float(x * p.to_file) for x in figures))
+        prior, prior_std, value, std = (float(x * p.to_file) for x in figures)
+        return cls(name, p.file_unit, prior, prior_std, value, std, instead)
 
     def __str__(self) -> str:
         before, now = f"{self.prior:.4g} +- {self.prior_std:.2g}", f"{self.value:.4g} +- {self.std:.2g}"
-        return f"{self.name} is {before} {self.unit} in the earlier calibration, {now} by these measurements"
+        return f"{self.name} is {before} {self.unit} in the earlier calibration, {now} by these measurements" + (
+            f" (or instead {', '.join(self.instead)}: they do not tell)" if self.instead else ""
+        )
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `contradicted` (identification/files/README.md, "JSON keys")."""
@@ -122,22 +127,27 @@ def released(prior: Prior, names: Collection[str], machining: Mapping[str, float
     return Prior({**machined, **prior.deviations}, kept if kept.names else None)
 
 
-def contradicted(linear: Linear, noise: float, freedom: float) -> list[str]:
-    """Names of the parameters whose prior the measurements contradict, the clearest first;  noise, freedom : as of
-    `Linear.noise`."""
+def contradicted(linear: Linear, noise: float, freedom: float) -> dict[str, tuple[str, ...]]:
+    """Parameters whose prior the measurements contradict, the clearest first, each with those that would explain it as
+    well;  noise, freedom : as of `Linear.noise`."""
     assert linear.problem.prior is not None
     assert linear.problem.prior.earlier is not None
     names = [name for name in linear.problem.prior.earlier.names if name in linear.problem.model.names]
-    found, least = list[str](), linear.squares(linear.problem.prior, noise)
+    found, least = dict[str, tuple[str, ...]](), linear.squares(linear.problem.prior, noise)
     while rest := [name for name in names if freedom >= 1.0 and noise > LEAST and name not in found]:
         left = {name: linear.squares(linear.released([*found, name]), noise) for name in rest}
         best = min(left, key=lambda name: left[name])
-        drop = max(least - left[best], 0.0)
-        p = chdtrc(1.0, drop) if np.isinf(freedom) else fdtrc(1.0, freedom, drop)
-        if p * len(rest) >= LEVEL:
+        if _p_value(least - left[best], freedom) * len(rest) >= LEVEL:
             break
-        found, least = [*found, best], left[best]
+        instead = [name for name in rest if name != best and _p_value(left[name] - left[best], freedom) > RIVAL]
+        found[best], least = tuple(instead), left[best]
     return found
+
+
+def _p_value(drop: float, freedom: float) -> float:
+    """Of a drop of the squares by one parameter."""
+    drop = max(drop, 0.0)
+    return float(chdtrc(1.0, drop) if np.isinf(freedom) else fdtrc(1.0, freedom, drop))
 
 
 def compared(
@@ -160,4 +170,4 @@ def compared(
     earlier = problem.prior.earlier
     known = {name: x for name, x in zip(earlier.names, earlier.values.tolist(), strict=True) if name not in names}
     free, before = again(known), earlier.given(known)
-    return replace(found, contradictions=tuple(Contradiction.of(name, before, free) for name in names))
+    return replace(found, contradictions=tuple(Contradiction.of(name, before, free, names[name]) for name in names))
