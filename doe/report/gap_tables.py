@@ -157,7 +157,11 @@ def history(data: Data) -> list[Any]:
 def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     """Verdict first, then the gap, candidates, and what else a person should know."""
     data, lines = diagnosis.to_json(), [*findings(diagnosis), *diagnosis.warnings]
-    shown: list[Any] = [Text(headline(diagnosis), style="bold"), *map(Text, lines), as_table(gap_sheet(data))]
+    shown: list[Any] = [
+        Text(headline(diagnosis), style="bold"),
+        *map(Text, lines),
+        as_table(gap_sheet(data), padding=0),
+    ]
     shown.append(Text(f"expected: {diagnosis.gap.floor} on the data; elsewhere what the model predicts"))
     shown += [Text(str(test)) for test in diagnosis.tests if test.confirmed is False]
     shown += effect_tables(diagnosis, data) if diagnosis.effects else [as_table(excluded_sheet(data))]
@@ -193,6 +197,6 @@ def replication_sheet(diagnosis: Diagnosis) -> Sheet:
     return Sheet(("effect", "session", "fitted there", "explained by the others' values", "replicates"), rows)
 
 
-def as_table(sheet: Sheet, title: str | None = None) -> Table:
+def as_table(sheet: Sheet, title: str | None = None, **style: Any) -> Table:
     """The same sheet for a terminal."""
-    return table(sheet.headings, sheet.rows, title, left=[sheet.headings[0], *LEFT])
+    return table(sheet.headings, sheet.rows, title, left=[sheet.headings[0], *LEFT], **style)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib.metadata import version
 
+from doe.cli import main
 from tests.doe.cli.conftest import Folder
 
 
@@ -29,3 +30,10 @@ def test_versions_of_armcal_and_of_the_solvers(folder: Folder) -> None:
     assert shown.code == 0
     for name in ("armcal", "casadi", "clarabel"):
         assert f"{name} {version(name)}" in shown.out
+
+
+def test_examples_fit_a_terminal() -> None:
+    for verb, command in main.commands.items():
+        example = str(command.epilog).partition("Example:\n")[2].partition("\n")[0]
+        assert example.startswith("  armcal "), verb
+        assert len(example) <= 80, verb
