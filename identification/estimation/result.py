@@ -20,7 +20,6 @@ from identification.estimation.corrected_values import CorrectedValue, corrected
 from identification.estimation.expected_tip import hardly_determined, tip_of
 from identification.estimation.intervals import freedom_kept, limits_95
 from identification.estimation.prior import Prior
-from identification.estimation.shown import in_words
 from identification.estimation.uncertainty import LEVEL, Uncertainty
 from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, by_joint
@@ -124,15 +123,7 @@ class Identification:
         """What chi2 says where it rejects the model or the sigma given, and what follows for the intervals."""
         if self.p_value is None or self.p_value >= LEVEL or self.scatter is None or not self.sigma:
             return None
-        figures = f"chi2 {self.chi2:.4g}, {self.dof} degrees of freedom, {in_words(self.p_value)}"
-        times = f"{self.scatter / self.sigma:{'.3g' if self.scatter < 1000.0 * self.sigma else '.0f'}}"
-        found = f"the residuals scatter {times} times sigma_mm = {self.sigma:.4g} ({figures})"
-        prior = "the prior does not hold (above), " if self.contradictions else ""
-        cause = f"{prior}the model is incomplete or sigma_mm too small"
-        relied = self.uncertainty.kind == "given"
-        follows = "rely on sigma_mm and are too narrow" if relied else "do not rely on sigma_mm"
-        do = "settle the prior first" if self.contradictions else "armcal diagnose looks for what is missing"
-        return f"misfit: {found}: {cause}. The intervals {follows}; {do}"
+        return shown.misfit(self, self.p_value, self.scatter / self.sigma)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -303,5 +294,5 @@ class Identification:
 
 
 _OF_GEOMETRY = ("base", "tools", "geometry", "joint_offsets", "strict_table")
-# by a calibration
+# by a calibration, which has them elsewhere or is read without them
 _NOT_KEPT = ("parameters", "p_value", "status", "warnings", "outlier_rows", "clusters", *_OF_GEOMETRY)

@@ -20,6 +20,18 @@ def in_words(p: float) -> str:
     return f"p = {p:.3g}" if p > 0.0 else "p < 1e-300"
 
 
+def misfit(found: Identification, p_value: float, times: float) -> str:
+    """That chi2 rejects the model or the sigma given, which the residuals are `times` of, and what it does to intervals."""
+    figures = f"chi2 {found.chi2:.4g}, {found.dof} degrees of freedom, {in_words(p_value)}"
+    prior = "the prior does not hold (above), " if found.contradictions else ""
+    cause = f"{prior}the model is incomplete or sigma_mm too small"
+    relied = found.uncertainty.kind == "given"
+    follows = "rely on sigma_mm and are too narrow" if relied else "do not rely on sigma_mm"
+    do = "settle the prior first" if found.contradictions else "armcal diagnose looks for what is missing"
+    scatter = f"the residuals scatter {times:{'.3g' if times < 1000.0 else '.0f'}} times sigma_mm = {found.sigma:.4g} ({figures})"
+    return f"misfit: {scatter}: {cause}. The intervals {follows}; {do}"
+
+
 def text(found: Identification) -> str:
     """All of it, for a terminal."""
     name, *figures, unit = HEADINGS
