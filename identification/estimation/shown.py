@@ -21,14 +21,15 @@ def in_words(p: float) -> str:
 
 
 def misfit(found: Identification, p_value: float, times: float) -> str:
-    """That chi2 rejects the model or the sigma given, which the residuals are `times` of, and what it does to intervals."""
+    """That chi2 rejects the model or the sigma given, and what follows; times : residuals in units of that sigma."""
     figures = f"chi2 {found.chi2:.4g}, {found.dof} degrees of freedom, {in_words(p_value)}"
     prior = "the prior does not hold (above), " if found.contradictions else ""
     cause = f"{prior}the model is incomplete or sigma_mm too small"
     relied = found.uncertainty.kind == "given"
     follows = "rely on sigma_mm and are too narrow" if relied else "do not rely on sigma_mm"
     do = "settle the prior first" if found.contradictions else "armcal diagnose looks for what is missing"
-    scatter = f"the residuals scatter {times:{'.3g' if times < 1000.0 else '.0f'}} times sigma_mm = {found.sigma:.4g} ({figures})"
+    shown = f"{times:{'.3g' if times < 1000.0 else '.0f'}}"
+    scatter = f"the residuals scatter {shown} times sigma_mm = {found.sigma:.4g} ({figures})"
     return f"misfit: {scatter}: {cause}. The intervals {follows}; {do}"
 
 
