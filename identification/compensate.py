@@ -226,6 +226,8 @@ def _compensation(
     missed = violations(constraints, commands)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
     beyond = outside(arm, commands)
+    if beyond is not None:  # nobody drives to what misses a constraint
+        beyond = beyond & ~np.any(missed > 0.0, axis=1)[:, None]
     angles = None if where.orientation is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach
     if where.directions is not None:
         commands = commands - servo_shift(arm, where.directions)

@@ -136,7 +136,7 @@ class Campaign:
             pooled = " ".join(["armcal diagnose", names["arm"], *data])
             return [*self.worse, Action("See what all measurements together say, each file as a session:", pooled)]
         if diagnoses := self.said("diagnose"):
-            return diagnosis_actions(diagnoses[-1], **names)
+            return diagnosis_actions(diagnoses[-1], names["arm"], names["rows"])
         if given.calibrated or self.said("identify") or self.said("validate"):
             return calibrated_actions(**names, calibrated=self.chosen or "calibrated.toml")
         if given.measurements:

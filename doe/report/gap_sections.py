@@ -87,7 +87,7 @@ def said(test: Data) -> str:
     """Whether the named model holds in rows that were not used for the fits, in a sentence."""
     where = f"{test['transfer']} ({test['rows']} rows in {test['groups']} independent groups)"
     if test["confirmed"]:
-        perhaps = "" if test["as_predicted"] else ": the gap shrinks, perhaps not to the prediction"
+        perhaps = "" if test["as_predicted"] else ": the gap shrinks, whether to the prediction these rows do not tell"
         return f"The model holds for {where}{perhaps}."
     if test["shrinks"]:
         return f"For {where} the gap shrinks, but by less than predicted."
@@ -212,6 +212,6 @@ def gap_page(diagnosis: Diagnosis, measurements: Measurements | None = None, ori
     data = diagnosis.to_json()
     nominal = None if measurements is None else rms_distance(drawing_residuals(diagnosis.arm, measurements))
     sections = [*gap_sections(diagnosis, nominal), *([] if origin is None else [origin_section(origin)])]
-    names = [] if origin is None else [str(path) for path in origin.files[:2]]
+    arm, rows, *_ = ("arm.toml", "data.csv") if origin is None else (*map(str, origin.files), "data.csv")
     title = f"Gap report: {diagnosis.arm.name or 'arm'}"
-    return page(title, diagnosis_verdict(data), sections, diagnosis_actions(data, *names), data["warnings"])
+    return page(title, diagnosis_verdict(data), sections, diagnosis_actions(data, arm, rows), data["warnings"])

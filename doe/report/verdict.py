@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from doe.report.gap_tables import is_described
@@ -86,8 +87,10 @@ def shrinks(data: Data) -> str:
     return f"On {test['rows']} rows that no fit has seen the RMS error goes {figures}; {expected}."
 
 
-def diagnosis_actions(data: Data, arm: str = "arm.toml", rows: str = "data.csv") -> list[Action]:
-    """What follows from a diagnosis."""
+def diagnosis_actions(
+    data: Data, arm: str = "arm.toml", rows: str = "data.csv", written: Path | None = None
+) -> list[Action]:
+    """What follows from a diagnosis;  written : the extended model, where it has been."""
     called = f"armcal diagnose {arm} {rows}"
     confirm = Action(
         "Measure some twenty other postures, best on another day, and let them confirm what was found:",
@@ -104,12 +107,12 @@ def diagnosis_actions(data: Data, arm: str = "arm.toml", rows: str = "data.csv")
         apart = f"armcal discriminate {arm} {rows} --runs 6 --out next.csv"
         again = Action("Add the new rows to the data, and diagnose again:", called)
         return [Action("Measure the postures that tell the explanations apart:", apart), again]
-    keep = Action("Keep the extended model:", f"{called} --out extended.toml")
+    keep = [] if written else [Action("Keep the extended model:", f"{called} --out extended.toml")]
     part = "the error curves, within the angles measured," if is_described(data) else "the named part"
     meanwhile = f"; {part} may be used meanwhile" if data["effects"] else ""
     look = Action(f"Look for a cause at {place(data)}{meanwhile}.")
     unknown = [look] if data["verdict"] == "unknown" else []
-    return [*unknown, *([] if data["confirmed"] else [confirm]), keep, correct("extended.toml")]
+    return [*unknown, *([] if data["confirmed"] else [confirm]), *keep, correct(str(written or "extended.toml"))]
 
 
 def correct(arm: str) -> Action:

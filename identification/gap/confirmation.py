@@ -136,7 +136,7 @@ class Confirmation:
             limits = (
                 ""
                 if self.as_predicted
-                else " as far as these rows tell: the gap shrinks, perhaps not to the prediction"
+                else " as far as these rows tell: the gap shrinks, whether to the prediction they do not tell"
             )
             return f"holds for {self.transfer}{limits}"
         if self.shrinks:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -87,3 +88,12 @@ def test_a_gain_smaller_than_predicted_is_not_called_wrong() -> None:
     data = said("named", "backlash:2", confirmed=False) | {"confirmation": TEST | {"shrinks": True}}
     assert diagnosis_verdict(data)[0].startswith("Not confirmed as predicted: rows that no fit has seen gain less.")
     assert diagnosis_actions(data)[0].text.endswith("gain less than predicted.")
+
+
+def test_a_file_that_was_written_is_named_in_what_follows() -> None:
+    """No step asks for what has been done, and the commands name the user's own file."""
+    data = {"verdict": "named", "confirmed": True, "effects": [], "where": "joint:1"}
+    kept = [action.command for action in diagnosis_actions(data, "arm.toml", "data.csv", Path("mine.toml"))]
+    assert not any("--out extended.toml" in command for command in kept)
+    assert any("armcal compensate mine.toml" in command for command in kept)
+    assert any("--out extended.toml" in action.command for action in diagnosis_actions(data))
