@@ -18,17 +18,22 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_columns
 from identification.errors import InputError
-from identification.inverse_kinematics import TOLERANCE, Constraints, reaching, violations, within_or_near
+from identification.inverse_kinematics import (
+    TOLERANCE,
+    Constraints,
+    near_or_within,
+    reaching,
+    violations,
+    within_or_near,
+)
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.parameters import REVOLUTE
-from identification.kinematics.turns import turned_into
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
-from identification.row_groups import extrapolated, identified, identified_range, outside
+from identification.row_groups import extrapolated, familiar_range, identified, outside
 from identification.servo import servo_shift
 
 TURNED = 1e-8  # [rad] a pose is reached if the model comes this close
-ROOM = 0.02  # of a joint's range at either end, left for the corrections of a posture
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +42,8 @@ class Compensation:
 
     targets : (k, d) [mm];  orientations : (k, 3, 3) of the tool for the instrument, None: any will do
     nominal : (k, n) postures [rad] that would reach them on the nominal arm
-    commands : (k, n) postures [rad] for the real arm, within the joint limits; the nearest found where unreachable
+    commands : (k, n) postures [rad] for the real arm, within the joint limits; the nearest found where unreachable, at
+        angles of the identification where no nominal postures were given
     errors : (k,) distance of the real arm's tip from the target [mm], by the calibrated model
     angles : (k,) between the orientation wanted and that of the tool [rad], None: any will do
     joint_types : (n) of the arm, empty: all revolute
@@ -79,13 +85,16 @@ class Compensation:
         """(k) why a target is not reached; empty where it is."""
         angles = np.zeros(len(self.errors)) if self.angles is None else np.degrees(self.angles)
         missed = np.zeros((len(self.errors), 0)) if self.violations is None else self.violations
-        rows = zip(self.near.tolist(), self.errors.tolist(), angles.tolist(), missed.tolist(), strict=True)
+        inside = np.zeros(len(missed), dtype=bool) if self.outside is None else ~self.outside.any(axis=1)
+        rows = zip(*(column.tolist() for column in (self.near, self.errors, angles, missed, inside)), strict=True)
         return [self._message(*row) for row in rows]
 
-    def _message(self, near: bool, error: float, angle: float, missed: list[float]) -> str:
-        """Of one target: what is left [mm], [deg], and what constraints are missed by [mm]."""
+    def _message(self, near: bool, error: float, angle: float, missed: list[float], inside: bool) -> str:
+        """Of one target: what is left [mm], [deg], at the angles identified or not, and what constraints are missed by
+        [mm]."""
+        familiar = " at the angles identified" if inside else ""
         turned = "" if self.angles is None else f" and {angle:.4g} deg"
-        said = [] if near else [f"out of reach within the joint limits: {error:.4g} mm{turned} are left"]
+        said = [] if near else [f"out of reach within the joint limits: {error:.4g} mm{turned} are left{familiar}"]
         numbered = enumerate(zip(self.constraints, missed, strict=True), start=1)
         said += [f"constraint {k} ({kind}) is missed by {size:.4g} mm" for k, (kind, size) in numbered if size > 0.0]
         return "; ".join(said)
@@ -208,21 +217,23 @@ def compensate(
     nominal = (
         given
         if given is not None
-        else within_or_near(nominal_arm, _familiar(arm), goals, Conditions(orientation=turned), constraints)
+        else within_or_near(nominal_arm, familiar_range(arm), goals, Conditions(orientation=turned), constraints)
     )
     model = Model(arm)
     if where.directions is None and len(nominal):
         past = past_from_order(nominal) if model.remembers else None
         where = replace(where, directions=directions_from_order(nominal), past=past)
-    return _compensation(model, goals, nominal, where, constraints)
+    commands = reaching(model, goals, nominal, where, constraints)
+    if given is None:
+        commands = near_or_within(model, familiar_range(arm), goals, commands, where, constraints)
+    return _compensation(model, goals, nominal, commands, where, constraints)
 
 
 def _compensation(
-    model: Model, goals: Array, nominal: Array, where: Conditions, constraints: Constraints
+    model: Model, goals: Array, nominal: Array, commands: Array, where: Conditions, constraints: Constraints
 ) -> Compensation:
-    """From nominal postures (k, n), under conditions with directions."""
+    """From nominal postures and commands (k, n), under conditions with directions."""
     arm = model.arm
-    commands = reaching(model, goals, nominal, where, constraints)
     missed = violations(constraints, commands)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
     beyond = outside(arm, commands)
@@ -281,15 +292,3 @@ def _checked(name: str, values: ArrayLike, columns: int) -> Array:
     if array.ndim != 2 or array.shape[1] != columns or not np.all(np.isfinite(array)):
         raise InputError(f"{name}: shape {array.shape}, allowed: (k, {columns}) finite numbers")
     return array
-
-
-def _familiar(arm: Arm) -> tuple[Array, Array]:
-    """(n,) least and largest angles of the identification but for `ROOM`, moved by whole turns into the limits; the
-    limits themselves where these are not known."""
-    if (known := identified_range(arm)) is None:
-        return arm.lower, arm.upper
-    middle = known.mean(axis=0)
-    known = middle + (1.0 - 2.0 * ROOM) * (known - middle)
-    moved = known + turned_into(middle[None], arm.lower, arm.upper, arm.joint_types)[0] - middle
-    lower, upper = np.clip(moved, arm.lower, arm.upper)
-    return lower, upper

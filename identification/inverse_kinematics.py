@@ -28,6 +28,7 @@ QUICK = 20  # iterations at first: 99 of 100 seeds that reach a target have reac
 GLANCED, PROMISING = 256, 6  # random postures of a redundant arm, and how many of them are tried at first
 MISSED = 1e3  # a rank from which a target is not reached, or constraints are missed
 CHUNK = 1_000  # targets at a time, times SEEDS starts
+STILL = 1e-9  # [rad] a joint that did not move has so much room
 BEND = 1e-7  # [rad] of a joint, for second derivatives
 TURNED_AWAY = 4  # of the seeds that reach a target where the arm may not stand, led out of there
 INSIDE = 0.01  # [mm] how far inside its constraints such a posture is aimed at
@@ -133,6 +134,21 @@ def within_or_near(
         better = (left <= TOLERANCE) & ~violations(constraints, postures).any(axis=1)
         found[out[better]] = postures[better]
         out = out[~better]
+    return found
+
+
+def near_or_within(
+    model: Model, familiar: tuple[Array, Array], goals: Array, found: Array, where: Conditions, constraints: Constraints
+) -> Array:
+    """(k, n) postures that were found for goals (k, d); for those out of reach, where they are outside familiar angles,
+    the nearest within them."""
+    lower, upper = familiar
+    left = np.linalg.norm(goals - model.position(found, conditions=where), axis=1)
+    out = np.flatnonzero((left > TOLERANCE) & np.any((found < lower) | (found > upper), axis=1))
+    if out.size:
+        inside = Model(replace(model.arm, lower=lower, upper=np.maximum(upper, lower + STILL)))
+        starts = np.clip(found[out], lower, upper)
+        found[out] = best_of_seeds(inside, goals[out], starts, where.rows(out), constraints)[0]
     return found
 
 

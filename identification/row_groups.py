@@ -16,6 +16,7 @@ from identification.model import Model
 
 QUARTERS = 4  # groups by time; the quadrants of the workspace are as many
 READ = np.radians(1e-6)  # what the digits of a file take from an angle
+ROOM = 0.02  # of a joint's range at either end, left for the corrections of a posture
 FEWEST = 3 * QUARTERS  # rows from which groups are formed
 
 
@@ -59,6 +60,18 @@ def identified_range(arm: Arm) -> Array | None:
     """(2, n) least and largest angles of the identification [rad, mm], None where they are not known."""
     limits = np.array(identified(arm).get("joint_range_deg", ()), dtype=float)
     return np.radians(limits.T) if limits.shape == (arm.links, 2) else None
+
+
+def familiar_range(arm: Arm) -> tuple[Array, Array]:
+    """(n,) least and largest angles of the identification but for `ROOM`, moved by whole turns into the limits; the
+    limits themselves where these are not known."""
+    if (known := identified_range(arm)) is None:
+        return arm.lower, arm.upper
+    middle = known.mean(axis=0)
+    known = middle + (1.0 - 2.0 * ROOM) * (known - middle)
+    moved = known + turned_into(middle[None], arm.lower, arm.upper, arm.joint_types)[0] - middle
+    lower, upper = np.clip(moved, arm.lower, arm.upper)
+    return lower, upper
 
 
 def row_groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str, NDArray[np.int64]]]:

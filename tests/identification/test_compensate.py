@@ -220,3 +220,25 @@ def test_targets_are_reached_at_the_angles_of_the_identification() -> None:
     found = compensate(replace(arm(), calibration=known), targets)
     assert found.reached.all()
     assert np.count_nonzero((found.commands < low) | (found.commands > high)) == 0
+
+
+def test_out_of_reach_the_command_stays_at_the_angles_of_the_identification() -> None:
+    """Two links: the nearest point of the box of angles, by a fine grid; what is given near a posture stays there."""
+    low, high = np.radians([[-60.0, 40.0], [60.0, 100.0]])
+    known = Calibration.of(np.zeros(2), np.zeros(2), provenance={"joint_range_deg": np.degrees([low, high]).T.tolist()})
+    two = Arm([300.0, 200.0], calibration=known)
+    targets = np.array([[700.0, 100.0], [300.0, 900.0], [20.0, 10.0]])  # two beyond 500 mm, one within 100 mm
+    found = compensate(two, targets)
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, 901).T, indexing="ij"), axis=-1).reshape(-1, 2)
+    tips = tip(grid, np.array([300.0, 200.0]), np.zeros(2))
+    inside = [np.linalg.norm(tips - goal, axis=1).min() for goal in targets]
+    assert np.all((found.commands >= low) & (found.commands <= high))
+    assert np.all(found.errors >= inside - np.array(0.7))  # of the grid: its step times the reach
+    room = 500.0 * 0.02 * np.linalg.norm(high - low)  # the room that is left at either end
+    assert np.all(found.errors <= inside + room)
+    assert not found.reached.any()
+    assert found.warnings == []
+    assert all(message.endswith("mm are left at the angles identified") for message in found.messages)
+    stretched = compensate(two, targets[:1], np.array([[0.1, 0.1]]))
+    assert stretched.errors[0] == pytest.approx(np.hypot(700.0, 100.0) - 500.0, abs=1e-3)
+    assert stretched.warnings
