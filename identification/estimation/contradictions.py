@@ -2,7 +2,7 @@
 
 The drop of the weighted squares, where a parameter's own prior is released and the others' stay, is chi2 of one degree
 of freedom if both agree (F where the noise is estimated). What drops it most is released first, since errors of one
-parameter look like errors of others.
+parameter look like errors of others, and the fit is made anew without it before the others are tested.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from scipy.special import chdtrc, fdtrc
 
 from identification.arrays import Array
 from identification.estimation.checks import Noise
+from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.prior import Earlier, Prior, effective_count
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL
@@ -127,21 +128,50 @@ def released(prior: Prior, names: Collection[str], machining: Mapping[str, float
     return Prior({**machined, **prior.deviations}, kept if kept.names else None)
 
 
-def contradicted(linear: Linear, noise: float, freedom: float) -> dict[str, tuple[str, ...]]:
+Tested = tuple[Linear, float, float]  # with its noise and degrees of freedom, as of `Linear.noise`
+
+
+def contradicted(at: Callable[[Collection[str]], Tested]) -> dict[str, tuple[str, ...]]:
     """Parameters whose prior the measurements contradict, the clearest first, each with those that would explain it as
-    well;  noise, freedom : as of `Linear.noise`."""
-    assert linear.problem.prior is not None
-    assert linear.problem.prior.earlier is not None
-    names = [name for name in linear.problem.prior.earlier.names if name in linear.problem.model.names]
-    found, least = dict[str, tuple[str, ...]](), linear.squares(linear.problem.prior, noise)
-    while rest := [name for name in names if freedom >= 1.0 and noise > LEAST and name not in found]:
+    well;  at : the problem about the fit without the prior of some parameters."""
+    found = dict[str, tuple[str, ...]]()
+    while True:
+        linear, noise, freedom = at(found)
+        assert linear.problem.prior is not None
+        assert linear.problem.prior.earlier is not None
+        rest = [name for name in linear.problem.prior.earlier.names if name in linear.problem.model.names]
+        rest = [name for name in rest if freedom >= 1.0 and noise > LEAST and name not in found]
+        least = linear.squares(linear.released(found), noise)
         left = {name: linear.squares(linear.released([*found, name]), noise) for name in rest}
-        best = min(left, key=lambda name: left[name])
-        if _p_value(least - left[best], freedom) * len(rest) >= LEVEL:
-            break
+        best = min(left, key=lambda name: left[name], default="")
+        if not rest or _p_value(least - left[best], freedom) * len(rest) >= LEVEL:
+            return found
         instead = [name for name in rest if name != best and _p_value(left[name] - left[best], freedom) > RIVAL]
-        found[best], least = tuple(instead), left[best]
-    return found
+        found[best] = tuple(instead)
+
+
+def about_fits(problem: Problem, x: Array, known: bool, given: bool) -> Callable[[Collection[str]], Tested]:
+    """For `contradicted`: each fit starts from the one before, since an error of degrees is not linear.
+
+    x : (p,) of the fit with the whole prior;  known, given : as of `Linear.noise`
+    """
+
+    def linear_at(values: Array) -> Tested:
+        residuals, jacobians = replace(problem, prior=None).least_squares.linearize(values[None], np.arange(1))
+        linear = Linear(problem, values, residuals[0], jacobians[0])
+        return linear, *linear.noise(known, given)
+
+    last = linear_at(x)
+
+    def at(names: Collection[str]) -> Tested:
+        nonlocal last
+        if names:
+            linear, noise, _ = last
+            freed = replace(problem, prior=linear.released(names), noise=noise)
+            last = linear_at(levenberg_marquardt(freed.least_squares, linear.x[None]).parameters[0])
+        return last
+
+    return at
 
 
 def _p_value(drop: float, freedom: float) -> float:
@@ -157,11 +187,9 @@ def compared(
 
     problem : as it was solved;  again : the fit without the earlier calibration's prior, some parameters known
     """
-    x = found.parameters
-    residuals, jacobians = replace(problem, prior=None).least_squares.linearize(x[None], np.arange(1))
-    linear = Linear(problem, x, residuals[0], jacobians[0])
-    least, freedom = linear.noise(noise.sigma is not None, noise.reliance == "given")
-    names = contradicted(linear, least, freedom)
+    at = about_fits(problem, found.parameters, noise.sigma is not None, noise.reliance == "given")
+    linear, least, _ = at(())
+    names = contradicted(at)
     rows = replace(problem, noise=min(least, problem.noise)).prior_rows
     seen = spectrum(np.concatenate([linear.jacobian, rows]), problem.model.scales, problem.tolerance).covariance
     found = replace(found, covariance_seen=min(least, problem.noise) ** 2 * seen)

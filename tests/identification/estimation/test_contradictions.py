@@ -83,7 +83,7 @@ def test_data_that_agree_are_rarely_accused(factor: float) -> None:
         problem = replace(Problem.of(MODEL, data, noise.weights), prior=Prior({}, earlier))
         residual, jacobian = replace(problem, prior=None).linearize_at(TRUTH)
         linear = Linear(problem, TRUTH, residual, jacobian)
-        accused += bool(contradicted(linear, *linear.noise(known=True, given=False)))
+        accused += bool(contradicted(lambda _, it=linear: (it, *it.noise(known=True, given=False))))
     assert accused <= 4
 
 
@@ -131,7 +131,7 @@ def test_one_equation_tells_no_culprit() -> None:
     parameters = replace(MODEL.parameters, items=MODEL.parameters.items[:2])
     problem = SimpleNamespace(prior=prior, model=SimpleNamespace(parameters=parameters, names=names, prior={}))
     linear = Linear(problem, np.zeros(2), np.array([5.0]), np.ones((1, 2)))  # type: ignore[arg-type]
-    found = contradicted(linear, 1e-3, np.inf)
+    found = contradicted(lambda _: (linear, 1e-3, np.inf))
     assert [*found.items()] in ([(names[0], (names[1],))], [(names[1], (names[0],))])
 
 
@@ -144,3 +144,16 @@ def test_data_without_noise() -> None:
     exact = Measurements(postures, MODEL.position(postures, np.zeros(6)))
     for sigma in (None, "given", "estimated"):
         assert with_prior(drawn, exact, sigma).contradictions == ()
+
+
+def test_an_error_of_degrees_accuses_no_length() -> None:
+    """The tip of a zero 3 deg off moves on an arc, by 0.5 mm from its tangent, which looks like another length: ten
+    deviations of the measurements. Of 20 sets, chance names one more in 1 %."""
+    more = 0
+    for seed in range(20):
+        generator = np.random.default_rng([5, seed])
+        earlier, moved = before(generator), TRUTH + np.radians(3.0) * np.eye(6)[3 + seed % 3]
+        names = [one.name for one in with_prior(earlier, measured(generator, 10, moved)).contradictions]
+        assert names[0] == f"joint_offset:{1 + seed % 3}"
+        more += len(names) > 1
+    assert more <= 2
