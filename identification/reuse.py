@@ -12,11 +12,15 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.special import fdtrc
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.errors import InputError, nearest
+from identification.estimation import Identification, estimate
+from identification.estimation.plausibility import FALL, OTHER_FRAME, SPARE
 from identification.estimation.prior import Earlier
+from identification.estimation.uncertainty import LEVEL
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
 from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.measurements import Measurements
@@ -81,6 +85,29 @@ def _named(word: str, model: Model) -> set[str]:
     allowed = [word for word, own in KINDS.items() if kinds & set(own)]
     names = [*allowed, *effects, *model.names]
     raise InputError(f"only: {word!r} is no parameter of the model, {nearest(word, names)}")
+
+
+def with_place_doubted(
+    found: Identification, arm: Arm, words: Sequence[str], measurements: Measurements
+) -> Identification:
+    """A fit of `only` these words, with a doubt where the base is held and the arm stands elsewhere by now: residuals
+    fall as in `plausibility.another_frame` where it is found anew, too."""
+    try:
+        model = only(arm, ["base", *words], measurements)
+        anew = estimate(model, measurements) if "base" not in words else found
+    except InputError:  # the base is given, or too few rows
+        return found
+    more, (held, free) = (
+        len(anew.names) - len(found.names),
+        (float(np.sum(fit.residuals_after**2)) for fit in (found, anew)),
+    )
+    if more <= 0 or anew.dof < SPARE or not held > FALL**2 * free:
+        return found
+    if fdtrc(more, anew.dof, (held - free) / more / max(free / anew.dof, np.finfo(float).tiny)) > LEVEL:
+        return found
+    fall = f"the RMS falls from {found.rms_after:.4g} to {anew.rms_after:.4g} mm where the base is found anew, too"
+    said = f"the arm does not stand where the arm file says: {fall}; add it: --only base,{','.join(words)}"
+    return replace(found, doubts=(said, *(doubt for doubt in found.doubts if not doubt.startswith(OTHER_FRAME))))
 
 
 def _check_places(arm: Arm, model: Model, held: set[str], measurements: Measurements | None) -> None:

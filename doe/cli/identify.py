@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from doe.cli import calibrated
 from doe.cli.common import Answer, Session, read_measurements, verb, warn_beside_json
 from doe.cli.options import FILE, LibraryEffects, Output, PriorOrFile, only_option, output_options, prior_options
 from identification.errors import InputError
-from identification.status import Status
 
 if TYPE_CHECKING:
     from identification.arm import Arm, Calibration
@@ -75,8 +76,9 @@ def command(
     --only all other parameters stay at the values of ARM.
     """
     from identification.files.arm import load_arm
-    from identification.reuse import words_of
+    from identification.reuse import with_place_doubted, words_of
     from identification.servo import servo_errors, with_servo_errors
+    from identification.sessions import with_sessions
 
     loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
@@ -87,8 +89,10 @@ def command(
     wanted = Wanted(words, prior, prior_from, method, sigma, parameters == "minimal")
     session.report(0, None, f"fitting {len(measurements)} rows")
     found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
-    before = loaded.calibration if words else None
-    answered = answer(found, arm, output, urdf, library, before)
+    if words:
+        found = with_place_doubted(found, with_sessions(loaded, measurements), words, measurements)
+    before, nominal = loaded.calibration if words else None, drawing_left(loaded, measurements, words)
+    answered = answer(found, arm, output, urdf, library, before, nominal)
     answered.data |= said
     answered.shown += wanted.sentences(said)
     return with_commands(answered, errors)
@@ -158,9 +162,9 @@ class Wanted:
 
         if self.prior_from is None:
             return None
-        calibrated = load_arm(self.prior_from)
+        before = load_arm(self.prior_from)
         try:
-            return earlier(calibrated, model)
+            return earlier(before, model)
         except InputError as error:
             raise InputError(f"{self.prior_from}: {error}") from None
 
@@ -183,6 +187,20 @@ class Wanted:
             anew = f"; without a prior: {', '.join(prior['anew'])}" if prior["anew"] else ""
             found.append(f"Prior: {len(prior['parameters'])} parameters from {prior['file']}{anew}.")
         return found
+
+
+def drawing_left(arm: Arm, measurements: Measurements, words: Sequence[str]) -> float | None:
+    """RMS distance [mm] that the drawing leaves, placed as well as it can be; None where more than the place is
+    estimated, or nothing was before."""
+    from identification.measurements import rms_distance
+    from identification.validate import drawing_residuals
+
+    if not words or not set(words) <= {"base", "tool"} or arm.calibration is None:
+        return None
+    try:
+        return rms_distance(drawing_residuals(arm, measurements))
+    except InputError:  # too few rows
+        return None
 
 
 def check_with_prior(minimal: bool, method: str | None) -> None:
@@ -223,16 +241,19 @@ def answer(
     urdf: Path | None,
     library: LibraryPrior | None = None,
     before: Calibration | None = None,
+    nominal: float | None = None,
 ) -> Answer:
-    """The answer for a fit; writes the requested files unless the fit is not good enough (`no_file`).
+    """The answer for a fit; writes the requested files unless the fit is not good enough (`calibrated.no_file`).
 
     before : the earlier calibration; parameters that were not estimated keep its covariance and its data
+    nominal : as of `drawing_left`
     """
     from doe.report.identification_tables import identification_tables
 
     warn_beside_json(found.warnings)
     hidden, data = frozenset(library.prior.deviations if library else ()), found.to_json()
-    shown = identification_tables(found, hidden)
+    data |= {} if nominal is None else {"rms_nominal_mm": nominal}
+    shown = identification_tables(found, hidden, nominal)
     if library is not None:
         data |= {"prior": library.to_json()}
         data["parameters"] = [row for row in data["parameters"] if row["name"] not in hidden]
@@ -240,65 +261,6 @@ def answer(
     wanted = [name for name in (output.out, urdf) if name is not None]
     if not wanted:
         return Answer(data, shown, exit_code=1 if found.not_identifiable else 0)
-    if (reason := no_file(found, output.force)) is not None:
+    if (reason := calibrated.no_file(found, output.force)) is not None:
         return Answer(data, [*shown, *(f"{name} was not written: {reason}" for name in wanted)], exit_code=1)
-    return Answer(data, shown + write(found, path, output, urdf, hidden, before))
-
-
-def write(
-    found: Identification,
-    path: Path,
-    output: Output,
-    urdf: Path | None,
-    hidden: frozenset[str],
-    before: Calibration | None = None,
-) -> list[str]:
-    """Write the calibrated arm and the corrected URDF file, all or none, and return the lines that report them."""
-    from identification.files.arm_text import urdf_beside
-    from identification.files.io import PathLike, write_together
-
-    files: dict[PathLike, str | bytes] = {}
-    if output.out is not None:
-        files[output.out] = arm_file(found, path, hidden, before)
-    if found.geometry is not None:
-        from identification.files.arm_spatial import corrected_urdf
-
-        files |= urdf_beside(path, output.out)
-        files |= {} if urdf is None else {urdf: corrected_urdf(path, found.geometry.real)}
-    write_together(files, force=output.force)
-    what = {output.out: "calibrated arm", urdf: "corrected URDF file"}
-    lines = [f"{what.get(Path(name), 'nominal URDF file')} written to {name}" for name in files]
-    if urdf is not None and found.model.effects:
-        lines.append(
-            f"a URDF file has no effects: {', '.join(effect.label for effect in found.model.effects)} left out"
-        )
-    return lines
-
-
-def arm_file(found: Identification, path: Path, hidden: frozenset[str], before: Calibration | None = None) -> str:
-    """Text of the arm file with the calibration added, and with effects of the fit that the file lacks.
-
-    hidden : parameters whose covariance is left out;  before : see `answer`
-    """
-    from identification.files.arm_text import with_calibration, with_effects
-    from identification.files.io import read_text
-    from identification.reuse import with_held
-    from identification.sessions import SESSIONS, without_sessions
-
-    effects = [spec for spec in found.model.arm.effects if spec.name != SESSIONS]
-    own = found.calibration().about(set(found.names) - hidden)
-    kept = with_held(own, before, found.model.arm.joint_types)
-    text = with_effects(read_text(path), effects, path.parent)
-    return with_calibration(text, without_sessions(kept), path.parent)
-
-
-def no_file(found: Identification, force: bool) -> str | None:
-    """The reason why a fit is not written into an arm file, or None if it is."""
-    if found.not_identifiable:
-        return "not every parameter is estimable from the data"
-    if found.status is not Status.implausible:
-        return None
-    lengths = [] if found.geometry else (found.model.arm.lengths + found.length_errors).tolist()
-    if lengths and min(lengths) <= 0.0:
-        return f"link {lengths.index(min(lengths)) + 1} would have no positive length"
-    return None if force else "the fit is implausible; --force writes it all the same"
+    return Answer(data, shown + calibrated.write(found, path, output, urdf, hidden, before))

@@ -19,14 +19,23 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.servo import ServoError
 from identification.sessions import placing
 
+MOVED = 1e-3  # of the RMS: where a file lacks the place it has been fitted before
 
-def identification_tables(found: Identification, hidden: frozenset[str] = frozenset()) -> list[Any]:
-    """Everything about a fit: what must be read first, the summary, the corrected values but for those `hidden`."""
+
+def identification_tables(
+    found: Identification, hidden: frozenset[str] = frozenset(), nominal: float | None = None
+) -> list[Any]:
+    """Everything about a fit: what must be read first, the summary, the corrected values but for those `hidden`.
+
+    nominal : RMS distance [mm] that the drawing leaves, where only the place of the arm was estimated
+    """
     data = found.to_json()
+    of_what = compared(found, nominal is not None)
     given = "given" if found.sigma_known else "from the residuals"
     summary = [
         ("method", f"{data['method']}: {found.outcome}"),
-        ("RMS error", f"{number(data['rms_before_mm'])} -> {number(data['rms_after_mm'])} mm ({compared(found)})"),
+        ("RMS error", f"{number(data['rms_before_mm'])} -> {number(data['rms_after_mm'])} mm ({of_what})"),
+        *([("drawing", f"{number(nominal)} mm RMS, placed anew as well")] if nominal is not None else []),
         ("largest error", f"{number(data['max_before_mm'])} -> {number(data['max_after_mm'])} mm"),
         *([("expected error", tip_in_words(data))] if found.expected_tip is not None else []),
         ("sigma", f"{number(data['sigma_mm'], 5)} mm per axis ({given}), {data['dof']} degrees of freedom"),
@@ -52,8 +61,10 @@ def tip_in_words(data: Mapping[str, Any]) -> str:
     return f"{inside} mm at the tip within the angles measured, {anywhere} mm over the joint limits (RMS)"
 
 
-def compared(found: Identification) -> str:
-    """What the errors before and after the fit are those of."""
+def compared(found: Identification, place: bool = False) -> str:
+    """What the errors before and after the fit are those of;  place : nothing but where a calibrated arm stands."""
+    if place and found.rms_before > (1.0 + MOVED) * found.rms_after:
+        return "where the arm file has it -> found anew"
     known, places = found.geometry is None or found.model.arm.calibration is not None, placing(found.model.parameters)
     fitted = bool(places) and len(places) < len(found.names)
     return f"{'arm file' if known else 'drawing'}{', its place fitted' if fitted else ''} -> identified"

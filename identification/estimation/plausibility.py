@@ -27,6 +27,7 @@ MOVED = 0.1  # of the reach, of a frame of a spatial arm
 FAR_ZERO = np.radians(5.0)  # an offset that is no machining error
 FAR = 0.05  # of the reach: residuals of another arm, frame or unit
 FALL = 2.0  # of the RMS, when the position of the base is added: the data are in another frame
+OTHER_FRAME = "the data are in another frame than the arm"
 OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
 SPARE = 4  # degrees of freedom
 ROUNDING = 1e-13  # of the largest coordinate: the sums of a fit to data without noise are rounded by less
@@ -156,7 +157,7 @@ def another_frame(arm: Arm, measurements: Measurements) -> list[str]:
         return []
     before, after = (np.sqrt(squares / len(measurements)) for squares in (without, with_base))
     fall = f"the RMS falls from {before:.4g} to {after:.4g} mm where the position of the base is estimated, too"
-    return [f'the data are in another frame than the arm: {fall}; add [[effects]] name = "base_offset" to the arm file']
+    return [f'{OTHER_FRAME}: {fall}; add [[effects]] name = "base_offset" to the arm file']
 
 
 def _left(arm: Arm, measurements: Measurements, offset: bool) -> float:

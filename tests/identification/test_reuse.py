@@ -15,7 +15,7 @@ from identification.estimation.prior import Earlier, Prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.reuse import earlier, only, with_held, words_of
+from identification.reuse import earlier, only, with_held, with_place_doubted, words_of
 
 LENGTHS, SIGMA = np.array([260.0, 180.0, 120.0]), 0.1
 OFFSETS = np.array([0.01, -0.02, 0.015])
@@ -165,3 +165,28 @@ def test_priors_that_do_not_fit() -> None:
     other = replace(ARM, lengths=LENGTHS + 1.0, calibration=replace(FIXED, covariance=np.eye(1)))
     with pytest.raises(InputError, match="prior: a calibration of another drawing"):
         earlier(other, Model(ARM))
+
+
+def test_a_held_base_that_stands_elsewhere_is_said() -> None:
+    """In space and in the plane; nothing is said where the base stands as it did, or is among the words."""
+    before, arm = in_space()
+    calibrated = estimate(Model(arm), before).calibrated_arm()
+    for base, moved in ((0.0, False), (500.0, True)):
+        after, _ = in_space(shift=0.005, base=base)
+        found = estimate(only(calibrated, ["joint_offset:3"], after), after)
+        said = with_place_doubted(found, calibrated, ["joint_offset:3"], after).doubts
+        assert (
+            any(one.startswith("the arm does not stand where the arm file says: the RMS falls") for one in said)
+            is moved
+        )
+        assert any("--only base,joint_offset:3" in one for one in said) is moved
+    words = ["base", "joint_offset:3"]
+    free = estimate(only(calibrated, words, after), after)
+    assert with_place_doubted(free, calibrated, words, after) is free
+    drawn = replace(ARM, effects=())
+    for shift, expected in (((0.0, 0.0), 0), ((10.0, -5.0), 1)):
+        data, _ = session(11, 20, shift)
+        found = estimate(only(drawn, ["lengths"]), data)
+        doubts = with_place_doubted(found, drawn, ["lengths"], data).doubts
+        assert len(doubts) == expected  # once: not also as another frame
+        assert all("--only base,lengths" in one for one in doubts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -218,6 +219,14 @@ def test_validate_where_the_arm_stands_elsewhere(spatial: Folder) -> None:
     assert refitted["tool[front].y"] == pytest.approx(-90.0, abs=3.0)
     assert len(refitted) == 6 + 2 * 3
     assert len(found["offsets"]["refitted"]) == 6 + 2 * 3 + 4
+    placed = spatial.armcal("identify", "calibrated.toml", "other.csv", "--only", "base,tool", "--json").data
+    assert placed["rms_nominal_mm"] == pytest.approx(found["base"]["rms_nominal_mm"])
+    assert placed["rms_before_mm"] == pytest.approx(placed["rms_after_mm"], rel=1e-4)  # the file has other reflectors
+    spatial.write("moved.toml", (ARM + PLACED).replace("x_mm = 2000.0", "x_mm = 2100.0"))
+    spatial.armcal("simulate", "arm.toml", "plan.csv", "--truth", "moved.toml", "--out", "tracker.csv", "--seed", "3")
+    shown = spatial.armcal("identify", "calibrated.toml", "tracker.csv", "--only", "base,tool").out
+    assert "mm (where the arm file has it -> found anew)" in shown
+    assert re.search(r"drawing +\d\.\d+ mm RMS, placed anew as well", shown)
     same = spatial.armcal("validate", "calibrated.toml", "data.csv", "--refit", "none", "--json", "--picture", "x.png")
     assert same.code == 0, same.err
     assert same.data["rms_mm"] < 0.05

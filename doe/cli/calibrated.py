@@ -1,0 +1,72 @@
+"""The files that `armcal identify` writes: the calibrated arm and the corrected URDF file, or why they are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from doe.cli.options import Output
+from identification.status import Status
+
+if TYPE_CHECKING:
+    from identification.arm import Calibration
+    from identification.estimation import Identification
+
+
+def write(
+    found: Identification,
+    path: Path,
+    output: Output,
+    urdf: Path | None,
+    hidden: frozenset[str],
+    before: Calibration | None = None,
+) -> list[str]:
+    """Write the calibrated arm and the corrected URDF file, all or none, and return the lines that report them."""
+    from identification.files.arm_text import urdf_beside
+    from identification.files.io import PathLike, write_together
+
+    files: dict[PathLike, str | bytes] = {}
+    if output.out is not None:
+        files[output.out] = arm_file(found, path, hidden, before)
+    if found.geometry is not None:
+        from identification.files.arm_spatial import corrected_urdf
+
+        files |= urdf_beside(path, output.out)
+        files |= {} if urdf is None else {urdf: corrected_urdf(path, found.geometry.real)}
+    write_together(files, force=output.force)
+    what = {output.out: "calibrated arm", urdf: "corrected URDF file"}
+    lines = [f"{what.get(Path(name), 'nominal URDF file')} written to {name}" for name in files]
+    if urdf is not None and found.model.effects:
+        lines.append(
+            f"a URDF file has no effects: {', '.join(effect.label for effect in found.model.effects)} left out"
+        )
+    return lines
+
+
+def arm_file(found: Identification, path: Path, hidden: frozenset[str], before: Calibration | None = None) -> str:
+    """Text of the arm file with the calibration added, and with effects of the fit that the file lacks.
+
+    hidden : parameters whose covariance is left out;  before : see `identify.answer`
+    """
+    from identification.files.arm_text import with_calibration, with_effects
+    from identification.files.io import read_text
+    from identification.reuse import with_held
+    from identification.sessions import SESSIONS, without_sessions
+
+    effects = [spec for spec in found.model.arm.effects if spec.name != SESSIONS]
+    own = found.calibration().about(set(found.names) - hidden)
+    kept = with_held(own, before, found.model.arm.joint_types)
+    text = with_effects(read_text(path), effects, path.parent)
+    return with_calibration(text, without_sessions(kept), path.parent)
+
+
+def no_file(found: Identification, force: bool) -> str | None:
+    """The reason why a fit is not written into an arm file, or None if it is."""
+    if found.not_identifiable:
+        return "not every parameter is estimable from the data"
+    if found.status is not Status.implausible:
+        return None
+    lengths = [] if found.geometry else (found.model.arm.lengths + found.length_errors).tolist()
+    if lengths and min(lengths) <= 0.0:
+        return f"link {lengths.index(min(lengths)) + 1} would have no positive length"
+    return None if force else "the fit is implausible; --force writes it all the same"
