@@ -77,6 +77,7 @@ class Measurements(ByValue):
     marker_names : the points in the order of their numbers
     directions : (m, n) +1 or -1, sign of the last motion of each joint; NaN: unknown; None: it follows from the order
     commanded : (m, n) what was asked for where `postures` are as read; None: not given
+    reference : temperature [deg C] that those of the rows count from; None: their mean
     orientations : (m, 3, 3) measured axes of the tool in space, by columns; None: not measured
     past : (m, n, 12) what each joint remembers of the rows before; None: it follows from the order
 
@@ -99,6 +100,7 @@ class Measurements(ByValue):
     orientations: Array | None = None
     commanded: Array | None = None
     gaps: Array | None = None
+    reference: float | None = None
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
@@ -238,10 +240,16 @@ class Measurements(ByValue):
         for rows in self.session_rows:
             time[rows] = session_time(order[rows])
         directions = np.nan_to_num(self._directions, nan=0.0)
-        temperature = None if self.temperature is None else self.temperature - np.mean(self.temperature)
+        temperature = None if self.temperature is None else self.temperature - self.reference_temperature
         marker = None if self.marker_numbers is None else self.marker_numbers.astype(float)
         session = self._session_numbers
         return Conditions(self.payload, temperature, time, directions, session, self._past, marker, self.orientations)
+
+    @property
+    def reference_temperature(self) -> float:
+        """[deg C] that temperatures count from."""
+        mean = 0.0 if self.temperature is None else float(np.mean(self.temperature))
+        return mean if self.reference is None else self.reference
 
     @property
     def _directions(self) -> Array:
@@ -268,10 +276,10 @@ class Measurements(ByValue):
 
     @property
     def origin(self) -> dict[str, Any]:
-        """What a calibration keeps of its data: file and hash, number of rows, range of each joint [deg], mean
-        temperature [deg C]."""
+        """What a calibration keeps of its data: file and hash, number of rows, range of each joint [deg], temperature
+        that theirs count from [deg C]."""
         kept = {**self.provenance, "rows": len(self), "joint_range_deg": joint_range(self.postures)}
-        return kept if self.temperature is None else {**kept, "mean_temperature_C": float(np.mean(self.temperature))}
+        return kept if self.temperature is None else {**kept, "mean_temperature_C": self.reference_temperature}
 
     def rows(self, index: Any) -> Self:
         """Some of the rows (any numpy index), as a session of their own.

@@ -26,6 +26,7 @@ from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSL
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.placed import with_markers
+from identification.row_groups import identified
 from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import SESSIONS, with_base
 
@@ -87,6 +88,13 @@ def _named(word: str, model: Model) -> set[str]:
     raise InputError(f"only: {word!r} is no parameter of the model, {nearest(word, names)}")
 
 
+def at_reference(measurements: Measurements, calibrated: Arm) -> Measurements:
+    """Temperatures counted from where the calibration counts them, where it says so: what it says of lengths and of
+    their growth is right there."""
+    reference = identified(calibrated).get("mean_temperature_C")
+    return measurements if reference is None else replace(measurements, reference=float(reference))
+
+
 def with_place_doubted(
     found: Identification, arm: Arm, words: Sequence[str], measurements: Measurements
 ) -> Identification:
@@ -131,7 +139,7 @@ def with_held(found: Calibration, before: Calibration | None, kinds: Sequence[st
     """
     if before is None or not (names := set(before.parameter_names) & set(found.values) - set(found.parameter_names)):
         return found
-    found = replace(found, provenance=MappingProxyType(_of_both(found.provenance, before.provenance, kinds)))
+    found = with_data_of(found, before, kinds)
     if before.covariance is None or found.covariance is None:
         return found
     held = before.about(names)
@@ -139,8 +147,15 @@ def with_held(found: Calibration, before: Calibration | None, kinds: Sequence[st
     return replace(found, parameter_names=(*found.parameter_names, *held.parameter_names), covariance=covariance)
 
 
+def with_data_of(found: Calibration, before: Calibration | None, kinds: Sequence[str] = ()) -> Calibration:
+    """A calibration that had an earlier one as its prior: it knows the angles and the data of both."""
+    if before is None:
+        return found
+    return replace(found, provenance=MappingProxyType(_of_both(found.provenance, before.provenance, kinds)))
+
+
 def _of_both(own: Mapping[str, Any], before: Mapping[str, Any], kinds: Sequence[str]) -> dict[str, Any]:
-    """Provenance of a calibration that keeps parameters of an earlier one."""
+    """Provenance of a calibration that keeps what an earlier one knew."""
     data = {key: before[key] for key in ("sha256", "rows") if key in before}
     both = {**own, HELD_FROM: {**before.get(HELD_FROM, {}), str(before.get("file", "data")): data}}
     ranges = [np.array(one.get("joint_range_deg", ()), dtype=float) for one in (own, before)]

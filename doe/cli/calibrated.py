@@ -20,6 +20,7 @@ def write(
     urdf: Path | None,
     hidden: frozenset[str],
     before: Calibration | None = None,
+    prior: Calibration | None = None,
 ) -> list[str]:
     """Write the calibrated arm and the corrected URDF file, all or none, and return the lines that report them."""
     from identification.files.arm_text import urdf_beside
@@ -27,7 +28,7 @@ def write(
 
     files: dict[PathLike, str | bytes] = {}
     if output.out is not None:
-        files[output.out] = arm_file(found, path, hidden, before)
+        files[output.out] = arm_file(found, path, hidden, before, prior)
     if found.geometry is not None:
         from identification.files.arm_spatial import corrected_urdf
 
@@ -43,19 +44,26 @@ def write(
     return lines
 
 
-def arm_file(found: Identification, path: Path, hidden: frozenset[str], before: Calibration | None = None) -> str:
+def arm_file(
+    found: Identification,
+    path: Path,
+    hidden: frozenset[str],
+    before: Calibration | None = None,
+    prior: Calibration | None = None,
+) -> str:
     """Text of the arm file with the calibration added, and with effects of the fit that the file lacks.
 
-    hidden : parameters whose covariance is left out;  before : see `identify.answer`
+    hidden : parameters whose covariance is left out;  before, prior : see `identify.answer`
     """
     from identification.files.arm_text import with_calibration, with_effects
     from identification.files.io import read_text
-    from identification.reuse import with_held
+    from identification.reuse import with_data_of, with_held
     from identification.sessions import SESSIONS, without_sessions
 
     effects = [spec for spec in found.model.arm.effects if spec.name != SESSIONS]
     own = found.calibration().about(set(found.names) - hidden)
-    kept = with_held(own, before, found.model.arm.joint_types)
+    kinds = found.model.arm.joint_types
+    kept = with_data_of(with_held(own, before, kinds), prior, kinds)
     text = with_effects(read_text(path), effects, path.parent)
     return with_calibration(text, without_sessions(kept), path.parent)
 

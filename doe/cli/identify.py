@@ -76,7 +76,7 @@ def command(
     --only all other parameters stay at the values of ARM.
     """
     from identification.files.arm import load_arm
-    from identification.reuse import with_place_doubted, words_of
+    from identification.reuse import at_reference, with_place_doubted, words_of
     from identification.servo import servo_errors, with_servo_errors
     from identification.sessions import with_sessions
 
@@ -86,13 +86,16 @@ def command(
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
     measurements = read_measurements(data, loaded)
     loaded, errors = with_servo_errors(loaded, measurements), servo_errors(measurements, loaded.joint_types)
+    old = None if prior_from is None else load_arm(prior_from)
+    if old or words or any(effect.values for effect in loaded.effects):  # what is held counts from the old temperature
+        measurements = at_reference(measurements, old or loaded)
     wanted = Wanted(words, prior, prior_from, method, sigma, parameters == "minimal")
     session.report(0, None, f"fitting {len(measurements)} rows")
     found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
     if words:
         found = with_place_doubted(found, with_sessions(loaded, measurements), words, measurements)
     before, nominal = loaded.calibration if words else None, drawing_left(loaded, measurements, words)
-    answered = answer(found, arm, output, urdf, library, before, nominal)
+    answered = answer(found, arm, output, urdf, library, before, nominal, None if old is None else old.calibration)
     answered.data |= said
     answered.shown += wanted.sentences(said)
     return with_commands(answered, errors)
@@ -242,11 +245,12 @@ def answer(
     library: LibraryPrior | None = None,
     before: Calibration | None = None,
     nominal: float | None = None,
+    prior: Calibration | None = None,
 ) -> Answer:
     """The answer for a fit; writes the requested files unless the fit is not good enough (`calibrated.no_file`).
 
     before : the earlier calibration; parameters that were not estimated keep its covariance and its data
-    nominal : as of `drawing_left`
+    nominal : as of `drawing_left`;  prior : the earlier calibration that was the prior
     """
     from doe.report.identification_tables import identification_tables
 
@@ -263,4 +267,4 @@ def answer(
         return Answer(data, shown, exit_code=1 if found.not_identifiable else 0)
     if (reason := calibrated.no_file(found, output.force)) is not None:
         return Answer(data, [*shown, *(f"{name} was not written: {reason}" for name in wanted)], exit_code=1)
-    return Answer(data, shown + calibrated.write(found, path, output, urdf, hidden, before))
+    return Answer(data, shown + calibrated.write(found, path, output, urdf, hidden, before, prior))

@@ -54,11 +54,11 @@ class Gap:
 def held_out_conditions(measurements: Measurements, holdout: Measurements) -> Conditions:
     """Conditions of the hold-out on the scales of the data.
 
-    Temperatures are relative to the mean of the data; time is on the scale of the data if both are of one session.
+    Temperatures count from where those of the data do; time is on the scale of the data if both are of one session.
     """
     conditions = holdout.conditions
     if measurements.temperature is not None and holdout.temperature is not None:
-        conditions = replace(conditions, temperature=holdout.temperature - np.mean(measurements.temperature))
+        conditions = replace(conditions, temperature=holdout.temperature - measurements.reference_temperature)
     own, other = measurements.order, holdout.order
     if own is None or other is None or transfer_of(measurements, holdout) == SESSION or np.ptp(own) == 0.0:
         return conditions

@@ -124,8 +124,9 @@ def test_what_is_not_named_stays_and_keeps_its_covariance(folder: Folder) -> Non
 
 
 def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
-    """The range of two files is that of all their rows, a joint read a whole turn away included; with nothing kept it
-    is that of the new rows. `validate` then knows the old rows, and finds none of them outside."""
+    """The range of two files is that of all their rows, a joint read a whole turn away included, also where one is the
+    prior of the other; with nothing kept it is that of the new rows. `validate` then knows the old rows, and finds none
+    of them outside."""
     folder.simulated()
     folder.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
     head, *rows = folder.read("data.csv").splitlines()
@@ -134,7 +135,8 @@ def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
     few = [row.split(",") for row in rows[:6]]
     turned = [[*r[:column], str(float(r[column]) + 360.0), *r[column + 1 :]] for r in few]
     folder.write("few.csv", "\n".join([head, *(",".join(r) for r in turned)]) + "\n")
-    for words, kept in ((["--only", "joint_offset:2"], True), ([], False)):
+    prior = ["--prior", "calibrated.toml"]
+    for words, kept in ((["--only", "joint_offset:2"], True), (prior, True), ([], False)):
         folder.armcal("identify", "calibrated.toml", "few.csv", *words, "--out", "again.toml", "--force")
         found = tomllib.loads(folder.read("again.toml"))["calibration"]["provenance"]
         assert (found["file"], found["rows"]) == ("few.csv", 6)
@@ -147,6 +149,38 @@ def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
             assert [note.partition(":")[0] for note in notes] == [
                 "these are the measurements that the model was identified from"
             ]
+
+
+def test_what_is_held_counts_from_the_old_temperature(folder: Folder) -> None:
+    """Links that grow by 1e-4 per K, measured at some 20 deg, and at some 29 after a motor was changed: the lengths and
+    their growth stay right, whether they are held or the prior; anew, everything counts from the new mean."""
+    lengths, zeros = np.array([261.5, 179.4, 119.6, 100.7]), np.radians([0.5, -0.5, 0.7, -0.3])
+    generator = np.random.default_rng(12)
+    for name, rows, middle, moved in (("cold.csv", 40, 20.0, 0.0), ("warm.csv", 12, 29.0, np.radians(0.4))):
+        q = generator.uniform(-1.5, 1.5, (rows, 4))
+        warm = middle + generator.uniform(-3.0, 3.0, rows)
+        turned = np.cumsum(q + zeros + moved * np.eye(4)[1], axis=1)
+        tip = (1.0 + 1e-4 * (warm - 20.0)) * (np.exp(1j * turned) @ lengths)
+        tip += 0.01 * (generator.standard_normal((2, rows)).T @ [1.0, 1.0j])
+        lines = np.column_stack([np.degrees(q), tip.real, tip.imag, warm])
+        head = "q1_deg,q2_deg,q3_deg,q4_deg,x_mm,y_mm,temperature_C\n"
+        folder.write(name, head + "".join(",".join(f"{x:.6f}" for x in line) + "\n" for line in lines))
+    sure = ARM.replace("sigma_mm = 0.1", "sigma_mm = 0.01")
+    folder.write("arm.toml", sure + '\n[[effects]]\nname = "thermal_growth"\n')
+    folder.armcal("identify", "arm.toml", "cold.csv", "--out", "calibrated.toml")
+    origin = tomllib.loads(folder.read("calibrated.toml"))["calibration"]["provenance"]
+    words = ["identify", "calibrated.toml", "warm.csv", "--only", "joint_offset:2"]
+    only = folder.armcal(*words, "--out", "only.toml", "--json").data
+    (zero,) = only["parameters"]
+    assert zero["value"] == pytest.approx(-0.1, abs=0.005)
+    assert only["rms_after_mm"] < 0.03  # 0.4 mm where temperatures count from the new mean
+    kept = tomllib.loads(folder.read("only.toml"))["calibration"]["provenance"]
+    assert kept["mean_temperature_C"] == origin["mean_temperature_C"]
+    prior = folder.armcal("identify", "arm.toml", "warm.csv", "--prior", "calibrated.toml", "--json").data
+    assert [one["name"] for one in prior["prior_from"]["contradicted"]] == ["joint_offset:2"]
+    folder.armcal("identify", "arm.toml", "warm.csv", "--out", "anew.toml")
+    anew = tomllib.loads(folder.read("anew.toml"))["calibration"]["provenance"]
+    assert anew["mean_temperature_C"] == pytest.approx(29.0, abs=1.0)
 
 
 def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
