@@ -1,7 +1,8 @@
 """Constraints of spatial arms only: cylinders that no link may enter, a tracker that must see the reflector.
 
-As in `doe.problem.constraints` each is said twice: `margin` finds the nearest point of a link by golden section, since
-a distance from a convex body is a convex function along a line; `symbolic` has closed forms of the same sign.
+As in `doe.problem.constraints` each is said twice: `margin` compares what may be the nearest points of a link, or finds
+the nearest by golden section, since a distance from a convex body is a convex function along a line; `symbolic` has
+closed forms of the same sign.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from itertools import pairwise
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from identification.arrays import Array
 from identification.model import Model
@@ -35,18 +37,22 @@ class OutsideCylinder:
 
     def margin(self, postures: Array) -> Array:
         """(m, k - 1) signed distance of every link from the cylinder [mm]."""
-        points, start = self.model.points(postures), np.array(self.cylinder.start)
-        along = np.array(self.cylinder.end) - start
-        length = float(np.linalg.norm(along))
+        points, axis = self.model.points(postures), np.subtract(self.cylinder.end, self.cylinder.start)
+        length = float(np.linalg.norm(axis))
+        heights = (points - self.cylinder.start) @ axis / length
+        offsets = points - self.cylinder.start - heights[..., None] * axis / length
+        height, rise = heights[:, :-1] - 0.5 * length, np.diff(heights, axis=1)
+        offset, turned = offsets[:, :-1], np.diff(offsets, axis=1)
+        square, slope, curvature = _dot(offset, offset), 2.0 * _dot(offset, turned), _dot(turned, turned)
 
-        def depth(places: Array) -> Array:
-            height = (places - start) @ along / length
-            away = np.linalg.norm(places - start - height[..., None] * along / length, axis=-1) - self.cylinder.radius
-            beyond = np.abs(height - 0.5 * length) - 0.5 * length
+        def depth(share: Array) -> Array:
+            squares = square + share * (slope + share * curvature)
+            away = np.sqrt(np.maximum(squares, 0.0)) - self.cylinder.radius
+            beyond = np.abs(height + share * rise) - 0.5 * length
             outside = np.hypot(np.maximum(away, 0.0), np.maximum(beyond, 0.0))
             return np.where(np.maximum(away, beyond) > 0.0, outside, np.maximum(away, beyond))
 
-        return smallest_along(depth, points[:, :-1], points[:, 1:])
+        return smallest(depth, rise.shape)
 
     def symbolic(self, q: ca.SX) -> ca.SX:
         """(k - 1,) the larger of: how far a link is beyond an end; (distance from the axis, of what lies between the
@@ -109,12 +115,7 @@ class InView:
             looks = self._pointing.points(postures)[:, -1] - points[:, -1]
             found.append((self.sight.acceptance - angle(looks, -view)) * distance)
 
-        def away(places: Array) -> Array:
-            share = np.sum((places - tracker) * view[:, None], axis=-1) / (distance**2)[:, None]
-            nearest = tracker + np.clip(share, 0.0, 1.0)[..., None] * view[:, None]
-            return np.asarray(np.linalg.norm(places - nearest, axis=-1) - self._clearance)
-
-        links = smallest_along(away, points[:, :-2], points[:, 1:-1])
+        links = distance_between(tracker, points[:, -1:], points[:, :-2], points[:, 1:-1]) - self._clearance
         return np.column_stack([*found, links])
 
     def symbolic(self, q: ca.SX) -> ca.SX:
@@ -148,18 +149,32 @@ def circle_across(axis: Array) -> tuple[Array, Array]:
     return one, np.cross(unit, one)
 
 
-def smallest_along(function: Callable[[Array], Array], start: Array, end: Array) -> Array:
-    """(...) smallest value on segments (..., 3) of a function of points that is convex along lines."""
-    low, high = np.zeros(start.shape[:-1]), np.ones(start.shape[:-1])
-
-    def at(share: Array) -> Array:
-        return function(start + share[..., None] * (end - start))
-
+def smallest(function: Callable[[Array], Array], shape: tuple[int, ...]) -> Array:
+    """(*shape) smallest values between 0 and 1 of convex functions of one variable, by golden section."""
+    low, high = np.zeros(shape), np.ones(shape)
+    left, right = high - GOLDEN, low + GOLDEN
+    at_left, at_right = function(left), function(right)
     for _ in range(SECTIONS):
-        left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-        lower = at(left) <= at(right)
+        lower = at_left <= at_right
         low, high = np.where(lower, low, left), np.where(lower, right, high)
-    return np.minimum.reduce([at(0.5 * (low + high)), function(start), function(end)])
+        new = np.where(lower, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
+        left, right, value = np.where(lower, new, right), np.where(lower, left, new), function(new)
+        at_left, at_right = np.where(lower, value, at_right), np.where(lower, at_left, value)
+    return np.minimum.reduce([at_left, at_right, function(np.zeros(shape)), function(np.ones(shape))])
+
+
+def distance_between(a: Array, b: Array, c: Array, d: Array) -> Array:
+    """(...) distance of the segments a-b and c-d (..., 3): the nearest points are an end of one and what is nearest
+    to it on the other, or, where no end is nearest, the feet of the common normal of the two lines."""
+    one, other, between = b - a, d - c, a - c
+    square, crossed, second = _dot(one, one), _dot(one, other), _dot(other, other)
+    first, last = _dot(one, between), _dot(other, between)
+    square, second = np.maximum(square, FLAT), np.maximum(second, FLAT)
+    sine = square * second - crossed**2
+    inner = np.clip((crossed * last - first * second) / np.where(sine > FLAT, sine, np.inf), 0.0, 1.0)
+    shares = [(s, np.clip((crossed * s + last) / second, 0.0, 1.0)) for s in (0.0, 1.0, inner)]
+    shares += [(np.clip((crossed * s - first) / square, 0.0, 1.0), s) for s in (0.0, 1.0)]
+    return np.minimum.reduce([_length(between, one, other, *pair) for pair in shares])
 
 
 def symbolic_square_between(a: ca.SX | ca.DM, b: ca.SX, c: ca.SX, d: ca.SX) -> ca.SX:
@@ -171,6 +186,15 @@ def symbolic_square_between(a: ca.SX | ca.DM, b: ca.SX, c: ca.SX, d: ca.SX) -> c
     along = _share((crossed * share + last) / second)
     share = _share((crossed * along - first) / ca.fmax(square, FLAT))
     return ca.sumsqr(between + share * one - along * other)
+
+
+def _dot(one: Array, other: Array) -> Array:
+    return np.asarray(np.sum(one * other, axis=-1))
+
+
+def _length(between: Array, one: Array, other: Array, share: ArrayLike, along: ArrayLike) -> Array:
+    step = np.asarray(share)[..., None] * one - np.asarray(along)[..., None] * other
+    return np.asarray(np.linalg.norm(between + step, axis=-1))
 
 
 def _share(value: ca.SX) -> ca.SX:

@@ -8,12 +8,13 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from doe.bounds.bound import Bound
 from doe.problem.constraints import Constraint, constraints_of
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
-from doe.problem.spatial_constraints import LINK_RADIUS, smallest_along
+from doe.problem.spatial_constraints import LINK_RADIUS, distance_between, smallest
 from doe.solvers import solve
 from identification.arrays import Array
 from identification.kinematics.denavit_hartenberg import DHRow, matrix
@@ -121,10 +122,23 @@ def test_symbolic_has_the_same_sign(constraint: Constraint) -> None:
     np.testing.assert_array_equal((symbolic >= 0)[clear], (numeric >= 0)[clear])
 
 
-def test_smallest_along_a_segment() -> None:
-    start, end = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), np.array([[4.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
-    found = smallest_along(lambda x: np.abs(x[..., 0] - 1.0), start, end)
-    np.testing.assert_allclose(found, [0.0, 1.0], atol=1e-8)
+def test_smallest_of_convex_functions() -> None:
+    lowest = np.array([-0.5, 0.0, 0.25, 0.8, 1.0, 1.5])
+    for function in (lambda x: np.abs(x - lowest), lambda x: (x - lowest) ** 2):
+        np.testing.assert_allclose(smallest(function, (6,)), function(np.clip(lowest, 0.0, 1.0)), atol=1e-8)
+
+
+def test_distance_of_segments_is_a_bounded_least_squares_problem() -> None:
+    """min |a + s (b - a) - c - t (d - c)| over 0 <= s, t <= 1, by scipy; of parallel, crossing, empty segments too."""
+    ends = np.random.default_rng(3).normal(size=(4, 80, 3)) * 500.0
+    ends[3, :10] = ends[2, :10] + 0.3 * (ends[1, :10] - ends[0, :10])  # parallel
+    ends[3, 10:15], ends[1, 13:18] = ends[2, 10:15], ends[0, 13:18]  # points
+    ends[2, 20:25] = 2.0 * (0.3 * ends[0, 20:25] + 0.7 * ends[1, 20:25]) - ends[3, 20:25]  # crossing
+    found = distance_between(*ends)
+    for a, b, c, d, own in zip(*ends, found, strict=True):
+        best = lsq_linear(np.column_stack([b - a, c - d]), c - a, (0.0, 1.0), method="bvls", tol=1e-15)
+        assert own == pytest.approx(np.sqrt(2.0 * best.cost), abs=1e-5)
+    assert (found[20:25] < 1e-6).all()
 
 
 def test_plans_keep_them() -> None:
