@@ -172,7 +172,9 @@ def distance_between(a: Array, b: Array, c: Array, d: Array) -> Array:
     square, second = np.maximum(square, FLAT), np.maximum(second, FLAT)
     sine = square * second - crossed**2
     inner = np.clip((crossed * last - first * second) / np.where(sine > FLAT, sine, np.inf), 0.0, 1.0)
-    shares = [(s, np.clip((crossed * s + last) / second, 0.0, 1.0)) for s in (0.0, 1.0, inner)]
+    shares: list[tuple[ArrayLike, ArrayLike]] = [
+        (s, np.clip((crossed * s + last) / second, 0.0, 1.0)) for s in (0.0, 1.0, inner)
+    ]
     shares += [(np.clip((crossed * s - first) / square, 0.0, 1.0), s) for s in (0.0, 1.0)]
     return np.minimum.reduce([_length(between, one, other, *pair) for pair in shares])
 
