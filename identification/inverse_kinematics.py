@@ -109,7 +109,7 @@ def best_of_seeds(
         if (far := rows[beyond]).size:
             postures[far], errors[far] = _polished(model, goals[far], found[beyond], conditions.rows(far))
         missed = ~beyond & (rank[:, 0] >= MISSED)
-        if arm.links > goals.shape[1]:  # a redundant arm has more than the seeds found
+        if constraints and arm.links > goals.shape[1]:  # a redundant arm has more than the seeds found
             for k, ordered in zip(rows[missed], found[missed], strict=True):
                 postures[k], errors[k] = _turned_away(model, goals[k], ordered, conditions.rows([k]), constraints)
     return postures, errors

@@ -9,11 +9,10 @@ import numpy as np
 
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import TOGETHER, Exchange
-from doe.solvers.ipopt import Climber, Ipopt
+from doe.solvers.ipopt import Climber, Ipopt, polishes
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
 
-MOST = 1500  # variables of IPOPT, whose second derivatives are dense: more are left to the exchange
 SAME = 1e-7  # exchange plans of the same value are taken for the same plan up to symmetry, and polished once
 
 
@@ -42,7 +41,7 @@ class ExchangeIpopt:
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
     ) -> Iterator[Offer]:
         """For each batch the best plan unchanged, then the polished ones."""
-        if runs * len(problem.searched_joints) > MOST:
+        if not polishes(problem, runs):
             yield from self.exchange.offers(problem, runs, generator, budget)
             return
         climb = Climber(problem, runs, self.ipopt, budget)

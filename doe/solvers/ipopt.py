@@ -17,6 +17,10 @@ from doe.solvers.derivatives import ConstraintFunction, PlanFunction
 from doe.solvers.ipopt_callbacks import Guarded, Stop, interrupts_noted
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
+from identification.errors import InputError
+
+MOST = 5000  # variables, whose second derivatives are dense: 0.2 GB, and 10 s for each step
+POLISHED = 1500  # variables, beyond which what other solvers found is left as it is
 
 NEAR_LIMIT = 1e-5  # joint unit: an interior point method ends this near to a limit that is active; it is put on it
 
@@ -45,7 +49,11 @@ class Ipopt:
     def offers(
         self, problem: DesignProblem, runs: int, generator: np.random.Generator, budget: Budget
     ) -> Iterator[Offer]:
-        """One offer per start."""
+        """One offer per start. Raises `InputError` for a plan of too many variables."""
+        if (many := variables(problem, runs)) > MOST:
+            raise InputError(
+                f"runs: {runs} postures are {many} variables for ipopt, allowed: at most {MOST}; leave --solver out"
+            )
         climb = Climber(problem, runs, self, budget)
         while True:
             yield Offer(climb(random_postures(problem, runs, generator)), 1, independent=True)
@@ -65,6 +73,16 @@ class Ipopt:
             "ipopt.acceptable_iter": 4,
             "ipopt.bound_relax_factor": 0.0,  # otherwise bounds are exceeded by 1e-8 and the optimum is "beaten"
         }
+
+
+def variables(problem: DesignProblem, runs: int) -> int:
+    """Joint angles that IPOPT moves."""
+    return runs * len(problem.searched_joints)
+
+
+def polishes(problem: DesignProblem, runs: int) -> bool:
+    """Whether IPOPT improves what other solvers found: not where that takes longer than to search on."""
+    return variables(problem, runs) <= POLISHED
 
 
 class Climber:

@@ -44,9 +44,10 @@ class CharacterPlan:
 
 def character_plans(widths: Array, size: int, tries: int, generator: np.random.Generator) -> Iterator[CharacterPlan]:
     """Those of a number of random constructions that come to their end; widths (J,) of the joints' ranges [rad]."""
-    if size <= len(widths) or (halves(widths) and size % 2):  # as many orthogonal columns as links
-        return
     moduli = moduli_of(size)
+    room = 2 ** (len(moduli) - 1) if np.all(widths < np.pi - ROUNDING) else size  # dimension that columns may have
+    if room <= len(widths) or (halves(widths) and size % 2):  # as many orthogonal columns as links
+        return
     for k in range(tries):
         found = Construction(widths, moduli[k % len(moduli)], generator).run()
         if found is not None:

@@ -9,7 +9,7 @@ hides missing effects (identification/README.md, "Lessons"). With all ranges bel
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from typing import ClassVar
@@ -52,7 +52,7 @@ class Analytic:
         """One plan per start, as long as any is found."""
         if not applies(problem) or problem.constraints:
             return
-        composed = Composition(problem, runs, self.tries, generator)
+        composed = Composition(problem, runs, self.tries, generator, budget.ended)
         while (plan := composed.plan()) is not None:
             yield Offer(generator.permutation(plan), 1)
 
@@ -74,12 +74,14 @@ def nearly_analytic(
 
 
 class Composition:
-    """Plans of groups found so far for one number of runs."""
+    """Plans of groups found so far for one number of runs; `stop` ends the search for more sizes of groups."""
 
-    def __init__(self, problem: DesignProblem, runs: int, tries: int, generator: np.random.Generator) -> None:
+    def __init__(
+        self, problem: DesignProblem, runs: int, tries: int, generator: np.random.Generator, stop: Callable[[], bool]
+    ) -> None:
         self.problem, self.joints = problem, list(chain_joints(problem))
         self.lower, self.upper = problem.lower[self.joints], problem.upper[self.joints]
-        self.runs, self.tries, self.generator = runs, tries, generator
+        self.runs, self.tries, self.generator, self.stop = runs, tries, generator, stop
         self.whole = runs <= WHOLE  # until proven otherwise
         self.patterns: dict[int, list[CharacterPlan]] | None = None
         no_free_joint = replicates_allowed(problem) == 1.0
@@ -138,6 +140,8 @@ class Composition:
         for size in range(len(self.lower) + 1, min(self.runs // 2, max(SMALL, 2 ** len(self.lower))) + 1):
             if found and size % np.gcd.reduce(list(found)) == 0:
                 continue  # nothing that the smaller sizes cannot make, but for the smallest multiples
+            if self.stop():
+                break
             some = list(islice(self._character_plans(size), PATTERNS))
             if some:
                 found[size] = some

@@ -9,8 +9,8 @@ import numpy as np
 
 from doe.plan.rounding import rounded
 from doe.problem.problem import DesignProblem
-from doe.solvers.exchange import Exchange
-from doe.solvers.ipopt import Climber, Ipopt
+from doe.solvers.exchange import TOGETHER, Exchange
+from doe.solvers.ipopt import Climber, Ipopt, polishes
 from doe.solvers.solver import Budget, Offer
 from identification.arrays import Array
 
@@ -42,9 +42,13 @@ class RelaxRound:
 
         first = rounded(continuous_design(problem, runs=runs, proof=0.0, stop=budget.part(HALF).ended).plan, runs)
         yield Offer(first)
+        started = self._begin(problem, first, min(budget.starts, max(1, TOGETHER // runs)), generator)
+        improved = self.exchange.improve(problem, started, generator, budget)[0]
+        if not polishes(problem, runs):
+            yield Offer(improved[0], budget.starts)
+            return
         climb = Climber(problem, runs, self.ipopt, budget)
-        started = self._begin(problem, first, budget.starts, generator)
-        for plan in self.exchange.improve(problem, started, generator, budget)[0]:
+        for plan in improved:
             yield Offer(climb(plan), 1)
             climb.pass_on_interrupt()
 

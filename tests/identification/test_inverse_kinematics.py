@@ -129,3 +129,13 @@ def test_of_the_postures_of_a_redundant_arm_one_near_the_middle_is_taken() -> No
         q = q[np.all((arm.lower <= q) & (q <= arm.upper), axis=1)]
         nearest = np.linalg.norm(q - middle, axis=1).min()
         assert np.linalg.norm(nominal - middle) < nearest + 0.25
+
+
+def test_nominal_postures_thousands_of_turns_away() -> None:
+    """A redundant arm without constraints, asked for the nearest posture to one that its limits forbid by far."""
+    limits, none = np.full(3, 1.7), np.zeros(3)
+    arm = Arm([300.0, 240.0, 192.0], lower=-limits, upper=limits, calibration=Calibration.of(none, none))
+    nominal = np.random.default_rng(5).uniform(-1e6, 1e6, (6, 3))
+    found = compensate(arm, Model(arm).position(np.random.default_rng(6).uniform(-1.7, 1.7, (6, 3))), nominal)
+    assert found.reached.all()
+    assert np.all(np.abs(found.commands) <= 1.7)

@@ -14,6 +14,7 @@ from doe.solvers import Ipopt, solve
 from doe.solvers.derivatives import PlanFunction
 from doe.solvers.ipopt import Climber
 from doe.solvers.solver import Budget
+from identification.errors import InputError
 from identification.status import Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, problem
 
@@ -99,3 +100,8 @@ def test_time_limit_inside_ipopt() -> None:
     design = solve(problem(FIVE), 40, "ipopt", starts=10**6, seconds=0.3)
     assert design.status is Status.time_limit
     assert np.isfinite(design.value)
+
+
+def test_more_variables_than_dense_second_derivatives_allow() -> None:
+    with pytest.raises(InputError, match="runs: 100000 postures are 300000 variables for ipopt, allowed: at most 5000"):
+        solve(problem(FOUR), 100_000, "ipopt", starts=1, seconds=1.0)
