@@ -101,6 +101,8 @@ def design_of(
         none = f"design: no plan that identifies all {problem.parameters} parameters was found by {solver.name}"
         raise JobError(getattr(solver, "without_plan", none))
     generator = np.random.default_rng([seed, len(result.postures)])
-    postures = problem.clip(spread_free_joints(problem, result.postures, generator))
-    plan = Plan(postures, joint_types=problem.model.joint_types)
+    postures = result.postures
+    if np.isfinite(result.value):  # else the plan is refused, and no room for it may be left
+        postures = spread_free_joints(problem, postures, generator)
+    plan = Plan(problem.clip(postures), joint_types=problem.model.joint_types)
     return Design(problem, plan, bound, result.status, solver.name, result.starts, perf_counter() - began)
