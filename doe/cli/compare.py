@@ -84,7 +84,7 @@ comparison_options = grouped(
 
 
 @verb(
-    "armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out comparison",
+    "armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs",
     "Compare design solvers side by side.",
 )
 @click.argument("arms", type=FILE, nargs=-1, required=True, metavar="ARM...")

@@ -25,21 +25,30 @@ EXAMPLE = """armcal study study.toml --workers 4
 \b
 where study.toml has, for instance (names of files are beside it):
     arms = ["arm.toml"]
-    plans = ["exchange_ipopt", "random", "plan.csv"]  # solvers of `armcal design`, "dft", "random", plan files
-    runs = [10, 20]              # numbers of measurements; a plan file has its own
-    sigma_mm = [0.05, 0.1]       # left out: the arm's own
-    replications = 10000         # simulated data sets per cell, `block` (10000) of them per task
+    # solvers of `armcal design`, "dft", "random", plan files
+    plans = ["exchange_ipopt", "random", "plan.csv"]
+    runs = [10, 20]           # of measurements; a plan file has its own
+    sigma_mm = [0.05, 0.1]    # left out: the arm's own
+    # simulated data sets per cell, `block` (10000) of them per task
+    replications = 10000
 
 \b
-    [[truths]]                   # what is there; left out: the arm's own calibration and effects
+    # what is there; left out: the arm's own calibration and effects
+    [[truths]]
     name = "eccentric"
     length_errors_mm = [1.5, -0.6, -0.4, 0.7]
     joint_offsets_deg = [0.5, -0.5, 0.7, -0.3]
-    effects = [{name = "encoder_eccentricity", joint = 2, a_deg = 0.03, b_deg = -0.01}]
-    # of spatial arms: values = {"translation_x:3" = 0.5, "joint_offset:2" = 0.2}  # instead of the two lists
+    # of spatial arms instead of these two lists:
+    # values = {"translation_x:3" = 0.5, "joint_offset:2" = 0.2}
+    [[truths.effects]]
+    name = "encoder_eccentricity"
+    joint = 2
+    a_deg = 0.03
+    b_deg = -0.01
 
 \b
-    [[models]]                   # what is fitted; left out: the arm's own effects
+    # what is fitted; left out: the arm's own effects
+    [[models]]
     name = "base"
     effects = []"""
 

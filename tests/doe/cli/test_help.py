@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import tomllib
 from importlib.metadata import version
 
 from doe.cli import main
+from doe.studies.monte_carlo.file import parse_study
 from tests.doe.cli.conftest import Folder
 
 
@@ -32,8 +34,15 @@ def test_versions_of_armcal_and_of_the_solvers(folder: Folder) -> None:
         assert f"{name} {version(name)}" in shown.out
 
 
-def test_examples_fit_a_terminal() -> None:
+def test_examples_fit_a_terminal(folder: Folder) -> None:
     for verb, command in main.commands.items():
         example = str(command.epilog).partition("Example:\n")[2].partition("\n")[0]
         assert example.startswith("  armcal "), verb
-        assert len(example) <= 80, verb
+        assert max(map(len, folder.armcal(verb, "--help").out.splitlines())) <= 80, verb
+
+
+def test_the_study_of_the_help_is_one(folder: Folder) -> None:
+    example = folder.armcal("study", "--help").out.partition("(names of files are beside it):\n")[2]
+    study = parse_study(tomllib.loads(example))
+    assert study.replications == 10_000
+    assert [truth.name for truth in study.truths] == ["eccentric"]
