@@ -91,9 +91,9 @@ def diagnose(
         library_prior(arm, given_by(measurements), missing)
     generator = np.random.default_rng(seed)
     found = findings_of(arm, measurements, holdout, draws, generator, progress)
-    progress(3, None, "comparing explanations and fitting error curves")
+    progress(3, None, "step 3 of 4: comparing explanations and fitting error curves")
     explained, fits = explained_fits(found, measurements, draws, generator, prior, missing)
-    progress(4, None, "assessing the sizes excluded, and testing on other rows")
+    progress(4, None, "step 4 of 4: assessing the sizes excluded, and testing on other rows")
     result = diagnosis_of(measurements, holdout, explained, fits, generator)
     progress(1, 1, result.sentence)
     return result if arm is given else of_first_session(result, given)
@@ -114,8 +114,12 @@ def findings_of(
     require_spare(first.freedom, len(rows))
     if holdout is not None:
         check_same_arm(first, measurements, holdout)
-    progress(1, None, "base model fitted")
-    return Workflow(library, draws, generator, lambda message: progress(2, None, message)).findings(rows)
+    progress(1, None, "step 1 of 4: base model fitted")
+
+    def tell(message: str) -> None:
+        progress(2, None, f"step 2 of 4: {message}")
+
+    return Workflow(library, draws, generator, tell).findings(rows)
 
 
 def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:
