@@ -14,6 +14,7 @@ from identification.effects import library
 from identification.gap.summary import of_joints
 
 Data = Mapping[str, Any]
+CURVE = "joint_error_curve"
 MOST = 4  # kinds of effects that a verdict spells out
 
 
@@ -44,26 +45,48 @@ def listed(kind: str, labels: Sequence[str]) -> str:
 
 # -- armcal diagnose ---------------------------------------------------------------------------------------------------
 def diagnosis_verdict(data: Data) -> list[str]:
-    """What is missing, and what it does to the error."""
-    return [missing(data), shrinks(data)]
+    """What is missing in one short sentence, then with its details, and what it does to the error."""
+    partly = "Not confirmed as predicted: rows that no fit has seen gain less."
+    refuted = [partly if helps(data) else "Not confirmed on rows that no fit has seen."]
+    return [*(refuted if data["confirmed"] is False else []), missing(data), *details(data), shrinks(data)]
 
 
 def missing(data: Data) -> str:
     """The verdict of `armcal diagnose`."""
-    sets = [in_words(c["effects"]) or "nothing" for c in data["candidates"]]
-    beside = f", beside {in_words(data['effects'])}" if data["effects"] else ""
-    if data["effects"] and is_described(data):
-        beside = f"; {in_words(data['effects'])} describe it, and its cause is open"
-    text = {
+    effects, sets = data["effects"], data["candidates"]
+    return {
         "none": "Nothing is missing from the model that these data can show.",
-        "named": f"Missing from the model: {in_words(data['effects'])}.",
-        "ambiguous": f"{len(sets)} explanations fit about equally well: {'; or '.join(sets[:MOST])}.",
-        "unknown": f"Something that the library does not have is missing, at {place(data)}{beside}.",
+        "named": f"Missing from the model: {in_words(effects) if one_kind(effects) else f'{len(effects)} effects'}.",
+        "ambiguous": f"{len(sets)} explanations fit about equally well.",
+        "unknown": f"Something that the library does not have is missing, at {place(data)}.",
     }[data["verdict"]]
-    if data["confirmed"] is not False:
-        return text
-    partly = "Not confirmed as predicted: rows that no fit has seen gain less."
-    return f"{partly if helps(data) else 'Not confirmed on rows that no fit has seen.'} {text}"
+
+
+def details(data: Data) -> list[str]:
+    """What the verdict speaks of, by name."""
+    effects = data["effects"]
+    if data["verdict"] == "ambiguous":
+        sets = [in_words(c["effects"]) or "nothing" for c in data["candidates"]]
+        return [f"{sentence_of('; or '.join(sets[:MOST]))}."]
+    if data["verdict"] == "named" and not one_kind(effects):
+        return [f"{sentence_of(in_words(effects))}."]
+    if data["verdict"] != "unknown" or not effects:
+        return []
+    curves = [int(label.partition(":")[2]) for label in effects if is_described(data) and label.startswith(f"{CURVE}:")]
+    others = [label for label in effects if not curves or not label.startswith(f"{CURVE}:")]
+    words = "An error curve of {} describes" if len(curves) == 1 else "Error curves of {} describe"
+    described = [f"{words.format(of_joints(sorted(curves)))} it; its cause is open."] if curves else []
+    return [*described, *([f"Beside it: {in_words(others)}."] if others else [])]
+
+
+def one_kind(labels: Sequence[str]) -> bool:
+    """Whether effects are of one kind, so that a sentence has room for them."""
+    return len({label.partition("[")[0].partition(":")[0] for label in labels}) == 1
+
+
+def sentence_of(text: str) -> str:
+    """With a capital."""
+    return f"{text[:1].upper()}{text[1:]}"
 
 
 def helps(data: Data) -> bool:

@@ -43,12 +43,13 @@ def test_effects_are_said_in_words_with_their_names() -> None:
         (said("named", "backlash:2", confirmed=False), "Not confirmed on rows that no fit has seen. Missing", ""),
         (said("ambiguous", "backlash:2", "axes_skew", sets=2), "2 explanations fit", "discriminate arm.toml data.csv"),
         (said("unknown"), "Something that the library does not have is missing, at joint 3.", ""),
-        (said("unknown", "backlash:2"), "Something that the library does not have is missing, at joint 3, beside", ""),
+        (said("unknown", "backlash:2"), "Something that the library does not have is missing, at joint 3. Beside", ""),
     ],
 )
 def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: str, command: str) -> None:
-    verdict, gap = diagnosis_verdict(data)
-    assert verdict.startswith(first)
+    *verdict, gap = diagnosis_verdict(data)
+    assert " ".join(verdict).startswith(first)
+    assert len(verdict[0].split()) <= 15
     figures = "0.5000 to 0.1250 mm" if data["confirmation"] is None else "0.6000 to 0.2500 mm; 0.2000 mm were predicted"
     assert figures in gap
     assert command in diagnosis_actions(data)[0].command
@@ -58,8 +59,9 @@ def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: 
 
 def test_many_effects_are_counted() -> None:
     kinds = ("axes_skew", "base_drift", "base_step", "gear_ratio:1", "gear_ratio:2", "joint_step:1", "link_step:1")
-    (verdict, _) = diagnosis_verdict(said("named", *kinds))
-    assert "gear ratio in the controller is wrong (gear_ratio:1, gear_ratio:2); and 2 more." in verdict
+    (verdict, which, _) = diagnosis_verdict(said("named", *kinds))
+    assert verdict == "Missing from the model: 7 effects."
+    assert "gear ratio in the controller is wrong (gear_ratio:1, gear_ratio:2); and 2 more." in which
 
 
 def test_the_other_commands_in_a_sentence_each() -> None:
@@ -75,13 +77,18 @@ def test_the_other_commands_in_a_sentence_each() -> None:
 
 def test_what_curves_describe_has_a_size_and_no_cause() -> None:
     data = said("unknown", "joint_error_curve:3") | {"curves": [{"joint": 3}]}
-    assert diagnosis_verdict(data)[0].endswith("(joint_error_curve:3) describe it, and its cause is open.")
+    assert diagnosis_verdict(data)[1] == "An error curve of joint 3 describes it; its cause is open."
+    two = said("unknown", "joint_error_curve:3", "joint_error_curve:1", "backlash:2") | {"curves": [{"joint": 3}]}
+    assert diagnosis_verdict(two)[1:3] == [
+        "Error curves of joints 1 and 3 describe it; its cause is open.",
+        "Beside it: gear play, by direction of approach (backlash:2).",
+    ]
     meanwhile = "Look for a cause at joint 3; the error curves, within the angles measured, may be used meanwhile."
     assert diagnosis_actions(data)[0].text == meanwhile
     elsewhere = data | {"curves": [{"joint": 2}]}
     assert diagnosis_actions(elsewhere)[0].text.endswith("; the named part may be used meanwhile.")
     assert diagnosis_actions(said("unknown"))[0].text == "Look for a cause at joint 3."
-    assert ", beside " in diagnosis_verdict(elsewhere)[0]
+    assert diagnosis_verdict(elsewhere)[1].startswith("Beside it: ")
 
 
 def test_a_gain_smaller_than_predicted_is_not_called_wrong() -> None:
