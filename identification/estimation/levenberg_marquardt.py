@@ -60,6 +60,8 @@ class LeastSquares:
 
     def tied(self, groups: Sequence[Sequence[int]]) -> tuple[LeastSquares, Array]:
         """The problem in z values, of which parameters of one group share one; (p, z) ones where x = matrix @ z."""
+        if not groups:
+            return self, np.eye(len(self.scales))
         leader = np.arange(len(self.scales))
         for group in groups:
             leader[list(group)] = min(group)

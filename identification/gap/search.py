@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -17,12 +18,13 @@ from identification.gap.noise import homoscedastic
 from identification.gap.omnibus_test import OmnibusTest, Scatter, omnibus_test
 from identification.gap.order_range import order_of
 from identification.gap.whitening import Rows
-from identification.information import column_space_of
+from identification.information import RANK_TOLERANCE
 
 # reasons: identification/README.md, "Constants"
 LEVEL_FACTOR = 0.5  # tuned: factor on the levels where the noise model was estimated from the same data
 SAME_COLUMNS = 250  # effort: rows from which all columns are those at the base fit
 WAVES = 3  # of one joint: encoder, its second harmonic, a gear; more are the series of an unknown function
+INDEPENDENT = 1e-4  # smallest eigenvalue from which products of unit columns alone give a basis to twelve digits
 Choice = tuple[Hypothesis, ...]
 
 
@@ -68,6 +70,20 @@ class State:
         """The hypothesis with the smallest ratio of p-value to prior weight."""
         p = self.against.p_values(self.reductions[:, None], np.array([self.squares]))[:, 0]
         return self.members[int(np.argmin(p / self.against.weights))]
+
+
+def _turn(gram: Array, own: Array, projected: Callable[[], Array]) -> Array:
+    """(k, r) combinations of k columns, projected off a basis, that are orthonormal.
+
+    gram : (k, k) products of the columns;  own : products of the basis with them;  projected : the columns themselves
+    """
+    lengths = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh((gram - own.T @ own) / np.outer(lengths, lengths))
+    if values.min(initial=1.0) <= INDEPENDENT:  # these products hold half the digits
+        singular, rows = np.linalg.svd(projected() / lengths, full_matrices=False)[1:]
+        seen = singular > RANK_TOLERANCE
+        values, vectors = singular[seen] ** 2, rows[seen].T
+    return np.asarray(vectors / np.sqrt(values) / lengths[:, None])
 
 
 def bic_change(reductions: Array, against: Dictionary, n: int, squares: float) -> Array:
@@ -203,11 +219,6 @@ class HypothesisSearch:
         n = len(state.residual)
         return float(n * np.log(state.squares / n) - member.size * np.log(n) + 2.0 * np.log(member.weight))
 
-    def changes(self, chosen: Choice) -> tuple[list[Hypothesis], Array]:
-        """Hypotheses that can be added to a set, and (H,) the change of BIC with each, in the linearized fit."""
-        state = self.state(chosen)
-        return state.members, state.change
-
     def rivals(self, chosen: Choice) -> tuple[list[Hypothesis], Dictionary]:
         """Hypotheses that can be added to a set, and their columns projected off its fit."""
         state = self.state(chosen)
@@ -224,14 +235,10 @@ class HypothesisSearch:
         return np.asarray(self.base_columns.starts[k] + np.arange(self.base_columns.sizes[k]))
 
     @cached_property
-    def _base_jacobian(self) -> Array:
-        """(N, p) of the base fit."""
-        return self.fit(()).jacobian
-
-    @cached_property
-    def _base_cross(self) -> Array:
-        """(p, C) products of the Jacobian of the base fit with all columns."""
-        return np.asarray(self._base_jacobian.T @ self.base_columns.matrix)
+    def _base_space(self) -> tuple[Array, Array]:
+        """(N, r) orthonormal basis of the Jacobian of the base fit, and its products (r, C) with all columns."""
+        basis = self.fit(()).basis
+        return basis, np.asarray(basis.T @ self.base_columns.matrix)
 
     def _cross(self, member: Hypothesis) -> Array:
         """(size, C) products of the columns of a hypothesis with all columns."""
@@ -253,15 +260,17 @@ class HypothesisSearch:
 
         residual : (N,) of the set, not yet projected off its columns;  moments : (C,) products of all columns with it
         """
+        (known, within), matrix = self._base_space, self.base_columns.matrix
         places = np.concatenate([np.zeros(0, dtype=np.int64), *(self._places(h) for h in chosen)])
-        base = self.fit(())
-        scales = np.concatenate([base.model.scales, [p.scale for h in chosen for p in h.effect.parameters]])
-        columns = np.hstack([self._base_jacobian, self.base_columns.matrix[:, places]])
-        basis, turn = column_space_of(columns, scales)
-        inside = turn.T @ np.concatenate([self._base_cross, *(self._cross(h) for h in chosen)])
+        cross = np.concatenate([np.zeros((0, matrix.shape[1])), *(self._cross(h) for h in chosen)])
+        own = within[:, places]
+        turn = _turn(cross[:, places], own, lambda: matrix[:, places] - known @ own)
+        basis = np.hstack([known, matrix[:, places] @ turn - known @ (own @ turn)])
+        inside = np.concatenate([within, turn.T @ (cross - own.T @ within)])
         explained = basis.T @ residual
-        left = residual - basis @ explained
-        return self._state(chosen, left, basis, self.base_columns, inside, moments - explained @ inside)
+        return self._state(
+            chosen, residual - basis @ explained, basis, self.base_columns, inside, moments - explained @ inside
+        )
 
     def _state(
         self,

@@ -136,25 +136,27 @@ def surveyed(search: HypothesisSearch, sets: list[Choice], sample: Sample | None
     sets : the first contains all others;  sample : to which the columns are added, None: to none
     """
     first, found = search.fit(sets[0]), [Survey(search.fit(chosen)) for chosen in sets]
-    bases = [_basis(first, sets[0], chosen) for chosen in sets]
-    turns = [bases[0].T @ basis for basis in bases]
-    stacked = np.column_stack([bases[0], *(one.fit.residual for one in found)])
+    basis, triangle = np.linalg.qr(first.jacobian)
+    turns = [_turn(triangle, first, sets[0], chosen) for chosen in sets]
+    bases = [basis @ turn for turn in turns]
+    stacked = np.column_stack([basis, *(one.fit.residual for one in found)])
     for place, columns in shape_columns(first):
         if sample is not None:
             sample.add(columns)
         products = stacked.T @ columns.matrix
         inside, raw = products[: -len(found)], products[-len(found) :]
-        for one, basis, turn, own in zip(found, bases, turns, raw, strict=True):
-            one.add(place, columns, basis, turn.T @ inside, own)
+        for one, model, turn, own in zip(found, bases, turns, raw, strict=True):
+            one.add(place, columns, model, turn.T @ inside, own)
     return found
 
 
-def _basis(first: Fit, members: Choice, chosen: Choice) -> Array:
-    """(N, r) orthonormal basis of the first fit's Jacobian without the columns of members that are not chosen."""
+def _turn(triangle: Array, first: Fit, members: Choice, chosen: Choice) -> Array:
+    """(p, r) orthonormal basis of the triangle of the first fit's Jacobian without the columns of members that are not
+    chosen."""
     left_out = {h.effect.label for h in members} - {h.effect.label for h in chosen}
     own = {p.name for e in first.model.effects if e.label in left_out for p in e.parameters}
     kept = [name not in own for name in first.model.names]
-    return column_space(first.jacobian[:, kept], first.model.scales[kept])
+    return column_space(triangle[:, kept], first.model.scales[kept])
 
 
 def shape_columns(at: Fit) -> Iterator[tuple[PlaceShapes, Columns]]:

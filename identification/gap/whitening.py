@@ -56,9 +56,11 @@ class Rows:
     def pick(self, index: Any) -> Rows:
         """Some of the rows, by index, mask or slice."""
         spread = None if self.spread is None else self.spread[index]
+        postures = self.postures[index]
+        postures.setflags(write=False)  # models know what they found for the same postures
         return replace(
             self,
-            postures=self.postures[index],
+            postures=postures,
             positions=self.positions[index],
             conditions=self.conditions.rows(index),
             order=self.order[index],

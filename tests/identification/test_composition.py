@@ -83,6 +83,17 @@ def test_few_effects(specs: tuple[EffectSpec, ...]) -> None:
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-9)
 
 
+def test_postures_that_stay_and_others() -> None:
+    """What is known of rows that cannot change is that of these rows, whatever came between."""
+    model, (postures, conditions, values) = model_and_arguments(SPECS[3:4])
+    for q in (postures, postures + 0.1, postures):
+        held = q.copy()
+        held.setflags(write=False)
+        expected = vectorize(model.jacobian_function)(q, conditions, values)[1]
+        for again in (held, held, q.copy()):
+            np.testing.assert_allclose(model.expressions.jacobian(again, conditions, values)[1], expected, atol=1e-9)
+
+
 def test_values_that_belong_to_curves() -> None:
     """Off beyond the angles of a curve, be they free or known, of the geometry or of an effect: as one expression."""
     values = 1e-3 * np.sin(np.arange(9.0))

@@ -7,7 +7,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.gap.hypotheses import Hypothesis, hypotheses
-from identification.gap.search import HypothesisSearch
+from identification.gap.search import HypothesisSearch, _turn
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from identification.model import Model
@@ -71,6 +71,20 @@ def test_what_shows_through_an_effect_of_gravity_is_tested_beside_it(monkeypatch
     both = search.fit((stiffness, beside.members[k]))
     assert beside.squares - beside.reductions[k] == pytest.approx(both.squares, rel=0.2)
     assert both.by_name["payload_error.d"] == pytest.approx(4.0, rel=0.3)
+
+
+@pytest.mark.parametrize("apart", [1.0, 1e-3, 1e-6, 0.0])
+def test_orthonormal_combinations(apart: float) -> None:
+    """Of columns that differ from each other by so little, off a basis; as many as differ by more than rounding."""
+    rng = np.random.default_rng(3)
+    known = np.linalg.qr(rng.normal(size=(80, 4)))[0]
+    first, other, third = rng.normal(size=(3, 80))
+    columns = np.column_stack([first, 50.0 * (first + apart * other), third])
+    own = known.T @ columns
+    turn = _turn(columns.T @ columns, own, lambda: columns - known @ own)
+    basis = np.column_stack([known, columns @ turn - known @ (own @ turn)])
+    assert basis.shape[1] == (6 if apart == 0.0 else 7)
+    np.testing.assert_allclose(basis.T @ basis, np.eye(basis.shape[1]), atol=1e-13 / max(apart, 1e-5))
 
 
 def test_change_of_bic_is_that_of_refits() -> None:
