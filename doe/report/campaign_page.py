@@ -29,6 +29,7 @@ from identification.arm import Arm
 from identification.errors import InputError
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.measurements import distances
+from identification.model import Model
 from identification.validate import Validation, validate
 
 FIGURES = ("rms_mm", "mean_mm", "p95_mm", "max_mm")
@@ -178,7 +179,8 @@ class Campaign:
         other = None if len(tests) == 1 else list(tests.values())[-2]
         before, pair = last.nominal_residuals if other is None else other.residuals, (names[-2], names[-1])
         notes = new_effects(last.arm, None if other is None else other.arm)
-        compared = Compared(last.arm, measured.postures, before, last.residuals, measured.conditions, notes=notes)
+        more = measured.conditions, ("before", "after"), notes, Model(last.arm)
+        compared = Compared(last.arm, measured.postures, before, last.residuals, *more)
         used = "" if None in self.digests else "No model given here names this file as what it was fitted to. "
         used = f"Fitted to these rows: {', '.join(self.fitted(rows))}. " if self.fitted_to(rows) else used
         found = "".join(f"{note[:1].upper()}{note[1:]}. " for note in last.notes if "identified from" not in note)

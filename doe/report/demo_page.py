@@ -15,9 +15,10 @@ from doe.report.page import Action, Section, Sheet, page
 from doe.report.pictures import certificate_figure
 from doe.report.plan_steps import plan_section
 from doe.report.signed_residuals import Compared, signed_figures
-from doe.report.terminal import number, significant
+from doe.report.terminal import number, significant, unit_of
 from doe.report.verdict import design_verdict, diagnosis_verdict
 from identification.gap.summary import findings, headline
+from identification.model import Model
 
 ACTIONS = (
     Action("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
@@ -51,7 +52,7 @@ def parameter_sheet(demo: Demo) -> Sheet:
     for row in demo.checked:
         std = row["std"]
         figures = [significant(row[key], std) for key in ("value", "low_95", "high_95")]
-        rows.append([row["name"], *figures, number(row["hidden"]), row["unit"]])
+        rows.append([row["name"], *figures, number(row["hidden"]), unit_of(row["unit"])])
     return Sheet(["parameter", "value", "low 95 %", "high 95 %", "truth", "unit"], rows)
 
 
@@ -148,9 +149,8 @@ def found_sections(demo: Demo) -> list[Section]:
     )
     hidden = "What was hidden, as the simulation has it: the fits and the commands saw the measurements only."
     before, after = (demo.fresh.positions - demo.predicted(found) for found in (demo.base, demo.extended))
-    compared = Compared(
-        demo.extended.calibrated_arm(), demo.fresh.postures, before, after, notes=places(demo.diagnosis)
-    )
+    arm, notes = demo.extended.calibrated_arm(), places(demo.diagnosis)
+    compared = Compared(arm, demo.fresh.postures, before, after, notes=notes, model=Model(arm))
     return [
         Section("Identification", identified, [gap_sheet(demo)], signed_figures(compared)),
         *gap_sections(demo.diagnosis, demo.base.rms_before),

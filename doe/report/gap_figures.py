@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -23,28 +25,46 @@ GROUPS = 200  # of rows, along an error curve
 
 
 def against_figure(diagnosis: Diagnosis) -> Figure:
-    """Residual distances before and after, against each joint, time, torque: points, and the RMS in twelve bins.
+    """Residual distances before and after, against each joint, time, torque, in one picture."""
+    count = len(diagnosis.residuals.against)
+    rows = -(-count // COLUMNS)
+    figure = Figure(figsize=(10.0, 2.3 * rows), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, COLUMNS, sharey=True)).ravel()
+    for axis in axes[count:]:
+        axis.set_visible(False)
+    draw_against(diagnosis, axes[:count].tolist())
+    for axis in axes[::COLUMNS]:
+        axis.set_ylabel("residual [mm]")
+    return figure
+
+
+def against_figures(diagnosis: Diagnosis) -> list[Figure]:
+    """The same as pictures of their own, on one scale."""
+    figures = [Figure(figsize=(3.7, 2.5), layout="constrained") for _ in diagnosis.residuals.against]
+    axes = [figure.subplots() for figure in figures]
+    draw_against(diagnosis, axes)
+    highest = max(axis.get_ylim()[1] for axis in axes)
+    for axis in axes:
+        axis.set(ylim=(0, highest), ylabel="residual [mm]")
+    return figures
+
+
+def draw_against(diagnosis: Diagnosis, axes: Sequence[Axes]) -> None:
+    """Points, and the RMS in twelve bins.
 
     Outlier rows are left out, as they were in the tests: a single displaced target would set the scale.
     """
     shown, kept = diagnosis.residuals, rows_kept(diagnosis)
-    rows = -(-len(shown.against) // COLUMNS)
-    figure = Figure(figsize=(10.0, 2.3 * rows), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(rows, COLUMNS, sharey=True)).ravel()
-    for axis, (name, values) in zip(axes, shown.against.items(), strict=False):
+    for axis, (name, values) in zip(axes, shown.against.items(), strict=True):
         x, label = (np.degrees(values), name.replace("[rad]", "[deg]")) if "[rad]" in name else (values, name)
         for residuals, color, when in ((shown.before, BEFORE, "before"), (shown.after, AFTER, "after")):
             distance = distances(residuals[kept])
-            style = {"ms": 3, "alpha": 0.5} if len(distance) <= MANY else {"ms": 1, "alpha": 0.2, "rasterized": True}
+            few: dict[str, Any] = {"ms": 3, "alpha": 0.5}
+            style = few if len(distance) <= MANY else {"ms": 1, "alpha": 0.2, "rasterized": True}
             axis.plot(x[kept], distance, ".", color=color, **style)
             axis.plot(*binned_rms(x[kept], distance), color=color, lw=1.8, label=when)
         axis.set(xlabel=label, ylim=(0, None))
-    for axis in axes[len(shown.against) :]:
-        axis.set_visible(False)
     axes[0].legend(frameon=False, fontsize=8)
-    for axis in axes[::COLUMNS]:
-        axis.set_ylabel("residual [mm]")
-    return figure
 
 
 def rows_kept(diagnosis: Diagnosis) -> NDArray[np.bool_]:
@@ -94,22 +114,33 @@ def alias_figure(detectability: Detectability) -> Figure:
 
 
 def curves_figure(diagnosis: Diagnosis) -> Figure:
-    """Error curves with 95 % bands, and residuals that the curve explains, as angles: their mean in groups of rows."""
+    """The error curves in one picture."""
     count = len(diagnosis.curves)
-    columns = min(count, 2)  # a phone shows columns below each other, and one that is narrow as it is
-    figure = Figure(figsize=(5.0 * columns + (columns == 1), 2.2 * -(-count // columns)), layout="constrained")
-    axes = figure.subplots(-(-count // columns), columns, squeeze=False).ravel()
-    seen, half = curve_residuals(diagnosis), quantile_95(min(diagnosis.named.freedom, default=np.inf))
+    figure = Figure(figsize=(10.0, 2.2 * -(-count // 2)), layout="constrained")
+    axes = figure.subplots(-(-count // 2), 2, squeeze=False).ravel()
     for axis in axes[count:]:
         axis.set_visible(False)
-    for axis, curve in zip(axes, diagnosis.curves, strict=False):
+    draw_curves(diagnosis, axes[:count].tolist())
+    return figure
+
+
+def curve_figures(diagnosis: Diagnosis) -> list[Figure]:
+    """A picture for each error curve, in the order of the joints: a phone shows them below each other."""
+    figures = [Figure(figsize=(3.7, 2.5), layout="constrained") for _ in diagnosis.curves]
+    draw_curves(diagnosis, [figure.subplots() for figure in figures])
+    return figures
+
+
+def draw_curves(diagnosis: Diagnosis, axes: Sequence[Axes]) -> None:
+    """Error curves with 95 % bands, and residuals that the curve explains, as angles: their mean in groups of rows."""
+    seen, half = curve_residuals(diagnosis), quantile_95(min(diagnosis.named.freedom, default=np.inf))
+    for axis, curve in zip(axes, sorted(diagnosis.curves, key=lambda curve: curve.joint), strict=True):
         angles, error, band = np.degrees([curve.angles, curve.error, half * curve.std])
         axis.plot(*seen[curve.key], ".", color=LIMIT, ms=3, label="rows, in groups")
         axis.fill_between(angles, error - band, error + band, color=AFTER, alpha=0.25, lw=0, label="95 %")
         axis.plot(angles, error, color=AFTER, lw=1.4, label="curve")
         axis.set(xlabel=f"$q_{curve.joint}$ [deg]", ylabel="error [deg]")
     axes[0].legend(frameon=False, fontsize=8)
-    return figure
 
 
 def curve_residuals(diagnosis: Diagnosis) -> dict[str, tuple[Array, Array]]:

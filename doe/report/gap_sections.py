@@ -30,6 +30,7 @@ from identification.estimation.corrected_values import CorrectedValue, corrected
 from identification.gap.noise import Finding
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements, rms_distance
+from identification.model import Model
 from identification.validate import drawing_residuals
 
 if TYPE_CHECKING:
@@ -149,7 +150,8 @@ def signed_section(diagnosis: Diagnosis) -> Section:
     shown, kept = diagnosis.residuals, rows_kept(diagnosis)
     postures = np.column_stack([values for name, values in shown.against.items() if name.startswith("joint ")])
     postures, before, after = (values[kept] for values in (postures, shown.before, shown.after))
-    figures = signed_figures(Compared(diagnosis.arm, postures, before, after, notes=places(diagnosis)))
+    named = Model(diagnosis.extended_arm())
+    figures = signed_figures(Compared(diagnosis.arm, postures, before, after, notes=places(diagnosis), model=named))
     return Section("Signed error against each joint", SIGNED, figures=figures)
 
 
@@ -187,7 +189,7 @@ def gap_sections(diagnosis: Diagnosis, nominal: float | None = None) -> Sequence
     nominal : RMS distance of the drawing [mm]
     """
     # deferred: tables need no pictures, and matplotlib takes longer to load than a small diagnosis
-    from doe.report.gap_figures import against_figure, alias_figure, curves_figure, workspace_figure
+    from doe.report.gap_figures import against_figures, alias_figure, curve_figures, workspace_figure
 
     data, arm = diagnosis.to_json(), diagnosis.extended_arm()
     rows = corrected_values(arm, diagnosis.named.calibration)
@@ -198,8 +200,8 @@ def gap_sections(diagnosis: Diagnosis, nominal: float | None = None) -> Sequence
         gap_section(data, [workspace_figure(diagnosis)], nominal),
         corrected_section(rows, arm.chain is not None),
         signed_section(diagnosis),
-        *curve_sections(data, [curves_figure(diagnosis)] if diagnosis.curves else ()),
-        Section("Against time and torque", distances, figures=[against_figure(diagnosis)], folded=True),
+        *curve_sections(data, curve_figures(diagnosis) if diagnosis.curves else ()),
+        Section("Against time and torque", distances, figures=against_figures(diagnosis), folded=True),
         *further_sections(data, [alias_figure(diagnosis.detectability)]),
     ]
 

@@ -27,6 +27,7 @@ STILL = 0.02  # of the reach: a joint with shorter levers says little
 POINTS = 721  # of the fitted curve
 FINE, SMOOTH = 1.0 / 1000.0, 1.0 / 12.0  # share of the range that it looks at: of an effect, of all that changed
 NEARBY = 10  # rows that a point of the curve looks at, at most an eighth of all
+SOME = 8  # postures that an effect at a joint is averaged over
 SWEEPS = 5  # over the joints that have a curve
 RIDGE, FAR = 0.1, 0.1  # in squared widths; share of the range without rows
 SHOWN = 99.0  # [%] of the points that set the scale
@@ -48,7 +49,7 @@ def fitted_curve(q: Array, lever: Array, change: Array, narrowest: float = FINE)
 
     narrowest : share of the range that counts as nearby at least
     """
-    span, grid = float(np.ptp(q)) or 1.0, np.linspace(q.min(), q.max(), POINTS)
+    span, grid = float(np.ptp(q)) or 1.0, dense(q)
     distance = nearest(q, grid, int(np.clip(len(q) // 8, 3, NEARBY)))
     count, angle, weight, along = (
         np.bincount(np.searchsorted(grid, q), values, POINTS)  # rows between two points are taken together
@@ -66,16 +67,45 @@ def fitted_curve(q: Array, lever: Array, change: Array, narrowest: float = FINE)
     return grid, np.divide(value, scale, out=np.full(POINTS, np.nan), where=known)
 
 
-def fitted_curves(postures: Array, levers: Array, change: Array, joints: Collection[int]) -> dict[int, Curve]:
+def fitted_curves(
+    postures: Array, levers: Array, change: Array, joints: Collection[int], model: Model | None = None
+) -> dict[int, Curve]:
     """Joint (from 0) -> its curve, and what that means at each row (m,): of several joints together, each is fitted to
-    what the others leave of the change."""
+    what the others leave of the change.
+
+    model : whose effects at a joint are drawn as they are, also between the rows; what else changed there is smooth
+    """
     found = {j: (np.empty(0), np.empty(0), np.zeros(len(postures))) for j in joints}
+    known = {j: np.zeros(POINTS) if model is None else joint_error(model, j, postures) for j in joints}
     for _ in range(SWEEPS if len(found) > 1 else 1):
         for j in found:
-            left = change - by_others(found, levers, j)
-            grid, error = fitted_curve(postures[:, j], levers[:, :, j], left)
-            found[j] = grid, error, np.interp(postures[:, j], grid, np.nan_to_num(error))
+            q, lever = postures[:, j], levers[:, :, j]
+            named = np.interp(q, dense(q), known[j])
+            left = change - by_others(found, levers, j) - lever * named[:, None]
+            grid, error = fitted_curve(q, lever, left, FINE if model is None else SMOOTH)
+            error = error + known[j]
+            found[j] = grid, error, np.interp(q, grid, np.nan_to_num(error))
     return found
+
+
+def dense(q: Array) -> Array:
+    """(POINTS,) angles over the range of (m,) others."""
+    return np.linspace(q.min(), q.max(), POINTS)
+
+
+def joint_error(model: Model, joint: int, postures: Array) -> Array:
+    """What the effects at a joint (from 0) add to its angle, densely over its range in postures (m, n), in the mean of
+    some of them."""
+    own = {p.name for effect in model.effects if effect.joint == joint + 1 for p in effect.parameters}
+    without = np.where([name in own for name in model.names], 0.0, model.values)
+    some = postures[np.linspace(0, len(postures) - 1, min(len(postures), SOME)).astype(int)]
+    angles, q = dense(postures[:, joint]), np.tile(some, (POINTS, 1))
+    q[:, joint] = np.repeat(angles, len(some))
+    lever = model.joint_levers(q)[:, POINT, joint]
+    moved = np.nan_to_num(model.position(q) - model.position(q, without))[:, : lever.shape[1]]
+    along, square = (np.sum(lever * a, axis=1).reshape(POINTS, -1).sum(axis=1) for a in (moved, lever))
+    tables = [spec.curve.at(angles) for spec in model.arm.effects if spec.curve and spec.joint == joint + 1]
+    return np.asarray(np.divide(along, square, out=np.zeros(POINTS), where=square > 0.0) + sum(tables))
 
 
 def by_others(curves: Mapping[int, Curve], levers: Array, joint: int) -> Array:
@@ -95,6 +125,7 @@ def nearest(q: Array, grid: Array, k: int) -> Array:
 class Compared:
     """Residuals (m, d) [mm], measured less computed, of two models at postures (m, n), with their names.
 
+    model : the later one, for the curves of its effects; None: these follow from the rows alone
     notes : joint (from 1) -> what was found there, and what the curves of the others explain is taken off before; if
         there are any, the other joints get no curve; if there are none, the curves are smooth
     """
@@ -106,6 +137,7 @@ class Compared:
     conditions: Conditions | None = None
     names: tuple[str, str] = ("before", "after")
     notes: Mapping[int, str] = field(default_factory=dict)
+    model: Model | None = None
 
 
 def signed_figures(rows: Compared) -> list[Figure]:
@@ -113,7 +145,7 @@ def signed_figures(rows: Compared) -> list[Figure]:
     model = Model(rows.arm)
     levers = model.joint_levers(rows.postures, conditions=rows.conditions)[:, POINT]
     before, after = (values[:, : levers.shape[1]] for values in (rows.before, rows.after))
-    curves = fitted_curves(rows.postures, levers, before - after, [joint - 1 for joint in rows.notes])
+    curves = fitted_curves(rows.postures, levers, before - after, [joint - 1 for joint in rows.notes], rows.model)
     figures = []
     for j, kind in enumerate(model.joint_types):
         unit, factor, _ = FILE_UNITS[JOINT_UNITS[kind]]

@@ -20,6 +20,11 @@ def number(value: float | None, digits: int = 4) -> str:
     return "-" if value is None or not np.isfinite(value) else f"{value:z.{digits}f}"  # no -0.0000
 
 
+def unit_of(unit: str) -> str:
+    """For a column of units: a dash where there is none."""
+    return "–" if unit == "1" else unit
+
+
 def significant(value: float | None, std: float | None) -> str:
     """Rounded to the third significant digit of the standard deviation."""
     if value is None:

@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from doe.report.signed_residuals import Compared, fitted_curve, fitted_curves, joint_errors, nearest, signed_figures
-from identification.arm import Arm
+from doe.report.signed_residuals import (
+    Compared,
+    fitted_curve,
+    fitted_curves,
+    joint_error,
+    joint_errors,
+    nearest,
+    signed_figures,
+)
+from identification.arm import Arm, Calibration, EffectSpec
+from identification.model import Model
 
 LENGTHS = np.array([300.0, 200.0])
 
@@ -76,3 +86,23 @@ def test_one_picture_for_each_joint_with_a_curve_where_something_was_found() -> 
     lengths = [[len(line.get_xdata()) for line in axes.lines] for axes in (first, second)]
     assert 721 not in lengths[0]
     assert 721 in lengths[1]
+
+
+def test_between_a_few_rows_the_line_is_what_the_effect_does() -> None:
+    """A gear ripple of nine periods a turn, seen in fourteen rows: no smoother of rows shows it."""
+    q = np.random.default_rng(7).uniform(-1.5, 1.5, (14, 2))
+    effects = (EffectSpec("transmission_ripple", 2, {"k": 9.0}),)
+    values = {"transmission_ripple:2.a": 1e-3}
+    real = Model(Arm(LENGTHS, effects=effects, calibration=Calibration(values)))
+    levers = real.joint_levers(q)
+    change = real.position(q) - tip(q)
+    grid, error, at_rows = fitted_curves(q, levers, change, [1], real)[1]
+    wave = joint_error(real, 1, q)
+    assert np.ptp(wave) > 1.5e-3
+    np.testing.assert_allclose(error[np.isfinite(error)], wave[np.isfinite(error)], atol=2e-6)
+    np.testing.assert_allclose(at_rows, np.interp(q[:, 1], grid, wave), atol=2e-6)
+    sine, cosine = np.sin(9.0 * grid), np.cos(9.0 * grid)
+    part = np.linalg.lstsq(np.column_stack([sine, cosine]), wave, rcond=None)[0]
+    assert np.hypot(*part) == pytest.approx(1e-3, rel=1e-3)
+    jagged = fitted_curves(q, levers, change, [1])[1][1]
+    assert np.nanstd(jagged - wave) > 1e-4

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from doe.report.terminal import facts, number, significant, table
+from doe.report.terminal import facts, number, significant, table, unit_of
 
 
 def shown(renderable: Table, width: int = 80) -> str:
@@ -71,3 +71,7 @@ def test_styled_cells_keep_their_style() -> None:
     (cell,) = found.columns[0].cells
     assert isinstance(cell, Text)
     assert cell.style == "green"
+
+
+def test_a_number_without_a_unit_has_a_dash_for_one() -> None:
+    assert [unit_of(unit) for unit in ("mm", "1", "1/K")] == ["mm", "–", "1/K"]
