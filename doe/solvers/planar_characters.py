@@ -140,7 +140,7 @@ class Construction:
 def arc(angles: Array) -> tuple[Array, float]:
     """Angles counted from the start of the shortest arc that holds them, and its length [rad]."""
     turned = np.sort(np.mod(angles, TURN))
-    gaps = np.diff(turned, append=turned[0] + TURN)
+    gaps = np.concatenate([turned[1:], turned[:1] + TURN]) - turned
     last = int(np.argmax(gaps))
     start = turned[(last + 1) % len(turned)]
     above = np.mod(angles, TURN) - start

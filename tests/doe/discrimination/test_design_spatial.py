@@ -32,14 +32,19 @@ def spatial(points: int) -> Arm:
 
 
 def columns(model: Model, postures: Array, points: int) -> Array:
-    """(N, p) scaled derivatives of every point's positions by central differences, at zero."""
+    """(points, m, 3, p) scaled derivatives of every point's positions by central differences, at zero."""
     steps = 1e-4 * np.diag(1.0 / model.scales)
     each = []
     for k in range(points):
         at = Conditions(marker=np.full(len(postures), k))
         moved = [model.position(postures, step, at) - model.position(postures, -step, at) for step in steps]
-        each.append(np.array(moved).reshape(len(steps), -1).T / 2e-4)
-    return np.concatenate(each)
+        each.append(np.moveaxis(moved, 0, -1) / 2e-4)
+    return np.array(each)
+
+
+def stacked(derivatives: Array) -> Array:
+    """(N, p) one row per number measured."""
+    return derivatives.reshape(-1, derivatives.shape[-1])
 
 
 @pytest.mark.parametrize("points", [1, 2])
@@ -50,13 +55,14 @@ def test_the_best_of_all_plans_of_a_small_list(points: int) -> None:
     found = discrimination_design(problem, arm, RUNS, loss=LOSS)
     library = effect_library(arm)
     inner = library.shown_by_postures if points == 1 else library.shown_by_postures.model  # type: ignore[attr-defined]
-    cloud = columns(inner, pool_of(problem, CLOUD, np.random.default_rng(0)), points)
+    cloud = stacked(columns(inner, pool_of(problem, CLOUD, np.random.default_rng(0)), points))
+    of_choices = columns(inner, choices, points)
     scale = np.sqrt(len(cloud) / (3.0 * points) / 10.0)  # all of the list stand for random postures
     assert scale == pytest.approx(1.0)
     best, every = found.best.value, {}
     for rows in combinations(range(10), RUNS):
         if problem.objective(choices[list(rows)]) >= best - problem.parameters * -np.log1p(-LOSS):
-            plan = columns(inner, choices[list(rows)], points)
+            plan = stacked(of_choices[:, list(rows)])
             every[rows] = brute_force(plan, cloud, library.bases, library.weights, library.own)
     assert found.relative_efficiency >= 1.0 - LOSS
     assert len(every) > 1

@@ -29,8 +29,18 @@ def made(reference: np.ndarray) -> MisidentificationBound:
     return MisidentificationBound(OWN, BASES, WEIGHTS, reference.T @ reference / (len(reference) / 2))
 
 
-def left_of(target: np.ndarray, others: np.ndarray) -> float:
-    return float(np.linalg.norm(target - others @ np.linalg.lstsq(others, target, rcond=None)[0]))
+def left_of(targets: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Length of what least squares leaves of each column of targets."""
+    return np.asarray(np.linalg.norm(targets - others @ np.linalg.lstsq(others, targets, rcond=None)[0], axis=0))
+
+
+def mixed(size: int) -> np.ndarray:
+    """(size, D) unit vectors along each axis, and along the sum and the difference of every two."""
+    pairs = [(i, j, sign) for i in range(size) for j in range(i) for sign in (1.0, -1.0)]
+    mixes = np.zeros((size, len(pairs)))
+    for column, (i, j, sign) in enumerate(pairs):
+        mixes[[i, j], column] = np.sqrt(0.5) * np.array([1.0, sign])
+    return np.hstack([np.eye(size), mixes])
 
 
 def brute_force(
@@ -41,32 +51,20 @@ def brute_force(
     own: int = OWN,
 ) -> float:
     """Every direction of every effect against nothing and every other effect, by least squares."""
-    root = np.sqrt(0.5)
-    mixes = {1: [[1.0]], 2: [[1, 0], [0, 1], [root, root], [root, -root]]}
-    mixes[3] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        for sign in (1, -1):
-            mix = np.zeros(3)
-            mix[[i, j]] = root, sign * root
-            mixes[3].append(mix)
-    total = weight_sum = 0.0
-    drawn = [[basis @ np.array(mix) for mix in mixes[basis.shape[1]]] for basis in bases]
+    drawn = np.hstack([basis @ mixed(basis.shape[1]) for basis in bases])
+    owner = np.repeat(np.arange(len(bases)), [mixed(basis.shape[1]).shape[1] for basis in bases])
+    random = reference[:, own:] @ drawn
+    lengths = left_of(random, reference[:, :own])
     # what random postures do not show beside the base model is no rival
-    lengths = [[left_of(reference[:, own:] @ v, reference[:, :own]) for v in each] for each in drawn]
-    sizes = [[1e-5 * np.linalg.norm(reference[:, own:] @ v) for v in each] for each in drawn]
-    shown = [[v for v, x, y in zip(*each, strict=True) if x > y] for each in zip(drawn, lengths, sizes, strict=True)]
-    for h, directions in enumerate(shown):
-        for v in directions:
-            # LAMBDA long with as many random runs as the plan has
-            length = left_of(reference[:, own:] @ v, reference[:, :own]) * np.sqrt(len(plan) / len(reference))
-            column = plan[:, own:] @ v * (LAMBDA / length)
-            distances = [left_of(column, plan[:, :own])]
-            for g, rival in enumerate(bases):
-                if g != h and shown[g]:
-                    distances.append(left_of(column, np.hstack([plan[:, :own], plan[:, own:] @ rival])))
-            total += weights[h] / len(directions) * norm.cdf(-np.array(distances) / 2.0).sum()
-            weight_sum += weights[h] / len(directions)
-    return total / weight_sum
+    shown = lengths > 1e-5 * np.linalg.norm(random, axis=0)
+    drawn, owner, lengths = drawn[:, shown], owner[shown], lengths[shown]
+    # LAMBDA long with as many random runs as the plan has
+    seen = plan[:, own:] @ drawn * (LAMBDA / (lengths * np.sqrt(len(plan) / len(reference))))
+    wrong = norm.cdf(-left_of(seen, plan[:, :own]) / 2.0)
+    for g in np.unique(owner):
+        beside = left_of(seen, np.hstack([plan[:, :own], plan[:, own:] @ bases[g]]))
+        wrong += (owner != g) * norm.cdf(-beside / 2.0)
+    return float(np.average(wrong, weights=weights[owner] / np.bincount(owner)[owner]))
 
 
 @pytest.mark.parametrize("seed", range(4))
