@@ -13,6 +13,7 @@ from identification.estimation.plausibility import limited
 from identification.measurements import POINT
 from identification.model import Model
 from identification.sessions import placing
+from identification.threads import single_thread
 
 if TYPE_CHECKING:
     from identification.estimation.result import Identification
@@ -22,6 +23,7 @@ POSES = 1000  # random postures that stand for the joint limits
 SHARE = 0.5  # of the drawing's own error
 
 
+@single_thread()  # the same bits, whatever the number of threads
 def expected_tip(model: Model, parameters: Array, covariance: Array, postures: Array) -> float:
     """Root mean square over postures of the expected distance [mm]: the square root of the mean of trace(J C J^T).
 

@@ -165,10 +165,11 @@ def assess(
     tested = projected(model_basis, members, columns)
     threshold = LEVEL / sum(h.weight for h in members) if level is None else level
     limit = LARGEST * library.base.reach * np.sqrt(len(rows))
+    lengths = shown_lengths(tested)
     sizes: dict[str, list[Size]] = {}
-    for k, hypothesis in enumerate(members):
+    for hypothesis, length in zip(members, lengths, strict=True):
         if not hypothesis.tied and library.acts(hypothesis):
-            size = _detectable(hypothesis, tested, k, sigma, threshold * hypothesis.weight, limit)
+            size = _detectable(hypothesis, *length, freedom, sigma, threshold * hypothesis.weight, limit)
             sizes.setdefault(hypothesis.key, []).append(size)
     plain = [k for k, h in enumerate(members) if not h.scanned and not h.tied and library.acts(h)]
     return Detectability(
@@ -192,13 +193,24 @@ def likenesses(tested: Dictionary, members: list[int]) -> Array:
     return np.minimum(np.sqrt(squares / np.maximum(sizes, 1)[:, None]), 1.0)
 
 
-def _detectable(hypothesis: Hypothesis, tested: Dictionary, k: int, sigma: float, level: float, limit: float) -> Size:
+def shown_lengths(tested: Dictionary) -> list[tuple[float, float]]:
+    """For each hypothesis the root sum of squares of its largest column, and what projection leaves of the combination
+    that is hardest to see."""
+    found = np.empty((len(tested.columns.sizes), 2))
+    for size, (before, after) in tested.products.items():
+        squares = np.einsum("hdd->hd", before).max(axis=1), np.linalg.eigvalsh(after)[:, 0]
+        found[tested.columns.places(size)[0]] = np.sqrt(np.maximum(squares, 0.0)).T
+    return [(whole, least) for whole, least in found.tolist()]
+
+
+def _detectable(
+    hypothesis: Hypothesis, whole: float, least: float, freedom: int, sigma: float, level: float, limit: float
+) -> Size:
+    """The smallest size seen;  whole, least : as in `shown_lengths`;  limit : of the largest allowed [mm]"""
     parameter = hypothesis.effect.parameters[0]
-    products, left = tested.products(k)
-    whole, least = (float(np.sqrt(max(x, 0.0))) for x in (np.diag(products).max(), np.linalg.eigvalsh(left)[0]))
-    if whole == 0.0 or least <= 1e-6 * whole or tested.freedom <= hypothesis.size:
+    if whole == 0.0 or least <= 1e-6 * whole or freedom <= hypothesis.size:
         return Size(None, parameter.file_unit)
-    needed = detectable_lambda(hypothesis.size, tested.freedom - hypothesis.size, level, hypothesis.one_sided)
+    needed = detectable_lambda(hypothesis.size, freedom - hypothesis.size, level, hypothesis.one_sided)
     size = needed * sigma / least
     if size * whole > limit:  # root sum of squares over the rows [mm] of what it would move the tip
         return Size(None, parameter.file_unit)

@@ -161,11 +161,15 @@ class Dictionary:
             np.add.at(turn[:, column], np.searchsorted(used, self.index[v]), self.turn[v])
         return self.columns.matrix[:, used] @ turn - self.model_basis @ (self.inside[:, used] @ turn)
 
-    def products(self, k: int) -> tuple[Array, Array]:
-        """(d, d) Gram matrices of the columns of hypothesis k of `columns`, before and after projection."""
-        places = self.columns.starts[k] + np.arange(self.columns.sizes[k])
-        before = self.columns.matrix[:, places].T @ self.columns.matrix[:, places]
-        return before, before - self.inside[:, places].T @ self.inside[:, places]
+    @cached_property
+    def products(self) -> dict[int, tuple[Array, Array]]:
+        """Size -> (h, size, size) Gram matrices of the hypotheses of that size in `columns`, before and after
+        projection."""
+        found = {}
+        for size, before in self.columns.products.items():
+            inside = self.inside.T[self.columns.places(size)[1]]
+            found[size] = before, before - inside @ inside.transpose(0, 2, 1)
+        return found
 
     def scores(self, raw: Array, model_scores: Array) -> Array:
         """(D, B) U^T r of vectors r, from X^T r (C, B) and Q^T r (rank, B)."""

@@ -116,7 +116,8 @@ def test_a_block_is_a_basis_of_what_only_its_hypothesis_explains(seed: int, size
         block = tested.block(k)
         np.testing.assert_allclose(block.T @ block, np.eye(own.shape[1]), atol=1e-9)
         np.testing.assert_allclose(block @ (block.T @ left), left, atol=1e-9 * np.abs(left).max())
-        before, after = tested.products(k)
+        place = tested.columns.places(own.shape[1])[0].tolist().index(k)
+        before, after = (products[place] for products in tested.products[own.shape[1]])
         np.testing.assert_allclose(before, own.T @ own, rtol=1e-12)
         np.testing.assert_allclose(after, left.T @ left, rtol=1e-8, atol=1e-9 * np.abs(before).max())
 
