@@ -30,6 +30,7 @@ from identification.kinematics.corrected import standing_in
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
+from identification.positions import in_own_frame
 from identification.row_groups import extrapolated, familiar_range, identified, outside
 from identification.servo import servo_shift
 
@@ -262,6 +263,7 @@ def _orientations(arm: Arm, given: ArrayLike | None, as_nominal: bool) -> Array 
 def _aiming(arm: Arm, poses: bool) -> Arm:
     """The arm as if its tool were measured by points, or by poses of which an angle counts times the reach."""
     scale = arm.reach if poses else None
+    arm = in_own_frame(arm)
     return arm if arm.chain is None else replace(arm, chain=replace(arm.chain, angle_scale=scale))
 
 

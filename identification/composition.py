@@ -32,6 +32,7 @@ from identification.effects.places import (
     state_size,
     widths,
 )
+from identification.kinematics.instrument import WHOLE, Instrument
 from identification.kinematics.spatial import DIMENSION, SpatialChain
 from identification.vectorize import Evaluate, vectorize
 
@@ -175,12 +176,14 @@ class Composition:
     q : (..., n) postures [rad];  c : (..., C) conditions;  p : (..., p) free parameters [API units]
     values : of all parameters, those of the geometry first, None for the free ones
     tied : the part of each value that belongs to error curves, off where these do not hold; empty: none
+    instrument : what is read of the position, which the parts compute
     """
 
     shared: Parts
     effects: tuple[Effect, ...]
     values: tuple[float | None, ...]
     tied: tuple[float, ...] = ()
+    instrument: Instrument = WHOLE
 
     def position(self, q: Array, c: Array, p: Array) -> tuple[Array]:
         """(..., d, 1) positions."""
@@ -264,8 +267,13 @@ class Composition:
             added = self._added(q, c, values, state)
             position[..., POINT] += self._total(added, batch)[..., shared.places[INSTRUMENT]]
         if not derivatives:
+            position = position if self.instrument.whole else self.instrument.linearized(position)[0]
             return At(position, np.zeros(0), np.zeros(0), state, added)
-        return At(position, *self._derivatives(found[1], found[2], added, used), state, added)
+        by_geometry, levers = self._derivatives(found[1], found[2], added, used)
+        if not self.instrument.whole:
+            position, slopes = self.instrument.linearized(position)
+            by_geometry, levers = slopes @ by_geometry, slopes @ levers
+        return At(position, by_geometry, levers, state, added)
 
     def _added(self, q: Array, c: Array, values: list[Array], state: Array) -> list[Outputs]:
         """Outputs of each effect's part."""

@@ -6,7 +6,7 @@ some millimetres; another unit or another point is off by far more. So it is for
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -88,10 +88,11 @@ def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
         return []
     turned, factor = readings[best]
     said = [] if turned == 1.0 else [f"the joint angles look like {angle[turned]}"]
-    return said if factor == 1.0 else [*said, _length_unit(factor, units[factor], "xyz"[: arm.dimension])]
+    axes = ("distance",) if measurements.dimension == 1 else "xyz"[: arm.dimension]
+    return said if factor == 1.0 else [*said, _length_unit(factor, units[factor], axes)]
 
 
-def _length_unit(factor: float, unit: str, axes: str) -> str:
+def _length_unit(factor: float, unit: str, axes: Sequence[str]) -> str:
     """What to do about positions that a factor makes millimetres, or about the arm's lengths."""
     if factor < 1.0:
         return f"the positions are {1.0 / factor:g} times as large as the arm: the arm file's lengths look like {unit}"

@@ -19,6 +19,7 @@ from identification.effects.places import position_and_state, split, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
 from identification.kinematics.base_axes import along, planar_axes
+from identification.kinematics.instrument import WHOLE
 from identification.kinematics.orientations import turned
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.vectorize import Evaluate, vectorize
@@ -91,13 +92,13 @@ class Expressions:
         chain = self.arm.chain
         if chain is None or not self.effects:
             return None
-        values = tuple(
-            None if p.name in self.estimated.names else float(self.fixed.get(p.name, 0.0)) for p in self.every
-        )
-        shared, tied = parts(chain, self.arm.gravity, self.remembers, self.extra), dict(self.tied)
+        pointing = replace(chain, instrument=WHOLE)  # has what this instrument does not show, too: it is zero
+        every = (*pointing.parameters().names, *(p.name for effect in self.effects for p in effect.parameters))
+        values = tuple(None if name in self.estimated.names else float(self.fixed.get(name, 0.0)) for name in every)
+        shared, tied = parts(pointing, self.arm.gravity, self.remembers, self.extra), dict(self.tied)
         tied |= {name: float(x) for name, x in along(chain.base[:3, :3], tied).items()}
-        off = tuple(tied.get(name, 0.0) for name in self.every.names) if tied else ()
-        return Composition(shared, self.effects, values, off)
+        off = tuple(tied.get(name, 0.0) for name in every) if tied else ()
+        return Composition(shared, self.effects, values, off, chain.instrument)
 
     def table(self, postures: Array, conditions: Conditions) -> Array:
         """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory, one of

@@ -108,7 +108,7 @@ class Model:
 
     @property
     def dimension(self) -> int:
-        """d, measured coordinates per posture: 2, 3, or 6 of a pose."""
+        """d, measured coordinates per posture: 2, 3, 6 of a pose, or 1 of a length."""
         return self.arm.dimension if self.arm.chain is None else self.arm.chain.coordinates
 
     @property
@@ -212,7 +212,7 @@ class Model:
     @property
     def dimensions(self) -> tuple[int, ...]:
         """Coordinates that measurements may have: of poses also those of points alone."""
-        return tuple(sorted({self.arm.dimension, self.dimension}))
+        return tuple(sorted({min(self.arm.dimension, self.dimension), self.dimension}))
 
     # -- batches ---------------------------------------------------------------------------------------------------
     def position(

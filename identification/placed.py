@@ -15,6 +15,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.kinematics.corrected import standing_in
+from identification.kinematics.length_placement import placed_by_lengths
 from identification.kinematics.orientations import mean_rotation
 from identification.kinematics.placement import placed, placed_tool, registered
 from identification.kinematics.spatial import BASE, DIMENSION, TOOL, SpatialChain
@@ -161,11 +162,14 @@ def placed_chain(
 
     markers : (m,) number of each row's measured point;  values : best known errors of the geometry
     """
-    names, frames = list(chain.tools), tip_frames(chain, postures, values)
+    names, frames, instrument = list(chain.tools), tip_frames(chain, postures, values), chain.instrument
     base, tools = chain.base, {name: np.array(place) for name, place in chain.tools.items()}
     first = int(np.bincount(markers).argmax())
     own = markers == first
-    if BASE not in chain.known and TOOL not in chain.known:
+    if not instrument.whole and BASE not in chain.known:
+        tool = tools[names[first]] if TOOL in chain.known else None
+        base = placed_by_lengths(instrument, frames[own], positions[own, 0], chain.reach, tool=tool).base
+    elif BASE not in chain.known and TOOL not in chain.known:
         found = placed(frames[own], positions[own], chain.reach)
         base, tools[names[first]] = found.base, found.tool
     elif BASE not in chain.known:
@@ -173,7 +177,10 @@ def placed_chain(
         base = registered(frames[:, :3, 3] + np.einsum("mij,mj->mi", frames[:, :3, :3], places), positions)
     for number, name in enumerate(names if TOOL not in chain.known else ()):
         if (own := markers == number).any():
-            tools[name] = placed_tool(frames[own], positions[own], base)
+            if instrument.whole:
+                tools[name] = placed_tool(frames[own], positions[own], base)
+            else:
+                tools[name] = placed_by_lengths(instrument, frames[own], positions[own, 0], chain.reach, base).tool
     return replace(chain, base=base, tools=tools)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm, Calibration
 from identification.data_checks import CLEARLY
+from identification.kinematics.length_placement import placed_by_lengths
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC
 from identification.kinematics.placement import placed
 from identification.kinematics.spatial import SpatialChain
@@ -82,7 +83,7 @@ def _changed(reading: Reading) -> int:
 
 def _anywhere(arm: Arm) -> Arm:
     """The arm as drawn, where it stands and what is measured on it left open."""
-    chain = None if arm.chain is None else SpatialChain(arm.chain.joints, arm.chain.end)
+    chain = arm.chain and SpatialChain(arm.chain.joints, arm.chain.end, instrument=arm.chain.instrument)
     return replace(arm, chain=chain)
 
 
@@ -245,7 +246,11 @@ def _some(measurements: Measurements) -> Measurements:
 def _distance(arm: Arm, rows: Measurements) -> Callable[[Reading], float]:
     """Root mean square distance [mm] of the drawing from the positions of a reading, its place fitted."""
     if (chain := arm.chain) is not None:
-        frames, measured = frames_of_tip(chain), rows.positions[:, :3]
+        frames, measured, instrument = frames_of_tip(chain), rows.positions[:, :3], chain.instrument
+        if not instrument.whole:  # lengths are never mirrored
+            return lambda reading: (
+                placed_by_lengths(instrument, frames(reading.postures(rows.postures)), measured[:, 0], chain.reach).rms
+            )
         return lambda reading: (
             placed(frames(reading.postures(rows.postures)), reading.positions(measured), chain.reach).rms
         )

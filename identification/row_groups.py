@@ -84,8 +84,11 @@ def row_groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str,
     if not measurements.sessions:
         for k, rows in enumerate(np.array_split(measurements.sequence, QUARTERS), start=1):
             yield "time", f"quarter {k}", rows
-    x, y = np.median(measurements.positions[:, :2], axis=0)
-    right, above = (measurements.positions[:, :2] > [x, y]).T
+    # of lengths the places computed, in the frame of the base
+    known = measurements.dimension > 1
+    places = (measurements.positions if known else Model(arm).points(measurements.postures)[:, -1])[:, :2]
+    x, y = np.median(places, axis=0)
+    right, above = (places > [x, y]).T
     for name, there in (
         (f"x > {x:.0f}, y > {y:.0f}", right & above),
         (f"x < {x:.0f}, y > {y:.0f}", ~right & above),

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.kinematics.frames import AXES, own_axes_angles
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.kinematics.spatial import BASE as STAND
 from identification.kinematics.spatial import TOOL
@@ -125,10 +124,12 @@ def _in_space(arm: Arm, measurements: Measurements, spec: EffectSpec) -> Arm:
     placed = arm if arm.chain.fixed else placed_model(Model(arm), measurements).arm
     chain, bases = session_bases(placed, measurements)
     values = {} if placed.calibration is None else dict(placed.calibration.values)
+    known: dict[str, float] = {}
     for number, base in enumerate(bases[1:], start=2):
-        shift, turn = base[:3, 3] - bases[0][:3, 3], own_axes_angles(bases[0][:3, :3].T @ base[:3, :3])
-        values |= {f"{SESSIONS}.{axis}{number}": float(x) for axis, x in zip(AXES, shift, strict=True)}
-        values |= {f"{SESSIONS}.w{axis}{number}": float(x) for axis, x in zip(AXES, turn, strict=True)}
+        found, hidden = chain.instrument.between(bases[0], base)
+        values |= {f"{SESSIONS}.{short}{number}": value for short, value in found.items()}
+        known |= {f"{short}{number}": found[short] for short in hidden}
+    spec = replace(spec, values={**spec.values, **known})
     kept = Calibration(values) if placed.calibration is None else replace(placed.calibration, values=values)
     return replace(placed.with_effects(*placed.effects, spec), chain=chain, calibration=kept)
 

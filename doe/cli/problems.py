@@ -149,6 +149,7 @@ def _restrictions(arm: Arm, postures: PostureOptions) -> dict[str, Any]:
 def _criterion(wanted: CriterionOptions, problem: DesignProblem) -> Criterion:
     from doe.criteria import criterion
     from doe.plan.file import load_plan
+    from doe.problem.robust import tip_jacobians
 
     poses = None if wanted.test_poses is None else load_plan(wanted.test_poses, problem.model.joint_types).postures
     parameters = problem.model.parameters
@@ -156,7 +157,7 @@ def _criterion(wanted: CriterionOptions, problem: DesignProblem) -> Criterion:
         wanted.name,
         units=list(parameters.units),
         subset=None if wanted.subset is None else indices(wanted.subset, parameters.names),
-        test_jacobians=None if poses is None else problem.scaled_jacobians(poses),
+        test_jacobians=None if poses is None else tip_jacobians(problem, poses),
     )
 
 

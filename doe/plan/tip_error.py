@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.problem.problem import DesignProblem
-from doe.problem.robust import robust_problem, workspace
+from doe.problem.robust import robust_problem, tip_jacobians, workspace
 from doe.problem.spatial import of_one_arm
 from identification.arrays import Array
 from identification.kinematics.parameters import EFFECT
+from identification.positions import of_positions
 
 SPACE = 3  # coordinates of a point
 
@@ -74,10 +75,11 @@ def _of_measurements(wide: DesignProblem, postures: Array) -> Array:
 def _of_points(wide: DesignProblem, poses: Array) -> Array:
     """(k, d, P) scaled Jacobian of the tip's position, its squares a mean over the measured points; an orientation that
     is measured too is no distance."""
-    jacobians, model = wide.scaled_jacobians(poses), of_one_arm(wide.model)
-    each = wide.model.dimension if model is None else model.dimension
-    points = np.concatenate([jacobians[:, k : k + SPACE] for k in range(0, wide.model.dimension, each)], axis=1)
-    return np.asarray(points / np.sqrt(wide.model.dimension / each))
+    jacobians, model = tip_jacobians(wide, poses), of_one_arm(wide.model)
+    coordinates = jacobians.shape[1]
+    each = coordinates if model is None else of_positions(model).dimension
+    points = np.concatenate([jacobians[:, k : k + SPACE] for k in range(0, coordinates, each)], axis=1)
+    return np.asarray(points / np.sqrt(coordinates / each))
 
 
 def _spread(rows: Array, targets: Array, noise: float) -> Array:

@@ -21,6 +21,7 @@ from doe.problem.spatial import of_one_arm, whole
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.gap.library_prior import LibraryPrior, library_prior
+from identification.positions import of_positions, tip_jacobian
 
 # reasons: doe/README.md, "Robust designs"
 SETTINGS = 4  # orders that stand for all orders of a ripple
@@ -81,7 +82,14 @@ def _at_limits(problem: DesignProblem, generator: np.random.Generator) -> Array:
 
 def average_error(problem: DesignProblem, poses: ArrayLike | None = None) -> I:
     """Criterion I at test poses (k, n) [rad]; None: over the `workspace`."""
-    return I(problem.scaled_jacobians(workspace(problem) if poses is None else poses))
+    return I(tip_jacobians(problem, workspace(problem) if poses is None else poses))
+
+
+def tip_jacobians(problem: DesignProblem, poses: ArrayLike) -> Array:
+    """(k, d, p) scaled Jacobians of the measured points' positions at poses (k, n), whatever is read of them."""
+    if (model := of_one_arm(problem.model)) is None or of_positions(model) is model:
+        return problem.scaled_jacobians(poses)
+    return tip_jacobian(model, poses) / model.scales
 
 
 def workspace(problem: DesignProblem) -> Array:

@@ -22,14 +22,17 @@ from doe.problem.derived_model import DerivedModel
 from doe.problem.spatial_constraints import circle_across
 from identification.arm import Arm
 from identification.conditions import Conditions
+from identification.errors import InputError
+from identification.kinematics.frames import pose
 from identification.kinematics.parameters import ParameterSet
-from identification.kinematics.spatial import TOOL, SpatialChain
+from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.minimal import PRACTICAL, minimal
 from identification.model import Model
 
 if TYPE_CHECKING:
     from doe.problem.problem import InformationModel
 
+AHEAD = 0.5  # of the reach: where the center of measured distances is assumed
 OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flange of most arms
 
 
@@ -72,7 +75,7 @@ class EveryPoint(DerivedModel):
 def designed(model: Model) -> tuple[Model, InformationModel, Mapping[str, float]]:
     """The model with its measured points in place, the same with all of them, and what is known of its parameters.
 
-    Planar models stay as they are. Warns (`UserWarning`) of points that are assumed.
+    Planar models stay as they are. Raises `InputError` for contacts. Warns (`UserWarning`) of points that are assumed.
     """
     if model.arm.chain is None:
         return model, model, {}
@@ -101,8 +104,28 @@ def without_prior(arm: Arm) -> Arm:
     return minimal(Model(replace(arm, chain=with_points(arm.chain))), PRACTICAL).arm
 
 
+def with_center(chain: SpatialChain) -> SpatialChain:
+    """The chain with the center of measured distances where the arm says, or before it; any other chain as it is.
+
+    Raises `InputError` for contacts, whose postures no plan can say.
+    """
+    if chain.instrument.whole:
+        return chain
+    if chain.instrument.contact:
+        found = f"kind {chain.instrument.kind}: where a surface is touched follows from the arm"
+        raise InputError(f"instrument: found {found}, allowed for plans: distance, or no [instrument]")
+    if BASE in chain.known or not np.array_equal(chain.base, np.eye(4)):
+        return chain
+    away = AHEAD * chain.reach
+    said = f"{away:.0f} mm before the base, on its x axis, is assumed; give instrument.center_mm"
+    warnings.warn(f"instrument: the center is not known, {said}", stacklevel=2)
+    return replace(chain, base=pose([-away, 0.0, 0.0]))
+
+
 def with_points(chain: SpatialChain) -> SpatialChain:
-    """The chain with the measured points that it does not know beside the last axis, evenly around it."""
+    """The chain with the measured points that it does not know beside the last axis, evenly around it, and a center of
+    distances `with_center`."""
+    chain = with_center(chain)
     names = [name for name, place in chain.tools.items() if not np.any(place)]
     if TOOL in chain.known or not names:
         return chain

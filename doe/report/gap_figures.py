@@ -91,11 +91,11 @@ def workspace_figure(diagnosis: Diagnosis) -> Figure:
 def workspace_arrows(arm: Arm, positions: Array, pairs: Sequence[tuple[Array, str]]) -> Figure:
     """Residual arrows (m, d) of two models, with their names, at positions (m, d), on one scale."""
     figure = Figure(figsize=(10.0, 4.8), layout="constrained")
-    axes = workspace_axes(figure, arm.dimension)
+    axes = workspace_axes(figure, pairs[0][0].shape[1])
     scale = 0.12 * arm.reach / (float(distances(pairs[0][0]).max()) or 1.0)
     for column, (residuals, name), color in zip(axes, pairs, (BEFORE, AFTER), strict=True):
         draw_residual_arrows(column, positions, residuals, color, name, float(scale))
-    if arm.dimension == 3:
+    if pairs[0][0].shape[1] >= 3:
         to_scale(figure, axes)
     return figure
 

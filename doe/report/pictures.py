@@ -173,11 +173,11 @@ def spread(problem: DesignProblem, samples: int) -> Array:
 
 def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, after: Array) -> Figure:
     """Residuals (m, d) before and after, over the workspace (arrows, enlarged) and against each joint."""
-    views = len(projections(arm.dimension))
+    views = len(projections(before.shape[1]))
     figure = Figure(figsize=(10.0, 2.6 + 3.6 * views), layout="constrained")
     top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.3 * views, 1.0]))
     pairs = ((before, BEFORE, "before"), (after, AFTER, "after"))
-    for column, (residuals, color, name) in zip(workspace_axes(top, arm.dimension), pairs, strict=True):
+    for column, (residuals, color, name) in zip(workspace_axes(top, before.shape[1]), pairs, strict=True):
         size = float(distances(residuals).max()) or 1.0
         scale = 0.12 * arm.reach / size  # the largest arrow is an eighth of the reach
         draw_residual_arrows(column, positions, residuals, color, name, scale)
@@ -196,8 +196,8 @@ def draw_against_joints(figure: SubFigure, postures: Array, before: Array, after
 
 
 def projections(dimension: int) -> list[tuple[int, int]]:
-    """Pairs of coordinates that a workspace is seen in: from above, in space from the side too."""
-    return [(0, 1)] if dimension == 2 else [(0, 1), (0, 2)]
+    """Pairs of coordinates that a workspace is seen in: from above, in space from the side too; of lengths one view."""
+    return [(0, 1)] if dimension < 3 else [(0, 1), (0, 2)]
 
 
 def workspace_axes(figure: Figure | SubFigure, dimension: int) -> list[list[Axes]]:
@@ -218,7 +218,13 @@ def to_scale(figure: Figure, columns: Sequence[Sequence[Axes]]) -> None:
 def draw_residual_arrows(
     axes: Sequence[Axes], positions: Array, residuals: Array, color: str, name: str, scale: float
 ) -> None:
-    """Residuals (m, d) as arrows at the measured positions, enlarged by `scale`, in each projection."""
+    """Residuals (m, d) as arrows at the measured positions, enlarged by `scale`, in each projection; of lengths, d = 1,
+    as they are, against what was measured."""
+    if residuals.shape[1] == 1:
+        axes[0].plot(positions[:, 0], residuals[:, 0], ".", color=color, ms=4, alpha=0.7)
+        axes[0].set(xlabel="measured length [mm]", ylabel="residual [mm]")
+        axes[0].set_title(f"{name}: RMS {rms_distance(residuals):.4g} mm", fontsize=9, parse_math=False)
+        return
     style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004, "color": color}
     style["rasterized"] = len(positions) > MANY
     planar = residuals.shape[1] == 2

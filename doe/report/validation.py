@@ -59,7 +59,7 @@ def _draw_distances(axis: Axes, distances: Array, color: str, name: str) -> None
 
 def validation_figure(found: Validation) -> Figure:
     """Distances of drawing and model in the order of measurement, and their residuals over the workspace."""
-    views = len(projections(found.arm.dimension))
+    views = len(projections(found.residuals.shape[1]))
     figure = Figure(figsize=(10.0, 2.8 + 4.6 * views), layout="constrained")
     top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.0, 1.7 * views]))
     pairs = ((found.nominal_residuals, BEFORE, "drawing"), (found.residuals, AFTER, "model"))
@@ -70,6 +70,6 @@ def validation_figure(found: Validation) -> Figure:
     axis.legend(frameon=False, fontsize=8)
     largest = max(float(distances(residuals).max()) for residuals, _, _ in pairs) or 1.0
     scale = 0.12 * found.arm.reach / largest
-    for column, (residuals, color, name) in zip(workspace_axes(bottom, found.arm.dimension), pairs, strict=True):
+    for column, (residuals, color, name) in zip(workspace_axes(bottom, found.residuals.shape[1]), pairs, strict=True):
         draw_residual_arrows(column, found.measurements.positions, residuals, color, name, scale)
     return figure

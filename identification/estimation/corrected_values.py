@@ -190,7 +190,9 @@ def _tables(chain: SpatialChain, values: Values) -> dict[str, dict[str, float]]:
     """Place -> its numbers in file units: frame of each joint, base, measured points."""
     found = CorrectedGeometry(chain, values).tables()
     rows = {f"joint {row.pop('joint')}": row for row in found["geometry"]}
-    base = {} if found["base"] is None else {"base": found["base"]}
+    hidden = {f"{name.partition('.')[2]}_deg" for name in chain.instrument.hidden(chain.base)}
+    hidden |= {key.replace("_deg", "_mm") for key in hidden}
+    base = {} if found["base"] is None else {"base": {k: v for k, v in found["base"].items() if k not in hidden}}
     tools = {f"tool {name}": place for name, place in found["tools"].items()}
     return {place: {k: v for k, v in row.items() if k != "name"} for place, row in (rows | base | tools).items()}
 

@@ -12,6 +12,7 @@ from identification.arrays import Array
 from identification.estimation.plausibility import limited
 from identification.measurements import POINT
 from identification.model import Model
+from identification.positions import tip_jacobian
 from identification.sessions import placing
 from identification.threads import single_thread
 
@@ -27,12 +28,12 @@ SHARE = 0.5  # of the drawing's own error
 def expected_tip(model: Model, parameters: Array, covariance: Array, postures: Array) -> float:
     """Root mean square over postures of the expected distance [mm]: the square root of the mean of trace(J C J^T).
 
-    The tip is the first measured point, in the frame of the measurements, under neutral conditions. What the model
-    lacks is not in it.
+    The tip is the first measured point, in the frame of the measurements (of lengths: best registered anew), under
+    neutral conditions. What the model lacks is not in it.
 
     parameters : (p,) of the fit;  covariance : (p, p), with a prior that of the posterior;  postures : (m, n) [rad]
     """
-    jacobian = model.jacobian(postures, parameters)[:, POINT]
+    jacobian = tip_jacobian(model, postures, parameters)[:, POINT]
     return float(np.sqrt(np.einsum("mdp,pq,mdq->", jacobian, covariance, jacobian, optimize=True) / len(postures)))
 
 

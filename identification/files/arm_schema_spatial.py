@@ -83,6 +83,23 @@ class SpatialMeasurementTable(MeasurementTable):
     sigma_deg: Positive | None = Field(None, description="a number > 0 [deg]")
 
 
+class InstrumentTable(StrictTable):
+    """`[instrument]`: what is measured where it is not positions."""
+
+    kind: Literal["distance", "sphere", "plane"] = Field(description="distance, sphere or plane")
+    radius_mm: Positive | None = Field(None, description="a number > 0 [mm]")
+    center_mm: Triple | None = Field(None, description=POINT)
+
+    @model_validator(mode="after")
+    def _keys_of_the_kind(self) -> Self:
+        if (self.radius_mm is None) == (self.kind == "sphere"):
+            found = "is missing" if self.radius_mm is None else f"found for kind {self.kind}"
+            raise InputError(f"instrument.radius_mm: {found}, allowed: a number > 0 [mm], of a sphere alone")
+        if self.center_mm is not None and self.kind != "distance":
+            raise InputError(f"instrument.center_mm: found for kind {self.kind}, allowed: for distance")
+        return self
+
+
 class SpatialGravityTable(GravityTable):
     """`[gravity]`."""
 
@@ -181,6 +198,7 @@ class SpatialArmFile(StrictTable):
     tool: dict[str, Any] | None = Field(None, description="a table with x_mm, y_mm, z_mm, or one for each marker")
     machining: MachiningTable | None = Field(None, description="a table with translation_mm, rotation_deg")
     measurement: SpatialMeasurementTable | None = Field(None, description="a table with sigma_mm, sigma_deg")
+    instrument: InstrumentTable | None = Field(None, description="a table with kind, radius_mm, center_mm")
     gravity: SpatialGravityTable | None = Field(
         None, description="a table with acceleration_m_s2, link_masses_kg, center_of_mass, payload_kg, payload_at_mm"
     )
@@ -190,6 +208,14 @@ class SpatialArmFile(StrictTable):
     constraints: list[SpatialConstraint] = Field(default_factory=list, description="tables [[constraints]]")
     effects: list[EffectTable] = Field(default_factory=list, description="tables [[effects]]")
     calibration: SpatialCalibrationTable | None = Field(None, description="a table with a table values")
+
+    @model_validator(mode="after")
+    def _one_instrument(self) -> Self:
+        if self.instrument is not None and self.measurement is not None and self.measurement.sigma_deg is not None:
+            raise InputError("measurement.sigma_deg: found beside [instrument], allowed: one of them")
+        if self.base is not None and self.instrument is not None and self.instrument.center_mm is not None:
+            raise InputError("instrument.center_mm: found beside [base], allowed: one of them")
+        return self
 
     @model_validator(mode="after")
     def _one_geometry(self) -> Self:
@@ -219,6 +245,7 @@ _TABLES: dict[str, type[BaseModel]] = {
     "base": PoseTable,
     "machining": MachiningTable,
     "measurement": SpatialMeasurementTable,
+    "instrument": InstrumentTable,
     "gravity": SpatialGravityTable,
     "effects": EffectTable,
     "calibration": SpatialCalibrationTable,

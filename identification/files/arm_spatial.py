@@ -45,6 +45,7 @@ from identification.files.urdf import Urdf, parse_urdf, read_urdf, urdf_text, wi
 from identification.kinematics.corrected import before_errors
 from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
+from identification.kinematics.instrument import Instrument
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE
 from identification.kinematics.spatial import BASE, TOOL, Joint, SpatialChain
 from identification.workspace import Constraint, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
@@ -149,7 +150,11 @@ def _standing(file: SpatialArmFile, chain: SpatialChain) -> SpatialChain:
     if file.tool is not None:
         tools, axes = _tools(file.tool)
         chain = replace(chain, tools=tools, tool_axes=axes, known=chain.known | {TOOL})
-    return replace(chain, angle_scale=_angle_scale(file.measurement))
+    if (table := file.instrument) is None:
+        return replace(chain, angle_scale=_angle_scale(file.measurement))
+    if table.center_mm is not None:
+        chain = replace(chain, base=pose(-np.array(table.center_mm)))
+    return replace(chain, instrument=Instrument(table.kind, table.radius_mm))
 
 
 def _angle_scale(table: SpatialMeasurementTable | None) -> float | None:

@@ -37,6 +37,9 @@ def chain_tables(arm: Arm, chain: SpatialChain) -> Plain:
         tables["tool"] = tool_tables(chain.tools, chain.tool_axes)
     if chain.angle_scale is not None and arm.sigma is not None:
         tables["measurement"] = {"sigma_deg": _tidy(np.degrees(arm.sigma / chain.angle_scale))}
+    if not (instrument := chain.instrument).whole:
+        tables["instrument"] = {"kind": instrument.kind}
+        tables["instrument"] |= {} if instrument.radius is None else {"radius_mm": float(instrument.radius)}
     if arm.machining != Machining():
         rotation = _tidy(np.degrees(arm.machining.rotation))
         tables["machining"] = {"translation_mm": arm.machining.translation, "rotation_deg": rotation}

@@ -25,8 +25,8 @@ SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # of .xlsx and .ods, and of
 QUOTED = "cells without quotation marks, or in a pair of them"
 # columns that mean something by themselves: none of them is a misspelling of another
 KNOWN = re.compile(
-    r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
-    r"|marker|r[xyz]_(deg|rad)|q[wxyz]|commanded\d+_(deg|rad|mm?)"
+    r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma|distance)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
+    r"|marker|surface|r[xyz]_(deg|rad)|q[wxyz]|commanded\d+_(deg|rad|mm?)"
 )
 Test = Callable[[Array], NDArray[np.bool_]]
 

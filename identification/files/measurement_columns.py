@@ -16,11 +16,13 @@ from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, MAX_
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.files.csv import KNOWN, Table, Test
+from identification.files.length_columns import SURFACE, lengths_of, read_lengths, read_sessions, unit_of
 from identification.files.order_columns import order_columns, read_gaps, read_order
 from identification.files.orientation import angle_columns, orientation_columns, read_orientations
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 
 if TYPE_CHECKING:
+    from identification.kinematics.spatial import SpatialChain
     from identification.measurements import Measurements
 
 _JOINT = re.compile(r"q([1-9]\d*)_(deg|rad|mm|m)")
@@ -40,38 +42,43 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     once about columns that are not used.
     """
     types: JointTypes = links.joint_types if isinstance(links, Arm) else links
-    spatial = isinstance(links, Arm) and links.chain is not None
-    axes = "xyz" if spatial else "xy"
+    chain = links.chain if isinstance(links, Arm) else None
+    instrument = None if chain is None or chain.instrument.whole else chain.instrument
+    axes = ("x", "y") if chain is None else ("x", "y", "z") if instrument is None else lengths_of(instrument)
     postures = read_postures(table, types)
     n = postures.shape[1]
-    poses = isinstance(links, Arm) and links.chain is not None and links.chain.angle_scale is not None
+    poses = chain is not None and chain.angle_scale is not None
     found: dict[str, Any] = {
         "postures": postures,
-        "positions": np.column_stack([millimetres(table, axis) for axis in axes]),
+        "positions": read_lengths(table, instrument)
+        if instrument is not None
+        else np.column_stack([millimetres(table, axis) for axis in axes]),
         "order": (order := read_order(table)),
         **read_conditions(table, n),
         "sigma": _sigma(table),
         "repeats": _repeats(table),
-        "session": (session := table.texts("session") if "session" in table else None),
+        "session": (session := read_sessions(table, instrument)),
         "gaps": read_gaps(table, session) if order is not None and "order" in table else None,
-        "marker": table.texts("marker") if spatial and "marker" in table else None,
+        "marker": table.texts("marker") if chain is not None and "marker" in table else None,
         "orientations": read_orientations(table) if poses else None,
         "commanded": _commanded(table, types, n),
         "provenance": MappingProxyType({"file": table.file_name, "sha256": table.sha256}),
     }
-    _warn_unused(table, types, axes, poses)
+    _warn_unused(table, types, axes, chain)
     return found
 
 
-def _warn_unused(table: Table, types: JointTypes, axes: str, poses: bool) -> None:
+def _warn_unused(table: Table, types: JointTypes, axes: Sequence[str], chain: SpatialChain | None) -> None:
     """One warning for the columns of measurements that are not used."""
-    spatial, n = len(axes) == 3, len(joint_columns(table, types))
+    spatial, n = chain is not None, len(joint_columns(table, types))
+    poses = chain is not None and chain.angle_scale is not None
     lengths = [f"{name}_{unit}" for name in (*axes, "sigma") for unit in ("mm", "m")]
     optional = [*_OPTIONAL, *(["marker"] if spatial else []), *_OF_PLANS, *(f"direction{j}" for j in range(1, n + 1))]
     optional += orientation_columns(table) if poses else []
+    optional += [SURFACE] if chain is not None and chain.instrument.contact else []
     optional += [column for column in table.columns if _COMMANDED.match(column)]
     wanted = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
-    hint = wanted if spatial and not poses and orientation_columns(table) else ""
+    hint = wanted if spatial and len(axes) == 3 and not poses and orientation_columns(table) else ""
     warn_unknown(table, [*joint_columns(table, types), *lengths, *optional], hint)
 
 
@@ -83,7 +90,8 @@ def measurement_columns(measurements: Measurements, joint_types: JointTypes = No
     if (far := np.abs(measurements.positions).max(initial=0.0)) > LARGEST_LENGTH:
         raise InputError(f"measurements: found a position of {far:g} mm, allowed: up to {LARGEST_LENGTH:g}")
     columns = posture_columns(measurements.postures, joint_types)
-    columns |= {f"{axis}_mm": column for axis, column in zip("xyz", measurements.positions.T, strict=False)}
+    axes = ("distance",) if measurements.dimension == 1 else "xyz"
+    columns |= {f"{axis}_mm": column for axis, column in zip(axes, measurements.positions.T, strict=False)}
     if measurements.commanded is not None:
         asked = posture_columns(measurements.commanded, joint_types)
         columns |= {name.replace("q", "commanded", 1): column for name, column in asked.items()}
@@ -213,21 +221,14 @@ def read_conditions(table: Table, n: int) -> dict[str, Array | None]:
 
 
 # -- columns of measurements ------------------------------------------------------------------------------------------
-def _unit(table: Table, name: str) -> tuple[str, float]:
-    """Unit of the column of a length, `x_mm` or `x_m`, and the factor from it to millimetres."""
-    if f"{name}_mm" in table and f"{name}_m" in table:
-        raise InputError(f"{table.path}: found both {name}_mm and {name}_m, allowed: one of them")
-    return ("m", 1000.0) if f"{name}_m" in table else ("mm", 1.0)
-
-
 def millimetres(table: Table, name: str) -> Array:
     """(m,) column `x_mm`, or `x_m` converted."""
-    unit, factor = _unit(table, name)
+    unit, factor = unit_of(table, name)
     return up_to(table, f"{name}_{unit}", "a finite length", LARGEST_LENGTH / factor) * factor
 
 
 def _sigma(table: Table) -> Array | None:
-    (unit, factor), (low, high) = _unit(table, "sigma"), SIGMA_RANGE
+    (unit, factor), (low, high) = unit_of(table, "sigma"), SIGMA_RANGE
     allowed = f"> 0 [{unit}], {low / factor:g} to {high / factor:g}"
     values = _optional(table, f"sigma_{unit}", allowed, lambda v: (v * factor >= low) & (v * factor <= high))
     return None if values is None else values * factor

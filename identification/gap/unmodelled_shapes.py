@@ -74,7 +74,9 @@ def general_shapes(found: Fit, rows: Rows) -> Iterator[PlaceShapes]:
     time = rows.conditions.time
     if time is not None and np.ptp(time) > 0.0:
         yield PlaceShapes.of("time", _time_shapes(time, position))
-    yield PlaceShapes.of("workspace", _workspace_shapes(position))
+    chain = found.model.arm.chain
+    if chain is None or not chain.instrument.contact:  # a contact has no place but the surface
+        yield PlaceShapes.of("workspace", _workspace_shapes(position))
 
 
 def _joint_shapes(postures: Array, j: int) -> list[NamedColumns]:
@@ -125,7 +127,8 @@ def _time_shapes(time: Array, position: Array) -> list[GeneralShape]:
     listed = []
     for shape, values in shapes:
         listed.append(GeneralShape("time", shape, values[:, None, None] * np.eye(d)))
-        listed.append(GeneralShape("time", f"rotation {shape}", values[:, None, None] * turns))
+        if d > 1:
+            listed.append(GeneralShape("time", f"rotation {shape}", values[:, None, None] * turns))
     return listed + [GeneralShape("time", f"wave of {k} per session", _vector_waves(k * time, d)) for k in (1, 2, 3)]
 
 

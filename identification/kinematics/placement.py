@@ -41,8 +41,7 @@ def placed(frames: Array, measured: Array, reach: float) -> Placement:
 
     frames : (m, 4, 4) nominal poses of the tip in the base;  reach : [mm] that gives the starts of the tool their size
     """
-    moments = _Moments.of(frames, measured)
-    tools = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * 0.1 * reach
+    moments, tools = _Moments.of(frames, measured), starts_of_tool(reach)
     before = np.full(len(tools), np.inf)
     for _ in range(ROUNDS):
         rotations = moments.rotations(tools)
@@ -56,6 +55,11 @@ def placed(frames: Array, measured: Array, reach: float) -> Placement:
     base = registered(frames[:, :3, 3] + frames[:, :3, :3] @ tool, measured)
     left = measured - (frames[:, :3, 3] + frames[:, :3, :3] @ tool) @ base[:3, :3].T - base[:3, 3]
     return Placement(base, tool, float(np.sqrt(np.mean(np.sum(left**2, axis=1)))))
+
+
+def starts_of_tool(reach: float) -> Array:
+    """(7, 3) places around the tip [mm] from which the measured point is looked for."""
+    return np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * 0.1 * reach
 
 
 def placed_tool(frames: Array, measured: Array, base: Array) -> Array:

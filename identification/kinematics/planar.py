@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from identification.arrays import Array, ByValue
+from identification.kinematics.instrument import WHOLE
 from identification.kinematics.parameters import JOINT_OFFSET, REVOLUTE, ParameterSet, chain_parameters
 
 DIMENSION = 2  # coordinates of a point
@@ -23,6 +24,7 @@ class PlanarGeometry(ByValue):
 
     lengths: Array
     dimension = DIMENSION
+    instrument = WHOLE  # planar arms are measured by positions
 
     @property
     def joint_types(self) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ import numpy as np
 from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
 from identification.kinematics.frames import AXES, Frame, pose, rotation_to_z
+from identification.kinematics.instrument import WHOLE, Instrument
 from identification.kinematics.orientations import rotation_vector
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE, Parameter, ParameterSet
 from identification.vectorize import vectorize
@@ -79,6 +80,7 @@ class SpatialChain(ByValue):
     fixed : names of further parameters that are not estimated (identification/minimal.py)
     angle_scale : [mm/rad] what a radian of a measured orientation counts as; None: only points are measured
     tool_axes : name -> (3, 3) axes of a measured frame in the tip's frame; those that are not there are the tip's
+    instrument : what is measured of a point
     """
 
     joints: tuple[Joint, ...]
@@ -89,6 +91,7 @@ class SpatialChain(ByValue):
     fixed: frozenset[str] = frozenset()
     angle_scale: float | None = None
     tool_axes: Mapping[str, Array] = field(default_factory=dict)
+    instrument: Instrument = WHOLE
     dimension = DIMENSION
 
     def __post_init__(self) -> None:
@@ -100,7 +103,9 @@ class SpatialChain(ByValue):
 
     @property
     def coordinates(self) -> int:
-        """Numbers that are measured of a posture: 3 of a point, 6 of a pose."""
+        """Numbers that are measured of a posture: 3 of a point, 6 of a pose, 1 of a length."""
+        if not self.instrument.whole:
+            return 1
         return DIMENSION if self.angle_scale is None else 2 * DIMENSION
 
     @cached_property
@@ -127,17 +132,19 @@ class SpatialChain(ByValue):
     def parameters(self, best: Mapping[str, float] = MappingProxyType({})) -> ParameterSet:
         """What there is to find: `every_parameter` without the base and tools that are known, without the errors along
         or about a joint's own axis, which are its offset, and without those of joint 1 where the base is to be found,
-        which move all that lies beyond as the base does."""
+        which move all that lies beyond as the base does; nor what no reading of the instrument shows."""
         left_out = {PRISMATIC: TRANSLATION_ERROR, REVOLUTE: ROTATION_ERROR}
         own = {
             f"{left_out[joint.type].removesuffix('error')}{AXES[k]}:{j}"
             for j, joint in enumerate(self.joints, start=1)
             if abs(joint.axis[k := int(np.argmax(np.abs(joint.axis)))]) >= ALIGNED
         }
+        stands = BASE in self.known
+        hidden = own if stands else own | self.instrument.hidden(self.base)
         return ParameterSet.of(
             p
             for p in self.every_parameter
-            if p.kind.partition("_")[0] not in self.known and p.name not in own and (p.joint != 1 or BASE in self.known)
+            if p.kind.partition("_")[0] not in self.known and p.name not in hidden and (p.joint != 1 or stands)
         )
 
     @cached_property
@@ -147,7 +154,7 @@ class SpatialChain(ByValue):
         found = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)
         for name in self.tools:
             of_tool = _six(f"tool[{name}].", f"tool[{name}].r", "", self.angle_scale or 1.0, (TOOL, TOOL), None)
-            found += of_tool[: self.coordinates]
+            found += of_tool[: DIMENSION if self.angle_scale is None else 2 * DIMENSION]
         kinds = TRANSLATION_ERROR, ROTATION_ERROR
         for j, (joint, lever) in enumerate(zip(self.joints, self.levers.tolist(), strict=True), start=1):
             unit, scale = ("rad", lever) if joint.type == REVOLUTE else ("mm", 1.0)

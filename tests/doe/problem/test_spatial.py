@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from doe.bounds.bound import Bound
 from doe.problem.bayesian import ensemble_problem, prior_draws
 from doe.problem.problem import DesignProblem
-from doe.problem.spatial import OFF_AXIS, EveryPoint, designed, with_points
+from doe.problem.robust import tip_jacobians
+from doe.problem.spatial import OFF_AXIS, EveryPoint, designed, with_center, with_points
+from doe.solvers import Gradient, solve
 from identification.arm import Arm
+from identification.errors import InputError
+from identification.kinematics.frames import pose
+from identification.kinematics.instrument import Instrument
 from identification.minimal import minimal
 from identification.model import Model
 from tests.doe.arms import FOUR
-from tests.doe.six_axis import CHAIN, REFLECTOR, SIX_AXIS, difference_information, difference_jacobian, six_axis
+from tests.doe.six_axis import CHAIN, REFLECTOR, SIX_AXIS, STEP, difference_information, difference_jacobian, six_axis
+from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
 POSTURES = np.random.default_rng(0).uniform(SIX_AXIS.lower, SIX_AXIS.upper, (20, 6))
 
@@ -88,3 +96,64 @@ def test_uncertain_arms_keep_their_prior() -> None:
     assert uncertain.parameters == 78
     each = [replace(problem, model=replace(placed, known=None)).objective(POSTURES)]
     assert uncertain.objective(POSTURES) == pytest.approx(2.0 * each[0], rel=1e-2)
+
+
+def bar(**changes: Any) -> Arm:
+    chain = replace(CHAIN, instrument=Instrument("distance"), **changes)
+    return Arm.of_chain(chain, sigma=0.01, lower=np.full(6, -2.0), upper=np.full(6, 2.0))
+
+
+def test_distances_have_one_coordinate() -> None:
+    """Information against distances of products of exponentials, by differences."""
+    base = pose([-700.0, 200.0, -300.0])
+    problem = DesignProblem.of(Model(bar(base=base)))
+    assert problem.model.dimension == 1
+    model = Model(bar(base=base))
+    rows = np.array(
+        [
+            [
+                sum(
+                    sign * np.linalg.norm(tip_by_exponentials(model.arm.chain, q, {name: sign * STEP}, REFLECTOR))
+                    for sign in (1.0, -1.0)
+                )
+                for name in model.names
+            ]
+            for q in POSTURES[:5]
+        ]
+    )
+    scaled = rows / (2.0 * STEP) / model.scales
+    sizes = np.array([problem.deviations.get(name, np.inf) for name in model.names])
+    expected = (scaled.T @ scaled + np.diag((0.01 / (model.scales * sizes)) ** 2)) / 5.0
+    np.testing.assert_allclose(problem.information(POSTURES[:5]), expected, atol=1e-6)
+
+
+def test_a_center_is_assumed_before_the_base() -> None:
+    chain = bar().chain
+    assert chain is not None
+    with pytest.warns(UserWarning, match=r"the center is not known, \d+ mm before the base"):
+        there = with_center(chain)
+    np.testing.assert_allclose(there.base, pose([-0.5 * chain.reach, 0.0, 0.0]))
+    placed = replace(chain, base=pose([-700.0, 0.0, 0.0]))
+    assert with_center(placed) is placed
+    assert with_center(CHAIN) is CHAIN
+
+
+def test_an_optimal_plan_of_distances_is_better_than_a_random_one() -> None:
+    """By the covariance: the volume of the 36 parameters' ellipsoid, and the error of the tip."""
+    problem = DesignProblem.of(Model(bar(base=pose([-700.0, 200.0, -300.0]))))
+    found = solve(problem, 40, Gradient(batch=2), starts=2, bound=Bound(np.inf, "continuous"))
+    anyhow = np.random.default_rng(0).uniform(-2.0, 2.0, (20, 40, 6))
+    best = max(problem.objective(plan) for plan in anyhow)
+    assert found.value > best + 10.0  # each parameter of 36 by a quarter better
+    poses = anyhow.reshape(-1, 6)[:100]
+    tips = tip_jacobians(problem, poses).reshape(-1, problem.parameters)
+    errors = [
+        np.trace(tips @ np.linalg.inv(problem.information(plan)) @ tips.T) for plan in (found.plan.postures, *anyhow)
+    ]
+    assert errors[0] < min(errors[1:])
+
+
+def test_contacts_have_no_plans() -> None:
+    arm = Arm.of_chain(replace(CHAIN, instrument=Instrument("sphere", 20.0)))
+    with pytest.raises(InputError, match="kind sphere: where a surface is touched follows from the arm"):
+        DesignProblem.of(Model(arm))

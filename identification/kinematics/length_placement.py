@@ -1,0 +1,143 @@
+"""Where center or plane of an instrument of lengths is, and the measured point on the arm: the start of a fit.
+
+    |p_i + R_i t - c| = d_i,    n . (p_i + R_i t) - h = z_i
+
+For a given measured point t the sphere about c is linear in c and |c|^2 (algebraic fit), and the plane in n and h
+(total least squares); Gauss-Newton steps then move both. The starts of t lie around the tip.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from identification.arrays import Array
+from identification.kinematics.frames import pose
+from identification.kinematics.instrument import PLANE, Instrument
+from identification.kinematics.placement import ENOUGH, Placement, starts_of_tool
+
+ROUNDS = 50  # effort: Gauss-Newton steps of each start
+SMALL = 1e-10  # share of the largest eigenvalue of a normal matrix below which a combination stays
+
+
+def placed_by_lengths(
+    instrument: Instrument,
+    frames: Array,
+    lengths: Array,
+    reach: float,
+    base: Array | None = None,
+    tool: Array | None = None,
+) -> Placement:
+    """Base and tool that explain lengths (m,) best; what they leave open of the base is along the arm's own axes.
+
+    frames : (m, 4, 4) nominal poses of the tip in the base;  reach : [mm] that gives the starts of the tool their size
+    base, tool : (4, 4) and (3,), known; None: to be found
+    """
+    fit = _Plane if instrument.kind == PLANE else _Sphere
+    state = fit(frames, lengths, reach, starts_of_tool(reach) if tool is None else tool[None], base)
+    least, kept = np.full(len(state.tools), np.inf), (state.surface, state.tools)
+    for _ in range(ROUNDS):
+        squares = state.squares()
+        better = squares < least * (1.0 - ENOUGH)
+        kept = np.where(better[:, None], state.surface, kept[0]), np.where(better[:, None], state.tools, kept[1])
+        least = np.minimum(squares, least)
+        if not better.any():
+            break
+        state.step(base is None, tool is None)
+    state.surface, state.tools = kept
+    best = int(np.argmin(state.squares()))
+    rms = float(np.sqrt(state.squares()[best] / len(lengths)))
+    return Placement(state.base(best) if base is None else base, state.tools[best], rms)
+
+
+class _Sphere:
+    """Centers of spheres (s, 3) for tools (s, 3) in the frame of the base."""
+
+    def __init__(self, frames: Array, lengths: Array, reach: float, tools: Array, base: Array | None) -> None:
+        self.places, self.turns, self.lengths = frames[:, :3, 3], frames[:, :3, :3], lengths
+        self.reach, self.tools = reach, tools
+        self.surface = self._found() if base is None else np.tile(self._known(base), (len(tools), 1))
+
+    def points(self) -> Array:
+        """(s, m, 3) measured points in the base."""
+        return self.places + np.einsum("mij,sj->smi", self.turns, self.tools)
+
+    def squares(self) -> Array:
+        """(s,) sums of squared residuals [mm^2]."""
+        return np.asarray(np.sum(self._linear()[0] ** 2, axis=1))
+
+    def step(self, base: bool, tool: bool) -> None:
+        """A Gauss-Newton step of base and tool, or of one of them."""
+        residual, of_surface, of_tool = self._linear()
+        columns = np.concatenate([of_surface] * base + [of_tool] * tool, axis=2)
+        across = np.swapaxes(columns, 1, 2)
+        inverse = np.linalg.pinv(across @ columns, rcond=SMALL, hermitian=True)
+        change = (inverse @ across @ residual[..., None])[..., 0]
+        if tool:
+            self.tools = self.tools + change[:, -3:]
+        if base:
+            self._move(change[:, : of_surface.shape[2]])
+
+    def base(self, k: int) -> Array:
+        """(4, 4) pose of the base in the frame of the instrument, of start k."""
+        return pose(-self.surface[k])
+
+    def _known(self, base: Array) -> Array:
+        return np.asarray(-base[:3, :3].T @ base[:3, 3])
+
+    def _found(self) -> Array:
+        """(s, 3) algebraic fits: |a|^2 - d^2 = 2 a . c - (|c|^2), about the mean of the points."""
+        points = self.points()
+        middle = points.mean(axis=1, keepdims=True)
+        around = (points - middle) / self.reach
+        columns = np.concatenate([2.0 * around, np.ones((*around.shape[:2], 1))], axis=2)
+        target = np.sum(around**2, axis=2) - (self.lengths / self.reach) ** 2
+        solved = [np.linalg.lstsq(a, b, rcond=1e-9)[0] for a, b in zip(columns, target, strict=True)]
+        return np.asarray(middle[:, 0] + self.reach * np.array(solved)[:, :3])
+
+    def _linear(self) -> tuple[Array, Array, Array]:
+        """(s, m) residuals, (s, m, 3) derivatives of the lengths by the centers, and by the tools."""
+        across = self.points() - self.surface[:, None]
+        far = np.maximum(np.linalg.norm(across, axis=2, keepdims=True), 1e-9)
+        toward = across / far
+        return self.lengths - far[..., 0], -toward, np.einsum("mij,smi->smj", self.turns, toward)
+
+    def _move(self, change: Array) -> None:
+        self.surface = self.surface + change
+
+
+class _Plane(_Sphere):
+    """Normals and heights of planes (s, 4), n . a = h."""
+
+    def base(self, k: int) -> Array:
+        """(4, 4) its z axis the normal, its origin in the middle of the points, its x axis near one of the arm's."""
+        normal, height = self.surface[k, :3], self.surface[k, 3]
+        if height > 0.0:
+            normal, height = -normal, -height  # the arm stands above
+        along = np.eye(3)[int(np.argmin(np.abs(normal)))]
+        along = along - normal * (normal @ along)
+        along /= np.linalg.norm(along)
+        axes = np.array([along, np.cross(normal, along), normal])
+        middle = axes @ self.points()[k].mean(axis=0)
+        return pose([-middle[0], -middle[1], -height], axes)
+
+    def _known(self, base: Array) -> Array:
+        return np.r_[base[2, :3], -base[2, 3]]
+
+    def _found(self) -> Array:
+        points = self.points()
+        middle = points.mean(axis=1)
+        normal = np.linalg.svd(points - middle[:, None], full_matrices=False)[2][:, 2]
+        return np.column_stack([normal, np.sum(normal * middle, axis=1)])
+
+    def _linear(self) -> tuple[Array, Array, Array]:
+        """As above; derivatives by a rotation of the normal, times the reach, and by the height."""
+        points, normal = self.points(), self.surface[:, :3]
+        residual = self.lengths - np.einsum("smi,si->sm", points, normal) + self.surface[:, 3:]
+        turned = np.cross(normal[:, None], points) / self.reach
+        of_surface = np.concatenate([turned, -np.ones((*residual.shape, 1))], axis=2)
+        return residual, of_surface, np.einsum("mij,si->smj", self.turns, normal)
+
+    def _move(self, change: Array) -> None:
+        normal = self.surface[:, :3] + np.cross(change[:, :3] / self.reach, self.surface[:, :3])
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        self.surface = np.column_stack([normal, self.surface[:, 3] + change[:, 3]])

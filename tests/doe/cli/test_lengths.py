@@ -1,0 +1,159 @@
+"""A ball bar and a touch probe from the command line: the whole loop, and what is refused, in one line each."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.doe.cli.conftest import Folder
+from tests.identification.exponentials import TABLE, Exponentials
+from tests.identification.touching import sphere, touching
+
+ROWS = "".join(f"[[dh]]\na_mm = {a}\nalpha_deg = {np.degrees(alpha)}\nd_mm = {d}\n" for a, alpha, d in TABLE)
+SIX = f"""\
+name = "six"
+kind = "spatial"
+
+[measurement]
+sigma_mm = 0.01
+
+[joint_limits_deg]
+lower = [-120, -120, -120, -120, -120, -120]
+upper = [120, 120, 120, 120, 120, 120]
+
+{ROWS}
+[instrument]
+"""
+BAR = 'kind = "distance"\ncenter_mm = [600.0, -200.0, 300.0]\n'
+TRUTH = """
+[tool]
+x_mm = 50.0
+y_mm = 20.0
+z_mm = 80.0
+
+[calibration.values]
+"base.x" = 9.0
+"joint_offset:2" = 0.2
+"translation_x:3" = -0.7
+"translation_x:4" = 0.5
+"rotation_x:3" = 0.1
+"rotation_y:4" = -0.1
+"""
+
+
+def table(postures: np.ndarray, **columns: list[str]) -> str:
+    names = [f"q{j}_deg" for j in range(1, 7)]
+    rows = zip(*(column.tolist() for column in np.degrees(postures).T), *columns.values(), strict=True)
+    return "\n".join([",".join([*names, *columns]), *(",".join(map(str, row)) for row in rows)]) + "\n"
+
+
+@pytest.fixture
+def cell(folder: Folder) -> Folder:
+    """With arm.toml of a ball bar, truth.toml, and plan.csv and fresh.csv of 120 random postures each."""
+    folder.write("arm.toml", SIX + BAR)
+    folder.write("truth.toml", SIX + BAR + TRUTH)
+    generator = np.random.default_rng(1)
+    for name in ("plan", "fresh"):
+        postures = generator.uniform(-2.0, 2.0, (120, 6))
+        folder.write(f"{name}.csv", table(postures, run=[str(k + 1) for k in range(120)]))
+    return folder
+
+
+def done(folder: Folder, *words: str) -> dict:
+    found = folder.armcal(*words, "--json")
+    assert found.code == 0, found.err
+    return found.data
+
+
+def test_the_loop_of_a_ball_bar(cell: Folder) -> None:
+    """From a plan to commands: what is left is the noise, the tip is known to that, the center is found."""
+    for name, seed in (("plan", "1"), ("fresh", "2")):
+        out = f"{name}_data.csv"
+        done(cell, "simulate", "arm.toml", f"{name}.csv", "--truth", "truth.toml", "--out", out, "--seed", seed)
+    assert (
+        cell.read("plan_data.csv").splitlines()[0].startswith("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,distance_mm")
+    )
+    checked = done(cell, "check", "arm.toml", "plan_data.csv")
+    assert checked["ok"]
+    found = done(cell, "identify", "arm.toml", "plan_data.csv", "--out", "calibrated.toml")
+    assert found["rms_after_mm"] < 0.012 < 0.3 < found["rms_before_mm"]
+    assert found["expected_tip_mm"] < 0.02
+    names = [row["name"] for row in found["parameters"]]
+    assert len(names) == 36
+    assert [name for name in names if name.startswith("base")] == ["base.x", "base.y", "base.z"]
+    assert not [row for row in found["corrected_values"] if row["name"].startswith("base r")]
+    judged = done(cell, "validate", "calibrated.toml", "fresh_data.csv", "--refit", "none")
+    assert judged["rms_mm"] < 0.016
+    assert {block["kind"] for block in judged["blocks"]} >= {"time", "workspace"}
+    cell.write("targets.csv", "x_mm,y_mm,z_mm\n500,300,300\n-400,300,300\n")
+    assert done(cell, "compensate", "calibrated.toml", "targets.csv")["reached"] == 2
+    said = cell.armcal("report", "arm.toml", "calibrated.toml", "fresh_data.csv", "--out", "page.html")
+    assert said.code == 0, said.err
+
+
+def test_compensated_targets_keep_their_distances(cell: Folder) -> None:
+    """The frame of the base is that of the drawing, so that only distances between reached points are judged: by the
+    truth, a lower bound on what a tracker would see."""
+    from identification.compensate import compensate
+    from identification.files.arm import load_arm
+    from identification.model import Model
+    from identification.positions import in_own_frame
+
+    done(cell, "simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "data.csv")
+    done(cell, "identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
+    targets = np.random.default_rng(3).uniform([200, -500, 100], [600, 500, 500], (10, 3))
+    found = compensate(load_arm("calibrated.toml"), targets)
+    assert found.reached.all()
+    there = Model(in_own_frame(load_arm("truth.toml"))).position(found.commands)
+    apart = [np.linalg.norm(points[:, None] - points, axis=2) for points in (targets, there)]
+    assert np.abs(apart[0] - apart[1]).max() < 0.1
+    drawn = Model(in_own_frame(load_arm("arm.toml"))).position(found.nominal)
+    assert drawn.shape == targets.shape
+
+
+def test_a_hidden_effect_is_named(cell: Folder) -> None:
+    eccentric = '[[effects]]\nname = "encoder_eccentricity"\njoint = 3\na_deg = 0.03\nb_deg = -0.02\n'
+    cell.write("truth.toml", SIX + BAR + TRUTH + eccentric)
+    done(cell, "simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "data.csv")
+    found = done(cell, "diagnose", "arm.toml", "data.csv", "--report", "gap.html")
+    assert found["effects"] == ["encoder_eccentricity:3"]
+    assert found["gap"]["rms_after_mm"] < 0.012 < 0.03 < found["gap"]["rms_before_mm"]
+
+
+def test_contacts(cell: Folder) -> None:
+    """With a ball of 30 mm: joints alone say the arm; a plan cannot be made."""
+    generator = np.random.default_rng(5)
+    truth, back = Exponentials(generator), [str(k % 2) for k in range(160)]
+    q = np.concatenate(
+        [touching(truth, sphere(np.array(c), 30.0), 80, generator) for c in ([600.0, -200, 300], [-300.0, 500, 400])]
+    )
+    cell.write("ball.toml", SIX + 'kind = "sphere"\nradius_mm = 30.0\n')
+    cell.write("data.csv", table(q, surface=[f"ball {k}" for k in sorted(back)]))
+    found = done(cell, "identify", "ball.toml", "data.csv", "--out", "calibrated.toml")
+    assert found["rms_after_mm"] < 0.01
+    assert found["rms_before_mm"] > 0.3
+    assert done(cell, "check", "ball.toml", "data.csv")["sessions"] == ["ball 0", "ball 1"]
+    assert done(cell, "validate", "calibrated.toml", "data.csv")["rms_mm"] < 0.01
+    for words in (
+        ("design", "ball.toml", "--runs", "30"),
+        ("score", "ball.toml", "plan.csv"),
+        ("advise", "ball.toml"),
+        ("relax", "ball.toml"),
+        ("compare", "ball.toml", "--runs", "30"),
+        ("simulate", "ball.toml", "plan.csv", "--truth", "ball.toml", "--out", "more.csv"),
+    ):
+        refused = cell.armcal(*words)
+        assert refused.code == 2, (words, refused.out, refused.err)
+        assert "instrument: found kind sphere" in refused.err
+        assert refused.err.count("\n") == 1
+
+
+def test_files_that_do_not_fit(cell: Folder) -> None:
+    cell.write("data.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,x_mm,y_mm,z_mm\n1,2,3,4,5,6,7,8,9\n")
+    refused = cell.armcal("identify", "arm.toml", "data.csv")
+    assert refused.code == 2
+    assert "column 'distance_mm' is missing" in refused.err
+    cell.write("data.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,distance_mm\n1,2,3,4,5,6,700\n")
+    refused = cell.armcal("identify", "arm.toml", "data.csv")
+    assert refused.code == 2
+    assert "fewer equations than unknowns: 1 m = 1 < p = 6" in refused.err

@@ -1,0 +1,119 @@
+"""Measurement and arm files of instruments that read no positions: distances, contacts, and what is wrong with them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm
+from identification.errors import InputError
+from identification.files.arm import load_arm
+from identification.files.arm_text import dump_arm
+from identification.files.measurement import load_measurements, measurement_text
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.instrument import Instrument
+
+CHAIN = chain_of([DHRow(300.0, 0.0, 10.0), DHRow(200.0, 1.0, 0.0)])
+BAR, BALL, FACE = (
+    Arm.of_chain(replace(CHAIN, instrument=one))
+    for one in (Instrument("distance"), Instrument("sphere", 12.5), Instrument("plane"))
+)
+HEAD = 'kind = "spatial"\n[[dh]]\na_mm = 300.0\nalpha_deg = 0.0\nd_mm = 10.0\n'
+
+
+def saved(folder: Path, text: str, name: str = "data.csv") -> Path:
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def test_distances(tmp_path: Path) -> None:
+    data = load_measurements(saved(tmp_path, "q1_deg,q2_deg,distance_mm,session\n30,50,412.5,a\n-90,7,300,b\n"), BAR)
+    np.testing.assert_array_equal(data.positions, [[412.5], [300.0]])
+    assert data.dimension == 1
+    assert data.sessions == ("a", "b")
+    again = load_measurements(saved(tmp_path, measurement_text(data)), BAR)
+    np.testing.assert_array_equal(again.positions, data.positions)
+    metres = load_measurements(saved(tmp_path, "q1_deg,q2_deg,distance_m\n30,50,0.4125\n"), BAR)
+    assert metres.positions[0, 0] == pytest.approx(412.5)
+
+
+@pytest.mark.parametrize(("arm", "length"), [(BALL, 12.5), (FACE, 0.0)], ids=["sphere", "plane"])
+def test_contacts(tmp_path: Path, arm: Arm, length: float) -> None:
+    """Joints alone; every surface is a session of its own."""
+    data = load_measurements(saved(tmp_path, "q1_deg,q2_deg,surface\n30,50,left\n-90,7,top\n"), arm)
+    np.testing.assert_array_equal(data.positions, [[length], [length]])
+    assert data.sessions == ("left", "top")
+    both = load_measurements(saved(tmp_path, "q1_deg,q2_deg,surface,session\n30,50,left,mon\n"), arm)
+    assert both.session is not None
+    assert both.session.tolist() == ["mon/left"]
+    assert load_measurements(saved(tmp_path, "q1_deg,q2_deg\n30,50\n"), arm).session is None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("q1_deg,q2_deg,x_mm\n1,2,3\n", "column 'distance_mm' is missing, found: q1_deg, q2_deg, x_mm"),
+        (
+            "q1_deg,q2_deg,distance_mm\n1,2,-3\n",
+            r"row 1 \(line 2\), column distance_mm: found '-3', allowed: a number > 0",
+        ),
+        ("q1_deg,q2_deg,distance_mm\n1,2,\n", "column distance_mm: found an empty cell"),
+        ("q1_deg,q2_deg,distance_mm,distance_m\n1,2,3,4\n", "found both distance_mm and distance_m"),
+    ],
+)
+def test_wrong_distances(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        load_measurements(saved(tmp_path, text), BAR)
+
+
+def test_an_empty_surface(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="column surface: found an empty cell, allowed: a name"):
+        load_measurements(saved(tmp_path, "q1_deg,q2_deg,surface\n1,2,\n"), FACE)
+
+
+def test_a_surface_is_no_column_of_others(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="columns are not used: 'surface'|column is not used: 'surface'"):
+        load_measurements(saved(tmp_path, "q1_deg,q2_deg,distance_mm,surface\n1,2,3,top\n"), BAR)
+
+
+def test_arm_files(tmp_path: Path) -> None:
+    text = f'{HEAD}[instrument]\nkind = "distance"\ncenter_mm = [700.0, -200.0, 300.0]\n'
+    arm = load_arm(saved(tmp_path, text, "arm.toml"))
+    assert arm.chain is not None
+    assert arm.chain.instrument == Instrument("distance")
+    np.testing.assert_array_equal(arm.chain.base[:3, 3], [-700.0, 200.0, -300.0])
+    assert not arm.chain.known
+    ball = load_arm(saved(tmp_path, f'{HEAD}[instrument]\nkind = "sphere"\nradius_mm = 12.5\n', "arm.toml"))
+    for given in (arm, ball):
+        again = load_arm(saved(tmp_path, dump_arm(given), "again.toml"))
+        assert again.chain is not None
+        assert given.chain is not None
+        assert again.chain.instrument == given.chain.instrument
+        np.testing.assert_allclose(again.chain.base, given.chain.base)
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ('kind = "tracker"', "instrument.kind: found 'tracker', allowed: distance, sphere or plane"),
+        ('kind = "sphere"', "instrument.radius_mm: is missing"),
+        ('kind = "plane"\nradius_mm = 3.0', "instrument.radius_mm: found for kind plane"),
+        ('kind = "sphere"\nradius_mm = -3.0', "instrument.radius_mm: found -3.0, allowed: a number > 0"),
+        ('kind = "plane"\ncenter_mm = [1.0, 2.0, 3.0]', "instrument.center_mm: found for kind plane"),
+        ('kind = "distance"\ncenter_mm = [1.0, 2.0]', "instrument.center_mm: found 2 values, allowed: three numbers"),
+        ('kind = "distance"\nmiddle_mm = 3.0', "instrument.middle_mm: unknown key"),
+        ('kind = "distance"\ncenter_mm = [1.0, 2.0, 3.0]\n[base]\nx_mm = 1.0', "instrument.center_mm: found beside"),
+        ('kind = "distance"\n[measurement]\nsigma_mm = 1.0\nsigma_deg = 1.0', "sigma_deg: found beside"),
+    ],
+)
+def test_wrong_arm_files(tmp_path: Path, lines: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        load_arm(saved(tmp_path, f"{HEAD}[instrument]\n{lines}\n", "arm.toml"))
+
+
+def test_planar_arms_have_no_instrument(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="instrument: unknown key"):
+        load_arm(saved(tmp_path, 'links_mm = [300.0]\n[instrument]\nkind = "distance"\n', "arm.toml"))

@@ -1,0 +1,62 @@
+"""Center, plane and measured point from nothing: lengths without noise give them back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from identification.kinematics.instrument import Instrument
+from identification.kinematics.length_placement import placed_by_lengths
+from tests.identification.exponentials import Exponentials
+
+TOOL = np.array([60.0, -40.0, 120.0])
+CENTER, NORMAL, HEIGHT = np.array([500.0, -300.0, 200.0]), np.array([0.6, 0.0, 0.8]), -350.0
+REACH = 1500.0  # [mm] of these arms
+
+
+@pytest.fixture(scope="module")
+def frames() -> np.ndarray:
+    generator = np.random.default_rng(0)
+    return Exponentials(generator, np.eye(4)).poses(generator.uniform(-2.0, 2.0, (40, 6)))
+
+
+def points(frames: np.ndarray) -> np.ndarray:
+    return np.asarray(frames[:, :3, 3] + frames[:, :3, :3] @ TOOL)
+
+
+def test_a_center(frames: np.ndarray) -> None:
+    lengths = np.linalg.norm(points(frames) - CENTER, axis=1)
+    found = placed_by_lengths(Instrument("distance"), frames, lengths, REACH)
+    np.testing.assert_allclose(found.base[:3, 3], -CENTER, atol=1e-6)
+    np.testing.assert_array_equal(found.base[:3, :3], np.eye(3))
+    np.testing.assert_allclose(found.tool, TOOL, atol=1e-6)
+    assert found.rms < 1e-7
+
+
+def test_a_plane_stands_below_the_arm(frames: np.ndarray) -> None:
+    heights = points(frames) @ NORMAL - HEIGHT  # of an indicator that reads them
+    found = placed_by_lengths(Instrument("plane"), frames, heights, REACH)
+    np.testing.assert_allclose(found.base[2], [*NORMAL, -HEIGHT], atol=1e-6)
+    np.testing.assert_allclose(found.base[:3, :3] @ found.base[:3, :3].T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(found.tool, TOOL, atol=1e-6)
+
+
+def test_what_is_known_stays(frames: np.ndarray) -> None:
+    lengths = np.linalg.norm(points(frames) - CENTER, axis=1)
+    free = placed_by_lengths(Instrument("distance"), frames, lengths, REACH)
+    by_tool = placed_by_lengths(Instrument("distance"), frames, lengths, REACH, tool=TOOL)
+    np.testing.assert_array_equal(by_tool.tool, TOOL)
+    np.testing.assert_allclose(by_tool.base, free.base, atol=1e-6)
+    by_base = placed_by_lengths(Instrument("distance"), frames, lengths, REACH, base=free.base)
+    assert by_base.base is free.base
+    np.testing.assert_allclose(by_base.tool, TOOL, atol=1e-6)
+    heights = points(frames) @ NORMAL - HEIGHT
+    plane = placed_by_lengths(Instrument("plane"), frames, heights, REACH)
+    again = placed_by_lengths(Instrument("plane"), frames, heights, REACH, base=plane.base)
+    np.testing.assert_allclose(again.tool, TOOL, atol=1e-6)
+
+
+def test_few_rows_have_a_start(frames: np.ndarray) -> None:
+    """Fewer than unknowns: anything that explains them will do."""
+    lengths = np.linalg.norm(points(frames[:4]) - CENTER, axis=1)
+    assert placed_by_lengths(Instrument("distance"), frames[:4], lengths, REACH).rms < 1.0
