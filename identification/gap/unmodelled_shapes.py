@@ -74,8 +74,8 @@ def general_shapes(found: Fit, rows: Rows) -> Iterator[PlaceShapes]:
     time = rows.conditions.time
     if time is not None and np.ptp(time) > 0.0:
         yield PlaceShapes.of("time", _time_shapes(time, position))
-    chain = found.model.arm.chain
-    if chain is None or not chain.instrument.contact:  # a contact has no place but the surface
+    chain = getattr(getattr(found.model, "arm", None), "chain", None)  # other models have none
+    if chain is None or not chain.instrument.contact:  # whose only place is the surface
         yield PlaceShapes.of("workspace", _workspace_shapes(position))
 
 
