@@ -15,6 +15,7 @@ from identification.information import information_matrix
 
 ROUNDING = 1.0 + 1e-9
 CHUNK = 10_000_000  # numbers in memory, or pairs of rows to compare, at once
+ROWS = 256  # whose neighbors are sought at once
 MANY = 5000  # rows whose pairs are not listed one by one
 REACH = 3  # multiples of the minimum distance that a posture may be moved by, in each of a few joints
 
@@ -177,13 +178,20 @@ def set_apart(problem: DesignProblem, postures: Array, generator: np.random.Gene
     places = problem.lower[joint] + (np.arange(count) + 0.5) / count * width
     unit, used, chosen = problem.joint_units[joint], np.zeros(count), np.full(len(postures), -1)
     tree = _tree(searched)
-    for row, posture in enumerate(searched):
-        alike = slice(0, row) if tree is None else tree.query_ball_point(posture, distance, p=np.inf)
-        taken = chosen[alike]
-        cost = used + generator.uniform(0.0, 0.5, count)
-        cost[taken[taken >= 0]] = np.inf
-        measured = problem.kept[gaps(posture[None], kept)[0] < distance, joint]
-        cost[(gaps(places[:, None], measured[:, None]) < distance * unit).any(axis=1)] = np.inf
-        chosen[row] = np.argmin(cost)
-        used[chosen[row]] += 1.0
+    for rows in np.array_split(np.arange(len(postures)), -(-len(postures) // ROWS)):
+        wishes = generator.uniform(0.0, 0.5, (len(rows), count))
+        alike = (
+            [slice(0, row) for row in rows]
+            if tree is None
+            else tree.query_ball_point(searched[rows], distance, p=np.inf)
+        )
+        beside = gaps(searched[rows], kept) < distance
+        for row, wish, near, same in zip(rows, wishes, alike, beside, strict=True):
+            cost, taken = used + wish, chosen[near]
+            cost[taken[taken >= 0]] = np.inf
+            if same.any():
+                measured = problem.kept[same, joint]
+                cost[(gaps(places[:, None], measured[:, None]) < distance * unit).any(axis=1)] = np.inf
+            chosen[row] = np.argmin(cost)
+            used[chosen[row]] += 1.0
     return np.asarray(places[chosen])

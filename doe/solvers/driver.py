@@ -70,9 +70,12 @@ def run_search(
 
 def feasible_value(problem: DesignProblem, postures: Array) -> float:
     """Criterion value of a plan; -inf if a posture violates a constraint or is a repeat that is not allowed."""
-    if not problem.feasible(postures).all() or len(too_near(problem, postures)):
-        return -np.inf
-    return problem.objective(postures)
+    return problem.objective(postures) if allowed(problem, postures) else -np.inf
+
+
+def allowed(problem: DesignProblem, postures: Array) -> bool:
+    """True if no posture of a plan violates a constraint or is a repeat that is not allowed."""
+    return bool(problem.feasible(postures).all()) and not len(too_near(problem, postures))
 
 
 def reason_to_stop(

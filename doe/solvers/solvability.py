@@ -12,7 +12,7 @@ from doe.plan.replicate_spacing import replicates_allowed
 from doe.problem.candidates import listed
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
-from doe.solvers.driver import feasible_value
+from doe.solvers.driver import allowed
 from identification.arrays import Array
 from identification.errors import InputError, JobError
 from identification.information import identifiability
@@ -82,7 +82,7 @@ def require_solved(design: Design) -> None:
     problem = design.problem
     if not identifies_all(design):
         raise JobError(_not_identifiable(design))
-    if not np.isfinite(feasible_value(problem, design.plan.postures)):
+    if not allowed(problem, design.plan.postures):
         apart = f"postures {problem.spacing} apart"
         raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")
 
