@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arm import Arm
+from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.data_frames import frame_of_columns
 from identification.errors import InputError
@@ -33,6 +33,7 @@ from identification.model import Model
 from identification.positions import in_own_frame
 from identification.row_groups import extrapolated, familiar_range, identified, outside
 from identification.servo import servo_shift
+from identification.sessions import BASE
 
 TURNED = 1e-8  # [rad] a pose is reached if the model comes this close
 
@@ -268,11 +269,15 @@ def _aiming(arm: Arm, poses: bool) -> Arm:
 
 
 def as_drawn(arm: Arm) -> Arm:
-    """The nominal arm, without effects; a spatial one stands where the calibration found it, and with its points."""
-    chain = arm.chain
+    """The nominal arm, without effects; where its base is not given it stands where the calibration found it, a planar
+    one turned by the offset of joint 1, and a spatial one with its points."""
+    chain, stands = arm.chain, tuple(spec for spec in arm.effects if spec.name == "base_offset")
     if chain is not None and arm.calibration is not None:
         chain = standing_in(chain, arm.calibration.values)
-    return replace(arm, effects=(), calibration=None, chain=chain)
+    if chain is not None or not stands:
+        return replace(arm, effects=(), calibration=None, chain=chain)
+    known = Model(arm).best_known
+    return replace(arm, effects=stands, calibration=Calibration({name: known.get(name, 0.0) for name in BASE}))
 
 
 def _goals(nominal: Model, targets: ArrayLike | None, postures: Array | None) -> Array:

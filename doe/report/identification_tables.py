@@ -96,6 +96,9 @@ def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
     """What the rows mean to a controller, and which of them the measurements do not determine, in lines."""
     said = ["Zeros: add to the zero of the joint (real = reading + this), or take off every command."]
     said = said if any(row.name.startswith("zero of") for row in rows) else []
+    if any(row.parameter == "base_offset.x0" for row in rows):
+        frame = "where the arm stands in the frame of the measurements"
+        said.append(f"Zero of joint 1 and base_offset: {frame}, for the controller only if it is its own.")
     if spatial:
         said += [
             "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.",

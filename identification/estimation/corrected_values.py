@@ -29,6 +29,8 @@ FRAME = "frame of joint {j} in that of {before}, as a URDF joint's origin: x, y,
 TOGETHER = ("roll_deg", "yaw_deg")
 BASE = "pose of the base for the instrument, turned about its own x, y and z axis"
 TOOL = "measured point in the frame of the tip"
+STANDS = "where the arm stands in the frame of the measurements: for the controller only if that frame is its own"
+TURNED = f"zero of joint 1 with how the arm is turned, {STANDS}"
 EFFECT = "no value of a controller: armcal compensate takes it off the commands"
 
 
@@ -140,7 +142,10 @@ def _planar(arm: Arm, values: Values) -> Iterator[_Quantity]:
         name = f"{LENGTH_ERROR}:{j}"
         value = length + values.get(name, 0.0)
         yield _Quantity(f"length of link {j}", name, length, value, {name: 1.0}, "mm", LINK)
-    yield from (_zero(j, REVOLUTE, values) for j in range(1, arm.links + 1))
+    stands = any(spec.name == "base_offset" for spec in arm.effects)
+    for j in range(1, arm.links + 1):
+        zero = _zero(j, REVOLUTE, values)
+        yield zero._replace(convention=TURNED) if stands and j == 1 else zero
 
 
 def _zero(j: int, kind: str, values: Values) -> _Quantity:
@@ -153,10 +158,11 @@ def _zero(j: int, kind: str, values: Values) -> _Quantity:
 def _effects(model: Model, values: Values) -> Iterator[_Quantity]:
     """Parameters of effects, their names with the settings."""
     for effect in model.effects:
+        said = STANDS if effect.name == "base_offset" else EFFECT
         for p in effect.parameters:
             name, value = f"{effect.label}.{p.short}", values.get(p.name, 0.0) * p.to_file
             bounds = p.lower * p.to_file, p.upper * p.to_file
-            yield _Quantity(name, p.name, 0.0, value, {p.name: p.to_file}, p.file_unit, EFFECT, bounds)
+            yield _Quantity(name, p.name, 0.0, value, {p.name: p.to_file}, p.file_unit, said, bounds)
 
 
 # -- in space ----------------------------------------------------------------------------------------------------------

@@ -242,3 +242,30 @@ def test_out_of_reach_the_command_stays_at_the_angles_of_the_identification() ->
     stretched = compensate(two, targets[:1], np.array([[0.1, 0.1]]))
     assert stretched.errors[0] == pytest.approx(np.hypot(700.0, 100.0) - 500.0, abs=1e-3)
     assert stretched.warnings
+
+
+def test_nominal_postures_are_those_of_the_arm_where_it_stands() -> None:
+    """In the frame of a tracker: base and rotation are no errors of the arm, which nominal postures would not know of;
+    targets at the angles of the identification are reached there."""
+    turn, shift = np.radians(35.0), 1200.0 - 300.0j
+    place = {"base_offset.x0": shift.real, "base_offset.y0": shift.imag, "joint_offset:1": turn}
+    known = replace(
+        CALIBRATION,
+        values={**CALIBRATION.values, **place},
+        provenance={"joint_range_deg": np.degrees([-0.9 * LIMITS, 0.9 * LIMITS]).T.tolist()},
+    )
+    real = replace(arm(EffectSpec("base_offset")), calibration=known)
+
+    def seen(q: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        z = tip(q, lengths, np.r_[turn, offsets[1:]]) @ [1.0, 1.0j] + shift
+        return np.column_stack([z.real, z.imag])
+
+    nominal = np.random.default_rng(4).uniform(-0.8, 0.8, (20, 4)) * LIMITS
+    by_postures = compensate(real, postures=nominal)
+    np.testing.assert_allclose(by_postures.targets, seen(nominal, LENGTHS, np.zeros(4)), atol=1e-9)
+    assert by_postures.reached.all()
+    assert np.median(np.linalg.norm(by_postures.commands - nominal, axis=1)) < np.radians(2.0)
+    goals = seen(nominal, LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets)
+    by_targets = compensate(real, goals)
+    assert by_targets.reached.all()
+    assert by_targets.warnings == []

@@ -183,3 +183,15 @@ def test_a_calibrated_file_has_the_intervals_of_its_fit(kind: str, tmp_path: Pat
     (tmp_path / "arm.toml").write_text(dump_arm(found.calibrated_arm()))
     for row, kept in zip(found.corrected_values, corrected_values(load_arm(tmp_path / "arm.toml")), strict=True):
         assert (kept.low_95, kept.high_95) == pytest.approx((row.low_95, row.high_95), rel=1e-5, abs=1e-9)
+
+
+def test_where_the_arm_stands_is_nothing_to_type_in() -> None:
+    """With a base offset the zero of joint 1 is how the arm is turned in the frame of the measurements."""
+    q = np.random.default_rng(9).uniform(-2.0, 2.0, (20, 2))
+    for effects, said in (((), False), ((EffectSpec("base_offset"),), True)):
+        model = Model(Arm([300.0, 200.0], sigma=0.1, effects=effects))
+        rows = by_name(estimate(model, Measurements(q, model.position(q))).corrected_values)
+        assert ("where the arm stands" in rows["zero of joint 1"].convention) is said
+        assert "where the arm stands" not in rows["zero of joint 2"].convention
+        lines = conventions([*rows.values()], False)
+        assert any("for the controller only if it is its own" in line for line in lines) is said
