@@ -124,9 +124,9 @@ def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE) 
     return Spectrum(lengths, values, rows.T, p).truncated(tolerance)
 
 
-def covariance(jacobian: Array, scales: Array, sigma: float = 1.0, tolerance: float = RANK_TOLERANCE) -> Array:
+def covariance(jacobian: Array, scales: Array, sigma: float = 1.0) -> Array:
     """(p, p) sigma^2 (sum J^T J)^-1 (eq. 16) on the estimable directions: see `Spectrum.covariance`."""
-    return sigma**2 * spectrum(jacobian, scales, tolerance).covariance
+    return sigma**2 * spectrum(jacobian, scales).covariance
 
 
 def full_rank(jacobians: Array, scales: Array) -> NDArray[np.bool_]:
@@ -185,11 +185,9 @@ class Identifiability:
     combinations: tuple[str, ...]
 
 
-def identifiability(
-    jacobian: Array, names: Sequence[str], scales: Array, tolerance: float = RANK_TOLERANCE
-) -> Identifiability:
+def identifiability(jacobian: Array, names: Sequence[str], scales: Array) -> Identifiability:
     """Rank of a Jacobian (m, d, p), and the combinations of parameters that it cannot distinguish."""
-    return identifiability_of(spectrum(jacobian, scales, tolerance), names, scales)
+    return identifiability_of(spectrum(jacobian, scales), names, scales)
 
 
 def identifiability_of(found: Spectrum, names: Sequence[str], scales: Array) -> Identifiability:

@@ -13,7 +13,7 @@ from doe.bounds.column_generation import column_generation, continuous_design
 from doe.bounds.multiplicative import POWERS, multiplicative
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.plan.ascent import IN_TIME, WIDE
-from doe.problem.candidates import listed
+from doe.problem.candidates import listed_candidates
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import JobError
@@ -53,7 +53,7 @@ def best_design(
     also : (k, n) postures that a search over all must start from;  stop : asked now and then
     """
     if problem.choices is not None:
-        candidates = listed(problem, problem.choices)
+        candidates = listed_candidates(problem, problem.choices)
         missing = any(p.kind == EFFECT and p.name in problem.deviations for p in problem.model.parameters)
         solver = multiplicative if missing and problem.criterion.name in POWERS else column_generation
         return solver(problem, candidates, runs=runs, stop=stop)

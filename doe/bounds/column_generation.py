@@ -22,7 +22,7 @@ from doe.bounds.restricted_master import Stage, generate_columns
 from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobian
 from doe.plan.ascent import IN_TIME, WIDE, climbs
 from doe.plan.constrained_ascent import ascent
-from doe.problem.candidates import Candidates, PostureList, spread
+from doe.problem.candidates import Candidates, PostureList, well_spread
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
@@ -60,13 +60,13 @@ def column_generation(
     stages = [Stage(candidate_price(problem, candidates, prior), tolerance)]
     if len(candidates) > 4 * SAMPLE:
         tolerance = max(tolerance, MILLIONTH) if problem.parameters > WIDE else tolerance
-        sample, few = PostureList(spread(candidates, SAMPLE)), Shortlist(problem, candidates, prior)
+        sample, few = PostureList(well_spread(candidates, SAMPLE)), Shortlist(problem, candidates, prior)
         first = Stage(candidate_price(problem, sample, prior), max(COARSE, tolerance))
         stages = [first, Stage(few.best, tolerance), Stage(few.everything, tolerance, back=1)]
-    start = spread(candidates, 6 * problem.parameters)
+    start = well_spread(candidates, 6 * problem.parameters)
     ended, _ = generate_columns(problem, prior, start, stages, stop)
     largest = largest_sensitivity(problem, candidates, ended.gradient, prior)
-    return certified(ended, largest, len(candidates), tolerance, began, rigorous=True, cut=stop())
+    return with_certificate(ended, largest, len(candidates), tolerance, began, rigorous=True, cut=stop())
 
 
 def continuous_design(
@@ -97,7 +97,7 @@ def continuous_design(
         stages = ascents(everything, tolerance, stop)
         starts = PostureList(everything.starts)
         stages.insert(0, Stage(candidate_price(problem, starts, prior), COARSE))
-        start = spread(starts, 6 * problem.parameters)
+        start = well_spread(starts, 6 * problem.parameters)
     ended, gap = generate_columns(problem, prior, start, stages, stop)
     thorough = np.random.default_rng(0) if stop() and not climbs(problem) else None
     largest = max(ended.level + gap, float(everything.best(ended.gradient, ended.plan.postures, thorough)[1][0]))
@@ -106,7 +106,7 @@ def continuous_design(
     if jacobians is not None and not stop():
         proof, climbs_on = max(tolerance, proof), ascents(everything, tolerance)
         ended, largest, rigorous = prove(everything, jacobians, ended, largest, climbs_on, proof, stop)
-    return certified(ended, largest, None, max(tolerance, proof), began, rigorous=rigorous, cut=stop())
+    return with_certificate(ended, largest, None, max(tolerance, proof), began, rigorous=rigorous, cut=stop())
 
 
 def climbed(problem: DesignProblem, runs: int | None, stop: Callable[[], bool] = IN_TIME) -> Array:
@@ -174,7 +174,7 @@ def prove(
     return ended, found.upper, True
 
 
-def certified(
+def with_certificate(
     ended: SparseDesign,
     largest: float,
     candidates: int | None,

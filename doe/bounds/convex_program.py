@@ -27,7 +27,7 @@ from identification.information import significant
 
 
 @dataclass(frozen=True)
-class Answer:
+class SolverAnswer:
     """A solver's weights (N,), None if it returned none; its own name for its status; (p, p) gradient from the dual."""
 
     weights: Array | None
@@ -35,7 +35,7 @@ class Answer:
     gradient: Array | None = None
 
 
-def solve_program(rows: Array, criterion: Criterion, solver: str) -> Answer:
+def solve_program(rows: Array, criterion: Criterion, solver: str) -> SolverAnswer:
     """The convex program for (N, p (p + 1) / 2) upper triangles of F_i."""
     import cvxpy as cp
 
@@ -50,8 +50,8 @@ def solve_program(rows: Array, criterion: Criterion, solver: str) -> Answer:
     program = cp.Problem(cp.Maximize(objective), tied if floor is None else [*tied, floor])
     status = _run(program, solver)
     if weights.value is None or not np.all(np.isfinite(weights.value)):
-        return Answer(None, status)
-    return Answer(np.asarray(weights.value), status, None if floor is None else _dual(floor.dual_value, root))
+        return SolverAnswer(None, status)
+    return SolverAnswer(np.asarray(weights.value), status, None if floor is None else _dual(floor.dual_value, root))
 
 
 # Clarabel fails on some of these programs with its own scaling of the rows and on others without it

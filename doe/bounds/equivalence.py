@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from doe.problem.candidates import CHUNK, Candidates, chunks
 from doe.problem.prior import PriorInformation
@@ -65,12 +64,6 @@ def certify(problem: DesignProblem, information: Array, largest: float, gradient
 
 
 # -- the largest sensitivity -------------------------------------------------------------------------------------------
-def sensitivity(problem: DesignProblem, information: Array, postures: ArrayLike) -> Array:
-    """(m,) tr(G B^T B) of postures (m, n), with G the criterion's gradient at the design's information matrix."""
-    gradient = problem.criterion.gradient(information)
-    return PriorInformation().sensitivities(problem.scaled_jacobians(postures), gradient)
-
-
 @dataclass(frozen=True)
 class CandidateJacobians:
     """Candidates chunk by chunk with their scaled Jacobians, which are remembered between passes where they are few."""
@@ -98,17 +91,14 @@ def candidate_sensitivities(
     jacobians: CandidateJacobians, gradient: Array, prior: PriorInformation
 ) -> Iterator[tuple[Array, Array]]:
     """Per chunk of candidates: postures (k, n) and g (k,) = tr(G F). Never more than one chunk of values in memory."""
-    root = np.linalg.cholesky(gradient) if _positive(gradient) else None
+    positive = np.linalg.eigvalsh(gradient)[0] > 1e-14 * np.trace(gradient)
+    root = np.linalg.cholesky(gradient) if positive else None
     for postures, some in jacobians:
         if root is None:
             yield postures, prior.sensitivities(some, gradient)
             continue
         half = root.T @ some.transpose(1, 2, 0)  # (d, p, k) as `vectorize` has it; tr(L L^T B^T B) = |L^T B^T|^2
         yield postures, prior.mixed(np.square(half, out=half).sum(axis=(0, 1)), gradient)
-
-
-def _positive(gradient: Array) -> bool:
-    return bool(np.linalg.eigvalsh(gradient)[0] > 1e-14 * np.trace(gradient))
 
 
 def largest_sensitivity(

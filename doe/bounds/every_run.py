@@ -29,7 +29,7 @@ LOOSE = 1e-3  # of efficiency: a bound this near to a design needs no certificat
 
 
 @dataclass(frozen=True)
-class Certificate:
+class EveryRunCertificate:
     """What a design for some number of runs proves of all numbers of them.
 
     postures : (k, n) with weight;  new : (p, p) weighted mean of B^T B;  information, gradient : (p, p) M and G
@@ -46,7 +46,7 @@ class Certificate:
     @classmethod
     def of(
         cls, problem: DesignProblem, runs: int, also: Array | None = None, stop: Callable[[], bool] = IN_TIME
-    ) -> Certificate:
+    ) -> EveryRunCertificate:
         """Of the optimal design. Raises `JobError` where it was not reached."""
         found = best_design(problem, runs, also=also, stop=stop)
         if found.bound is None:
@@ -82,24 +82,24 @@ def bounds_of_runs(
 
 def certificates(
     problem: DesignProblem, fewest: int, most: int, stop: Callable[[], bool] = IN_TIME
-) -> list[Certificate]:
+) -> list[EveryRunCertificate]:
     """Of the most runs, the fewest, and of numbers in between, until bounds are near to designs all the way."""
-    made = [Certificate.of(problem, most, stop=stop)]
+    made = [EveryRunCertificate.of(problem, most, stop=stop)]
     waiting = [(fewest, most)] if fewest < most else []
     if waiting and not stop():
-        made.append(Certificate.of(problem, fewest, made[0].postures, stop))
+        made.append(EveryRunCertificate.of(problem, fewest, made[0].postures, stop))
     while waiting and not stop():
         low, high = waiting.pop(0)
         middle = round(float(np.sqrt(low * high)))
         value, upper = max(c.at(problem, middle)[0] for c in made), min(c.at(problem, middle)[1] for c in made)
         if low < middle < high and problem.criterion.efficiency(value, upper, problem.parameters) < 1.0 - LOOSE:
             near = max(made, key=lambda c: c.at(problem, middle)[0])
-            made.append(Certificate.of(problem, middle, near.postures, stop))
+            made.append(EveryRunCertificate.of(problem, middle, near.postures, stop))
             waiting += [(low, middle), (middle, high)]
     return made
 
 
-def lowest(problem: DesignProblem, made: Sequence[Certificate], runs: int) -> Bound:
+def lowest(problem: DesignProblem, made: Sequence[EveryRunCertificate], runs: int) -> Bound:
     """The bound for so many runs: the lowest of all certificates'."""
     value, best = min((c.at(problem, runs)[1], k) for k, c in enumerate(made))
     known = made[best].bound

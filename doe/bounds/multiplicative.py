@@ -54,7 +54,7 @@ def multiplicative(
     prior = problem.prior.per_new_run(runs)
     jacobians = problem.scaled_jacobians(postures)
     check_identified(problem, prior, jacobians)
-    weights = improved(problem, prior, jacobians, gap, stop)
+    weights = improved_weights(problem, prior, jacobians, gap, stop)
     kept = np.flatnonzero(weights > CARRIED * weights.max())
     kept = kept[np.argsort(-weights[kept], kind="stable")]
     plan = Plan(postures[kept], weights[kept] / weights[kept].sum(), problem.model.joint_types)
@@ -73,7 +73,7 @@ def multiplicative(
     )
 
 
-def improved(
+def improved_weights(
     problem: DesignProblem, prior: PriorInformation, jacobians: Array, gap: float, stop: Callable[[], bool] = IN_TIME
 ) -> Array:
     """(k,) weights on scaled Jacobians (k, d, p) from equal ones, until max tr(G F) is within `gap` of tr(G M)."""

@@ -20,7 +20,7 @@ from doe.bounds.multiplicative import multiplicative
 from doe.bounds.weights import proper_weights
 from doe.plan.ascent import IN_TIME
 from doe.plan.plan import Plan
-from doe.problem.candidates import Candidates, PostureList, chunks, grid, listed
+from doe.problem.candidates import Candidates, PostureList, chunks, grid, listed_candidates
 from doe.problem.candidates import Grid as CandidateGrid
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
@@ -93,7 +93,7 @@ def candidate_set(problem: DesignProblem, candidates: int | ArrayLike | Candidat
         return candidates
     if isinstance(candidates, int | np.integer):
         return grid(problem, int(candidates))
-    return listed(problem, np.asarray(candidates, dtype=float))
+    return listed_candidates(problem, np.asarray(candidates, dtype=float))
 
 
 def _one_program(

@@ -46,7 +46,7 @@ def sparsest(jacobians: Array, weights: Array) -> Array:
     upper = np.triu_indices(p)
     support = np.flatnonzero(weights > 0.0)
     carried = jacobians[support]
-    if independent(carried):
+    if clearly_independent(carried):
         return weights / weights.sum()
     posture_information = (np.swapaxes(carried, 1, 2) @ carried)[:, upper[0], upper[1]]
     w, alive = weights[support].copy(), np.ones(len(support), dtype=bool)
@@ -69,7 +69,7 @@ def sparsest(jacobians: Array, weights: Array) -> Array:
     return sparse
 
 
-def independent(jacobians: Array) -> bool:
+def clearly_independent(jacobians: Array) -> bool:
     """True where the F_i = B_i^T B_i of (k, d, p) are clearly independent: no combination of them is zero.
 
     Their scalar products are tr(F_i F_j) = |B_i B_j^T|^2 (Frobenius): a matrix of k, not of p (p + 1) / 2 rows, which

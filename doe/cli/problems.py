@@ -175,13 +175,13 @@ def check_needed(wanted: CriterionOptions) -> None:
 def allowed_postures(path: Path, arm: Arm) -> Any:
     """(N, n) postures of a candidate file. Raises `InputError` if none is within limits and constraints."""
     from doe.plan.file import load_plan
-    from doe.problem.candidates import listed
+    from doe.problem.candidates import listed_candidates
     from doe.problem.problem import DesignProblem
     from identification.model import Model
 
     postures = load_plan(path, arm.joint_types).postures
     try:
-        listed(DesignProblem.of(Model(arm)), postures)
+        listed_candidates(DesignProblem.of(Model(arm)), postures)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return postures

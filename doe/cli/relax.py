@@ -78,7 +78,7 @@ def command(
     from identification.files.arm import load_arm
 
     loaded = load_arm(arm)
-    check_runs(chosen, criterion, held=loaded.chain is not None and loaded.sigma is not None)
+    check_prior_runs(chosen, criterion, held=loaded.chain is not None and loaded.sigma is not None)
     problem = design_problem(
         loaded, criterion, PostureOptions(candidates=chosen.candidates if criterion.robust else None)
     )
@@ -99,7 +99,7 @@ def command(
     return Answer(data, [*shown, *output.write(plan_text(found.plan, loaded.joint_types), "plan with weights")])
 
 
-def check_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, held: bool) -> None:
+def check_prior_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, held: bool) -> None:
     """Raises `InputError` if prior information needs a number of runs and none is given, or one is given for nothing.
 
     held : the geometry of a spatial arm has the machining prior

@@ -53,7 +53,7 @@ class SoftWorst:
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """(s, c) soft minimum of log det (M_k + B_k^T B_k); a singular M_k counts as nearly so."""
-        before = D().value(ridged(np.stack(split(information, self.count))))
+        before = D().value(ridged(np.stack(diagonal_blocks(information, self.count))))
         return self._soft_minimum(before[..., None] + gains(information, jacobians, self.count))
 
     def _soft_minimum(self, each: Array) -> Array:
@@ -72,18 +72,18 @@ class SoftWorst:
 
     def gradient(self, information: Array) -> Array:
         """(p, p) block diagonal of s_k M_k^-1, s the weights of the blocks."""
-        inverses = np.linalg.inv(np.stack(split(information, self.count)))
+        inverses = np.linalg.inv(np.stack(diagonal_blocks(information, self.count)))
         total = np.zeros_like(information)
         for weight, inverse, place in zip(
-            self.block_weights(information), inverses, split(total, self.count), strict=True
+            self.block_weights(information), inverses, diagonal_blocks(total, self.count), strict=True
         ):
             place[...] = weight * inverse  # a part of `total`
         return total
 
     def curvature(self, information: Array, directions: Array) -> Array:
         """sum_k s_k phi_k'' - t (sum_k s_k phi_k' phi_k'^T - (sum_k s_k phi_k') (sum_k s_k phi_k')^T)."""
-        weights, parts = self.block_weights(information), split(information, self.count)
-        moves = split(directions, self.count)
+        weights, parts = self.block_weights(information), diagonal_blocks(information, self.count)
+        moves = diagonal_blocks(directions, self.count)
         slopes = np.array([np.tensordot(x, D().gradient(m), axes=2) for x, m in zip(moves, parts, strict=True)])
         bends = sum(s * D().curvature(m, x) for s, m, x in zip(weights, parts, moves, strict=True))
         mean = weights @ slopes
@@ -123,17 +123,19 @@ class Worst(SoftWorst):
 
 def log_dets(information: Array, count: int) -> Array:
     """(K, ...) log det of the blocks."""
-    return D().value(np.stack(split(information, count)))
+    return D().value(np.stack(diagonal_blocks(information, count)))
 
 
 def gains(information: Array, jacobians: Array, count: int) -> Array:
     """(K, s, c) log det(A_k + B_k^T B_k) - log det A_k of plans (s, p, p) and candidates (s, c, K d, p)."""
     d, p = jacobians.shape[-2] // count, jacobians.shape[-1] // count
     own = [jacobians[..., k * d : (k + 1) * d, k * p : (k + 1) * p] for k in range(count)]
-    return np.stack([D().values_after_adding(m, b) for m, b in zip(split(information, count), own, strict=True)])
+    return np.stack(
+        [D().values_after_adding(m, b) for m, b in zip(diagonal_blocks(information, count), own, strict=True)]
+    )
 
 
-def split(information: Array, count: int) -> list[Array]:
+def diagonal_blocks(information: Array, count: int) -> list[Array]:
     """The K diagonal blocks (..., p/K, p/K)."""
     size = information.shape[-1] // count
     return [information[..., k * size : (k + 1) * size, k * size : (k + 1) * size] for k in range(count)]

@@ -40,7 +40,7 @@ class InverseTrace:
         """-2 tr(W M^-1 X_a M^-1 X_b M^-1), as a Gram matrix of W^1/2 M^-1 X L^-T with M = L L^T."""
         inverse = np.linalg.inv(information)
         root = np.linalg.inv(np.linalg.cholesky(information))
-        left = square_root(self.weight(len(information))) @ inverse
+        left = symmetric_root(self.weight(len(information))) @ inverse
         flat = (left @ directions @ root.T).reshape(len(directions), -1)
         return -2.0 * (flat @ flat.T)
 
@@ -115,7 +115,7 @@ def woodbury(information: Array, jacobians: Array) -> tuple[Array, Array, Array]
     return inverse, seen, np.asarray(np.eye(d) + seen @ np.swapaxes(jacobians, -1, -2))
 
 
-def square_root(matrix: Array) -> Array:
+def symmetric_root(matrix: Array) -> Array:
     """(p, p) symmetric square root of a positive semidefinite matrix."""
     values, vectors = np.linalg.eigh(matrix)
     return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T

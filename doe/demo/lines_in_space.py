@@ -39,17 +39,19 @@ class LinesInSpace:
         real[:, self.eccentric] += self.wave[0] * np.cos(shown) + self.wave[1] * np.sin(shown)
         places = np.tile(self.reflector, (len(postures), 1))
         for point, axis, angles in zip(self.points[::-1], self.axes[::-1], real.T[::-1], strict=True):
-            places = point + turned(places - point, axis / np.linalg.norm(axis), angles)
+            places = point + rotated_about(places - point, axis / np.linalg.norm(axis), angles)
         return np.asarray(self.origin + places @ self.orientation.T)
 
 
-def turned(vectors: Array, axis: Array, angles: Array) -> Array:
+def rotated_about(vectors: Array, axis: Array, angles: Array) -> Array:
     """(m, 3) vectors turned about a unit axis by (m,) angles: the formula of Rodrigues."""
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
     along = (vectors @ axis)[:, None] * axis
     return np.asarray(cosine * (vectors - along) + sine * np.cross(axis, vectors) + along)
 
 
-def moved(points: Array, axes: Array, generator: np.random.Generator, shift: float, lean: float) -> tuple[Array, Array]:
+def displaced_lines(
+    points: Array, axes: Array, generator: np.random.Generator, shift: float, lean: float
+) -> tuple[Array, Array]:
     """Lines a little off those drawn: points by `shift` [mm] and unit axes by `lean` [rad], per coordinate."""
     return points + shift * generator.standard_normal(points.shape), axes + lean * generator.standard_normal(axes.shape)

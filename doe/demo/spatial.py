@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from doe.demo.lines_in_space import LinesInSpace, moved
+from doe.demo.lines_in_space import LinesInSpace, displaced_lines
 from doe.demo.run import Scenario
 from identification.arrays import Array
 
@@ -77,7 +77,7 @@ def _three(values: Array) -> str:
 def hidden_arm() -> LinesInSpace:
     """The real arm, with errors that the fits do not know."""
     generator = np.random.default_rng(SEED)
-    points, axes = moved(POINTS, AXES, generator, SHIFT, LEAN)
+    points, axes = displaced_lines(POINTS, AXES, generator, SHIFT, LEAN)
     offsets = OFFSET * generator.standard_normal(len(POINTS))
     cosine, sine = np.cos(np.radians(160.0)), np.sin(np.radians(160.0))
     orientation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])

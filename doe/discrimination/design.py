@@ -90,7 +90,7 @@ def discrimination_design(
     Raises `InputError` for a loss outside 0..1, a criterion other than D, and too few runs (4 residual degrees of
     freedom are needed). Ctrl-C returns the plan so far, status `interrupted`.
     """
-    check_input(problem, loss)
+    check_loss_and_criterion(problem, loss)
     began = perf_counter()
     library = effects if isinstance(effects, EffectLibrary) else effect_library(effects)
     if runs > LONG_PLAN and starts is None and seconds is None:
@@ -109,7 +109,7 @@ def discrimination_design(
     return DiscriminationDesign(design, best, sees, best_sees, *(min(1.0, bound) for bound in bounds))
 
 
-def check_input(problem: DesignProblem, loss: float) -> None:
+def check_loss_and_criterion(problem: DesignProblem, loss: float) -> None:
     """Raises `InputError` for a loss outside 0..1 and a criterion other than D."""
     if not 0.0 <= loss < 1.0:
         raise InputError(f"loss: {loss}, allowed: 0 <= loss < 1")

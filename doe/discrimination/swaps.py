@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from doe.discrimination.effect_library import EffectLibrary
 from doe.discrimination.misidentification import MisidentificationBound
 from doe.plan.replicate_spacing import ROUNDING, gaps
-from doe.problem.candidates import listed
+from doe.problem.candidates import listed_candidates
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.driver import feasible_value
@@ -74,7 +74,7 @@ def pool_of(problem: DesignProblem, count: int, generator: np.random.Generator) 
     """(count, n) random postures of the design space; all of a list that is shorter."""
     if problem.choices is None:
         return random_postures(problem, count, generator)
-    listed_ones = listed(problem, problem.choices).postures
+    listed_ones = listed_candidates(problem, problem.choices).postures
     return generator.permutation(listed_ones)[:count]
 
 

@@ -76,7 +76,7 @@ class _Options:
 
 
 @dataclass(frozen=True)
-class Rivals:
+class RivalPredictions:
     """What is known of K candidates, and what they predict at the N postures of the pool.
 
     weights : (K,) probabilities if one of them is right;  right : probability that one is
@@ -125,7 +125,7 @@ def discriminate(
     return replace(found, status=Status.time_limit) if stop() else found
 
 
-def t_optimal(rivals: Rivals, runs: int, stop: Callable[[], bool] = IN_TIME) -> list[int]:
+def t_optimal(rivals: RivalPredictions, runs: int, stop: Callable[[], bool] = IN_TIME) -> list[int]:
     """Rows of the pool, added one at a time and then exchanged, that distinguish the rivals best.
 
     Where `stop` comes before the last is added, those that are there are taken again, in turn.
@@ -166,7 +166,7 @@ def _pool(arm: Arm, postures: Array, generator: np.random.Generator, payloads: t
     return _Options(postures, Conditions(payload, None, np.full(count, 0.5), directions))
 
 
-def _rivals(diagnosis: Diagnosis, measurements: Measurements, options: _Options) -> Rivals:
+def _rivals(diagnosis: Diagnosis, measurements: Measurements, options: _Options) -> RivalPredictions:
     """Predictions of every candidate, fitted to the data at hand, over the pool."""
     sigma = scatter_of_new_rows(diagnosis, measurements.dimension)
     positions, jacobians = [], []
@@ -179,7 +179,9 @@ def _rivals(diagnosis: Diagnosis, measurements: Measurements, options: _Options)
     weights = np.array([candidate.probability or 0.0 for candidate in diagnosis.candidates])
     right = (float(weights.sum()) or 1.0) * (1.0 if diagnosis.choice is None else diagnosis.choice.again)
     weights = np.exp(-0.5 * delta) if weights.sum() == 0.0 else weights
-    return Rivals(weights / weights.sum(), delta[None, :] - delta[:, None], np.array(positions), jacobians, right)
+    return RivalPredictions(
+        weights / weights.sum(), delta[None, :] - delta[:, None], np.array(positions), jacobians, right
+    )
 
 
 def scatter_of_new_rows(diagnosis: Diagnosis, dimension: int) -> float:
@@ -199,7 +201,7 @@ def _root(candidate: Candidate, model: Model) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) / model.scales[:, None])
 
 
-def _noncentrality(rivals: Rivals, chosen: list[int]) -> tuple[Array, Array]:
+def _noncentrality(rivals: RivalPredictions, chosen: list[int]) -> tuple[Array, Array]:
     """(K, K) lambda^2 of the chosen postures, and (K, K, N) what each posture of the pool would add to it."""
     each = [_beside(rivals.positions, j, jacobian, chosen) for j, jacobian in enumerate(rivals.jacobians)]
     return np.stack([known for known, _ in each], axis=1), np.stack([gain for _, gain in each], axis=1)
@@ -219,12 +221,12 @@ def _beside(positions: Array, j: int, jacobian: Array, chosen: list[int]) -> tup
     return np.sum(rest**2, axis=1) + np.sum(moved**2, axis=1), gain
 
 
-def _best(rivals: Rivals, chosen: list[int]) -> int:
+def _best(rivals: RivalPredictions, chosen: list[int]) -> int:
     noncentrality, gain = _noncentrality(rivals, chosen)
     return int(np.argmax(_merit(rivals, noncentrality[:, :, None] + gain)))
 
 
-def _merit(rivals: Rivals, squares: Array) -> Array:
+def _merit(rivals: RivalPredictions, squares: Array) -> Array:
     """(N,) weighted sum over pairs of the chance to distinguish them, and a little of the logarithm of lambda^2."""
     chance = _pair_chance(rivals, squares)
     count = len(rivals.weights)
@@ -233,14 +235,18 @@ def _merit(rivals: Rivals, squares: Array) -> Array:
     return np.asarray(np.einsum("i,ij,ijn->n", rivals.weights, off, value))
 
 
-def _pair_chance(rivals: Rivals, squares: Array) -> Array:
+def _pair_chance(rivals: RivalPredictions, squares: Array) -> Array:
     """(K, K, N) probability that Delta BIC of rival j over truth i exceeds the window."""
     length = np.sqrt(np.maximum(squares, 1e-12))
     return np.asarray(ndtr((squares + rivals.bic_lead[:, :, None] - WINDOW) / (2.0 * length)))
 
 
 def _result(
-    diagnosis: Diagnosis, rivals: Rivals, options: _Options, chosen: list[int], payloads: tuple[float, ...] | None
+    diagnosis: Diagnosis,
+    rivals: RivalPredictions,
+    options: _Options,
+    chosen: list[int],
+    payloads: tuple[float, ...] | None,
 ) -> NextPostures:
     noncentrality, _ = _noncentrality(rivals, chosen)
     chance = _pair_chance(rivals, noncentrality[:, :, None])[:, :, 0]

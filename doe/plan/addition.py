@@ -11,7 +11,7 @@ import numpy as np
 
 from doe.criteria.criterion import surrogate, values_after_adding
 from doe.plan.replicate_spacing import with_room
-from doe.problem.candidates import listed
+from doe.problem.candidates import listed_candidates
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
@@ -40,7 +40,7 @@ def with_additions(problem: DesignProblem, plan: Array, count: int, generator: n
 def places_of(problem: DesignProblem, generator: np.random.Generator) -> Array:
     """(k, n) the problem's choices, or random allowed postures, many of them at limits."""
     if problem.choices is not None:
-        return listed(problem, problem.choices).postures
+        return listed_candidates(problem, problem.choices).postures
     anywhere = random_postures(problem, PLACES, generator)
     half = anywhere[: PLACES // 2]
     nearer = np.where(half < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)

@@ -86,7 +86,7 @@ def costs(postures: Array, speeds: Array | None = None) -> Array:
 def shortest_path(postures: Array, speeds: Array | None = None) -> Path:
     """(m,) rows in the order of the shortest open path; never longer than the order given."""
     cost = costs(postures, speeds)
-    best = min((improved(cost, start) for start in starts(cost)), key=lambda path: length(cost, path))
+    best = min((two_opt(cost, start) for start in initial_paths(cost)), key=lambda path: length(cost, path))
     if 3 < len(cost) <= EXACT:
         proven = exact_path(cost)
         if proven is not None and length(cost, proven) < length(cost, best):
@@ -99,7 +99,7 @@ def length(cost: Array, path: Path) -> float:
     return float(cost[path[:-1], path[1:]].sum())
 
 
-def starts(cost: Array) -> list[Path]:
+def initial_paths(cost: Array) -> list[Path]:
     """The order given, and the nearest-neighbor path from every posture (from some, of many)."""
     m = len(cost)
     paths = [np.arange(m)]
@@ -113,7 +113,7 @@ def starts(cost: Array) -> list[Path]:
     return paths
 
 
-def improved(cost: Array, path: Path) -> Path:
+def two_opt(cost: Array, path: Path) -> Path:
     """2-opt on an open path: stretches are reversed as long as that shortens it."""
     m = len(path)
     padded = np.zeros((m + 1, m + 1))  # the last row is the dummy posture that joins the ends

@@ -72,7 +72,7 @@ def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
     blocked = 1 if capacity == 1.0 else 2  # places on a free joint within the distance of a measured posture
     near += blocked * (gaps(searched, searched_part(problem, problem.kept)) < distance).sum(axis=1)
     if capacity > 1.0 or len(postures) > MANY:
-        most = near + neighbors(searched, distance)
+        most = near + neighbor_counts(searched, distance)
         if most.max() < capacity or len(postures) > MANY:
             return np.flatnonzero(most >= capacity)
     rows = max(1, CHUNK // max(1, searched.size))
@@ -94,7 +94,7 @@ def beside_earlier(points: Array, distance: float) -> NDArray[np.intp]:
     return np.flatnonzero(np.isfinite(reach[:, 1]) & (other < rows))
 
 
-def neighbors(points: Array, distance: float) -> NDArray[np.intp]:
+def neighbor_counts(points: Array, distance: float) -> NDArray[np.intp]:
     """(m,) number of other rows nearer than the distance in every column."""
     tree = _tree(points)
     if tree is None:
@@ -114,17 +114,12 @@ def separated(problem: DesignProblem, postures: Array) -> Array:
     crowded = too_near(problem, plan)
     for row in crowded if len(crowded) * len(plan) <= CHUNK else ():
         others = np.vstack([np.delete(plan, row, axis=0), problem.kept])
-        if len(places := _free_places(problem, plan[row], others)):
+        if len(places := with_room(problem, around(problem, plan[row]), others)):
             information = information_matrix(problem.scaled_jacobians(others)) / len(others)
             jacobians = problem.scaled_jacobians(places) / np.sqrt(len(others))
             values = values_after_adding(surrogate(problem.criterion), information[None], jacobians[None])[0]
             plan[row] = places[np.argmax(values)]
     return plan
-
-
-def _free_places(problem: DesignProblem, posture: Array, others: Array) -> Array:
-    """Feasible places around a posture (n,) that have room for one more beside the `others` (j, n)."""
-    return with_room(problem, around(problem, posture), others)
 
 
 def with_room(problem: DesignProblem, places: Array, others: Array) -> Array:

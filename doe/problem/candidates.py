@@ -103,7 +103,7 @@ def chunks(candidates: Candidates, size: int = CHUNK) -> Iterator[tuple[Index, A
         yield index, candidates.take(index)
 
 
-def spread(candidates: Candidates, count: int) -> Array:
+def well_spread(candidates: Candidates, count: int) -> Array:
     """About `count` of the candidates (k, n), well spread; all of them if there are no more.
 
     Of a grid, limits and middles of the axes are among them: the optimum is often made of these.
@@ -147,7 +147,7 @@ def _axes(problem: DesignProblem, levels: int) -> tuple[Array, ...]:
     )
 
 
-def listed(problem: DesignProblem, postures: ArrayLike) -> PostureList:
+def listed_candidates(problem: DesignProblem, postures: ArrayLike) -> PostureList:
     """The (N, n) `postures` [rad] that are within the limits and satisfy the constraints, as a list.
 
     Raises InputError for another number of joints and where no candidate is left.

@@ -42,7 +42,7 @@ class Constraint(Protocol):
         ...
 
 
-class Chain(Protocol):
+class ArmPoints(Protocol):
     """Interface to a model for geometric constraints: the points of the arm."""
 
     @property
@@ -79,7 +79,7 @@ def constraints_of(model: Model) -> tuple[Constraint, ...]:
 class InsideBox:
     """The tip stays between two corners (d,) [mm]."""
 
-    chain: Chain
+    chain: ArmPoints
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     kind: str = "workspace_box"
@@ -99,7 +99,7 @@ class InsideBox:
 class OutsideSphere:
     """Every link stays outside the circle of the plane, or the sphere of space [mm]."""
 
-    chain: Chain
+    chain: ArmPoints
     center: tuple[float, ...]
     radius: float
     kind: str = "keep_out_circle"
@@ -123,7 +123,7 @@ class InSight:
     For a plane: in space a thin link never crosses a line. Raises `InputError` for a chain of another dimension.
     """
 
-    chain: Chain
+    chain: ArmPoints
     sight: LineOfSight
     kind: str = "line_of_sight"
 

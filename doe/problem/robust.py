@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doe.criteria import Criterion, I
-from doe.problem.candidates import listed
+from doe.problem.candidates import listed_candidates
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from doe.problem.spatial import of_one_arm, whole
@@ -95,5 +95,5 @@ def tip_jacobians(problem: DesignProblem, poses: ArrayLike) -> Array:
 def workspace(problem: DesignProblem) -> Array:
     """(k, n) postures where the arm will work: all that may be chosen, or random ones within limits and constraints."""
     if problem.choices is not None:
-        return listed(problem, problem.choices).postures
+        return listed_candidates(problem, problem.choices).postures
     return random_postures(problem, POSES, np.random.default_rng(0))

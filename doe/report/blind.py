@@ -177,7 +177,7 @@ def reliability_figure(rows: pl.DataFrame) -> Figure:
 
 def confusion_figure(confusion: pl.DataFrame) -> Figure:
     """Fraction of the sets with a class hidden (row) in which a class was named (column); single classes only."""
-    rows, columns, fractions, totals = matrix(confusion)
+    rows, columns, fractions, totals = confusion_matrix(confusion)
     figure = Figure(figsize=(1.5 + 0.55 * len(columns), 1.8 + 0.42 * len(rows)), layout="constrained")
     axes = figure.add_subplot()
     axes.imshow(fractions, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
@@ -193,7 +193,7 @@ def confusion_figure(confusion: pl.DataFrame) -> Figure:
     return figure
 
 
-def matrix(confusion: pl.DataFrame) -> tuple[list[str], list[str], Array, list[int]]:
+def confusion_matrix(confusion: pl.DataFrame) -> tuple[list[str], list[str], Array, list[int]]:
     """Row names, column names, fractions and row totals; sets with several effects hidden are left out."""
     counts = {(row["hidden"], row["named"]): row["count"] for row in confusion.iter_rows(named=True)}
     hidden = _ordered({a for a, _ in counts if " + " not in a})

@@ -8,14 +8,14 @@ from typing import Any
 from rich.text import Text
 
 from doe.demo.run import Demo
-from doe.report.gap_sections import gap_sections, places
+from doe.report.gap_sections import gap_sections, named_by_joint
 from doe.report.gap_tables import as_table, candidate_sheet
 from doe.report.origin import Origin, origin_section
 from doe.report.page import Action, Section, Sheet, page
 from doe.report.pictures import certificate_figure
 from doe.report.plan_steps import plan_section
 from doe.report.signed_residuals import Compared, signed_figures
-from doe.report.terminal import number, significant, unit_of
+from doe.report.terminal import number, to_significant_digits, unit_of
 from doe.report.verdict import design_verdict, diagnosis_verdict
 from identification.gap.summary import findings, headline
 from identification.model import Model
@@ -27,7 +27,7 @@ ACTIONS = (
 )
 
 
-def gap_sheet(demo: Demo) -> Sheet:
+def gap_steps_sheet(demo: Demo) -> Sheet:
     """How the gap closes, step by step, on the data and on fresh random postures that no step has seen."""
     start = demo.base.rms_before
     drawing = demo.drawing_gap
@@ -51,7 +51,7 @@ def parameter_sheet(demo: Demo) -> Sheet:
     rows = []
     for row in demo.checked:
         std = row["std"]
-        figures = [significant(row[key], std) for key in ("value", "low_95", "high_95")]
+        figures = [to_significant_digits(row[key], std) for key in ("value", "low_95", "high_95")]
         rows.append([row["name"], *figures, number(row["hidden"]), unit_of(row["unit"])])
     return Sheet(["parameter", "value", "low 95 %", "high 95 %", "truth", "unit"], rows)
 
@@ -108,7 +108,7 @@ def demo_tables(demo: Demo, directory: Path) -> list[Any]:
     """What a newcomer sees after the first command."""
     return [
         Text(demo_summary(demo), style="bold"),
-        as_table(gap_sheet(demo)),
+        as_table(gap_steps_sheet(demo)),
         *map(Text, (headline(demo.diagnosis), *findings(demo.diagnosis))),
         as_table(candidate_sheet(demo.diagnosis.to_json())),
         as_table(parameter_sheet(demo), "Refitted with the named effect (sigma from the arm file)"),
@@ -149,10 +149,10 @@ def found_sections(demo: Demo) -> list[Section]:
     )
     hidden = "What was hidden, as the simulation has it: the fits and the commands saw the measurements only."
     before, after = (demo.fresh.positions - demo.predicted(found) for found in (demo.base, demo.extended))
-    arm, notes = demo.extended.calibrated_arm(), places(demo.diagnosis)
+    arm, notes = demo.extended.calibrated_arm(), named_by_joint(demo.diagnosis)
     compared = Compared(arm, demo.fresh.postures, before, after, notes=notes, model=Model(arm))
     return [
-        Section("Identification", identified, [gap_sheet(demo)], signed_figures(compared)),
+        Section("Identification", identified, [gap_steps_sheet(demo)], signed_figures(compared)),
         *gap_sections(demo.diagnosis, demo.base.rms_before),
         Section("Against the truth", hidden, [parameter_sheet(demo), truth_sheet(demo)]),
     ]

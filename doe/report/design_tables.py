@@ -73,7 +73,7 @@ def summary_table(data: dict[str, Any], sentence: str) -> Table:
         "information (log det M')": number(data["log_det"], 7),
         "upper bound": f"{number(bound['value'], 7)} ({bound['source']}{cut})" if known else "-",
         "efficiency": number(data["efficiency"] if known else None, 6),
-        "certified optimal": certified(data),
+        "certified optimal": certified_in_words(data),
         "deviation from orthogonality (Table I)": None if table_1 is None else number(table_1, 6),
         "solver": f"{data['solver']}, {searched}, {data['seconds']:.2f} s" if data["solver"] else None,
         "status": sentence,
@@ -139,7 +139,7 @@ def observability_line(indices: Observability) -> Text:
     return Text(f"observability indices: {figures}")
 
 
-def certified(data: dict[str, Any], most: int = 10) -> str:
+def certified_in_words(data: dict[str, Any], most: int = 10) -> str:
     """`yes`, `no`, or which runs lie outside the problem, so that no bound applies."""
     outside = data["outside_limits"]
     if outside:

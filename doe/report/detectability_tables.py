@@ -44,7 +44,7 @@ def discriminating_tables(found: DiscriminationDesign) -> list[Any]:
     ]
     if found.sees is None or found.best_sees is None:
         return [Text(line) for line in lines]
-    blind, clear = hidden(found.best_sees), hidden(found.sees)
+    blind, clear = nearly_invisible(found.best_sees), nearly_invisible(found.sees)
     lines.append(f"effects it cannot see: {', '.join(clear) or 'none'} (the best plan: {', '.join(blind) or 'none'})")
     return [*(Text(line) for line in lines), *preflight_tables(found.sees)]
 
@@ -59,12 +59,12 @@ def discriminating_data(found: DiscriminationDesign) -> dict[str, Any]:
             "random_postures": found.random_wrong,
         },
         "preflight": None if found.sees is None else found.sees.to_json(),
-        "not_visible": hidden(found.sees),
-        "not_visible_in_best_plan": hidden(found.best_sees),
+        "not_visible": nearly_invisible(found.sees),
+        "not_visible_in_best_plan": nearly_invisible(found.best_sees),
     }
 
 
-def hidden(sees: Detectability | None) -> list[str]:
+def nearly_invisible(sees: Detectability | None) -> list[str]:
     """Effects of which less than a hundredth of a column's norm is left for the tests to see."""
     if sees is None:
         return []

@@ -151,11 +151,13 @@ def signed_section(diagnosis: Diagnosis) -> Section:
     postures = np.column_stack([values for name, values in shown.against.items() if name.startswith("joint ")])
     postures, before, after = (values[kept] for values in (postures, shown.before, shown.after))
     named = Model(diagnosis.extended_arm())
-    figures = signed_figures(Compared(diagnosis.arm, postures, before, after, notes=places(diagnosis), model=named))
+    figures = signed_figures(
+        Compared(diagnosis.arm, postures, before, after, notes=named_by_joint(diagnosis), model=named)
+    )
     return Section("Signed error against each joint", SIGNED, figures=figures)
 
 
-def places(diagnosis: Diagnosis) -> dict[int, str]:
+def named_by_joint(diagnosis: Diagnosis) -> dict[int, str]:
     """Joint -> effects named there."""
     found: dict[int, list[str]] = {}
     for label, spec in zip(diagnosis.effects, diagnosis.named.specs, strict=True):

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from doe.report.page import Sheet
-from doe.report.terminal import estimate, facts, number, table, unit_of
+from doe.report.terminal import estimate_text, facts, number, table, unit_of
 from identification.compensate import Compensation
 from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
@@ -74,7 +74,7 @@ def corrected_sheet(rows: Sequence[CorrectedValue]) -> Sheet:
     """The values to enter in the controller: nominal and corrected, with intervals."""
     keys, rows = ("nominal", "corrected", "std", "low_95", "high_95"), [row for row in rows if not as_drawn(row)]
     names = [f"{row.name} *" if row.held_by_prior else row.name for row in rows]
-    figures = ([estimate(getattr(row, key), row.std, row.unit) for key in keys] for row in rows)
+    figures = ([estimate_text(getattr(row, key), row.std, row.unit) for key in keys] for row in rows)
     cells = [[name, *values, unit_of(row.unit)] for name, values, row in zip(names, figures, rows, strict=True)]
     return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from rich.table import Table
@@ -20,7 +19,8 @@ def study_tables(result: StudyResult) -> list[Any]:
     parts = result.cells.partition_by(*CELL, maintain_order=True)
     for part in parts[:MOST]:
         first = part.row(0, named=True)
-        title = _cell_title(first)
+        plan = f"{first['arm']}, plan {first['plan']}, {first['runs']} runs, sigma {first['sigma_mm']:g} mm"
+        title = f"{plan}, truth {first['truth']}, model {first['model']}"
         if first["error"] is not None:
             shown.append(f"{title}: {first['status']}: {first['error']}")
         else:
@@ -28,11 +28,6 @@ def study_tables(result: StudyResult) -> list[Any]:
     if len(parts) > MOST:
         shown.append(f"first {MOST} of {len(parts)} cells")
     return shown
-
-
-def _cell_title(row: Mapping[str, Any]) -> str:
-    plan = f"{row['arm']}, plan {row['plan']}, {row['runs']} runs, sigma {row['sigma_mm']:g} mm"
-    return f"{plan}, truth {row['truth']}, model {row['model']}"
 
 
 def _cell_table(title: str, rows: list[dict[str, Any]]) -> Table:

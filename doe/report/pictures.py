@@ -142,7 +142,7 @@ def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4
     def d(somewhere: Array) -> Array:
         return prior.sensitivities(problem.scaled_jacobians(somewhere), gradient)
 
-    others, at_plan = np.concatenate([spread(problem, samples), postures]), d(postures)
+    others, at_plan = np.concatenate([posture_cloud(problem, samples), postures]), d(postures)
     for axis, joint in zip(axes, active, strict=True):
         unit, factor, _ = FILE_UNITS[JOINT_UNITS[problem.model.joint_types[joint]]]
         values = np.linspace(problem.lower[joint], problem.upper[joint], steps)
@@ -163,7 +163,7 @@ def others_at(problem: DesignProblem, others: Array, joint: int, value: float) -
     return held[problem.feasible(held)]
 
 
-def spread(problem: DesignProblem, samples: int) -> Array:
+def posture_cloud(problem: DesignProblem, samples: int) -> Array:
     """(s, n) postures over the limits: a fixed random cloud, and the corners of the active joints' box."""
     generator = np.random.default_rng(0)
     cloud = generator.uniform(problem.lower, problem.upper, (samples, problem.joints))

@@ -51,12 +51,12 @@ def plan_steps(arm: Arm, plan: Plan, table: Table | None = None, name: str = "pl
         "columns": list(cells),
         "rows": [list(row) for row in zip(*cells.values(), strict=True)],
         "joints": [f"q{j} [{unit}]" for j, unit in enumerate(plan.units, start=1)],
-        "postures": rounded(plan.displayed, 6),
-        "jacobians": rounded(jacobians.reshape(len(plan), -1), DIGITS),
+        "postures": to_digits(plan.displayed, 6),
+        "jacobians": to_digits(jacobians.reshape(len(plan), -1), DIGITS),
         "parameters": problem.parameters,
-        "known": rounded(problem.precisions, DIGITS),
-        "points": rounded(Model(arm).points(plan.postures), 5),
-        "outlines": [{"line": rounded(line, 5), "forbidden": color == FORBIDDEN} for line, color in around],
+        "known": to_digits(problem.precisions, DIGITS),
+        "points": to_digits(Model(arm).points(plan.postures), 5),
+        "outlines": [{"line": to_digits(line, 5), "forbidden": color == FORBIDDEN} for line, color in around],
     }
 
 
@@ -85,7 +85,7 @@ def _pointed(cell: str, table: Table) -> str:
     return cell.replace(",", ".") if table.decimal_commas and NUMBER.fullmatch(cell) else cell
 
 
-def rounded(values: Array, digits: int) -> Any:
+def to_digits(values: Array, digits: int) -> Any:
     """Nested lists of numbers rounded to this many significant digits."""
     array = np.asarray(values, dtype=float)
     flat = [float(f"{value:.{digits}g}") for value in array.ravel()]

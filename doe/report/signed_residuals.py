@@ -50,7 +50,7 @@ def fitted_curve(q: Array, lever: Array, change: Array, narrowest: float = FINE)
     narrowest : share of the range that counts as nearby at least
     """
     span, grid = float(np.ptp(q)) or 1.0, dense(q)
-    distance = nearest(q, grid, int(np.clip(len(q) // 8, 3, NEARBY)))
+    distance = kth_distances(q, grid, int(np.clip(len(q) // 8, 3, NEARBY)))
     count, angle, weight, along = (
         np.bincount(np.searchsorted(grid, q), values, POINTS)  # rows between two points are taken together
         for values in (np.ones_like(q), q, np.sum(lever**2, axis=1), np.sum(lever * change, axis=1))
@@ -63,7 +63,7 @@ def fitted_curve(q: Array, lever: Array, change: Array, narrowest: float = FINE)
     square = square + RIDGE * total  # rows of one angle tell no slope
     value = square * moved.sum(axis=1) - slope * np.sum(moved * away, axis=1)
     scale = total * square - slope**2
-    known = (nearest(q, grid, 1) < FAR * span) & (scale > 0.0)
+    known = (kth_distances(q, grid, 1) < FAR * span) & (scale > 0.0)
     return grid, np.divide(value, scale, out=np.full(POINTS, np.nan), where=known)
 
 
@@ -113,7 +113,7 @@ def by_others(curves: Mapping[int, Curve], levers: Array, joint: int) -> Array:
     return np.sum([levers[:, :, k] * at[:, None] for k, (_, _, at) in curves.items() if k != joint], axis=0)
 
 
-def nearest(q: Array, grid: Array, k: int) -> Array:
+def kth_distances(q: Array, grid: Array, k: int) -> Array:
     """Distance from each point of a grid to the k-th nearest of q."""
     padded = np.concatenate([np.full(k, -np.inf), np.sort(q), np.full(k, np.inf)])
     first = np.searchsorted(np.sort(q), grid)

@@ -25,7 +25,7 @@ def unit_of(unit: str) -> str:
     return "–" if unit == "1" else unit
 
 
-def significant(value: float | None, std: float | None) -> str:
+def to_significant_digits(value: float | None, std: float | None) -> str:
     """Rounded to the third significant digit of the standard deviation."""
     if value is None:
         return "-"
@@ -35,7 +35,7 @@ def significant(value: float | None, std: float | None) -> str:
     return f"{value:z.{digits}f}" if abs(value) < 1e6 else f"{value:.5g}"
 
 
-def estimate(value: float | None, std: float | None, unit: str) -> str:
+def estimate_text(value: float | None, std: float | None, unit: str) -> str:
     """A parameter or a limit of its interval: three significant digits of the standard deviation, in mm and deg no more
     than five decimals."""
     if value == 0.0:
@@ -44,7 +44,7 @@ def estimate(value: float | None, std: float | None, unit: str) -> str:
         return number(value)
     if std < FINEST and unit not in ("mm", "deg"):
         return "-" if value is None else f"{value:.3g}"
-    return significant(value, max(std, FINEST))
+    return to_significant_digits(value, max(std, FINEST))
 
 
 def table(

@@ -29,13 +29,13 @@ def in_words(labels: Sequence[str]) -> str:
     for label in labels:
         kinds.setdefault(label.partition("[")[0].partition(":")[0], []).append(label)
     said = [
-        f"{library()[kind].summary} ({listed(kind, these)})" if kind in library() else listed(kind, these)
+        f"{library()[kind].summary} ({joints_listed(kind, these)})" if kind in library() else joints_listed(kind, these)
         for kind, these in kinds.items()
     ]
     return "; ".join(said[:MOST]) + (f"; and {len(said) - MOST} more" if len(said) > MOST else "")
 
 
-def listed(kind: str, labels: Sequence[str]) -> str:
+def joints_listed(kind: str, labels: Sequence[str]) -> str:
     """`backlash:1, backlash:4`; of many joints `backlash of joints 1 to 5`."""
     joints = [label.removeprefix(f"{kind}:") for label in labels]
     if len(labels) > 2 and all(joint.isdigit() for joint in joints):
@@ -48,7 +48,7 @@ def diagnosis_verdict(data: Data) -> list[str]:
     """What is missing in one short sentence, then with its details, and what it does to the error."""
     partly = "Not confirmed as predicted: rows that no fit has seen gain less."
     refuted = [partly if helps(data) else "Not confirmed on rows that no fit has seen."]
-    return [*(refuted if data["confirmed"] is False else []), missing(data), *details(data), shrinks(data)]
+    return [*(refuted if data["confirmed"] is False else []), missing(data), *details(data), gap_in_words(data)]
 
 
 def missing(data: Data) -> str:
@@ -58,7 +58,7 @@ def missing(data: Data) -> str:
         "none": "Nothing is missing from the model that these data can show.",
         "named": f"Missing from the model: {in_words(effects) if one_kind(effects) else f'{len(effects)} effects'}.",
         "ambiguous": f"{len(sets)} explanations fit about equally well.",
-        "unknown": f"Something that the library does not have is missing, at {place(data)}.",
+        "unknown": f"Something that the library does not have is missing, at {place_in_words(data)}.",
     }[data["verdict"]]
 
 
@@ -94,12 +94,12 @@ def helps(data: Data) -> bool:
     return bool((data["confirmation"] or {}).get("shrinks"))
 
 
-def place(data: Data) -> str:
+def place_in_words(data: Data) -> str:
     """`joint 3`, `time`."""
     return str(data["where"]).replace(":", " ")
 
 
-def shrinks(data: Data) -> str:
+def gap_in_words(data: Data) -> str:
     """The error before and after, where it was held out if it was."""
     gap, test = data["gap"], data["confirmation"]
     if test is None:
@@ -133,7 +133,7 @@ def diagnosis_actions(
     keep = [] if written else [Action("Keep the extended model:", f"{called} --out extended.toml")]
     part = "the error curves, within the angles measured," if is_described(data) else "the named part"
     meanwhile = f"; {part} may be used meanwhile" if data["effects"] else ""
-    look = Action(f"Look for a cause at {place(data)}{meanwhile}.")
+    look = Action(f"Look for a cause at {place_in_words(data)}{meanwhile}.")
     unknown = [look] if data["verdict"] == "unknown" else []
     return [*unknown, *([] if data["confirmed"] else [confirm]), *keep, correct(str(written or "extended.toml"))]
 

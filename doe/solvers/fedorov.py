@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.criteria.criterion import values_after_adding
-from doe.problem.candidates import listed
+from doe.problem.candidates import listed_candidates
 from doe.problem.problem import DesignProblem, information_of_each
 from doe.solvers.exchange import IMPROVEMENT, Batch
 from doe.solvers.solver import Budget, Offer
@@ -56,7 +56,7 @@ def allowed_choices(problem: DesignProblem, runs: int) -> tuple[Array, Array]:
     """(N, n) choices within limits and constraints, and their scaled Jacobians (N, d, p)."""
     if problem.choices is None:
         raise InputError("solver: fedorov needs a list of postures, found none, allowed: with --candidates")
-    postures = listed(problem, problem.choices).postures
+    postures = listed_candidates(problem, problem.choices).postures
     if problem.minimum_distance > 0.0:
         postures = np.unique(postures, axis=0)
         if len(postures) < runs:

@@ -52,7 +52,7 @@ class Analytic:
         """One plan per start, as long as any is found."""
         if not applies(problem) or problem.constraints:
             return
-        composed = Composition(problem, runs, self.tries, generator, budget.ended)
+        composed = GroupedPlans(problem, runs, self.tries, generator, budget.ended)
         while (plan := composed.plan()) is not None:
             yield Offer(generator.permutation(plan), 1)
 
@@ -73,7 +73,7 @@ def nearly_analytic(
             return
 
 
-class Composition:
+class GroupedPlans:
     """Plans of groups found so far for one number of runs; `stop` ends the search for more sizes of groups."""
 
     def __init__(

@@ -9,7 +9,7 @@ import numpy as np
 from doe.design import Design
 from doe.plan.expected_accuracy import plan_jacobians
 from doe.plan.replicate_spacing import replicates_allowed
-from doe.problem.candidates import listed
+from doe.problem.candidates import listed_candidates
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.driver import allowed
@@ -67,7 +67,7 @@ def identifies_all(design: Design) -> bool:
     return bool(np.isfinite(design.value))
 
 
-def identified(design: Design, *, throw: bool) -> Design:
+def judged_identifiable(design: Design, *, throw: bool) -> Design:
     """The design, with status `not_identifiable` where the plan does not identify all parameters.
 
     throw : raise `JobError` with the reason instead, and where the plan is not allowed
@@ -91,7 +91,7 @@ def _not_identifiable(design: Design) -> str:
     problem, p = design.problem, design.problem.parameters
     message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
     if problem.choices is not None:
-        many = listed(problem, problem.choices).postures
+        many = listed_candidates(problem, problem.choices).postures
         whatever = f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
         return whatever if _aliases(problem, many) else message
     many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))

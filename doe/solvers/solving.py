@@ -20,7 +20,7 @@ from doe.solvers.driver import SearchResult, design_of, run_search
 from doe.solvers.fedorov import Fedorov
 from doe.solvers.planar_theory import Analytic, nearly_analytic
 from doe.solvers.registry import SOLVERS, solver_named
-from doe.solvers.solvability import check_solvable, identified
+from doe.solvers.solvability import check_solvable, judged_identifiable
 from doe.solvers.solver import LONG_PLAN, Budget, Offer, Solver, time_limit
 from identification.arrays import Array
 from identification.errors import InputError
@@ -62,7 +62,8 @@ def solve(
     check_solvable(problem, runs, seed, every_parameter=throw)
     with single_thread():
         whole = Budget.of(starts, chosen.starts_for(problem), time_limit(runs, starts, seconds), began)
-        first, late = whole.part(HALF), bound is None and bound_takes_long(problem)
+        # such a bound takes seconds, which are no part of the search's time; that of a theorem takes none
+        first, late = whole.part(HALF), bound is None and climbs(problem) and not applies(problem)
         known = None if late else bound or best_known_bound(problem, runs, first.ended)
         result = from_theory(problem, runs, known, seed, accepted, whole) if solver is None else None
         chosen = chosen if result is None else Analytic()
@@ -76,12 +77,7 @@ def solve(
         if bound is None:
             held = bound_that_holds(problem, known, design.plan.postures, design.value, whole.ended)
             design = replace(design, bound=held)
-    return identified(design, throw=throw)
-
-
-def bound_takes_long(problem: DesignProblem) -> bool:
-    """True if the bound takes seconds, which are no part of the search's time; that of a theorem takes none."""
-    return climbs(problem) and not applies(problem)
+    return judged_identifiable(design, throw=throw)
 
 
 def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver:

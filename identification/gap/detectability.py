@@ -103,26 +103,18 @@ class Detectability:
 
 
 @single_thread()  # the same bits, whatever the number of threads
-def detectability(
-    arm: Arm,
-    postures: Array,
-    conditions: Conditions | None = None,
-    sigma: float | None = None,
-    library: HypothesisSet | None = None,
-) -> Detectability:
-    """Which effects measurements at (m, n) postures [rad] could detect, and at which size.
+def detectability(arm: Arm, postures: Array, conditions: Conditions | None = None) -> Detectability:
+    """Which effects measurements at (m, n) postures [rad] could detect, and at which size: with the noise of the arm's
+    data sheet, else per millimetre of noise.
 
     conditions : of the rows; thermal effects are included only if it has temperatures
-    sigma : noise of one coordinate [mm]; None: that of the arm, else 1 (sizes are then per millimetre of noise)
-    library : hypotheses of the arm, to be shared by many plans
 
     Raises `InputError` with fewer than 4 residual degrees of freedom.
     """
     given = frozenset() if conditions is None or conditions.temperature is None else frozenset({"temperature"})
     rows = _planned(postures, conditions, Model(arm).dimension)
-    library = library or hypotheses(arm, given, rows)
-    noise = sigma or arm.sigma or 1.0
-    return assess(library, rows, library.base.jacobian(rows.postures, None, rows.conditions), {}, noise)
+    library = hypotheses(arm, given, rows)
+    return assess(library, rows, library.base.jacobian(rows.postures, None, rows.conditions), {}, arm.sigma or 1.0)
 
 
 def _planned(postures: Array, conditions: Conditions | None, dimension: int) -> Rows:

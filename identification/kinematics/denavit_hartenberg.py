@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.frames import pose, rotation_about
 from identification.kinematics.parameters import REVOLUTE
@@ -60,11 +59,3 @@ def _limits(row: DHRow, j: int) -> tuple[float, float]:
     if row.type != REVOLUTE:
         raise InputError(f"dh[{j}]: a prismatic joint without limits, allowed: lower and upper in [joint_limits_mm]")
     return -np.pi, np.pi
-
-
-def matrix(row: DHRow, q: float, convention: str = STANDARD) -> Array:
-    """(4, 4) A_j at a joint position [rad, mm], as the convention prints it."""
-    theta, d = (row.offset + q, row.d) if row.type == REVOLUTE else (row.offset, row.d + q)
-    screw = pose((0.0, 0.0, d), rotation_about(Z, theta))
-    link = pose((row.a, 0.0, 0.0), rotation_about(X, row.alpha))
-    return screw @ link if convention == STANDARD else link @ screw

@@ -40,11 +40,6 @@ def turned(vectors: Array) -> Array:
     return np.asarray(_scipy().from_rotvec(vectors).as_matrix())
 
 
-def angles_between(rotations: Array, others: Array) -> Array:
-    """(m,) angles [rad] of the rotations that turn some (m, 3, 3) into others (m, 3, 3), or into one (3, 3)."""
-    return np.asarray(_scipy().from_matrix(np.swapaxes(rotations, -1, -2) @ others).magnitude())
-
-
 def mean_rotation(rotations: Array) -> Array:
     """(3, 3) rotation with the smallest sum of squared differences of matrix entries from rotations (m, 3, 3)."""
     left, _, right = np.linalg.svd(rotations.mean(axis=0))

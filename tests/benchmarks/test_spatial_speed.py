@@ -19,13 +19,14 @@ from doe.problem.feasible import random_postures
 from doe.solvers import solve
 from identification.arrays import Array
 from identification.estimation import estimate, estimate_batch
-from identification.kinematics.denavit_hartenberg import DHRow, matrix
+from identification.kinematics.denavit_hartenberg import DHRow
 from identification.measurements import Measurements
 from identification.minimal import minimal
 from identification.model import Model
 from identification.threads import single_thread
 from identification.workspace import LineOfSight, WorkspaceBox
 from tests.doe.six_axis import REFLECTOR, SIX_AXIS, TABLE, six_axis
+from tests.identification.kinematics.test_denavit_hartenberg import printed
 
 pytestmark = pytest.mark.benchmark
 
@@ -63,7 +64,7 @@ def test_positions_and_jacobians() -> None:
         for posture in q[:2000]:
             frame = np.eye(4)
             for (a, alpha, d), angle in zip(TABLE, posture, strict=True):
-                frame = frame @ matrix(DHRow(a, np.radians(alpha), d), angle)
+                frame = frame @ printed(DHRow(a, np.radians(alpha), d), angle)
             found.append((frame @ np.r_[REFLECTOR, 1.0])[:3])
         return np.array(found)
 

@@ -24,7 +24,7 @@ from doe.design import score_plan
 from doe.discrimination.design import discrimination_design
 from doe.discrimination.effect_library import EffectLibrary
 from doe.discrimination.swaps import CLOUD, pool_of
-from doe.discrimination.t_optimal import Rivals, t_optimal
+from doe.discrimination.t_optimal import RivalPredictions, t_optimal
 from doe.plan.order import ordered, travel
 from doe.plan.replicate_spacing import too_near
 from doe.problem.bayesian import deviated_draws, ensemble_problem
@@ -447,7 +447,7 @@ def test_the_postures_that_settle_between_two_models() -> None:
     positions = np.array([tip_positions(m, pool) / sigma for m in (model, other)])
     known = np.diag(1.0 / model.parameters.scales)
     jacobians = [difference_jacobian(m, pool) @ known / sigma for m in (model, other)]
-    rivals = Rivals(np.array([0.5, 0.5]), np.zeros((2, 2)), positions, jacobians)
+    rivals = RivalPredictions(np.array([0.5, 0.5]), np.zeros((2, 2)), positions, jacobians)
 
     def settled(rows: tuple[int, ...], rival: int) -> float:
         delta = (positions[0] - positions[1])[list(rows)].ravel()

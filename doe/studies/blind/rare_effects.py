@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 Values = dict[str, Any]
-STEPS = ("joint_step", "link_step", "base_step")
 LOADS = ("payload_error", "gravity_tilt")
 RARE_JOINT = ("joint_step", "link_step", "axis_tilt", "joint_hysteresis")
 RARE_WHOLE = ("thermal_transient", "base_step", *LOADS)

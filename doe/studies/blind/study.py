@@ -166,7 +166,9 @@ def _said(found: Diagnosis) -> Row:
         "named": sorted(found.named.keys),
         "candidates": [" + ".join(sorted(candidate.keys)) for candidate in found.candidates],
         "probability": _probability(found),
-        "credible_set": [_explanation(names) for names in found.probabilities.credible],
+        "credible_set": [
+            "unknown" if names is None else " + ".join(names) or "none" for names in found.probabilities.credible
+        ],
         "where": found.where,
         "outlier_rows": list(found.outlier_rows),
         "scatter": [finding.name for finding in found.scatter],
@@ -178,10 +180,6 @@ def _probability(found: Diagnosis) -> float:
     if found.verdict in ("none", "unknown"):
         return found.probability[found.verdict]
     return found.probabilities.of(found.named.keys)
-
-
-def _explanation(names: tuple[str, ...] | None) -> str:
-    return "unknown" if names is None else " + ".join(names) or "none"
 
 
 def _intervals(found: Diagnosis) -> Row:

@@ -137,7 +137,7 @@ def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | st
 
 
 @dataclass(frozen=True)
-class Fits:
+class FittedReplications:
     """Fits of K data sets.
 
     parameters : (K, p), not numbers where a fit failed;  rss : (K,) sums of squares [mm^2]
@@ -149,26 +149,26 @@ class Fits:
     expected_std: Array
 
 
-def joined(parts: Sequence[Fits], shared: bool) -> Fits:
+def joined(parts: Sequence[FittedReplications], shared: bool) -> FittedReplications:
     """The fits of all parts, on one plan (`shared`) or each on a plan of its own."""
     expected = [part.expected_std for part in parts]
-    return Fits(
+    return FittedReplications(
         np.concatenate([part.parameters for part in parts]),
         np.concatenate([part.rss for part in parts]),
         expected[0] if shared else np.concatenate(expected),
     )
 
 
-def _one_plan(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
+def _one_plan(cell: Cell, generator: np.random.Generator, count: int) -> FittedReplications:
     """Data sets on the cell's plan."""
     positions = cell.sigma * generator.standard_normal((count, cell.rows, cell.model.dimension))
     positions += cell.exact
     found = estimate_batch(cell.model, cell.plan, positions)
     parameters = np.where(found.converged[:, None], found.parameters, np.nan)
-    return Fits(parameters, np.array(found.rss), cell.expected_std[None])
+    return FittedReplications(parameters, np.array(found.rss), cell.expected_std[None])
 
 
-def _new_plans(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
+def _new_plans(cell: Cell, generator: np.random.Generator, count: int) -> FittedReplications:
     """Data sets each on a new plan, uniform over the allowed postures."""
     model = cell.model
     postures = random_postures(cell.problem, count * cell.runs, generator).reshape(count, cell.runs, -1)
@@ -177,10 +177,12 @@ def _new_plans(cell: Cell, generator: np.random.Generator, count: int) -> Fits:
     positions = cell.true_model.position(postures, conditions=conditions) + noise
     found = estimate_each(model, postures, positions, conditions)
     jacobians = model.jacobian(postures, cell.true_values, conditions)
-    return Fits(found.parameters, found.rss, cell.deviations(covariances(jacobians, model.scales, cell.sigma)))
+    return FittedReplications(
+        found.parameters, found.rss, cell.deviations(covariances(jacobians, model.scales, cell.sigma))
+    )
 
 
-def _rows(cell: Cell, fits: Fits) -> list[Row]:
+def _rows(cell: Cell, fits: FittedReplications) -> list[Row]:
     """The block's numbers, in file units (mm and degrees)."""
     good = np.isfinite(np.c_[fits.parameters, fits.rss]).all(axis=1)
     good &= np.isfinite(fits.expected_std).all(axis=1)

@@ -60,7 +60,7 @@ def paper_study(
     if replications is not None and not least <= replications <= most:
         raise InputError(f"--replications: found {replications}, allowed for the paper: {least} to {most:,}")
     targets = {} if folder is None else {name: folder / f"{name}.parquet" for name in NAMES}
-    keys = list(parts(replications or REPLICATIONS, seed))
+    keys = list(part_keys(replications or REPLICATIONS, seed))
     with RowTable.within(folder, PARTS, resume=resume, force=force) as table:
         for target in targets.values():
             check_writable(target, resume or force)
@@ -70,7 +70,7 @@ def paper_study(
     return found
 
 
-def parts(replications: int, seed: int) -> Iterator[Key]:
+def part_keys(replications: int, seed: int) -> Iterator[Key]:
     """One key per part: what takes long comes in pieces."""
     common = {"replications": replications, "seed": seed}
     pieces: dict[str, Any] = {"table_3": ARM_NAMES, "errata": range(len(CHECKS)), "figure_2": RUNS}

@@ -13,7 +13,7 @@ from numpy.polynomial import Polynomial, legendre
 from doe.bounds import column_generation as module
 from doe.bounds.column_generation import column_generation, continuous_design
 from doe.criteria import A, Criterion, D, Ds, E, I
-from doe.problem.candidates import PostureList, grid, listed
+from doe.problem.candidates import PostureList, grid, listed_candidates
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.errors import JobError
@@ -151,7 +151,7 @@ def test_walls() -> None:
 def test_equivalence_theorem_on_every_candidate(seed: int, links: int) -> None:
     generator = np.random.default_rng(seed)
     case = problem(random_box(generator, links))
-    candidates = listed(case, generator.uniform(case.lower, case.upper, (400, links)))
+    candidates = listed_candidates(case, generator.uniform(case.lower, case.upper, (400, links)))
     design = column_generation(case, candidates)
     jacobians = case.scaled_jacobians(candidates.postures)
     inverse = np.linalg.inv(case.information(design.plan.postures, design.plan.shares))

@@ -14,11 +14,11 @@ from doe.bounds.equivalence import (
     candidate_sensitivities,
     certify,
     largest_sensitivity,
-    sensitivity,
     without_rounding,
 )
 from doe.bounds.planar_theorem import closed_form_log_det
 from doe.problem.candidates import PostureList
+from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
@@ -37,7 +37,7 @@ def test_sensitivity_is_the_trace() -> None:
     generator = np.random.default_rng(0)
     plan = generator.uniform(FOUR.lower, FOUR.upper, (12, 4))
     information = case.information(plan)
-    found = sensitivity(case, information, plan)
+    found = PriorInformation().sensitivities(case.scaled_jacobians(plan), case.criterion.gradient(information))
     for value, jacobian in zip(found, case.model.jacobian(plan) / case.model.scales, strict=True):
         assert value == pytest.approx(np.trace(np.linalg.solve(information, jacobian.T @ jacobian)))
     assert np.mean(found) == pytest.approx(case.parameters)  # sum_i w_i d_i = tr(M^-1 M) = p for every design
@@ -79,7 +79,9 @@ def test_bound_with_measured_postures(seed: int) -> None:
     values = [case.objective(candidates[generator.integers(40, size=5)]) for _ in range(500)]
     assert max(values) <= found.bound
     information = case.information(plan)
-    largest = sensitivity(case, information, candidates).max()  # by the definition: five new runs beside seven known
+    jacobians, gradient = case.scaled_jacobians(candidates), case.criterion.gradient(information)
+    # by the definition: five new runs beside seven known
+    largest = np.einsum("mdp,pq,mdq->m", jacobians, gradient, jacobians).max()
     known = sum(b.T @ b for b in case.scaled_jacobians(kept))
     fixed = float(np.sum(np.linalg.inv(information) * known))
     assert found.gap == pytest.approx((5.0 * largest + fixed) / 12.0 - case.parameters, rel=1e-9)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doe.bounds.best_known import best_known_bound
-from doe.bounds.every_run import LOOSE, Certificate, bounds_of_runs
+from doe.bounds.every_run import LOOSE, EveryRunCertificate, bounds_of_runs
 from doe.criteria import A
 from tests.doe.arms import FOUR, OFFSET, problem
 
@@ -20,7 +20,7 @@ NUMBERS = (2, 5, 20)
 
 @pytest.mark.parametrize("case", [KNOWN, replace(KNOWN, criterion=A())], ids=["D", "A"])
 def test_the_certificate_of_one_number_of_runs_holds_for_others(case: object) -> None:
-    made = Certificate.of(KNOWN if case is KNOWN else case, 5)  # type: ignore[arg-type]
+    made = EveryRunCertificate.of(KNOWN if case is KNOWN else case, 5)  # type: ignore[arg-type]
     generator = np.random.default_rng(0)
     for m in NUMBERS:
         own = best_known_bound(case, m)  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ import pytest
 from doe.bounds.column_generation import column_generation
 from doe.bounds.multiplicative import multiplicative
 from doe.criteria import A, D, E
-from doe.problem.candidates import listed
+from doe.problem.candidates import listed_candidates
 from identification.errors import InputError
 from tests.doe.arms import ECCENTRICITY, FOUR, problem
 
@@ -20,7 +20,7 @@ from tests.doe.arms import ECCENTRICITY, FOUR, problem
 def test_within_its_gap_of_the_optimum(criterion: D | A, deviations: dict[str, float]) -> None:
     """Its value is below the optimum and its bound above, both within the gap that it stops at."""
     case = replace(problem(FOUR, ECCENTRICITY, deviations=deviations), criterion=criterion)
-    candidates = listed(case, np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (150, 4)))
+    candidates = listed_candidates(case, np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (150, 4)))
     found = multiplicative(case, candidates, runs=20)
     exact = column_generation(case, candidates, runs=20)
     assert found.bound is not None
@@ -34,4 +34,4 @@ def test_within_its_gap_of_the_optimum(criterion: D | A, deviations: dict[str, f
 def test_other_criteria_are_refused() -> None:
     case = replace(problem(FOUR), criterion=E())
     with pytest.raises(InputError, match="criterion: E for solver multiplicative"):
-        multiplicative(case, listed(case, np.zeros((3, 4))))
+        multiplicative(case, listed_candidates(case, np.zeros((3, 4))))

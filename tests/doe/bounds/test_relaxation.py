@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doe.bounds import convex_program, relaxation
-from doe.bounds.convex_program import Answer
+from doe.bounds.convex_program import SolverAnswer
 from doe.bounds.relaxation import LARGEST, SOLVERS, relax
 from doe.criteria import A, Criterion, D, Ds, E, I
 from doe.problem.candidates import PostureList, grid
@@ -73,14 +73,14 @@ def test_a_status_other_than_solved_is_reported_and_is_no_bound(monkeypatch: pyt
 
 
 def test_no_weights_is_a_job_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(relaxation, "solve_program", lambda *_: Answer(None, "solver_error"))
+    monkeypatch.setattr(relaxation, "solve_program", lambda *_: SolverAnswer(None, "solver_error"))
     with pytest.raises(JobError, match=r"solver_error on 27 candidates.*column_generation"):
         relax(problem(FOUR), 3, "clarabel")
 
 
 def test_weights_of_a_liar_are_judged_for_what_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """Uniform weights called optimal: the gap and the bound come from the weights, so that nothing false is said."""
-    uniform = Answer(np.full(125, 3.0), "optimal")
+    uniform = SolverAnswer(np.full(125, 3.0), "optimal")
     monkeypatch.setattr(relaxation, "solve_program", lambda *_: uniform)
     found = relax(problem(FOUR), 5, "clarabel")
     expected = 4.0 * np.log(np.sin(np.radians(80.0)))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.bounds.weights import independent, proper_weights, sparsest
+from doe.bounds.weights import clearly_independent, proper_weights, sparsest
 from identification.errors import InputError
 
 
@@ -32,11 +32,11 @@ def test_independent_information_is_left_alone() -> None:
     generator = np.random.default_rng(0)
     jacobians = generator.standard_normal((6, 2, 20))
     weights = generator.dirichlet(np.ones(6))
-    assert independent(jacobians)
+    assert clearly_independent(jacobians)
     assert sparsest(jacobians, weights) == pytest.approx(weights, abs=1e-15)
-    assert not independent(np.concatenate([jacobians, 2.0 * jacobians[:1]]))
-    assert not independent(generator.standard_normal((7, 2, 3)))
-    assert not independent(np.concatenate([jacobians, np.zeros((1, 2, 20))]))
+    assert not clearly_independent(np.concatenate([jacobians, 2.0 * jacobians[:1]]))
+    assert not clearly_independent(generator.standard_normal((7, 2, 3)))
+    assert not clearly_independent(np.concatenate([jacobians, np.zeros((1, 2, 20))]))
 
 
 def test_proper_weights() -> None:

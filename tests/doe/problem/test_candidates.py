@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from doe.problem.candidates import Grid, PostureList, chunks, grid, listed, spread
+from doe.problem.candidates import Grid, PostureList, chunks, grid, listed_candidates, well_spread
 from identification.arrays import Array
 from identification.errors import InputError
 from tests.doe.arms import FOUR, OFFSET, problem
@@ -65,14 +65,14 @@ def test_constraints_drop_candidates() -> None:
 def test_a_list_loses_what_is_not_allowed() -> None:
     case = problem(FOUR, constraints=(Halfplane(2, 0.1),))
     inside, low, beyond = np.array([[0.0, 1.0, 0.5, 1.0], [0.0, 1.0, -0.5, 1.0], [0.0, 2.2, 0.5, 1.0]])
-    made = listed(case, np.stack([inside, low, beyond]))
+    made = listed_candidates(case, np.stack([inside, low, beyond]))
     assert made.postures == pytest.approx(inside[None], abs=0.0)
     assert made.dropped == 2
 
 
 def test_a_list_from_a_file_in_degrees_may_touch_the_limits() -> None:
     at_limit = np.array([[0.0, FOUR.upper[1] + 4e-10, 0.0, FOUR.lower[3] - 4e-10]])
-    made = listed(problem(FOUR), at_limit)
+    made = listed_candidates(problem(FOUR), at_limit)
     assert len(made) == 1
     assert np.all((made.postures >= FOUR.lower) & (made.postures <= FOUR.upper))
 
@@ -82,11 +82,11 @@ def test_bad_input() -> None:
     with pytest.raises(InputError, match="at least 2"):
         grid(case, 1)
     with pytest.raises(InputError, match=r"allowed: \(N, 4\)"):
-        listed(case, np.zeros((3, 5)))
+        listed_candidates(case, np.zeros((3, 5)))
     with pytest.raises(InputError, match="row 2"):
-        listed(case, np.array([[0.0] * 4, [np.nan] * 4]))
+        listed_candidates(case, np.array([[0.0] * 4, [np.nan] * 4]))
     with pytest.raises(InputError, match="0 of 2"):
-        listed(case, np.full((2, 4), 3.1))
+        listed_candidates(case, np.full((2, 4), 3.1))
     with pytest.raises(InputError, match="0 of "):
         grid(problem(FOUR, constraints=(Halfplane(2, 9.0),)), 3)
 
@@ -96,6 +96,6 @@ def test_a_hundred_million_candidates_take_no_memory() -> None:
     assert len(made) == 465**3
     last = made.take(np.array([len(made) - 1]))[0]
     assert last[1:] == pytest.approx(FOUR.upper[1:], abs=0.0)
-    some = spread(made, 100)
+    some = well_spread(made, 100)
     assert 50 < len(some) <= 102
     assert np.all((some >= FOUR.lower) & (some <= FOUR.upper))

@@ -17,10 +17,11 @@ from doe.problem.problem import DesignProblem
 from doe.problem.spatial_constraints import LINK_RADIUS, distance_between, smallest
 from doe.solvers import solve
 from identification.arrays import Array
-from identification.kinematics.denavit_hartenberg import DHRow, matrix
+from identification.kinematics.denavit_hartenberg import DHRow
 from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 from tests.doe.six_axis import REFLECTOR, SIX_AXIS, TABLE
+from tests.identification.kinematics.test_denavit_hartenberg import printed
 
 ROWS = [DHRow(a, np.radians(alpha), d) for a, alpha, d in TABLE]
 BOX = WorkspaceBox((-900.0, 1000.0), (-1000.0, 900.0), (50.0, 1200.0))
@@ -40,7 +41,7 @@ def frames(posture: Array) -> list[Array]:
     """Base, joints after the first, flange."""
     found = [np.eye(4)]
     for row, q in zip(ROWS, posture, strict=True):
-        found.append(found[-1] @ matrix(row, q))
+        found.append(found[-1] @ printed(row, q))
     return found
 
 

@@ -11,7 +11,7 @@ from doe.report.signed_residuals import (
     fitted_curves,
     joint_error,
     joint_errors,
-    nearest,
+    kth_distances,
     signed_figures,
 )
 from identification.arm import Arm, Calibration, EffectSpec
@@ -74,7 +74,7 @@ def test_the_nearest_rows_are_those_of_a_search_among_all() -> None:
     q, grid = generator.normal(size=30), np.linspace(-3.0, 3.0, 50)
     for k in (1, 3, 10):
         expected = np.sort(np.abs(q - grid[:, None]), axis=1)[:, k - 1]
-        np.testing.assert_allclose(nearest(q, grid, k), expected)
+        np.testing.assert_allclose(kth_distances(q, grid, k), expected)
 
 
 def test_one_picture_for_each_joint_with_a_curve_where_something_was_found() -> None:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from doe.report.terminal import facts, number, significant, table, unit_of
+from doe.report.terminal import facts, number, table, to_significant_digits, unit_of
 
 
 def shown(renderable: Table, width: int = 80) -> str:
@@ -41,7 +41,7 @@ def test_number(value: float | None, text: str) -> None:
 def test_significant_digits_are_three_of_the_standard_deviation(
     value: float | None, std: float | None, text: str
 ) -> None:
-    assert significant(value, std) == text
+    assert to_significant_digits(value, std) == text
 
 
 def test_brackets_are_no_markup() -> None:

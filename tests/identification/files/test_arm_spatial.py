@@ -18,12 +18,13 @@ from identification.estimation import Identification, estimate
 from identification.files.arm import load_arm
 from identification.files.arm_text import with_calibration
 from identification.files.urdf import read_urdf
-from identification.kinematics.denavit_hartenberg import DHRow, chain_of, matrix
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import pose
 from identification.kinematics.spatial import BASE, TOOL
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
+from tests.identification.kinematics.test_denavit_hartenberg import printed
 
 DATA = Path(__file__).parents[2] / "data"
 URDF = DATA / "spatial" / "six_axis.urdf"
@@ -201,7 +202,7 @@ def test_arm_of_a_table(tmp_path: Path, convention: str) -> None:
         DHRow(0.0, np.pi / 2, 160.0, type="prismatic"),
     ]
     q = np.array([0.3, -1.1, 70.0])
-    tip = np.linalg.multi_dot([matrix(row, x, convention) for row, x in zip(rows, q, strict=True)])
+    tip = np.linalg.multi_dot([printed(row, x, convention) for row, x in zip(rows, q, strict=True)])
     np.testing.assert_allclose(Model(arm).position(q[None])[0], tip[:3, 3], atol=1e-10)
     assert (arm.lower[2], arm.upper[2], arm.upper[0]) == (-50.0, 150.0, np.pi)
     assert arm.chain is not None

@@ -19,7 +19,7 @@ ROWS = (
 Q = np.array([0.3, -1.1, 120.0, 2.2])
 
 
-def printed(row: DHRow, q: float, convention: str) -> Array:
+def printed(row: DHRow, q: float, convention: str = STANDARD) -> Array:
     """(4, 4) A_j written out, as in textbooks."""
     slides = row.type == "prismatic"
     theta, d, a = row.offset + (0.0 if slides else q), row.d + (q if slides else 0.0), row.a

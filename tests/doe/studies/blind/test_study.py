@@ -22,7 +22,7 @@ import pytest
 from scipy.stats import binom
 
 from doe.jobs.row_table import frame_of
-from doe.report.blind import blind_tables, matrix
+from doe.report.blind import blind_tables, confusion_matrix
 from doe.studies.blind import cells
 from doe.studies.blind import study as blind
 from doe.studies.blind.rivals import error, gaussian_process, has_processes, true_arm
@@ -279,7 +279,7 @@ def test_the_confusion_matrix_counts_every_set_once() -> None:
     pairs = [("backlash", "backlash", 7), ("backlash", "gravity + backlash", 2), ("backlash", "gravity + unknown", 1)]
     pairs += [("nothing", "nothing", 5), ("backlash + gravity", "gravity", 9)]
     frame = frame_of([{"hidden": a, "named": b, "count": n} for a, b, n in pairs])
-    hidden, named, shares, totals = matrix(frame)
+    hidden, named, shares, totals = confusion_matrix(frame)
     assert (hidden, totals) == (["backlash", "nothing"], [10, 5])
     assert dict(zip(named, shares[0], strict=True)) == {"backlash": 0.7, "nothing": 0.0, "several": 0.2, "unknown": 0.1}
 
