@@ -18,8 +18,8 @@ from hypothesis import settings
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell ignores it for what it starts in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)
-settings.register_profile("repeatable", derandomize=True, deadline=None)
-settings.register_profile("explore", deadline=None, print_blob=True)  # new examples every time, failures are stored
+settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
+settings.register_profile("explore", deadline=None, print_blob=True)  # 100 new ones every time, failures are stored
 settings.register_profile("stress", deadline=None, max_examples=5000)  # of the stress tests a fifth or less
 settings.load_profile("repeatable")
 

@@ -98,10 +98,13 @@ def layer(module: str) -> int | None:
     return -1 if module in ("doe", "identification") else pytest.fail(f"{module} has no layer in {Path(__file__).name}")
 
 
+parsed = cache(ast.parse)
+
+
 def imported(source: str, module: str) -> set[str]:
     """Modules that a source imports, deferred imports too, relative ones resolved; `from package import module` too."""
     names = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(source)):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -139,7 +142,7 @@ def graph() -> dict[str, set[str]]:
 
 def at_run_time(source: str, ours: set[str]) -> set[str]:
     """Those of `ours` that a source imports when it runs."""
-    names, todo = set[str](), list[ast.AST](ast.parse(source).body)
+    names, todo = set[str](), list[ast.AST](parsed(source).body)
     while todo:
         node = todo.pop()
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):

@@ -19,7 +19,7 @@ from identification.arm import Arm
 from identification.errors import ArmcalError, JobError
 from identification.model import Model
 
-FEW = settings(max_examples=max(settings.default.max_examples // 10, 1))  # type: ignore[union-attr]
+FEW = settings(max_examples=max(settings.default.max_examples // 10, 10))  # type: ignore[union-attr]
 WIDTHS = st.sampled_from([1e-6, 1e-3, 0.1, 10.0, 90.0, 360.0])
 CONDITION = 1e-12  # smallest eigenvalue of G / m from which a determinant keeps digits in double precision
 

@@ -44,7 +44,7 @@ def test_equals_scipy_with_weights(effects: tuple[EffectSpec, ...], m: int) -> N
 
 
 @given(st.integers(1, 12), st.integers(0, 2**32))
-@settings(max_examples=15)
+@settings(max_examples=10)
 def test_exact_data_give_the_exact_arm_whatever_the_offsets(n: int, seed: int) -> None:
     """Offsets of any size, even half a turn, and lengths 30 % off: there is no start to be poor."""
     generator = np.random.default_rng(seed)
