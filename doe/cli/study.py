@@ -117,7 +117,8 @@ def _blind(replications: int | None, folder: Path, workers: Workers, options: Op
     from doe.studies.blind.spatial_cells import CELLS
     from doe.studies.blind.study import blind_study
 
-    found = blind_study(list(CELLS) if space else None, replications, folder, workers, **options)
+    cells = [name for name, spec in CELLS.items() if spec.reported] if space else None
+    found = blind_study(cells, replications, folder, workers, **options)
     write_pictures(folder, found)
     return _tables_answer(found, folder, blind_tables(found))
 

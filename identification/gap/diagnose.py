@@ -20,6 +20,7 @@ from identification.gap.choice_validation import ChoiceValidation, disagreement,
 from identification.gap.confirmation import HeldOut
 from identification.gap.cross_validation import cross_validation
 from identification.gap.detectability import Detectability, assess, require_spare
+from identification.gap.excluded_waves import excluded_waves
 from identification.gap.explanation import Explanation, Fits, explained_fits
 from identification.gap.fit import Fit
 from identification.gap.holdout import (
@@ -264,13 +265,14 @@ def verdict_of(found: Findings) -> str:
 
 
 def assess_data(found: Findings, sigma: float) -> Detectability:
-    """Detectability of every effect in these data, at the noise estimated from them."""
+    """Detectability of every effect in these data, at the noise estimated from them; with waves if nothing is found."""
     search = found.search
     base = search.fit(())
     jacobian = base.model.jacobian(search.rows.postures, base.values, search.rows.conditions)
-    return assess(
-        search.hypotheses, search.rows, jacobian, base.by_name, sigma, found.selection.first.omnibus_test.threshold
-    )
+    level = found.selection.first.omnibus_test.threshold
+    effects = assess(search.hypotheses, search.rows, jacobian, base.by_name, sigma, level)
+    waves = excluded_waves(search, sigma) if verdict_of(found) == "none" else {}
+    return replace(effects, detectable=MappingProxyType({**effects.detectable, **waves}))
 
 
 def show_residuals(arm: Arm, measurements: Measurements, base: Fit, named: Fit) -> Residuals:

@@ -176,12 +176,6 @@ class Dictionary:
         return np.asarray(self._turns @ (raw - self.inside.T @ model_scores))
 
     @cached_property
-    def vectors(self) -> Array:
-        """(D, N) orthonormal bases of all hypotheses in single precision, for thousands of draws of noise: half the
-        time and memory, and six digits suffice where noise is compared with noise."""
-        return self.scores(self.columns.matrix.T, self.model_basis.T).astype(np.float32)
-
-    @cached_property
     def _turns(self) -> csr_array:
         """(D, C) sparse matrix T^T: coefficients of the projected columns in each basis vector."""
         from scipy.sparse import csr_array

@@ -22,7 +22,7 @@ from identification.gap.unmodelled_shapes import FREE_ORDERS, WAVES
 # reasons: identification/README.md, "Constants"
 EFFECT, ORDER = "transmission_ripple", "k"
 LOWEST = 3.0  # periods per turn: slower waves are no teeth, they are part of some smooth curve
-BETWEEN = (-0.25, -0.125, 0.0, 0.125, 0.25)  # of an order, beside those scanned: likeness 0.97 with every one between
+BETWEEN = (-0.125, 0.0, 0.125)  # of an order, beside those scanned: likeness 0.99 with every one between
 WEIGHT = 0.2  # prior beside the orders that are tried at first
 LOOKUPS = 4  # effort
 

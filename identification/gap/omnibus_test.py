@@ -88,14 +88,6 @@ def wild_draws(corrected: Array, hypotheses: Dictionary, draws: int, generator: 
         yield Draws(drawn[:-rank], total - np.square(drawn[-rank:]).sum(axis=0))
 
 
-def white_draws(hypotheses: Dictionary, draws: int, generator: np.random.Generator) -> Iterator[Draws]:
-    """Draws of white Gaussian noise projected off the model, in parts; scores in single precision."""
-    basis = hypotheses.model_basis
-    for drawn in _in_parts(lambda count: generator.standard_normal((len(basis), count)), hypotheses, draws):
-        squares = np.square(drawn).sum(axis=0) - np.square(basis.T @ drawn).sum(axis=0)
-        yield Draws(hypotheses.vectors @ drawn.astype(np.float32), squares)
-
-
 def _in_parts(drawn: Callable[[int], Array], hypotheses: Dictionary, draws: int) -> Iterator[Array]:
     """Random numbers (rows, draws) in parts, each small enough that its scores are about `CHUNK` numbers.
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from identification.estimation.shown import in_words
+from identification.gap.excluded_waves import waves_clause
 from identification.gap.order_range import order_clauses
 from identification.gap.replication import replication_clauses
 from identification.html_tables import html_lines, html_table
@@ -81,7 +82,7 @@ def of_joints(joints: Sequence[int]) -> str:
 
 def findings(found: Diagnosis) -> list[str]:
     """Findings that belong to the verdict, one clause each."""
-    shape = [f"its shape: {found.shape}"] if found.shape and not found.curves else []
+    shape = [f"its shape: {found.shape}"] if found.shape and not found.curves else waves_clause(found.excluded)
     return [*shape, *unexplained(found), *replication_clauses(found.replication), *order_clauses(found.shapes)]
 
 

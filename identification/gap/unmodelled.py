@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.gap.search import Choice, HypothesisSearch
-from identification.gap.unmodelled_survey import LEVEL, Sample, Survey, adjusted, shapes_beside, survey_all
+from identification.gap.unmodelled_survey import LEVEL, LEVEL_FIRST, Survey, adjusted, shapes_beside, survey_all
 
 # reasons: identification/README.md, "Constants"
 # BIC that an unknown shape must gain over k effects that it would replace, 6 (2 - k): a single effect is given credit,
@@ -36,12 +36,12 @@ class Unknown:
 def find_unmodelled(search: HypothesisSearch, chosen: Choice, generator: np.random.Generator) -> Unknown:
     """Test whether any general shape explains the residuals of a set of effects, and locate the best by BIC."""
     sets = [chosen, *_reduced(chosen)]
-    sample = Sample(len(search.rows), search.rows.dimension, generator)
-    surveys = survey_all(search, sets, sample)
-    p = adjusted(search, surveys[0], sample, generator) if surveys[0].listed else 1.0
+    surveys = survey_all(search, sets)
+    level = (LEVEL if chosen else LEVEL_FIRST) * search.level_factor
+    p = adjusted(surveys[0], level, generator) if surveys[0].listed else 1.0
     best = search.bic(chosen)
     options = [_option(search, kept, shapes) for kept, shapes in zip(sets, surveys, strict=True) if shapes.listed]
-    if p <= LEVEL * search.level_factor:
+    if p <= level:
         return _best(p, options)
     fewer = [(o, len(chosen) - len(o.kept)) for o in options]
     replacing = [o for o, k in fewer if k > 0 and o.bic < best - ODDS * (2 - k)]

@@ -20,7 +20,7 @@ from identification.gap.fit import Fit
 from identification.gap.whitening import Rows
 
 # reasons: identification/README.md, "Constants"
-FREE_ORDERS = np.arange(0.5, 256.5, 0.5)  # periods per turn: every wave between has a likeness of 0.9 with one of them
+FREE_ORDERS = np.arange(0.25, 256.25, 0.25)  # periods per turn: every wave between has a likeness of 0.97 with one
 WAVES = {f"wave of {k:g} per turn": float(k) for k in FREE_ORDERS}  # shape -> periods per turn
 SMOOTH_ORDERS = np.arange(1, 6)  # of a smooth curve
 CENTRES, WIDTHS = 24, (0.2, 0.3, 0.45, 0.7, 1.0)  # of bumps [rad]: a likeness of 0.9 with every bump between

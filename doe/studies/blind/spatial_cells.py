@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doe.studies.blind.cells import DataSet
+from doe.studies.blind.cells import WAVES, DataSet
 from doe.studies.blind.hidden_effects import directions_of, key, off, scaled, settings_of
 from doe.studies.blind.simulator import Drawn, Session, session
 from doe.studies.blind.spatial_simulator import OF_GRAVITY, SpatialTruth, base_jacobian, position, shift, turn
@@ -40,6 +40,8 @@ class SpatialCell:
     lam: float | None = None
     reflectors: int = 1
     gravity: str = ""
+    order: float = 0.0  # periods per turn of the hidden gear ripple, where the cell is of one
+    reported: bool = True  # in the full study; the others can be asked for by name
 
 
 CELLS = {
@@ -54,6 +56,7 @@ CELLS = {
     "space, gravity, unknown tool mass": SpatialCell(60, 8.0, gravity="tool"),
     "space, gravity, tilted base": SpatialCell(60, 8.0, gravity="tilt"),
     "space, gravity, load elsewhere": SpatialCell(60, 8.0, gravity="place"),
+    **{f"space, wave {k:g}, lambda 8": SpatialCell(60, 8.0, order=k, reported=False) for k in WAVES},
 }
 
 
@@ -108,13 +111,13 @@ def random_effect(
     spec: SpatialCell, truth: SpatialTruth, run: Session, marker: np.ndarray | None, rng: np.random.Generator
 ) -> Drawn:
     """One effect, its type at random, then its joint, so large that off the geometry it is lambda sigma long."""
-    own = (*OF_GRAVITY, ALL_JOINTS) if spec.gravity else OF_JOINT + OF_ARM
+    own = ("transmission_ripple",) if spec.order else (*OF_GRAVITY, ALL_JOINTS) if spec.gravity else OF_JOINT + OF_ARM
     geometry = base_jacobian(truth, run, marker)
     assert spec.lam is not None
     while True:
         pick = str(rng.choice(own))
         joint = None if pick in OF_ARM else int(rng.integers(2 if pick == "joint_coupling" else 1, truth.n + 1))
-        effect = pick.rstrip("*"), joint, directions(pick, rng)
+        effect = pick.rstrip("*"), joint, directions(pick, rng) | ({"k": spec.order} if spec.order else {})
         length = column(truth, run, marker, effect)
         seen = np.linalg.norm(off(geometry, length))
         if seen > SEEN * np.linalg.norm(length) > 0.0:

@@ -54,8 +54,14 @@ def test_outliers_do_not_spoil_the_robust_scale() -> None:
 def test_levels_are_within_reach_of_the_draws() -> None:
     """The smallest p-value of B draws is 1 / (B + 1)."""
     assert 1.0 / (FEWEST_DRAWS + 1.0) <= selection.ALPHA_NEXT * search.LEVEL_FACTOR
-    assert 1.0 / (unmodelled_survey.DRAWS[-1] + 1.0) <= unmodelled_survey.LEVEL * search.LEVEL_FACTOR
+    assert 1.0 / (unmodelled_survey.DRAWS + 1.0) <= unmodelled_survey.BOOTSTRAP_LEVEL
     assert 10.0 / (noise.DRAWS + 1.0) <= noise.LEVEL  # 7 joints, reach, time and correlation, after Holm's correction
+
+
+def test_levels_leave_one_false_alarm_in_twenty() -> None:
+    """Of the names, of the scatter, and of shapes beside nothing named, which white noise reaches in 0.6 of its level
+    (0.55 to 0.65 of 20,000 draws for arms of 5 and 6 links, by the orders 1/4 apart)."""
+    assert selection.ALPHA_FIRST + noise.LEVEL + 0.6 * unmodelled_survey.LEVEL_FIRST <= 0.05
 
 
 def test_replacing_an_effect_costs_as_much_as_the_window() -> None:
@@ -69,13 +75,13 @@ def likeness(one: np.ndarray, tried: list[np.ndarray]) -> float:
 
 
 def test_no_wave_falls_between_the_orders_tried() -> None:
-    """Half-way between two orders the likeness over a full turn is sin(pi/4) / (pi/4) = 0.90."""
+    """Half-way between two orders the likeness over a full turn is sin(pi/8) / (pi/8) = 0.97."""
     q = np.linspace(-np.pi, np.pi, 4001)[:-1]
-    orders = [10.0, 10.5]
+    orders = [10.0, 10.25]
     assert set(orders) <= set(unmodelled_shapes.FREE_ORDERS)
     tried = [np.column_stack([np.cos(k * q), np.sin(k * q)]) for k in orders]
     for phase in (0.0, 0.5, 1.0, 1.5):
-        assert likeness(np.cos(10.25 * q + phase), tried) == pytest.approx(np.sinc(0.25), abs=0.02)
+        assert likeness(np.cos(10.125 * q + phase), tried) == pytest.approx(np.sinc(0.125), abs=0.02)
 
 
 def test_no_bump_falls_between_the_bumps_tried() -> None:

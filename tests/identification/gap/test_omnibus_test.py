@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import sqrtm
 
 from identification.gap.f_tests import Columns, Dictionary, dictionary
-from identification.gap.omnibus_test import Draws, leverage_corrected, omnibus_test, white_draws, wild_draws
+from identification.gap.omnibus_test import Draws, leverage_corrected, omnibus_test, wild_draws
 from identification.information import column_space
 
 
@@ -58,14 +58,6 @@ def test_wild_draws_are_projected_residuals_with_one_sign_per_posture() -> None:
     possible = np.vstack([_scores(tested, flipped), np.square(flipped).sum(axis=0)])
     for column in np.vstack([drawn.scores, drawn.squares]).T:
         assert np.abs(possible - column[:, None]).max(axis=0).min() < 1e-10
-
-
-def test_white_draws_have_the_moments_of_white_noise() -> None:
-    """Scores are standard normal, squares chi-square with 34 degrees of freedom: 4000 draws, 5 standard errors."""
-    rng = np.random.default_rng(5)
-    drawn = joined(white_draws(beside(rng.normal(size=(40, 6)), [rng.normal(size=(40, 2))]), 4000, rng))
-    np.testing.assert_allclose(drawn.scores @ drawn.scores.T / 4000, np.eye(2), atol=5.0 * np.sqrt(2.0 / 4000))
-    assert np.mean(drawn.squares) == pytest.approx(34.0, abs=5.0 * np.sqrt(68.0 / 4000))
 
 
 def test_of_many_postures_the_scores_are_normal_with_the_covariance_of_the_sign_flips(
