@@ -108,7 +108,7 @@ class Workflow:
         found = self._extended(search, selection, *used)
         others = [self._with_noise(found, *other) for other in _other_noise(found, rows, noisy, named)]
         best = min(others, key=lambda f: cost(f, len(rows)), default=found)
-        found = best if cost(best, len(rows)) < cost(found, len(rows)) - CREDIT else found
+        found = best if cost(best, len(rows)) < cost(found, len(rows)) - _credit(found, best) else found
         return min((found, *self._with_memory(found, rows)), key=lambda f: cost(f, len(rows)))
 
     def _testing(self, number: int, named: int) -> None:
@@ -149,6 +149,16 @@ class Workflow:
             return []
         scatter = (*found.scatter, *hint)
         return [self._with_noise(found, whitened(rows, base, scatter), scatter, found.outlier)]
+
+
+def _credit(found: Findings, other: Findings) -> float:
+    """By how much the cost of another explanation of the scatter must be lower.
+
+    Nothing where uneven scatter leaves nothing missing and a cause takes its place: a wave at a joint looks like noise
+    of that joint.
+    """
+    nothing = not found.unknown.chosen and found.unknown.place is None
+    return 0.0 if nothing and np.array_equal(found.outlier, other.outlier) else CREDIT
 
 
 def _other_noise(
