@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import f as fdist
 from scipy.stats import ncf
 
+from doe.studies.blind.cells import data_set
+from identification.gap.diagnose import diagnose
 from identification.gap.search import LEVEL_FACTOR
 from identification.gap.selection import ALPHA_NEXT, LEAST_GAIN
-from identification.gap.workflow import MOST_ROWS, Workflow
+from identification.gap.unmodelled import Unknown
+from identification.gap.workflow import CREDIT, MOST_ROWS, Workflow, _credit
 from tests.identification.gap.test_search import LIBRARY, NAMES, searched
 
 
@@ -40,3 +45,21 @@ def test_the_rows_searched_show_what_is_worth_a_round() -> None:
     power = [float(ncf.sf(limit, 2, rows - 10, rows * LEAST_GAIN / (1.0 - LEAST_GAIN))) for rows in (n, n - 100)]
     assert power[0] == pytest.approx(0.99, abs=0.001)
     assert power[1] < power[0]
+
+
+def test_a_wave_of_a_joint_is_not_taken_for_noise_of_that_joint() -> None:
+    """37.3 per turn in joint 1, on 50 postures of two links: noise of joint 1 would leave nothing missing."""
+    data = data_set("wave 37.3, lambda 8", 36)
+    found = diagnose(data.arm, data.measurements, draws=499, seed=36)
+    assert found.effects == ("transmission_ripple:1[k=37.375]",)
+
+
+def test_only_a_cause_in_place_of_uneven_scatter_needs_no_credit() -> None:
+    generator = np.random.default_rng(1)
+    nothing = Workflow(LIBRARY, 399, generator).findings(searched()[0].rows)
+    nothing = replace(nothing, unknown=Unknown(1.0, None, None, (), 0.0))
+    named = replace(nothing, unknown=Unknown(1.0, None, None, LIBRARY.members[:1], 0.0))
+    elsewhere = replace(nothing, unknown=Unknown(0.0, "joint:1", "cube", (), 0.0))
+    fewer = replace(nothing, outlier=~nothing.outlier)
+    assert [_credit(nothing, other) for other in (named, elsewhere, fewer)] == [0.0, 0.0, CREDIT]
+    assert [_credit(found, nothing) for found in (named, elsewhere)] == [CREDIT, CREDIT]
