@@ -82,9 +82,8 @@ def of_joints(joints: Sequence[int]) -> str:
 
 def findings(found: Diagnosis) -> list[str]:
     """Findings that belong to the verdict, one clause each."""
-    shape = [f"its shape: {found.shape}"] if found.shape and not found.curves else []
-    named = [*replication_clauses(found.replication), *order_clauses(found.shapes)]
-    return [*shape, *unexplained(found), *named, *waves_clause(found.excluded)]
+    shape = [f"its shape: {found.shape}"] if found.shape and not found.curves else waves_clause(found.excluded)
+    return [*shape, *unexplained(found), *replication_clauses(found.replication), *order_clauses(found.shapes)]
 
 
 def sentence(found: Diagnosis) -> str:
