@@ -22,6 +22,7 @@ from identification.measurements import POINT, Measurements, distances
 from identification.model import Model
 from identification.placed import placed_model
 
+PLACED = 6  # numbers of a center, or a plane with three turns, and a measured point
 SMALL_ANGLE = np.radians(7.0)  # below which numbers may be radians
 LARGE_ANGLE = 7.0  # [rad], more than a turn, above which numbers may be degrees
 ANGLES = {  # factors to radians as read, and what the numbers then were
@@ -52,7 +53,9 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
 
 
 def _few(measurements: Measurements, arm: Arm) -> bool:
-    return arm.chain is not None and measurements.positions.size < 4 * len(Model(arm).parameters)
+    """Whether base and measured point alone might explain the data in any unit."""
+    fitted = PLACED if measurements.dimension == 1 else len(Model(arm).parameters)
+    return arm.chain is not None and measurements.positions.size < 4 * fitted
 
 
 def gap_notes(measurements: Measurements) -> list[str]:

@@ -31,11 +31,12 @@ PRACTICAL = 1e-2  # [mm] the same without what measurements hardly determine: be
 SEED = 0
 
 
-def minimal(model: Model, least: float = DISTINCT) -> Model:
+def minimal(model: Model, least: float = DISTINCT, postures: Array | None = None) -> Model:
     """The model of a spatial arm with a minimal set of geometric parameters, free of any prior; the others are zero, or
     what a calibration says.
 
     least : [mm] what the smallest parameter that counts moves a coordinate by, see `DISTINCT`
+    postures : (m, n) that a surface is touched at, which show less than those inside the limits; None: any of these
     Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
     """
     chain = model.arm.chain
@@ -44,7 +45,7 @@ def minimal(model: Model, least: float = DISTINCT) -> Model:
     parameters = model.parameters
     order = [k for kind in FIRST for k in parameters.indices(kind)]
     sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
-    kept = set(independent(_jacobian(model)[:, order] * sizes, least))
+    kept = set(independent(_jacobian(model, postures)[:, order] * sizes, least))
     fixed = frozenset(parameters[k].name for place, k in enumerate(order) if place not in kept)
     return replace(model, arm=replace(model.arm, chain=replace(chain, fixed=chain.fixed | fixed)))
 
@@ -54,7 +55,20 @@ def practical(arm: Arm, measurements: Measurements) -> Arm:
     measurements hardly determine as drawn. A planar arm, and a spatial one whose set was chosen, stays as it is."""
     if arm.chain is None or arm.chain.fixed:
         return arm
-    return minimal(placed_model(Model(arm), measurements), PRACTICAL).arm
+    return minimal_of(Model(arm), measurements, PRACTICAL).arm
+
+
+def minimal_of(model: Model, measurements: Measurements, least: float = DISTINCT) -> Model:
+    """`minimal` where the closed form finds base and measured points; of contacts what the surface that is touched most
+    often shows, at the postures measured."""
+    placed, chain = placed_model(model, measurements), model.arm.chain
+    if chain is None or not chain.instrument.contact:
+        return minimal(placed, least)
+    own = measurements.rows(max(measurements.session_rows, key=len))
+    shown = minimal(placed_model(model, own), least, own.postures).arm.chain
+    assert placed.arm.chain is not None
+    assert shown is not None
+    return replace(placed, arm=replace(placed.arm, chain=replace(placed.arm.chain, fixed=shown.fixed)))
 
 
 def placed_calibration(arm: Arm, found: Calibration) -> Calibration:
@@ -84,10 +98,11 @@ def independent(columns: Array, least: float = DISTINCT) -> list[int]:
     return kept
 
 
-def _jacobian(model: Model) -> Array:
-    """(N, p) at random postures inside the limits, of every measured point."""
+def _jacobian(model: Model, postures: Array | None) -> Array:
+    """(N, p) at postures, None: random ones inside the limits, of every measured point."""
     arm, generator = model.arm, np.random.default_rng(SEED)
-    postures = generator.uniform(arm.lower, arm.upper, (POSTURES, arm.links))
+    if postures is None:
+        postures = generator.uniform(arm.lower, arm.upper, (POSTURES, arm.links))
     markers = 1 if arm.chain is None else len(arm.chain.tools)
-    rows = [model.jacobian(postures, None, Conditions(marker=np.full(POSTURES, float(k)))) for k in range(markers)]
+    rows = [model.jacobian(postures, None, Conditions(marker=np.full(len(postures), float(k)))) for k in range(markers)]
     return np.concatenate(rows).reshape(-1, len(model.parameters))

@@ -226,15 +226,17 @@ def with_commands(said: Answer, errors: tuple[ServoError, ...]) -> Answer:
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:
     """The model reduced to parameters that the measurements determine; warns of those that are hardly determined."""
-    from identification.minimal import PRACTICAL, minimal
-    from identification.placed import placed_model
+    from identification.kinematics.instrument import PLANE
+    from identification.minimal import PRACTICAL, minimal_of
 
-    placed = placed_model(model, measurements)
-    found = minimal(placed, PRACTICAL)
-    if hardly := [name for name in minimal(placed).names if name not in found.names]:
+    if model.arm.chain is not None and model.arm.chain.instrument.kind == PLANE:
+        found = "minimal for contacts with planes, which leave the size of the arm open"
+        raise InputError(f"--parameters: found {found}, allowed: all, with the prior of [machining]")
+    kept = minimal_of(model, measurements, PRACTICAL)
+    if hardly := [name for name in minimal_of(model, measurements).names if name not in kept.names]:
         left = f"{', '.join(hardly)} would move no coordinate by {PRACTICAL:g} mm RMS"
-        warnings.warn(f"left as drawn, {len(found.names)} parameters stay: {left}", UserWarning, stacklevel=2)
-    return found
+        warnings.warn(f"left as drawn, {len(kept.names)} parameters stay: {left}", UserWarning, stacklevel=2)
+    return kept
 
 
 def answer(

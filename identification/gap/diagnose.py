@@ -138,8 +138,9 @@ def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | No
     if draws < FEWEST_DRAWS:
         raise InputError(f"draws: {draws}, allowed: at least {FEWEST_DRAWS}, or no effect can pass the strictest test")
     check(Model(arm), measurements)
+    touching = arm.chain is not None and arm.chain.instrument.contact  # contacts have no positions
     for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
-        if np.all(np.ptp(table, axis=0) == 0.0):
+        if not (touching and name == "position") and np.all(np.ptp(table, axis=0) == 0.0):
             raise InputError(f"measurements: the same {name} in all {len(table)} rows, allowed: several {name}s")
     if holdout is not None:
         check_holdout(measurements, holdout)

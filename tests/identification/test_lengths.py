@@ -17,13 +17,14 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
+from identification.gap.diagnose import diagnose
 from identification.information import spectrum
 from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import pose
 from identification.kinematics.instrument import Instrument
 from identification.measurements import Measurements
-from identification.minimal import minimal
+from identification.minimal import PRACTICAL, minimal, minimal_of
 from identification.model import Model
 from identification.sessions import with_sessions
 from identification.simulate import simulate
@@ -197,3 +198,28 @@ def test_no_plan_says_where_a_surface_is_touched() -> None:
 def test_too_few_rows() -> None:
     with pytest.raises(InputError, match=r"fewer equations than unknowns: 1 m = 5 < p = 6, allowed: m >= 6"):
         fit(bar(), np.random.default_rng(0).uniform(-1.0, 1.0, (5, 6)), np.full(5, 300.0))
+
+
+@pytest.mark.parametrize(("kind", "count"), [("sphere", 24), ("plane", 23)])
+def test_a_minimal_set_of_contacts_is_what_the_largest_surface_shows(kind: str, count: int) -> None:
+    """At the postures that touch it: elsewhere a plane would show the arm's size, too."""
+    generator = np.random.default_rng(7)
+    truth, center = Exponentials(generator), np.array([600.0, -200.0, 300.0])
+    surface = plane(np.array([0.1, 0.2, 1.0]), 200.0) if kind == "plane" else sphere(center, 30.0)
+    other = plane(np.array([1.0, 0.0, 0.0]), 500.0) if kind == "plane" else sphere(-center, 30.0)
+    q = np.concatenate([touching(truth, other, 30, generator), touching(truth, surface, 80, generator)])
+    length = 30.0 if kind == "sphere" else 0.0
+    arm = Arm.of_chain(replace(drawing(), instrument=Instrument(kind, length or None)), sigma=0.01)
+    data = Measurements(q, np.full((110, 1), length), session=np.repeat(["a", "b"], [30, 80]))
+    assert len(minimal_of(Model(arm), data, PRACTICAL).names) == count
+
+
+def test_an_effect_is_named_by_contacts_alone() -> None:
+    """Joint 3 reads what an encoder off center does. A contact has no position, and none is asked for."""
+    generator = np.random.default_rng(8)
+    truth = Exponentials(generator)
+    q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), 30.0), 150, generator)
+    q[:, 2] += 8e-4 * np.cos(q[:, 2]) + 3e-4 * np.sin(q[:, 2])
+    arm = Arm.of_chain(replace(drawing(), instrument=Instrument("sphere", 30.0)), sigma=0.01)
+    found = diagnose(arm, Measurements(q, 30.0 + 0.01 * generator.standard_normal((150, 1))))
+    assert found.named.effects == ("encoder_eccentricity:3",)

@@ -157,3 +157,16 @@ def test_files_that_do_not_fit(cell: Folder) -> None:
     refused = cell.armcal("identify", "arm.toml", "data.csv")
     assert refused.code == 2
     assert "fewer equations than unknowns: 1 m = 1 < p = 6" in refused.err
+    cell.write("plane.toml", SIX + 'kind = "plane"\n')
+    refused = cell.armcal("identify", "plane.toml", "data.csv", "--parameters", "minimal")
+    assert refused.code == 2
+    assert "minimal for contacts with planes, which leave the size of the arm open" in refused.err
+
+
+def test_metres(cell: Folder) -> None:
+    done(cell, "simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "data.csv")
+    lines = [line.split(",") for line in cell.read("data.csv").splitlines()]
+    metres = [[*line[:6], line[6] if k == 0 else str(float(line[6]) / 1000.0)] for k, line in enumerate(lines)]
+    cell.write("metres.csv", "\n".join(map(",".join, metres)) + "\n")
+    found = done(cell, "check", "arm.toml", "metres.csv")
+    assert found["problems"] == ["the positions look like metres: name the columns distance_m instead of distance_mm"]
