@@ -39,10 +39,11 @@ class Spread(NamedTuple):
 def as_it_was(problem: Problem) -> Array:
     """(m, d) residuals [mm] of the arm as it was; where nothing says where a spatial arm stands and what is measured on
     it, these are fitted in least squares (one Gauss-Newton step from the closed form)."""
-    residual, free = problem.residuals(problem.start)[0], placing(problem.model.parameters)
-    if not free:
-        return residual
-    slopes = problem.jacobian(problem.start)[:, free]
+    if not (free := placing(problem.model.parameters)):
+        return np.asarray(problem.residuals(problem.start)[0])
+    position, jacobian = problem.model.linearize(problem.postures, problem.start, problem.conditions)
+    residual = problem.positions[0] - position
+    slopes = (problem.root_weights[:, :, None] * jacobian[:, :, free]).reshape(-1, len(free))
     step = np.linalg.lstsq(slopes, (problem.root_weights * residual).ravel(), rcond=None)[0]
     there = problem.start.copy()
     there[free] += step

@@ -113,7 +113,7 @@ class Problem:
         some = self if len(index) == len(self.positions) else self.rows(index)
         position, jacobian = self.model.linearize(some.postures, parameters, some.conditions)
         residuals = self.root_weights * (some.positions - position)
-        jacobian = self.root_weights[:, :, None] * jacobian
+        jacobian *= self.root_weights[:, :, None]  # in place: new memory takes as long as the product
         k, m, d, p = jacobian.shape
         residuals, jacobian = residuals.reshape(k, m * d), jacobian.reshape(k, m * d, p)
         if len(rows := self.prior_rows) == 0:

@@ -6,6 +6,8 @@ Orthogonal transformations change neither sums of squares nor products of column
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from identification.arrays import Array
@@ -14,19 +16,19 @@ TALL = 20  # rows per column from which the triangle pays: a step passes over th
 BLOCK = 2048  # rows at a time, which stay in the processor's cache
 
 
-def triangle(rows: Array) -> Array:
-    """(k, q, q) upper triangles R with R^T R = A^T A of tables (k, N, q), N >= q."""
-    found = []
-    for table in rows:
-        parts = [np.linalg.qr(table[start : start + BLOCK], mode="r") for start in range(0, len(table), BLOCK)]
-        found.append(parts[0] if len(parts) == 1 else np.linalg.qr(np.concatenate(parts), mode="r"))
-    return np.array(found)
+def triangle(blocks: Iterable[Array]) -> Array:
+    """(q, q) upper triangle R with R^T R = A^T A of a table (N, q), N >= q, that comes in blocks of rows."""
+    parts = [np.linalg.qr(block, mode="r") for block in blocks]
+    return np.asarray(parts[0] if len(parts) == 1 else np.linalg.qr(np.concatenate(parts), mode="r"))
 
 
 def compressed(residuals: Array, jacobians: Array) -> tuple[Array, Array]:
     """Residuals (k, q) and Jacobians (k, q, p), q = p + 1, of the same least-squares problems as tall (k, N) and
     (k, N, p); those that are not tall as they are."""
-    if jacobians.shape[1] < TALL * (jacobians.shape[2] + 1):
+    rows = jacobians.shape[1]
+    if rows < TALL * (jacobians.shape[2] + 1):
         return residuals, jacobians
-    found = triangle(np.concatenate([jacobians, residuals[:, :, None]], axis=2))
+    parts = [slice(start, start + BLOCK) for start in range(0, rows, BLOCK)]
+    tables = [(np.column_stack([j[k], r[k]]) for k in parts) for r, j in zip(residuals, jacobians, strict=True)]
+    found = np.array([triangle(table) for table in tables])
     return found[:, :, -1], found[:, :, :-1]

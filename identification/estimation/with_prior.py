@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import product
 from typing import Literal, NamedTuple
 
@@ -209,24 +210,27 @@ class Linearized(NamedTuple):
 
 
 def likeliest(problem: Linearized, noise: Noise, given: bool) -> tuple[float, Widths]:
-    """Noise, no less than a given one, and widths of the machining's sizes of the largest marginal likelihood.
-
-    given : the noise is the one given
-    """
-    known = noise.sigma is not None
-    unit = 1.0 if known or given else problem.scatter
+    """Noise, no less than a given one (`given`: that one), and the machining's widths of the largest likelihood."""
+    unit = 1.0 if (known := noise.sigma is not None) or given else problem.scatter
     if problem.spare == 0:
         return unit, AS_STATED
     basis = np.linalg.qr(problem.free)[0]
     target, jacobian = (a - basis @ (basis.T @ a) for a in (problem.target, problem.jacobian))
 
+    alike = bool(problem.machined[problem.factor.any(axis=1)].all())  # their sizes have one factor
+
+    @cache
+    def likelihood(width: float, of_zeros: float, share: float) -> Restricted:
+        sizes = np.where(problem.zeros, of_zeros, 1.0) * np.where(problem.machined, width, 1.0)
+        effects, spare = (jacobian * sizes) @ problem.factor, max(round(share * problem.spare), 1)
+        return Restricted.of(np.sqrt(share) * target, basis[:, :0], np.sqrt(share) * effects, spare)
+
     def fitted(widths: Widths, share: float = 1.0) -> tuple[float, float]:
         """-2 log of the likelihood, and the noise, from a share of the rows."""
-        sizes = np.where(problem.zeros, widths[1], 1.0) * np.where(problem.machined, widths[0], 1.0)
-        effects, spare = (jacobian * sizes) @ problem.factor, max(round(share * problem.spare), 1)
-        likelihood = Restricted.of(np.sqrt(share) * target, basis[:, :0], np.sqrt(share) * effects, spare)
-        noise = unit if given else likelihood.likeliest_noise(unit if known else unit / LARGEST, LARGEST * unit)
-        return likelihood.minus_log(noise) + CREDIBLE * np.count_nonzero(np.not_equal(widths, AS_STATED)), noise
+        size = widths[0] if alike else 1.0
+        found, least = likelihood(widths[0] / size, widths[1], share), unit if known else unit / LARGEST
+        noise = unit if given else found.likeliest_noise(least, LARGEST * unit, size)
+        return found.minus_log(noise, size) + CREDIBLE * np.count_nonzero(np.not_equal(widths, AS_STATED)), noise
 
     tried = product(WIDTHS if problem.machined.any() else (1.0,), ZERO_WIDTHS if problem.zeros.any() else (1.0,))
     best = min(tried, key=lambda widths: fitted(widths, min(1.0, ENOUGH / problem.equations))[0])
