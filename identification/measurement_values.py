@@ -12,7 +12,7 @@ from identification.arrays import Array, readonly
 from identification.errors import InputError
 
 _Test = Callable[[Array], NDArray[np.bool_]]
-DIMENSIONS = (1, 2, 3, 6)  # coordinates that an instrument may measure
+DIMENSIONS = (2, 3, 6, 1)  # coordinates that an instrument may measure; 1: a length
 OPTIONAL = ("order", "payload", "temperature", "directions", "sigma", "repeats", "orientations", "commanded", "gaps")
 
 

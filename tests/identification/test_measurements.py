@@ -51,7 +51,7 @@ def changed(values: np.ndarray, row: int, value: float) -> np.ndarray:
     [
         ({"positions": X[:1]}, "measurements.positions: shape (1, 2) for 20 postures of 4 joints, allowed: (20, 2)"),
         ({"positions": X[:19]}, "measurements.positions: shape (19, 2) for 20 postures of 4 joints, allowed: (20, 2)"),
-        ({"positions": X[:, :1]}, "measurements.positions: shape (20, 1) for 20 postures"),
+        ({"positions": X[:, 0]}, "measurements.positions: shape (20,) for 20 postures"),
         (
             {"positions": np.ones((20, 4))},
             "positions: shape (20, 4) for 20 postures of 4 joints, allowed: (20, 2) or (20,",
