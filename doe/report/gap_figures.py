@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from doe.report.pictures import AFTER, BEFORE, LIMIT, MANY, draw_residual_arrows, to_scale, workspace_axes
+from doe.report.pictures import AFTER, BEFORE, LIMIT, MANY, base_of, draw_residual_arrows, to_scale, workspace_axes
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation.intervals import quantile_95
@@ -85,7 +85,7 @@ def workspace_figure(diagnosis: Diagnosis) -> Figure:
     """Residual arrows over the workspace, before and after, on one scale; without outlier rows."""
     shown, kept = diagnosis.residuals, rows_kept(diagnosis)
     pairs = ((shown.before[kept], "before"), (shown.after[kept], "after"))
-    return workspace_arrows(diagnosis.arm, shown.positions[kept], pairs)
+    return workspace_arrows(diagnosis.extended_arm(), shown.positions[kept], pairs)
 
 
 def workspace_arrows(arm: Arm, positions: Array, pairs: Sequence[tuple[Array, str]]) -> Figure:
@@ -94,7 +94,7 @@ def workspace_arrows(arm: Arm, positions: Array, pairs: Sequence[tuple[Array, st
     axes = workspace_axes(figure, pairs[0][0].shape[1])
     scale = 0.12 * arm.reach / (float(distances(pairs[0][0]).max()) or 1.0)
     for column, (residuals, name), color in zip(axes, pairs, (BEFORE, AFTER), strict=True):
-        draw_residual_arrows(column, positions, residuals, color, name, float(scale))
+        draw_residual_arrows(column, positions, residuals, color, name, float(scale), base_of(arm))
     if pairs[0][0].shape[1] >= 3:
         to_scale(figure, axes)
     return figure

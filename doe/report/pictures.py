@@ -180,7 +180,7 @@ def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, 
     for column, (residuals, color, name) in zip(workspace_axes(top, before.shape[1]), pairs, strict=True):
         size = float(distances(residuals).max()) or 1.0
         scale = 0.12 * arm.reach / size  # the largest arrow is an eighth of the reach
-        draw_residual_arrows(column, positions, residuals, color, name, scale)
+        draw_residual_arrows(column, positions, residuals, color, name, scale, base_of(arm))
     draw_against_joints(bottom, postures, before, after)
     return figure
 
@@ -215,8 +215,20 @@ def to_scale(figure: Figure, columns: Sequence[Sequence[Axes]]) -> None:
     figure.set_figheight(0.2 + sum(0.5 + 0.88 * figure.get_figwidth() * share / len(columns) for share in shares))
 
 
+def base_of(arm: Arm) -> tuple[float, float]:
+    """Where a planar arm stands in the frame of its measurements [mm]."""
+    known = Model(arm).best_known if arm.chain is None else {}
+    return known.get("base_offset.x0", 0.0), known.get("base_offset.y0", 0.0)
+
+
 def draw_residual_arrows(
-    axes: Sequence[Axes], positions: Array, residuals: Array, color: str, name: str, scale: float
+    axes: Sequence[Axes],
+    positions: Array,
+    residuals: Array,
+    color: str,
+    name: str,
+    scale: float,
+    base: tuple[float, float] = (0.0, 0.0),
 ) -> None:
     """Residuals (m, d) as arrows at the measured positions, enlarged by `scale`, in each projection; of lengths, d = 1,
     as they are, against what was measured."""
@@ -235,7 +247,7 @@ def draw_residual_arrows(
         axis.autoscale_view()
         axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]")
         if planar:
-            axis.plot(0, 0, "ks", ms=5)
+            axis.plot(*base, "ks", ms=5)
     axes[0].set_title(
         f"{name}: RMS {rms_distance(residuals):.4g} mm, arrows x {scale:.0f}", fontsize=9, parse_math=False
     )

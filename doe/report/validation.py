@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from rich.text import Text
 
 from doe.report.gap_figures import binned_rms
-from doe.report.pictures import AFTER, BEFORE, MANY, draw_residual_arrows, projections, workspace_axes
+from doe.report.pictures import AFTER, BEFORE, MANY, base_of, draw_residual_arrows, projections, workspace_axes
 from doe.report.terminal import number, table
 from identification.arrays import Array
 from identification.measurements import distances
@@ -71,5 +71,5 @@ def validation_figure(found: Validation) -> Figure:
     largest = max(float(distances(residuals).max()) for residuals, _, _ in pairs) or 1.0
     scale = 0.12 * found.arm.reach / largest
     for column, (residuals, color, name) in zip(workspace_axes(bottom, found.residuals.shape[1]), pairs, strict=True):
-        draw_residual_arrows(column, found.measurements.positions, residuals, color, name, scale)
+        draw_residual_arrows(column, found.measurements.positions, residuals, color, name, scale, base_of(found.arm))
     return figure

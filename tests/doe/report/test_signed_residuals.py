@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from doe.report.gap_figures import workspace_arrows
 from doe.report.signed_residuals import (
     Compared,
     fitted_curve,
@@ -106,3 +107,12 @@ def test_between_a_few_rows_the_line_is_what_the_effect_does() -> None:
     assert np.hypot(*part) == pytest.approx(1e-3, rel=1e-3)
     jagged = fitted_curves(q, levers, change, [1])[1][1]
     assert np.nanstd(jagged - wave) > 1e-4
+
+
+def test_the_base_is_drawn_where_the_arm_stands() -> None:
+    place = {"base_offset.x0": 1200.0, "base_offset.y0": -300.0}
+    stands = Arm(LENGTHS, effects=(EffectSpec("base_offset"),), calibration=Calibration(place))
+    for arm, expected in ((stands, (1200.0, -300.0)), (Arm(LENGTHS), (0.0, 0.0))):
+        points, residuals = np.random.default_rng(8).normal(size=(2, 5, 2))
+        axes = workspace_arrows(arm, points, ((residuals, "before"), (residuals, "after"))).axes
+        assert [tuple(np.ravel(axis.lines[0].get_xydata())) for axis in axes] == [expected] * 2
