@@ -219,5 +219,5 @@ def shrinks(gained: Mean, rows: HeldOut, level: float) -> bool | None:
         return True
     if gained._replace(value=-gained.value).p_above() <= level / 2.0:
         return False
-    apart = float(np.sqrt(np.sum(rows.moved))) / (2.0 * rows.sigma)
-    return False if gained.value <= 0.0 and apart >= -ndtri(level / 2.0) else None
+    sure = np.sqrt(np.sum(rows.moved)) > -2.0 * rows.sigma * ndtri(level / 2.0)
+    return False if gained.value <= 0.0 and sure else None

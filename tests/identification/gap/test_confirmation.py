@@ -15,6 +15,7 @@ from identification.gap.confirmation import (
     groupings,
     mean_of,
     regions,
+    shrinks,
 )
 
 SIGMA = 0.1  # per coordinate
@@ -44,6 +45,14 @@ def test_one_group_tells_nothing() -> None:
     assert alone.p_above() == 1.0
     assert not alone.detects(1e9)
     assert (Mean(1.0, 0.1, 5.0) - alone).p_above() == 1.0
+
+
+def test_without_noise_any_two_models_differ_for_sure() -> None:
+    """Eight rows where nothing is gained: refuted if the models differ there at all, else the rows do not tell."""
+    gained, zero, one = Mean(0.0, 1.0, 7.0), np.zeros(8), np.ones(8)
+    for moved, sigma, expected in ((one, 0.0, False), (zero, 0.0, None), (zero, 1.0, None), (one, 0.1, False)):
+        assert shrinks(gained, HeldOut(one, one, gained, moved, sigma, 2), 0.05) is expected
+    assert shrinks(gained, HeldOut(one, one, gained, one, 10.0, 2), 0.05) is None
 
 
 def test_groups_keep_repeats_together_and_are_of_equal_size() -> None:
