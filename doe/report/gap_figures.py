@@ -10,7 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from doe.report.pictures import AFTER, BEFORE, LIMIT, MANY, base_of, draw_residual_arrows, to_scale, workspace_axes
+from doe.report.pictures import (
+    AFTER,
+    BEFORE,
+    LIMIT,
+    MANY,
+    TICKS,
+    base_of,
+    draw_residual_arrows,
+    to_scale,
+    workspace_axes,
+)
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation.intervals import quantile_95
@@ -64,6 +74,7 @@ def draw_against(diagnosis: Diagnosis, axes: Sequence[Axes]) -> None:
             axis.plot(x[kept], distance, ".", color=color, **style)
             axis.plot(*binned_rms(x[kept], distance), color=color, lw=1.8, label=when)
         axis.set(xlabel=label, ylim=(0, None))
+        axis.locator_params(axis="y", nbins=TICKS)
     axes[0].legend(frameon=False, fontsize=8)
 
 
@@ -140,6 +151,7 @@ def draw_curves(diagnosis: Diagnosis, axes: Sequence[Axes]) -> None:
         axis.fill_between(angles, error - band, error + band, color=AFTER, alpha=0.25, lw=0, label="95 %")
         axis.plot(angles, error, color=AFTER, lw=1.4, label="curve")
         axis.set(xlabel=f"$q_{curve.joint}$ [deg]", ylabel="error [deg]")
+        axis.locator_params(axis="y", nbins=TICKS)
     axes[0].legend(frameon=False, fontsize=8)
 
 

@@ -24,6 +24,7 @@ from identification.model import Model
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 
 POSITIONS = {REVOLUTE: "angle [deg]", PRISMATIC: "position [mm]"}
+TICKS = 6  # at most, of a small picture: how many fit depends on the room that their own numbers leave
 MANY = 500  # rows from which points are drawn smaller, and as pixels in vector formats
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from doe.report.pictures import AFTER, BEFORE, LIMIT, MANY
+from doe.report.pictures import AFTER, BEFORE, LIMIT, MANY, TICKS
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import Conditions
@@ -179,3 +179,4 @@ def draw_errors(axes: Axes, angles: Array, errors: Sequence[Array], names: Seque
         axes.plot([], [], ".", color=color, label=name)
     scale = 1.25 * max(float(np.percentile(np.abs(values), SHOWN)) for values in errors) or 1.0
     axes.set(ylim=(-scale, scale))
+    axes.locator_params(axis="y", nbins=TICKS)

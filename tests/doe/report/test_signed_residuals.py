@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from doe.report.gap_figures import workspace_arrows
+from doe.report.page import svg
 from doe.report.signed_residuals import (
     Compared,
+    draw_errors,
     fitted_curve,
     fitted_curves,
     joint_error,
@@ -116,3 +120,15 @@ def test_the_base_is_drawn_where_the_arm_stands() -> None:
         points, residuals = np.random.default_rng(8).normal(size=(2, 5, 2))
         axes = workspace_arrows(arm, points, ((residuals, "before"), (residuals, "after"))).axes
         assert [tuple(np.ravel(axis.lines[0].get_xydata())) for axis in axes] == [expected] * 2
+
+
+def test_no_label_leaves_a_small_picture() -> None:
+    """The numbers beside the ticks decide how much room these have, and so how many there are; whatever the scale."""
+    for size in np.linspace(0.02, 0.09, 8):
+        figure = Figure(figsize=(3.7, 2.5), layout="constrained")
+        axes = figure.subplots()
+        draw_errors(axes, np.linspace(0.0, 100.0, 30), [np.full(30, size), np.full(30, -size)], ("before", "after"))
+        axes.set_ylabel("error [deg]")
+        svg(figure)
+        label = axes.yaxis.label.get_window_extent(FigureCanvasAgg(figure).get_renderer())
+        assert label.x0 > -2.0  # pixels of the font's own margin
