@@ -2,24 +2,28 @@
 
 Base parameters have flat priors and sigma the prior 1 / sigma. The prior of an effect's amplitudes is set by its size
 lambda: the length, in units of sigma, of its contribution at the measured postures after projection off the base model.
-A missing effect has a size other than zero: the prior density of the amplitudes b is proportional to
+A missing effect has a size other than zero: the prior density of its amplitudes b is proportional to
 
     (b^T S b / sigma^2) exp(-b^T V^-1 b / (2 lambda^2 sigma^2))
 
 with S their information matrix (moment prior of V. E. Johnson and D. Rossell, 2010; without the first factor and with
-V = S^-1 it is A. Zellner's g-prior). With RSS and RSS_0 the residual sums of squares of the fit and of the base model,
-b the estimate and f the degrees of freedom of the base model, the Bayes factor is
+V = S^-1 it is A. Zellner's g-prior). Each effect of a set has its own lambda. With b, S and V those of all effects, V
+times their lambda^2, RSS and RSS_0 the residual sums of squares of the fit and of the base model, and f the degrees of
+freedom of the base model, the Bayes factor is
 
-    |I + lambda^2 S V|^(-1/2) (R / RSS_0)^(-f / 2) E,   R = RSS + b^T (S^-1 + lambda^2 V)^-1 b,
+    |I + S V|^(-1/2) (R / RSS_0)^(-f / 2) E,   R = RSS + b^T (S^-1 + V)^-1 b,
 
 with E the posterior mean of b^T S b / (lambda sigma)^2 of each effect. As the size of a missing effect is unknown, the
-Bayes factor is averaged over sizes equally spaced in log lambda, from just detectable to obvious without a test.
+Bayes factor is averaged over sizes equally spaced in log lambda, from just detectable to obvious without a test. Of
+several effects each is averaged with the others at their likeliest sizes, and the averages relative to the factor there
+are multiplied: they would be independent if it were not for sigma and what effects have in common.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +33,7 @@ from identification.arrays import Array
 from identification.gap.fit import Fit
 
 # reasons: identification/README.md, "Constants"
-SIZES = 6.0 * 2.0 ** np.arange(7)  # lambda
+SIZES: Array = 6.0 * np.exp2(np.arange(14))  # lambda
 ALIKE = 0.3  # relative scatter of one family's parameters over the joints
 TINY = 1e-300  # sums of squares below it count as equal
 RANK = 1e-9  # eigenvalues below this share of the largest are directions that the data do not determine
@@ -37,19 +41,26 @@ RANK = 1e-9  # eigenvalues below this share of the largest are directions that t
 
 @dataclass(frozen=True)
 class Decomposition:
-    """What a set of M effects explains, decomposed along G orthogonal directions.
+    """What a set of M effects explains, in units of the prior: the p amplitudes have covariance I for lambda = 1.
 
-    shares : (G,) prior variance along each direction, with sum 1 for each effect
-    counts : (G,) multiplicity of each direction;  lengths : (G,) what the fit explains along it
-    forms : (M, G, G) b^T S b of each effect as a quadratic form of `lengths`
+    information : (p, p) matrix S;  amplitudes : (p,) estimates b;  effect : (p,) number of the effect of each
     further : (H, 1) number of parameters and (H, 1) sum of squares explained by one further effect each
     """
 
-    shares: Array
-    counts: Array
-    lengths: Array
-    forms: Array
+    information: Array
+    amplitudes: Array
+    effect: NDArray[np.int64]
     further: tuple[NDArray[np.int64], Array] | None = None
+
+    @cached_property
+    def members(self) -> NDArray[np.bool_]:
+        """(p, M) True for the amplitudes of each effect."""
+        return np.asarray(self.effect[:, None] == np.arange(self.effect.max(initial=-1) + 1))
+
+    @cached_property
+    def by_effect(self) -> Array:
+        """(p, p) information of each effect alone, zero between effects."""
+        return np.asarray(self.information * (self.members @ self.members.T))
 
     def with_each(self, sizes: NDArray[np.int64], squares: Array) -> Decomposition:
         """This set with each of H further effects, one at a time.
@@ -66,21 +77,14 @@ def decomposed(found: Fit, effects: Sequence[Sequence[str]], families: Sequence[
     """
     of_effects = [found.model.parameters.index(name) for names in effects for name in names]
     information, lengths = beside_base(found.triangle, of_effects)
-    prior, parts, start = np.zeros_like(information), [], 0
-    for names, family in zip(effects, families, strict=True):
-        own = slice(start, start + len(names))
-        prior[own, own] = amplitude_prior(information[own, own], lengths[own] if family else None)
-        parts.append(np.zeros_like(information))
-        parts[-1][own, own] = information[own, own]
-        start += len(names)
-    values, vectors = np.linalg.eigh(information)
-    seen = values > RANK * values.max(initial=0.0)
-    root = vectors[:, seen] * np.sqrt(values[seen])  # root root^T is the information
-    shares, turn = np.linalg.eigh(root.T @ prior @ root)
-    back = vectors[:, seen] / np.sqrt(values[seen]) @ turn  # from what is explained to amplitudes
-    forms = np.array([back.T @ part @ back for part in parts]).reshape(len(parts), len(shares), len(shares))
-    along = turn.T @ (root.T @ (lengths * found.values[of_effects]))
-    return Decomposition(np.maximum(shares, 0.0), np.ones(len(shares)), along, forms)
+    effect = np.repeat(np.arange(len(effects)), [len(names) for names in effects])
+    root = np.zeros_like(information)  # root root^T is the prior covariance
+    for k, family in enumerate(families):
+        own = np.ix_(effect == k, effect == k)
+        values, vectors = np.linalg.eigh(amplitude_prior(information[own], lengths[effect == k] if family else None))
+        root[own] = vectors * np.sqrt(np.maximum(values, 0.0))
+    amplitudes = np.linalg.pinv(root, rcond=RANK) @ (lengths * found.values[of_effects])
+    return Decomposition(root.T @ information @ root, amplitudes, effect)
 
 
 def beside_base(triangle: Array, of_effects: Sequence[int]) -> tuple[Array, Array]:
@@ -111,28 +115,86 @@ def amplitude_prior(information: Array, lengths: Array | None) -> Array:
     return np.asarray(alike / np.sum(information * alike))
 
 
-def log_bayes_factor(found: Decomposition, left: Array, squares: float, freedom: int) -> Array:
-    """Natural logarithm of the Bayes factor against the base model, in the shape of `left`.
+@dataclass(frozen=True)
+class _Posterior:
+    """A set of M effects for each of C combinations of their sizes, in units of sigma.
 
-    left : (...) residual sum of squares with the effects, (H,) where there are H further ones
+    volume : (C,) log |I + S V|;  missed : (C,) sum of squares that the prior keeps the amplitudes from explaining
+    spread, moved : (C, M) of the mean of b^T S b / lambda^2 the part due to the covariance, and that due to the mean
+    """
+
+    volume: Array
+    missed: Array
+    spread: Array
+    moved: Array
+
+    @classmethod
+    def of(cls, found: Decomposition, sizes: Array) -> _Posterior:
+        """sizes : (C, M) lambda of each effect."""
+        scales = sizes[:, found.effect]
+        inner = np.eye(scales.shape[1]) + scales[:, :, None] * found.information * scales[:, None, :]
+        inverse = np.linalg.inv(inner)
+        estimates = found.amplitudes / scales
+        kept = estimates - (inverse @ estimates[:, :, None])[:, :, 0]
+        mean, each = scales * kept, found.by_effect
+        spread = scales * np.einsum("cij,ij,cj->ci", inverse, each, scales)
+        moved = mean * (mean @ each)
+        own = found.members / np.square(sizes)[:, None, :]
+        volume = np.linalg.slogdet(inner)[1]
+        return cls(
+            volume, np.sum(estimates * kept, axis=1), *(np.einsum("ci,cij->cj", x, own) for x in (spread, moved))
+        )
+
+    def log_factors(self, left: Array, squares: float, freedom: int) -> Array:
+        """Natural logarithm of the Bayes factors against the base model, in the shape of `left`.
+
+        left : (..., C) residual sum of squares of the fit and `missed`
+        squares, freedom : residual sum of squares and degrees of freedom of the base model
+        """
+        left = np.maximum(left, TINY)
+        with np.errstate(divide="ignore"):  # of what shows only through another effect
+            moments = np.log(self.spread + self.moved * (freedom / left)[..., None])
+        return np.asarray(-0.5 * self.volume - 0.5 * freedom * np.log(left / squares) + np.sum(moments, axis=-1))
+
+
+def log_bayes_factor(found: Decomposition, left: float, squares: float, freedom: int) -> Array:
+    """Natural logarithm of the Bayes factor against the base model; (H,) with H further effects, one at a time.
+
+    left : residual sum of squares with the set
     squares, freedom : residual sum of squares and degrees of freedom of the base model
     """
-    gain = np.square(SIZES)[:, None] * found.shares  # (sizes, G)
+    sizes, around = likeliest_sizes(found, left, squares, freedom)
+    there = _Posterior.of(found, sizes[None])
+    if found.further is None:
+        return np.asarray(there.log_factors(left + there.missed, squares, freedom)[0] + around)
+    count, explains = found.further
+    gain = np.square(SIZES) / count  # (H, sizes)
     kept = gain / (1.0 + gain)
-    mean = kept * found.lengths
-    rest = left[..., None] + np.sum(np.square(found.lengths) * (1.0 - kept), axis=1)
-    volume = np.log1p(gain) @ found.counts
-    effects = [((kept * found.counts) @ np.diag(form), np.sum(mean @ form * mean, axis=1)) for form in found.forms]
-    if found.further is not None:
-        count, explains = found.further
-        more = np.square(SIZES) / count  # (H, sizes)
-        more_kept = more / (1.0 + more)
-        rest = rest + explains * (1.0 - more_kept)
-        volume = volume + count * np.log1p(more)
-        effects.append((more_kept * count, np.square(more_kept) * explains))
-    rest = np.maximum(rest, TINY)
-    factors = -0.5 * volume - 0.5 * freedom * np.log(rest / squares)
-    for spread, moved in effects:
-        with np.errstate(divide="ignore"):  # of what shows only through another effect
-            factors = factors + np.log((spread + moved * (freedom / rest)) / np.square(SIZES))
-    return np.asarray(logsumexp(factors, axis=-1) - np.log(len(SIZES)))
+    rest = np.maximum(left + there.missed - explains * kept, TINY)
+    own = np.log((kept * count + np.square(kept) * explains * (freedom / rest)) / np.square(SIZES))
+    factors = there.log_factors(rest, squares, freedom) + own - 0.5 * count * np.log1p(gain)
+    return np.asarray(logsumexp(factors, axis=1) - np.log(len(SIZES)) + around)
+
+
+def likeliest_sizes(found: Decomposition, left: float, squares: float, freedom: int) -> tuple[Array, float]:
+    """(M,) likeliest sizes of the effects, and the log of the average over all sizes relative to the factor there.
+
+    left, squares, freedom : as for `log_bayes_factor`
+    """
+    count, steps = found.members.shape[1], len(SIZES)
+    every = np.arange(count)
+    at = np.zeros(count, dtype=np.int64)
+    if not count:
+        return SIZES[at], 0.0
+    while True:  # one effect at a time, as long as the factor rises
+        options = np.tile(at, (count, steps, 1))
+        options[every, :, every] = np.arange(steps)
+        posterior = _Posterior.of(found, SIZES[options.reshape(-1, count)])
+        factors = posterior.log_factors(left + posterior.missed, squares, freedom).reshape(count, steps)
+        best, now = np.unravel_index(np.argmax(factors), factors.shape), factors[0, at[0]]
+        if not factors[best] > now:
+            break
+        at = options[best]
+    if not np.isfinite(now):
+        return SIZES[at], -np.inf
+    return SIZES[at], float(np.sum(logsumexp(factors, axis=1) - now - np.log(steps)))

@@ -22,9 +22,9 @@ from identification.gap.unmodelled_survey import shapes_beside
 from identification.gap.workflow import Findings
 
 # reasons: identification/README.md, "Constants"
-FIRST = 2.0  # prior odds of one missing effect to none
-NEXT = 0.05  # prior odds of a further effect, for each that is there already
-OUTSIDE = 0.03  # prior odds of a shape outside the library to an effect of it
+FIRST = 4.0  # prior odds of one missing effect to none
+NEXT = 0.1  # prior odds of a further effect, for each that is there already
+OUTSIDE = 0.003  # prior odds of a shape outside the library to an effect of it
 CREDIBLE = 0.9  # probability of the credible set
 LISTED = 0.01  # less likely sets are not listed by name
 NEGLIGIBLE = 45.0  # log odds: all sets of a library below that are 1e-15 together
@@ -137,7 +137,7 @@ def _refitted(search: HypothesisSearch, chosen: Choice) -> _Option:
     labels, names = _labels(chosen), tuple(sorted(h.key for h in chosen))
     if not chosen:
         return _Option(chosen, labels, names, 0.0, refitted=True)
-    factor = log_bayes_factor(_decomposed(search, chosen), np.array(found.squares), base.squares, base.freedom)
+    factor = log_bayes_factor(_decomposed(search, chosen), found.squares, base.squares, base.freedom)
     return _Option(chosen, labels, names, float(factor) + _log_prior(search, chosen), refitted=True)
 
 
@@ -150,7 +150,7 @@ def _longer(search: HypothesisSearch, chosen: Choice, least: float) -> Iterator[
     members, against = search.rivals(chosen)
     reductions = against.reductions(found.residual[:, None])[:, 0]
     groups = _decomposed(search, chosen).with_each(against.sizes, reductions)
-    log_odds = log_bayes_factor(groups, found.squares - reductions, base.squares, base.freedom)
+    log_odds = log_bayes_factor(groups, found.squares, base.squares, base.freedom)
     one_sign = np.array([member.one_sign for member in members])
     log_odds += _log_prior(search, chosen) + _log_steps(search, len(chosen), against.weights, one_sign)
     log_odds -= np.log(2.0) * against.one_sided * (reductions == 0.0)  # it has the other sign
@@ -174,7 +174,7 @@ def _outside(search: HypothesisSearch, chosen: Choice) -> float:
         return -np.inf
     sizes, reductions = np.array(shapes.sizes), np.array(shapes.reductions)
     groups = _decomposed(search, chosen).with_each(sizes, reductions)
-    factors = log_bayes_factor(groups, found.squares - reductions, base.squares, base.freedom)
+    factors = log_bayes_factor(groups, found.squares, base.squares, base.freedom)
     prior = np.log(OUTSIDE * (NEXT * len(chosen) if chosen else FIRST)) + _log_prior(search, chosen)
     return float(logsumexp(factors + np.log(shapes.weights)) + prior)
 

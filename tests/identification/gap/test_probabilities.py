@@ -46,7 +46,7 @@ def test_odds_of_one_effect_by_hand() -> None:
     member = next(h for h in library.members if h.key == "gear_ratio:1")
     base, fitted = search.fit(()), search.fit((member,))
     weights = sum(h.weight for h in library.members if not h.tied)
-    sizes = 6.0 * 2.0 ** np.arange(7)
+    sizes = 6.0 * 2.0 ** np.arange(14)
     left = fitted.squares + (base.squares - fitted.squares) / (1.0 + sizes**2)
     kept = sizes**2 / (1.0 + sizes**2)
     moment = (kept + kept**2 * (base.squares - fitted.squares) * base.freedom / left) / sizes**2
