@@ -19,7 +19,7 @@ from scipy.special import ive
 from doe.studies.blind import cells, hidden_effects, simulator, spatial_cells, spatial_simulator
 from identification.gap.unmodelled_survey import LEVEL_FIRST
 
-SETS, NULL, DRAWS, ORDERS = 20, 2000, 400, np.arange(3.0, 256.25, 0.25)
+SETS, NULL, DRAWS, ORDERS = 8, 1000, 200, np.arange(3.0, 256.25, 0.25)
 LEVEL = 0.6 * LEVEL_FIRST
 CONSTANT = {"a": 1.0, "b": 0.0, "k": 0.0}  # a wave of no period: the lever of a joint
 Problem = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
