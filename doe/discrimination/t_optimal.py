@@ -26,9 +26,11 @@ from scipy.special import ndtr
 from doe.plan.ascent import IN_TIME
 from doe.plan.plan import Plan
 from doe.problem.constraints import constraints_of
+from doe.problem.feasible import random_postures
+from doe.problem.problem import DesignProblem
 from identification.arm import Arm
 from identification.arrays import Array, readonly
-from identification.errors import InputError, JobError
+from identification.errors import InputError
 from identification.gap.candidate import Candidate
 from identification.gap.result import Diagnosis
 from identification.gap.selection import WINDOW
@@ -107,8 +109,8 @@ def discriminate(
     payloads : [kg] that can be hung on the arm, default its own only;  pool : (N, n) [rad] to choose from, default
         random postures that are allowed;  stop : asked before every choice, see `t_optimal`
 
-    Raises `InputError` for a diagnosis that is not ambiguous or was made with a prior, or `runs` < 1, `JobError` if no
-    posture is allowed.
+    Raises `InputError` for a diagnosis that is not ambiguous or was made with a prior, or `runs` < 1, or if no posture
+    is allowed.
     """
     if runs < 1:
         raise InputError(f"runs: {runs}, allowed: at least 1")
@@ -149,12 +151,10 @@ def _allowed(arm: Arm, generator: np.random.Generator) -> Array:
     """(N, n) random postures that joint limits and constraints allow."""
     postures = generator.uniform(arm.lower, arm.upper, (4 * POOL, arm.links))
     for constraint in constraints_of(Model(arm)):
-        margin = np.asarray(constraint.margin(postures)).reshape(len(postures), -1)
-        postures = postures[margin.min(axis=1) >= 0.0]
-    postures = postures[:POOL]
-    if not len(postures):
-        raise JobError("constraints: no random posture satisfies them, nothing can be proposed")
-    return postures
+        postures = postures[np.all(constraint.margin(postures) >= 0.0, axis=1)]
+    if len(postures) < POOL:
+        return random_postures(DesignProblem.of(Model(arm)), POOL, generator)
+    return postures[:POOL]
 
 
 def _pool(arm: Arm, postures: Array, generator: np.random.Generator, payloads: tuple[float, ...] | None) -> _Options:

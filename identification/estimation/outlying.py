@@ -56,7 +56,7 @@ def studentised(
     """
     d, k = blocks.shape[1:]
     own, inside, squares = blocks[kept], residual[kept], np.zeros(len(kept))
-    flat = own.reshape(-1, k)
+    flat = own.reshape(inside.size, k)
     normal = flat.T @ flat if known is None else flat.T @ flat + known.T @ known
     inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
     right = flat.T @ inside.reshape(-1) if moment is None else flat.T @ inside.reshape(-1) + moment

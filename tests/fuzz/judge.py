@@ -187,7 +187,7 @@ def readers(case: Case, name: str) -> Iterator[Callable[[Path], object]]:
     yield read_table
     if verb not in ("identify", "diagnose"):
         arm = next((word for word in case.words if word == "arm.toml"), None)
-    if arm is not None and verb in ("design", "relax", "compensate"):
+    if arm is not None and verb in ("design", "relax"):  # compensate leaves cells empty where there is no command
         yield lambda path: load_plan(path, load_arm(path.parent / arm).joint_types)
     if arm is not None and verb == "simulate":
         yield lambda path: load_measurements(path, load_arm(path.parent / arm))

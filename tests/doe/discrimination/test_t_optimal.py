@@ -146,3 +146,12 @@ def test_bad_input() -> None:
     clear = replace(found, candidates=found.candidates[:1], verdict="named")
     with pytest.raises(InputError, match="verdict is named"):
         discriminate(ARM, clear, data, 2)
+
+
+def test_postures_are_found_where_next_to_none_is_allowed() -> None:
+    """A box of 2 mm: of random postures some 4 in a million hold it; the tip is taken from the sum of the links."""
+    box = WorkspaceBox((299.0, 301.0), (99.0, 101.0))
+    found = module._allowed(replace(ARM, constraints=(box,)), np.random.default_rng(2))
+    tip = np.sum(ARM.lengths * np.exp(1j * np.cumsum(found, axis=1)), axis=1)
+    assert len(found) == module.POOL
+    assert np.all((np.abs(tip.real - 300.0) <= 1.0 + 1e-9) & (np.abs(tip.imag - 100.0) <= 1.0 + 1e-9))

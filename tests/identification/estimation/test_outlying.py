@@ -31,6 +31,13 @@ def test_studentised_squares_are_chi_square_of_all_coordinates(d: int) -> None:
     assert np.mean(squares < chi2.ppf(0.9, d)) == pytest.approx(0.9, abs=0.02)
 
 
+def test_without_parameters_the_squares_are_those_of_the_residuals() -> None:
+    residual = np.random.default_rng(10).normal(size=(200, 2))
+    squares = studentised(residual, np.empty((200, 2, 0)), np.ones(200, dtype=bool))
+    expected = np.sum(residual**2, axis=1)
+    np.testing.assert_allclose(squares, expected * chi2.median(2) / np.median(expected), rtol=1e-5)
+
+
 def test_the_limit_is_as_unlikely_in_space_as_in_the_plane() -> None:
     assert limit_of(2) == pytest.approx(OUTLIER**2)
     assert chi2.sf(limit_of(3), 3) == pytest.approx(chi2.sf(OUTLIER**2, 2), rel=1e-9)
