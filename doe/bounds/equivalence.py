@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doe.problem.candidates import CHUNK, Candidates, chunks
 from doe.problem.prior import PriorInformation
@@ -64,6 +65,12 @@ def certify(problem: DesignProblem, information: Array, largest: float, gradient
 
 
 # -- the largest sensitivity -------------------------------------------------------------------------------------------
+def sensitivity(problem: DesignProblem, information: Array, postures: ArrayLike) -> Array:
+    """(m,) tr(G B^T B) of postures (m, n), with G the criterion's gradient at the design's information matrix."""
+    gradient = problem.criterion.gradient(information)
+    return PriorInformation().sensitivities(problem.scaled_jacobians(postures), gradient)
+
+
 @dataclass(frozen=True)
 class CandidateJacobians:
     """Candidates chunk by chunk with their scaled Jacobians, which are remembered between passes where they are few."""
