@@ -18,6 +18,7 @@ from identification.estimation.plausibility import (
     copied_rows,
     far_rows,
     far_zeros,
+    limited,
     outside_limits,
 )
 from identification.gap.repeats import NoiseFloor, noise_floor
@@ -36,7 +37,8 @@ ROUGH = 0.02  # of the reach: more than a drawing is off by
 
 @dataclass(frozen=True)
 class JointRange:
-    """The positions of one joint [rad or mm]; `outside`: rows beyond its limits."""
+    """The positions of one joint [rad or mm]; `outside`: rows beyond its limits;  `limited`: False where it may
+    turn all the way round, and readings of several turns do not matter."""
 
     joint: int
     kind: str
@@ -45,6 +47,7 @@ class JointRange:
     limit_low: float
     limit_high: float
     outside: int
+    limited: bool = True
 
     @property
     def unit(self) -> str:
@@ -236,8 +239,9 @@ def _drawing(arm: Arm, measurements: Measurements, readings: Readings) -> float:
 
 
 def _ranges(arm: Arm, postures: Array) -> tuple[JointRange, ...]:
-    columns = zip(arm.joint_types, postures.T, arm.lower, arm.upper, beyond_limits(arm, postures).T, strict=True)
+    beyond = beyond_limits(arm, postures).sum(axis=0)
+    columns = zip(arm.joint_types, postures.T, arm.lower, arm.upper, beyond, limited(arm), strict=True)
     return tuple(
-        JointRange(j, kind, float(q.min()), float(q.max()), float(low), float(high), int(beyond.sum()))
-        for j, (kind, q, low, high, beyond) in enumerate(columns, start=1)
+        JointRange(j, kind, float(q.min()), float(q.max()), float(low), float(high), int(outside), bool(has))
+        for j, (kind, q, low, high, outside, has) in enumerate(columns, start=1)
     )

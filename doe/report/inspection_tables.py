@@ -32,7 +32,8 @@ def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
     rows = [
         [
             str(j.joint),
-            *(f"{j.in_file_units(x):.2f}" for x in (j.low, j.high, j.limit_low, j.limit_high)),
+            *(f"{j.in_file_units(x):.2f}" for x in (j.low, j.high)),
+            *(f"{j.in_file_units(x):.2f}" if j.limited else "none" for x in (j.limit_low, j.limit_high)),
             j.unit,
             str(j.outside),
         ]
