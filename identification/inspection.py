@@ -12,6 +12,7 @@ from identification.arrays import Array
 from identification.data_checks import data_warnings, gap_notes, wrong_units
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
+from identification.estimation.expected_tip import FEW, hardly_determined
 from identification.estimation.plausibility import (
     another_frame,
     beyond_limits,
@@ -114,7 +115,16 @@ class Inspection:
             said += far_rows(self.fit.residuals_after, outlier)
         if self.fit is None and not self.other_units:
             said.append("too few rows for a fit of the geometry")
-        return (*said, *self.rest)
+        return (*(said or self._few()), *self.rest)
+
+    def _few(self) -> list[str]:
+        """That a fit leaves little whatever the data are, where the rows are too few."""
+        if self.fit is None:
+            return []
+        if self.fit.dof <= 0:
+            numbers, unknowns = self.fit.residuals_after.size, len(self.fit.names)
+            return [f"{FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
+        return [sentence for sentence in hardly_determined(self.fit) if sentence.startswith(FEW)]
 
     def _offsets(self) -> list[str]:
         """Joints whose zero is another one than the drawing's, where the fit takes that up."""

@@ -252,7 +252,7 @@ def _hardly_better(found: Validation) -> list[str]:
     if gained.value <= 0.0 or gained.p_above() <= LEVEL / 2.0:
         return []
     share = (
-        f"{100.0 * after.sum() / before.sum():.0f} % of the squares that the drawing leaves, refitted in the same way"
+        f"{100.0 * np.sqrt(after.sum() / before.sum()):.0f} % of the RMS error of the drawing, refitted in the same way"
     )
     return [f"the model leaves {share}: hardly better, as far as these rows tell (p = {gained.p_above():.2g})"]
 

@@ -75,7 +75,7 @@ def command(
     answer = Answer(found.to_json(), diagnosis_tables(found))
     try:
         named = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
-        page = gap_page(found, measurements, origin(session.seed, named)) if report else ""
+        page = gap_page(found, measurements, origin(session.seed, named), output.out) if report else ""
         answer.shown += write(found, arm, output, {curves: curves_text(found.curves), report: page})
         answer.shown += next_steps(diagnosis_actions(answer.data, str(arm), " ".join(map(str, data)), output.out))
     except InputError as error:  # the diagnosis is shown all the same

@@ -111,9 +111,9 @@ class Campaign:
     def verdict(self) -> list[str]:
         """The verdict in sentences, the most advanced result first."""
         found = [sentence for data in self.said("diagnose") for sentence in diagnosis_verdict(data)]
-        for rows, tests in self.tests.items():
-            pairs = ((model, test.to_json()) for model, test in tests.items())
-            found += [validation_verdict(data, model, rows, model in self.fitted(rows)) for model, data in pairs]
+        for model in sorted(self.given.calibrated, key=lambda model: model != self.chosen):
+            pairs = ((rows, tests[model].to_json()) for rows, tests in self.tests.items() if model in tests)
+            found += [validation_verdict(data, model, rows, model in self.fitted(rows)) for rows, data in pairs]
         found += self.choice
         found += [] if self.tests else [validation_verdict(data) for data in self.said("validate")]
         found += [identification_verdict(data) for data in self.said("identify")]

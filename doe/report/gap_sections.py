@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -86,10 +87,12 @@ def gap_text(data: Data) -> str:
 
 def said(test: Data) -> str:
     """Whether the named model holds in rows that were not used for the fits, in a sentence."""
-    where = f"{test['transfer']} ({test['rows']} rows in {test['groups']} independent groups)"
+    how = "" if test["by"] == "holdout" else "cross-validated, "
+    where = f"{test['transfer']} ({how}{test['rows']} rows in {test['groups']} independent groups)"
     if test["confirmed"]:
-        perhaps = "" if test["as_predicted"] else ": the gap shrinks, whether to the prediction these rows do not tell"
-        return f"The model holds for {where}{perhaps}."
+        gap = ": the gap shrinks" if test["shrinks"] else ""
+        unsure = "" if test["as_predicted"] else ", but these rows do not tell whether as far as predicted"
+        return f"The model holds for {where}{gap}{unsure}."
     if test["shrinks"]:
         return f"For {where} the gap shrinks, but by less than predicted."
     shrinks = ["the gap does not shrink"] if test["shrinks"] is False else []
@@ -208,14 +211,21 @@ def gap_sections(diagnosis: Diagnosis, nominal: float | None = None) -> Sequence
     ]
 
 
-def gap_page(diagnosis: Diagnosis, measurements: Measurements | None = None, origin: Origin | None = None) -> str:
+def gap_page(
+    diagnosis: Diagnosis,
+    measurements: Measurements | None = None,
+    origin: Origin | None = None,
+    written: Path | None = None,
+) -> str:
     """The page of `armcal diagnose --report`.
 
     measurements : that were diagnosed, to see what the drawing leaves of them;  origin : of the page
+    written : the extended model, where it is written beside the page
     """
     data = diagnosis.to_json()
     nominal = None if measurements is None else rms_distance(drawing_residuals(diagnosis.arm, measurements))
     sections = [*gap_sections(diagnosis, nominal), *([] if origin is None else [origin_section(origin)])]
     arm, rows, *_ = ("arm.toml", "data.csv") if origin is None else (*map(str, origin.files), "data.csv")
     title = f"Gap report: {diagnosis.arm.name or 'arm'}"
-    return page(title, diagnosis_verdict(data), sections, diagnosis_actions(data, arm, rows), data["warnings"])
+    actions = diagnosis_actions(data, arm, rows, written)
+    return page(title, diagnosis_verdict(data), sections, actions, data["warnings"])

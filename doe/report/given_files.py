@@ -83,6 +83,8 @@ def _read(path: Path, name: str, found: Given) -> str:
         raise InputError(f"{name}: a table without its arm, allowed: the arm file (.toml) beside it")
     arm = next(iter(found.arms.values()))
     table = read_table(path)
+    if all(column in table for column in ("error_mm", "reachable")):
+        raise InputError(f"{name}: commands that armcal compensate wrote, allowed: {ALLOWED}")
     contact = arm.chain is not None and arm.chain.instrument.contact  # its plans no command writes
     if contact or any(f"{name}_{unit}" in table for name in ("x", "distance") for unit in ("mm", "m")):
         found.measurements[name] = load_measurements(path, arm)

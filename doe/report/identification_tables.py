@@ -37,7 +37,11 @@ def identification_tables(
         ("RMS error", f"{number(data['rms_before_mm'])} -> {number(data['rms_after_mm'])} mm ({of_what})"),
         *([("drawing", f"{number(nominal)} mm RMS, placed anew as well")] if nominal is not None else []),
         ("largest error", f"{number(data['max_before_mm'])} -> {number(data['max_after_mm'])} mm"),
-        *([("expected error", tip_in_words(data))] if found.expected_tip is not None else []),
+        *(
+            [("expected error", f"{tip_in_words(data)}, if the model is right")]
+            if found.expected_tip is not None
+            else []
+        ),
         ("sigma", f"{number(data['sigma_mm'], 5)} mm per axis ({given}), {data['dof']} degrees of freedom"),
     ]
     if data["p_value"] is not None:

@@ -16,7 +16,7 @@ def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
     head = "Put right first:" if found.problems else "Nothing speaks against these data."
     shown: list[Any] = [Text(head, style="bold"), *(Text(f"  - {sentence}") for sentence in found.problems)]
     lines = [
-        ("rows", f"{found.rows} of {found.postures} postures"),
+        ("rows", f"{found.rows} rows, {found.postures} postures"),
         ("columns besides", ", ".join(found.given) or "none"),
     ]
     if found.sessions:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 # reasons: identification/README.md, "Doubtful fits"
 POSES = 1000  # random postures that stand for the joint limits
+FEW = "too few measurements"  # the beginning of that sentence
 SHARE = 0.5  # of the drawing's own error
 
 
@@ -76,7 +77,7 @@ def hardly_determined(found: Identification) -> list[str]:
         said = (
             f"at other postures within the same angles the tip may be {inside:.3g} mm (RMS) from where it is computed"
         )
-        return [f"too few measurements: {said}{was}. Measure more postures"]
+        return [f"{FEW}: {said}{was}. Measure more postures"]
     if anywhere > max(before, noise):
         said = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
         return [f"outside the angles measured {said}. Keep to these angles, or measure beyond them"]

@@ -211,5 +211,6 @@ def copied_rows(measurements: Measurements) -> list[str]:
     if not rows.size:
         return []
     copy, original = int(rows[0]) + 1, int(first[numbers.ravel()[rows[0]]]) + 1
-    seen = f"{rows.size} of {len(measurements)} rows are exact copies of others, the first row {copy} of row {original}"
+    number = "1 row is an exact copy" if rows.size == 1 else f"{rows.size} rows are exact copies"
+    seen = f"{number} of another (of {len(measurements)} rows): the first row {copy} of row {original}"
     return [f"{seen}: they are no measurements of their own, and make everything look surer than it is"]

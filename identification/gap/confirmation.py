@@ -136,7 +136,7 @@ class Confirmation:
             limits = (
                 ""
                 if self.as_predicted
-                else " as far as these rows tell: the gap shrinks, whether to the prediction they do not tell"
+                else " as far as these rows tell: the gap shrinks, but they do not tell whether as far as predicted"
             )
             return f"holds for {self.transfer}{limits}"
         if self.shrinks:

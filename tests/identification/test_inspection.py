@@ -43,6 +43,13 @@ def test_good_data_have_no_problem() -> None:
     assert any("no posture is repeated" in note for note in found.notes)
 
 
+def test_as_few_numbers_as_unknowns_are_said() -> None:
+    """Three lengths and three zeros: three postures fit whatever they say."""
+    (few,) = inspect(ARM, data(3)).problems
+    assert few == "too few measurements: 6 numbers for 6 unknowns. Measure more postures"
+    assert inspect(ARM, data(12)).problems == ()
+
+
 @pytest.mark.parametrize(("step", "when"), [(1, "late"), (-1, "early")])
 def test_positions_beside_another_posture(step: int, when: str) -> None:
     good = data()
@@ -66,7 +73,7 @@ def test_each_fault_has_its_sentence() -> None:
     (units,) = inspect(ARM, replace(good, postures=np.radians(good.postures))).problems
     assert "look like radians" in units
     (copied,) = inspect(ARM, good.rows([*range(40), 5])).problems
-    assert copied.startswith("1 of 41 rows are exact copies of others, the first row 41 of row 6")
+    assert copied.startswith("1 row is an exact copy of another (of 41 rows): the first row 41 of row 6")
     (wrong,) = inspect(replace(ARM, lengths=np.array([500.0, 100.0, 200.0])), good).problems
     assert wrong.startswith("the drawing is")
 

@@ -76,7 +76,7 @@ def test_a_gain_within_what_the_rows_scatter_by_is_said() -> None:
         after, before = (float(np.sum(r**2)) for r in (found.residuals, found.nominal_residuals))
         said = [note for note in found.notes if "hardly better" in note]
         assert bool(said) == hardly
-        assert all(f"{100.0 * after / before:.0f} % of the squares" in note for note in said)
+        assert all(f"{100.0 * (after / before) ** 0.5:.0f} % of the RMS error of the drawing" in note for note in said)
         assert after < before
 
 

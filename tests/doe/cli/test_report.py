@@ -118,6 +118,14 @@ def test_what_cannot_be_shown_is_one_line(folder: Folder, words: list[str], expe
     assert not (folder.path / "page.html").exists()
 
 
+def test_commands_are_no_measurements(campaign: Folder) -> None:
+    campaign.write("targets.csv", "x_mm,y_mm\n400,100\n9000,0\n")
+    assert campaign.armcal("compensate", "cal.toml", "targets.csv", "--out", "commands.csv").code == 0
+    done = campaign.armcal("report", "arm.toml", "commands.csv", "--out", "page.html")
+    assert done.code == 2
+    assert "commands.csv: commands that armcal compensate wrote, allowed: " in done.err
+
+
 def test_a_page_is_replaced_by_force_only(folder: Folder) -> None:
     folder.write("page.html", "mine")
     refused = folder.armcal("report", "arm.toml", "--out", "page.html")

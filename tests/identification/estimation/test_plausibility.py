@@ -94,7 +94,7 @@ def test_rows_that_are_copied_are_said_and_repeats_are_not() -> None:
     measured = data(Model(arm()), plan(10))
     assert copied_rows(measured) == []
     (sentence,) = copied_rows(measured.rows([*range(10), 3, 7]))
-    assert sentence.startswith("2 of 12 rows are exact copies of others, the first row 11 of row 4: ")
+    assert sentence.startswith("2 rows are exact copies of another (of 12 rows): the first row 11 of row 4: ")
     again = replace(measured, positions=measured.positions + 0.01)
     repeats = np.concatenate([measured.positions, again.positions])
     assert copied_rows(Measurements(np.tile(measured.postures, (2, 1)), repeats)) == []
