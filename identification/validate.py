@@ -27,6 +27,7 @@ from identification.refit import placed_values, refit_model, refit_parameters
 from identification.row_groups import extrapolation, identified, row_groups
 
 REFITS = ("base", "offsets", "none")
+HARDLY = "hardly better"  # said of a gain within what the rows scatter by
 END = 0.5  # time at the end of a session, -0.5 to 0.5
 
 
@@ -254,7 +255,7 @@ def _hardly_better(found: Validation) -> list[str]:
     share = (
         f"{100.0 * np.sqrt(after.sum() / before.sum()):.0f} % of the RMS error of the drawing, refitted in the same way"
     )
-    return [f"the model leaves {share}: hardly better, as far as these rows tell (p = {gained.p_above():.2g})"]
+    return [f"the model leaves {share}: {HARDLY}, as far as these rows tell (p = {gained.p_above():.2g})"]
 
 
 def _notes(arm: Arm, measurements: Measurements, undetermined: int) -> Iterator[str]:

@@ -66,12 +66,13 @@ def summary_table(data: dict[str, Any], sentence: str) -> Table:
     known = bound and not data["outside_limits"]  # no bound applies to a plan outside the limits
     searched = f"{data['starts']} start{'s' * (data['starts'] != 1)}"
     table_1 = data["table_1_max_residual"]
+    bounded = "upper bound" if kind == "D" else f"upper bound of {kind}"
     cut = ", its search was cut by the time limit" if known and bound.get("cut") else ""
     rows = {
         "criterion": f"{kind}, {data['runs']} runs, {data['links']} links",
         f"value of {kind}": None if kind == "D" else number(data["value"], 7),
         "information (log det M')": number(data["log_det"], 7),
-        "upper bound": f"{number(bound['value'], 7)} ({bound['source']}{cut})" if known else "-",
+        bounded: f"{number(bound['value'], 7)} ({bound['source']}{cut})" if known else "-",
         "efficiency": number(data["efficiency"] if known else None, 6),
         "certified optimal": certified_in_words(data),
         "deviation from orthogonality (Table I)": None if table_1 is None else number(table_1, 6),
@@ -106,7 +107,7 @@ def missing_lines(design: Design) -> list[Text]:
     problem = design.problem
     missing = missing_parameters(problem)
     held = len(problem.deviations) - len(missing)
-    lines = [Text(f"{held} corrections of the geometry are held by the prior of its machining")] if held else []
+    lines = [Text(f"{held} corrections of the geometry have the prior of its machining")] if held else []
     if missing:
         effects = {name.partition(":")[0].partition(".")[0] for name in missing}
         known = f"{len(missing)} parameters of {', '.join(sorted(effects))}"

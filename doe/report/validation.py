@@ -14,7 +14,7 @@ from doe.report.pictures import AFTER, BEFORE, MANY, base_of, draw_residual_arro
 from doe.report.terminal import number, table
 from identification.arrays import Array
 from identification.measurements import distances
-from identification.validate import Figures, Validation
+from identification.validate import HARDLY, Figures, Validation
 
 REFITTED = {
     "base": "position and rotation of the base refitted",
@@ -34,6 +34,9 @@ def validation_tables(found: Validation) -> list[Any]:
     if found.model.rms >= found.nominal.rms:
         shown.append("On these rows the model is no better than the drawing.")
     shown += [Text(note, style="bold") for note in found.notes]
+    doubtful = found.model.rms >= found.nominal.rms or any(HARDLY in note for note in found.notes)
+    if doubtful and found.refit != "offsets":
+        shown.append("Have zeros moved? --refit offsets tells; armcal identify MODEL DATA --only joint_offsets,base")
     if blocks := found.blocks:
         lines = (
             [block.kind, block.name, str(block.rows), number(block.nominal.rms), *_cells(block.model)]

@@ -33,5 +33,7 @@ def test_tables_and_picture() -> None:
     assert "no better than the drawing" not in text
     swapped = replace(found, residuals=found.nominal_residuals, nominal_residuals=found.residuals)
     assert "On these rows the model is no better than the drawing." in validation_tables(swapped)
+    assert any(str(part).startswith("Have zeros moved?") for part in validation_tables(swapped))
+    assert "Have zeros moved?" not in text
     figure = validation_figure(found)
     assert figure.axes[1].get_title().startswith(f"drawing: RMS {found.nominal.rms:.4g} mm")
