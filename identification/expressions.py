@@ -11,7 +11,8 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.composition import Composition, parts
+from identification.compiled_parts import compiled_arm
+from identification.composition import Composition
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, measured_position
 from identification.effects.chain import ORIENTATION, chain_at, condition_width, orientation_columns
@@ -95,7 +96,7 @@ class Expressions:
         pointing = replace(chain, instrument=WHOLE)  # has what this instrument does not show, too: it is zero
         every = (*pointing.parameters().names, *(p.name for effect in self.effects for p in effect.parameters))
         values = tuple(None if name in self.estimated.names else float(self.fixed.get(name, 0.0)) for name in every)
-        shared, tied = parts(pointing, self.arm.gravity, self.remembers, self.extra), dict(self.tied)
+        shared, tied = compiled_arm(pointing, self.arm.gravity, self.remembers, self.extra), dict(self.tied)
         tied |= {name: float(x) for name, x in along(chain.base[:3, :3], tied).items()}
         off = tuple(tied.get(name, 0.0) for name in every) if tied else ()
         return Composition(shared, self.effects, values, off, chain.instrument)

@@ -25,7 +25,6 @@ from scipy.special import ndtr
 
 from doe.plan.ascent import IN_TIME
 from doe.plan.plan import Plan
-from doe.problem.constraints import constraints_of
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from identification.arm import Arm
@@ -121,7 +120,9 @@ def discriminate(
     if diagnosis.prior is not None:
         raise InputError("diagnosis: found one with a prior, allowed: without")
     generator = np.random.default_rng(seed)
-    options = _pool(arm, _allowed(arm, generator) if pool is None else pool, generator, payloads)
+    if pool is None:
+        pool = random_postures(DesignProblem.of(Model(arm)), POOL, generator)
+    options = _pool(arm, pool, generator, payloads)
     rivals = _rivals(diagnosis, measurements, options)
     found = _result(diagnosis, rivals, options, t_optimal(rivals, runs, stop), payloads)
     return replace(found, status=Status.time_limit) if stop() else found
@@ -145,16 +146,6 @@ def t_optimal(rivals: RivalPredictions, runs: int, stop: Callable[[], bool] = IN
         if chosen == before:
             break
     return chosen
-
-
-def _allowed(arm: Arm, generator: np.random.Generator) -> Array:
-    """(N, n) random postures that joint limits and constraints allow."""
-    postures = generator.uniform(arm.lower, arm.upper, (4 * POOL, arm.links))
-    for constraint in constraints_of(Model(arm)):
-        postures = postures[np.all(constraint.margin(postures) >= 0.0, axis=1)]
-    if len(postures) < POOL:
-        return random_postures(DesignProblem.of(Model(arm)), POOL, generator)
-    return postures[:POOL]
 
 
 def _pool(arm: Arm, postures: Array, generator: np.random.Generator, payloads: tuple[float, ...] | None) -> _Options:

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from doe.report.page import Sheet
 from doe.report.terminal import estimate_text, facts, number, table, unit_of
-from identification.compensate import Compensation
+from identification.compensation import Compensation
 from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
 from identification.estimation.shown import in_words

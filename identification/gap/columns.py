@@ -18,7 +18,7 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.composition import Symbols
+from identification.compiled_parts import Symbols
 from identification.conditions import Conditions
 from identification.effects import Effect, Setting
 from identification.vectorize import vectorize

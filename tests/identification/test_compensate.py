@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
-from identification.compensate import TOLERANCE, compensate
+from identification.compensate import compensate
 from identification.errors import InputError
 from identification.files.target import commands_text
-from identification.measurements import Conditions, directions_from_order, joint_range
+from identification.inverse_kinematics import TOLERANCE
+from identification.measurements import Conditions, directions_from_order
 from identification.model import Model
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
@@ -157,33 +158,6 @@ def test_out_of_reach_the_command_is_the_nearest() -> None:
         np.testing.assert_allclose(found.errors, nearest, rtol=1e-5)  # the last grid is 2e-5 rad wide
         np.testing.assert_allclose(found.errors, np.linalg.norm(Model(real).position(found.commands) - goals, axis=1))
         assert np.all((found.commands >= real.lower) & (found.commands <= real.upper))
-
-
-def test_joints_beyond_the_angles_of_the_identification_are_counted() -> None:
-    """Two links whose commands have a closed form: the angles needed follow from the law of cosines."""
-    lengths = np.array([300.0, 200.0])
-    measured = joint_range(np.array([[-1.0, 0.3], [1.0, 1.2]]))
-    found = Calibration.of(np.zeros(2), np.zeros(2), {}, provenance={"joint_range_deg": measured})
-    arm = Arm(lengths, calibration=found)
-    bends = np.array([0.5, 1.1, 1.6, 2.0])  # of joint 2; the last two were never measured
-    reach = np.sqrt(300.0**2 + 200.0**2 + 2.0 * 300.0 * 200.0 * np.cos(bends))
-    first = np.array([0.2, -1.5, 0.4, -1.4])  # of joint 1; the second and the last
-    toward = first + np.arctan2(200.0 * np.sin(bends), 300.0 + 200.0 * np.cos(bends))
-    targets = reach[:, None] * np.column_stack([np.cos(toward), np.sin(toward)])
-    done = compensate(arm, targets, np.column_stack([first, bends]))
-    np.testing.assert_allclose(done.commands, np.column_stack([first, bends]), atol=1e-9)
-    data = done.to_json()
-    joints = [{"joint": 1, "targets": 2}, {"joint": 2, "targets": 2}]
-    assert data["outside_identified"] == {"targets": [2, 3, 4], "joints": joints}
-    (said,) = data["warnings"]
-    assert said.startswith(
-        "3 of 4 targets are outside the angles that the model was identified on (joint 1 in 2, joint 2"
-    )
-    whole = compensate(replace(arm, calibration=replace(found, provenance={})), targets)
-    assert whole.to_json()["outside_identified"] is None
-    assert whole.warnings == []
-    near = compensate(arm, targets[:1], np.column_stack([first, bends])[:1])
-    assert near.warnings == []
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,10 @@ import pytest
 from doe.report.identification_tables import compensation_tables
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
-from identification.compensate import TOLERANCE, compensate
+from identification.compensate import compensate
 from identification.errors import InputError
 from identification.files.target import commands_text, load_targets
+from identification.inverse_kinematics import TOLERANCE
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, rotation_about
 from identification.kinematics.spatial import SpatialChain

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.composition import parts
+from identification.compiled_parts import compiled_arm
 from identification.conditions import Conditions
 from identification.error_curve import ErrorCurve
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
@@ -119,7 +119,7 @@ def test_parts_are_made_once() -> None:
     assert first is not None
     assert second is not None
     assert first.shared is second.shared
-    assert first.shared is parts(CHAIN, GRAVITY, False, ("marker",))
+    assert first.shared is compiled_arm(CHAIN, GRAVITY, False, ("marker",))
     assert first.shared.of(models[0].effects[3]) is second.shared.of(models[1].effects[1])
 
 

@@ -47,7 +47,7 @@ def ambiguous() -> tuple[Diagnosis, Measurements]:
 
 def random_pool(seed: int) -> module._Options:
     generator = np.random.default_rng(seed)
-    return module._pool(ARM, module._allowed(ARM, generator), generator, None)
+    return module._pool(ARM, generator.uniform(ARM.lower, ARM.upper, (module.POOL, 3)), generator, None)
 
 
 def test_noncentrality_is_the_misfit_of_the_refitted_rival() -> None:
@@ -150,8 +150,8 @@ def test_bad_input() -> None:
 
 def test_postures_are_found_where_next_to_none_is_allowed() -> None:
     """A box of 2 mm: of random postures some 4 in a million hold it; the tip is taken from the sum of the links."""
-    box = WorkspaceBox((299.0, 301.0), (99.0, 101.0))
-    found = module._allowed(replace(ARM, constraints=(box,)), np.random.default_rng(2))
-    tip = np.sum(ARM.lengths * np.exp(1j * np.cumsum(found, axis=1)), axis=1)
-    assert len(found) == module.POOL
+    found, data = ambiguous()
+    tight = replace(ARM, constraints=(WorkspaceBox((299.0, 301.0), (99.0, 101.0)),))
+    postures = discriminate(tight, found, data, 3, seed=2).plan.postures
+    tip = np.sum(ARM.lengths * np.exp(1j * np.cumsum(postures, axis=1)), axis=1)
     assert np.all((np.abs(tip.real - 300.0) <= 1.0 + 1e-9) & (np.abs(tip.imag - 100.0) <= 1.0 + 1e-9))
