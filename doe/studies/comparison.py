@@ -85,6 +85,8 @@ class Comparison:
         for name in self.criteria:
             if name not in CRITERIA:
                 raise InputError(f"criterion: {name!r} in a comparison, {nearest(name, CRITERIA)}")
+        if not 0.0 < self.seconds < np.inf:  # it is part of every key, in JSON
+            raise InputError(f"seconds: found {self.seconds}, allowed: a finite number > 0")
         if len(self.by_name) < len(self.solvers):
             names = ", ".join(s if isinstance(s, str) else s.name for s in self.solvers)
             raise InputError(f"solvers: {names}, allowed: each name once")

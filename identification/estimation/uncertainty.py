@@ -106,8 +106,11 @@ def uncertainty(
 
 
 def _robust(rows: FittedRows, decomposed: Spectrum, misfit: bool) -> Uncertainty | None:
-    """The widest sandwich over postures or stretches of time; None with too few rows, or where nothing asks for it."""
+    """The widest sandwich over postures or stretches of time; None with too few rows, where nothing asks for it, and
+    where the rows determine no parameter."""
     root = decomposed.root
+    if not root.shape[1]:
+        return None
     rows = rows.unbounded(root)
     length = correlated(rows, root)
     if not (misfit or length > 1 or lack_of_fit(rows) < LEVEL):

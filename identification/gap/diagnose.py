@@ -109,6 +109,8 @@ def findings_of(
     progress: Progress,
 ) -> Findings:
     """Steps 1 to 5: which effects are missing. Raises `InputError` for too few rows or a hold-out of another arm."""
+    if not Model(arm).names:
+        raise InputError("measurements: no parameter of the arm follows from these rows, allowed: data that show one")
     rows = Rows.of(measurements)
     library = hypotheses(arm, varying(measurements), rows)
     first = HypothesisSearch(library, rows).fit(())

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import itertools
 import json
 import os
 import pkgutil
@@ -42,14 +43,26 @@ CUT, SILENT, BROKEN = "stopped at 60 s", "silent for 10 s", "promise broken"
 KINDS = (RESULT, BAD_INPUT, FAILED, HELP, CUT, SILENT, BROKEN)
 
 
-def block_of(number: int, size: int) -> Iterator[Case]:
-    """The cases of a block: drawn one by one, as hypothesis would mutate the ones before."""
+def block_of(number: int, size: int, text: str = "") -> Iterator[Case]:
+    """The cases of a block: drawn one by one, as hypothesis would mutate the ones before; only those of which a file
+    holds the text, out of as many more."""
     for position in range(size):
-        data = ConjectureData(random=random.Random(f"{number}:{position}"))
-        try:
-            yield data.draw(cases())
-        except StopTest:  # too large
-            continue
+        seeds = (f"{number}:{position}:{again}" for again in itertools.count()) if text else (f"{number}:{position}",)
+        found = (case for seed in seeds if (case := drawn(seed)) is not None)
+        yield from itertools.islice((case for case in found if holds(case, text)), 1)
+
+
+def drawn(seed: str) -> Case | None:
+    """The case of a seed; None: too large."""
+    try:
+        return ConjectureData(random=random.Random(seed)).draw(cases())
+    except StopTest:
+        return None
+
+
+def holds(case: Case, text: str) -> bool:
+    """Whether one of its files does; every case holds an empty text."""
+    return not text or any(text in content for content in case.files.values())
 
 
 def outcome_of(case: Case, home: Path) -> tuple[str, str, str]:
@@ -135,7 +148,7 @@ def import_all() -> None:
                 importlib.import_module(module.name)
 
 
-def work(out: Path, first: int, blocks: int, size: int) -> None:
+def work(out: Path, first: int, blocks: int, size: int, text: str = "") -> None:
     """The blocks that nobody has done or is doing."""
     import_all()
     for number in range(first, first + blocks):
@@ -147,7 +160,7 @@ def work(out: Path, first: int, blocks: int, size: int) -> None:
         except FileExistsError:
             continue
         rows = []
-        for position, case in enumerate(block_of(number, size)):
+        for position, case in enumerate(block_of(number, size, text)):
             home = Path(tempfile.gettempdir()) / f"armcal-fuzz-{os.getpid()}" / "home"
             started = time.monotonic()
             what, promise, said = outcome_of(case, home)
@@ -183,9 +196,10 @@ def main() -> None:
     parser.add_argument("--number", type=int, default=50_000, help="inputs in all")
     parser.add_argument("--first", type=int, default=0, help="block to begin with: other blocks, other inputs")
     parser.add_argument("--out", type=Path, default=Path("fuzz-results"), help="folder of finished blocks")
+    parser.add_argument("--holding", default="", metavar="TEXT", help="only inputs of which a file holds this text")
     options = parser.parse_args()
     options.out.mkdir(exist_ok=True)
-    work(options.out, options.first, -(-options.number // SIZE), SIZE)
+    work(options.out, options.first, -(-options.number // SIZE), SIZE, options.holding)
     sys.stdout.write(table(options.out) + "\n")
 
 

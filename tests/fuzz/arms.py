@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from hypothesis import strategies as st
 
+from tests.fuzz.instruments import instruments
 from tests.fuzz.texts import mostly_valid, one_in
 
 Positions = Callable[[np.ndarray], np.ndarray]  # (m, n) [deg, mm] -> (m, d) [mm]
@@ -66,6 +68,12 @@ class ArmText:
         """Whether several points are measured."""
         return TOOLS in self.text
 
+    @property
+    def instrument(self) -> str:
+        """Kind of what measures lengths, "": positions are measured."""
+        found = re.search(r'\[instrument\]\nkind = "(\w+)"', self.text)
+        return found[1] if found and self.spatial else ""
+
 
 def numbers(values: object) -> str:
     return "[" + ", ".join(repr(float(v)) for v in np.ravel(np.asarray(values))) + "]"
@@ -92,6 +100,7 @@ def planar_arms(draw: st.DrawFn) -> ArmText:
         parts.append(f"[gravity]\nacceleration_m_s2 = [0.0, -9.81]\nlink_masses_kg = {numbers(np.ones(n))}")
     parts += _constraints(draw, float(links.sum()), 2)
     parts += _effects(draw, OF_PLANAR + (OF_GRAVITY if gravity else ()))
+    parts += [draw(instruments())] if one_in(draw, 60) else []
     if not one_in(draw, 4):
         parts.append(f"[calibration]\nlength_errors_mm = {numbers(0.001 * links)}")
         parts.append(f"joint_offsets_deg = {numbers(np.linspace(-0.5, 0.5, n))}")
@@ -189,9 +198,11 @@ def spatial_arms(draw: st.DrawFn) -> ArmText:
 def _spatial_tables(draw: st.DrawFn, n: int) -> list[str]:
     """What both have in common: base, tool, machining, noise, constraints, effects, calibration."""
     parts = [_sigma(draw) if draw(st.sampled_from(range(5))) == 0 else "[measurement]\nsigma_mm = 0.1"]
-    if draw(st.booleans()):
+    of_lengths = one_in(draw, 3)
+    if one_in(draw, 30 if of_lengths else 2):
         parts[-1] += "\nsigma_deg = " + draw(st.sampled_from(["0.05", "1e-9", "1e9"]))
-    if draw(st.booleans()):
+    parts += [draw(instruments())] if of_lengths else []
+    if "center_mm" not in parts[-1] and draw(st.booleans()):
         parts.append("[base]\nx_mm = 1500.0\nrz_deg = " + draw(st.sampled_from(["90.0", "1e6"])))
     tools = ("", "[tool]\nx_mm = 50.0", "[tool]\ny_mm = 50.0", f"{TOOLS}100.0", f"{TOOLS}1e9")
     tool = draw(st.sampled_from(tools))

@@ -1,4 +1,5 @@
-"""Files that armcal itself has written: small campaigns of a planar and of a spatial arm, made once."""
+"""Files that armcal itself has written: small campaigns of a planar arm, of a spatial one and a ball bar,
+made once."""
 
 from __future__ import annotations
 
@@ -34,10 +35,13 @@ z_mm = 80.0
 [measurement]
 sigma_mm = 0.1
 """
-OFFSETS = (
-    "[calibration]\nlength_errors_mm = [0.5, -0.2]\njoint_offsets_deg = [0.1, 0.3]\n",
-    '[calibration]\nvalues = {"joint_offset:2" = 0.3}\n',
-)
+BAR = '[instrument]\nkind = "distance"\ncenter_mm = [500.0, -200.0, 300.0]\n'
+OFFSET = '[calibration]\nvalues = {"joint_offset:2" = 0.3}\n'
+ARMS = {  # of each kind the file, and what its truth has besides
+    "planar": (PLANAR, "[calibration]\nlength_errors_mm = [0.5, -0.2]\njoint_offsets_deg = [0.1, 0.3]\n"),
+    "spatial": (SPATIAL, OFFSET),
+    "bar": (SPATIAL + BAR, OFFSET),
+}
 ECCENTRIC = '[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.08\nb_deg = 0.02\n'
 COMMANDS = {  # what it says with --json, by the file that this becomes
     "design.json": "design arm.toml --runs 40 --starts 1 --seconds 1 --out plan.csv",
@@ -50,19 +54,19 @@ COMMANDS = {  # what it says with --json, by the file that this becomes
 
 
 @cache
-def campaign(spatial: bool) -> dict[str, str]:
+def campaign(kind: str) -> dict[str, str]:
     """Name -> text of each file of a campaign; by a process of its own, as cases are forks of this one."""
-    words = [sys.executable, "-m", __name__, "spatial" if spatial else "planar"]
+    words = [sys.executable, "-m", __name__, kind]
     found: dict[str, str] = json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
     return found
 
 
-def made(spatial: bool) -> dict[str, str]:
+def made(kind: str) -> dict[str, str]:
     """The files, made here."""
-    runner, arm = CliRunner(), SPATIAL if spatial else PLANAR
+    runner, (arm, values) = CliRunner(), ARMS[kind]
     with runner.isolated_filesystem():
         Path("arm.toml").write_text(arm)
-        Path("truth.toml").write_text(arm + OFFSETS[spatial] + ECCENTRIC)
+        Path("truth.toml").write_text(arm + values + ECCENTRIC)
         found = {}
         for name, line in COMMANDS.items():
             done = runner.invoke(main, [*line.split(), "--json", "--quiet"], catch_exceptions=False)
@@ -75,12 +79,11 @@ def made(spatial: bool) -> dict[str, str]:
 @st.composite
 def campaigns(draw: st.DrawFn, line: frozenset[str]) -> dict[str, str]:
     """The files of one campaign that a command line names, spoilt one in seven; a table of another arm now and then."""
-    spatial = draw(st.booleans())
-    files = campaign(spatial)
+    kind, another = draw(st.permutations(list(ARMS)))[:2]
+    files, other = campaign(kind), campaign(another)
     found = {name: draw(mostly_valid(files[name])) for name in sorted(line & files.keys())}
-    other = campaign(not spatial)
     return {name: other[name] if one_in(draw, 40) else text for name, text in found.items()}
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(made(sys.argv[1] == "spatial")))
+    sys.stdout.write(json.dumps(made(sys.argv[1])))

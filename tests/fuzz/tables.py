@@ -6,6 +6,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tests.fuzz.arms import ArmText
+from tests.fuzz.instruments import lengths, touching
 from tests.fuzz.texts import one_in
 
 
@@ -65,11 +66,22 @@ def measurements(draw: st.DrawFn, arm: ArmText) -> str:
     places = arm.positions(angles + draw(st.sampled_from([0.0, 0.1]))) + size * rng.standard_normal(
         (rows, 3 if arm.spatial else 2)
     )
-    columns: dict = {**named(arm, angles), **{f"{a}_mm": c for a, c in zip("xyz", places.T, strict=False)}}
+    columns: dict = named(arm, angles) | {f"{a}_mm": c for a, c in zip("xyz", places.T, strict=False)}
+    if arm.instrument and not one_in(draw, 20):
+        columns = of_lengths(draw, arm, angles, places)
     columns |= conditions(draw, arm, rows) | extras(draw, arm, angles, rng)
     if arm.markers and not one_in(draw, 8):
         columns["marker"] = [str(1 + k % 2) for k in range(rows)]
     return csv(columns, draw(st.sampled_from(range(8))) == 0)
+
+
+def of_lengths(draw: st.DrawFn, arm: ArmText, angles: np.ndarray, places: np.ndarray) -> dict:
+    """Columns of distances, or of contacts with one or two surfaces."""
+    if arm.instrument == "distance":
+        return named(arm, angles) | lengths(draw, places)
+    surface = np.arange(len(angles)) % (1 + draw(st.booleans()))
+    columns: dict = named(arm, touching(arm.instrument, arm.positions, angles, surface))
+    return columns | ({"surface": [f"side {k}" for k in surface]} if surface.any() or one_in(draw, 2) else {})
 
 
 def extras(draw: st.DrawFn, arm: ArmText, angles: np.ndarray, rng: np.random.Generator) -> dict:
@@ -96,7 +108,7 @@ def targets(draw: st.DrawFn, arm: ArmText) -> str:
     """Positions within reach and beyond, or postures, or both, with orientations now and then."""
     rows = draw(st.sampled_from([5, 1, 12]))
     angles = postures(draw, arm, rows)
-    places = arm.positions(angles) * draw(st.sampled_from([1.0, 1.0, 0.0, 100.0, 1e300]))
+    places = arm.positions(angles) * draw(st.sampled_from([1.0, 1.0, 0.0, 100.0, 1e295]))
     columns: dict = {f"{a}_mm": c for a, c in zip("xyz", places.T, strict=False)}
     kind = draw(st.sampled_from(["positions", "postures", "both", "poses"]))
     if kind in ("postures", "both"):

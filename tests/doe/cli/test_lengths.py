@@ -170,3 +170,22 @@ def test_metres(cell: Folder) -> None:
     cell.write("metres.csv", "\n".join(map(",".join, metres)) + "\n")
     found = done(cell, "check", "arm.toml", "metres.csv")
     assert found["problems"] == ["the positions look like metres: name the columns distance_m instead of distance_mm"]
+
+
+def test_distances_that_show_no_parameter(folder: Folder) -> None:
+    """A thousand times the reach, around a single joint (found by the fuzz): said, not a traceback."""
+    joint = '<joint name="j" type="revolute"><origin xyz="0.1 0 0.3"/><parent link="a"/><child link="b"/>{}</joint>'
+    joint = joint.format('<axis xyz="1 0 0"/><limit lower="-1.7" upper="1.7"/>')
+    folder.write("one.urdf", f'<robot name="r"><link name="a"/><link name="b"/>{joint}</robot>')
+    arm = 'urdf = "one.urdf"\nbase_link = "a"\ntip_link = "b"\n[tool]\nx_mm = 50.0\n[measurement]\nsigma_mm = 0.1\n'
+    folder.write("arm.toml", f'kind = "spatial"\n{arm}[instrument]\nkind = "distance"\ncenter_mm = [0.0, 0.0, 0.0]\n')
+    far = [2581152, 2346667, 1622304, 1590233, 1852694, 1564368, 960987, 1697986]
+    rows = [f"{q},{length}" for q, length in zip([76, -78, 86, -63, 55, -86, 11, -52], far, strict=True)]
+    folder.write("data.csv", "\n".join(["q1_deg,distance_mm", *rows]) + "\n")
+    assert folder.armcal("check", "arm.toml", "data.csv").code in (0, 1)
+    said = folder.armcal("identify", "arm.toml", "data.csv")
+    assert said.code == 1
+    assert "not estimable separately" in said.out
+    refused = folder.armcal("diagnose", "arm.toml", "data.csv")
+    assert refused.code == 2
+    assert "no parameter of the arm follows from these rows, allowed: " in refused.err

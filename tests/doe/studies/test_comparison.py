@@ -145,6 +145,8 @@ def test_solvers_run_in_their_own_processes_and_failures_are_rows(
 def test_bad_comparisons() -> None:
     with pytest.raises(InputError, match="did you mean 'exchange'"):
         Comparison([ARM], [4], ["exchnge"])
+    with pytest.raises(InputError, match="seconds: found inf, allowed: a finite number > 0"):
+        Comparison([ARM], [4], ["random"], seconds=np.inf)
     with pytest.raises(InputError, match="did you mean 'Dstar'"):
         Comparison([ARM], [4], ["exchange"], criteria=["Dstr"])
     with pytest.raises(InputError, match="allowed: each name once"):
