@@ -18,6 +18,11 @@ from identification.files.io import PathLike, write_together
 @click.option("--dh", metavar="N", type=click.IntRange(1, 12), help="A spatial arm from N Denavit-Hartenberg rows.")
 @click.option("--base-link", help="Of the URDF file; left out: its root.")
 @click.option("--tip-link", help="Of the URDF file; left out: tool0, tcp .. or the end with the most joints.")
+@click.option(
+    "--instrument",
+    type=click.Choice(["distance", "sphere", "plane"]),
+    help="Of a spatial arm measured by a ball bar or draw wire, or by touching balls or planes.",
+)
 @click.option("--out", type=FOLDER, default=".", show_default="here", metavar="DIR", help="Folder; made if missing.")
 @click.option("--force", is_flag=True, help="Overwrite existing files.")
 def command(
@@ -27,6 +32,7 @@ def command(
     dh: int | None,
     base_link: str | None,
     tip_link: str | None,
+    instrument: str | None,
     out: Path,
     force: bool,
 ) -> Answer:
@@ -42,14 +48,17 @@ def command(
     for name, value in (("--base-link", base_link), ("--tip-link", tip_link)):
         if value is not None and robot is None:
             raise InputError(f"{name}: found without --urdf, allowed: with --urdf")
+    if instrument is not None and robot is None and dh is None:
+        raise InputError("--instrument: found for a planar arm, allowed: with --dh or --urdf")
     if robot is not None:
-        files = urdf_files(robot, base_link, tip_link)
+        files = urdf_files(robot, base_link, tip_link, instrument or "")
     else:
-        files = planar_files(links or "3") if dh is None else dh_files(dh)
+        files = planar_files(links or "3") if dh is None else dh_files(dh, instrument or "")
     written = _write(files, out, robot, force)
-    design = next(line for line in files[STEPS].splitlines() if line.startswith("armcal design"))
+    first = ("armcal design", "armcal check")  # of touches there is no plan
+    step = next(line for word in first for line in files[STEPS].splitlines() if line.startswith(word))
     made_up = ["replace what is marked EXAMPLE in " + str(out / ARM)] if "EXAMPLE" in files[ARM] else []
-    steps = [f"{out / STEPS} says what to do, step by step", *made_up, f"in {out}: {design}"]
+    steps = [f"{out / STEPS} says what to do, step by step", *made_up, f"in {out}: {step.partition('  #')[0].rstrip()}"]
     return Answer({"directory": out, "files": written, "next": steps}, [f"written: {', '.join(written)}", *steps])
 
 

@@ -16,10 +16,15 @@ from identification.files.arm_schema import ArmFile
 from identification.files.arm_schema_spatial import SpatialArmFile
 from identification.files.io import PathLike
 from identification.files.urdf import Urdf, read_urdf
+from identification.kinematics.instrument import CONTACTS
 from identification.kinematics.parameters import REVOLUTE
 from identification.kinematics.spatial import SpatialChain
 
 ARM, DATA, SCHEMA, STEPS = "arm.toml", "measurements.csv", "arm.schema.json", "README.md"
+INSTRUMENTS = ("distance", *CONTACTS)  # that measure no positions, as `[instrument]` names them
+SCATTER = {"": "coordinate of the instrument", "distance": "distance", "sphere": "touch", "plane": "touch"}
+COLUMNS = {"": ("x_mm", "y_mm", "z_mm"), "distance": ("distance_mm",), "sphere": ("surface",), "plane": ("surface",)}
+CENTER = (700.0, 0.0, 300.0)  # [mm] an example
 ENDS = ("tool0", "tcp", "tool", "flange")  # names of tips, the likeliest first
 # a, alpha, d of the first joints of an elbow manipulator with a wrist, of round numbers
 ELBOW = (
@@ -30,6 +35,7 @@ ELBOW = (
     (0.0, -90.0, 120.0),
     (0.0, 0.0, 100.0),
 )
+DEFAULTS = {"urdf": None, "spatial": False, "massed": False, "kind": "", "contact": False}  # of the templates
 WRIST = (0.0, 90.0, 200.0)  # of every further joint
 
 
@@ -59,19 +65,23 @@ def planar_files(links: str) -> dict[str, str]:
     return _files(_filled("arm_planar.toml.j2", values), columns, ArmFile, about)
 
 
-def dh_files(joints: int) -> dict[str, str]:
-    """Of a spatial arm from a Denavit-Hartenberg table that is to be filled in: file name -> text."""
+def dh_files(joints: int, instrument: str = "") -> dict[str, str]:
+    """Of a spatial arm from a Denavit-Hartenberg table that is to be filled in: file name -> text.
+
+    instrument : of `INSTRUMENTS`, "": positions are measured
+    """
     rows = [*ELBOW, *[WRIST] * MAX_LINKS][:joints]
     limits = _limits([-170.0] * joints, [170.0] * joints)
     values = {"name": _text("arm"), "rows": rows, **limits, "masses": _numbers([10.0] * joints)}
-    about = {"title": f"an arm of {joints} joints", "example": True}
+    about = {"title": f"an arm of {joints} joints", "example": True, "kind": instrument}
     return _spatial(values, ["revolute"] * joints, about)
 
 
-def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None) -> dict[str, str]:
+def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, instrument: str = "") -> dict[str, str]:
     """Of a spatial arm from a URDF file: file name -> text, a copy of the URDF file among them.
 
     base, tip : links; left out: the root, and an end with the name of a tool, or else the one with the most joints
+    instrument : of `INSTRUMENTS`, "": positions are measured
 
     Raises `InputError` for a file or links that do not work.
     """
@@ -96,7 +106,7 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None) 
         "masses": _numbers(masses if any(masses) else [10.0] * len(chain)),
     }
     title = html.escape(printable(" ".join((urdf.robot.get("name") or "the arm").split())), quote=False)
-    about = {"title": title, "example": False, "urdf": file}
+    about = {"title": title, "example": False, "urdf": file, "kind": instrument}
     return _spatial(values, [joint.type for joint in chain.joints], about) | {file: urdf.text}
 
 
@@ -119,11 +129,14 @@ def _chains(urdf: Urdf, base: str, tip: str | None) -> dict[str, SpatialChain]:
 
 
 def _spatial(values: Mapping[str, Any], types: Sequence[str], about: Mapping[str, Any]) -> dict[str, str]:
-    n = len(types)
-    joints = [f"q{j}_{'deg' if kind == REVOLUTE else 'mm'}" for j, kind in enumerate(types, start=1)]
-    columns = ["order", *joints, "x_mm", "y_mm", "z_mm"]
-    runs = {"joints": n, "spatial": True, "runs": max(5 * n, 20), "fresh": 12}
-    return _files(_filled("arm_spatial.toml.j2", values), columns, SpatialArmFile, {**about, **runs})
+    n, kind = len(types), about["kind"]
+    joints = [f"q{j}_{'deg' if joint == REVOLUTE else 'mm'}" for j, joint in enumerate(types, start=1)]
+    measured = {"kind": kind, "contact": kind in CONTACTS, "point": "measured point" if kind else "reflector"}
+    rows = 3 if kind else 1  # of one number each instead of three
+    steps = {**about, **measured, "joints": n, "spatial": True, "runs": rows * max(5 * n, 20), "fresh": rows * 12}
+    named = {**values, **measured, "scatter": SCATTER[kind], "center": _numbers(CENTER)}
+    columns = ["order", *joints, *COLUMNS[kind]]
+    return _files(_filled("arm_spatial.toml.j2", named), columns, SpatialArmFile, steps)
 
 
 def _files(arm: str, columns: Sequence[str], model: Any, about: Mapping[str, Any]) -> dict[str, str]:
@@ -152,7 +165,7 @@ def _filled(template: str, values: Mapping[str, Any]) -> str:
 
     loader = PackageLoader("doe.report", "first_files")
     environment = Environment(loader=loader, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined)
-    return environment.get_template(template).render({"urdf": None, "spatial": False, "massed": False, **values})
+    return environment.get_template(template).render({**DEFAULTS, **values})
 
 
 def _limits(lower: Sequence[float], upper: Sequence[float]) -> dict[str, str]:

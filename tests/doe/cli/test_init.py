@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
+import warnings
 from pathlib import Path
 
 import jsonschema
@@ -11,7 +13,7 @@ import numpy as np
 import pytest
 
 from doe.report.first_files import dh_files, planar_files, urdf_files
-from identification import Model, load_arm
+from identification import Model, load_arm, load_measurements
 from identification.errors import InputError
 from identification.files.csv import read_table
 from identification.files.urdf import read_urdf
@@ -47,6 +49,44 @@ def test_what_is_written_is_read(folder: Folder, words: tuple[str, ...], joints:
     assert [name for name in header if name.startswith("q")] == [f"q{j}_deg" for j in range(1, joints + 1)]
     with pytest.raises(InputError, match="there are no rows below the header"):
         read_table(home / "measurements.csv")
+
+
+@pytest.mark.parametrize("kind", ["distance", "sphere", "plane"])
+@pytest.mark.parametrize("words", [("--dh", "4"), ("--urdf", str(URDF))], ids=["dh", "urdf"])
+def test_files_of_an_instrument_of_lengths(folder: Folder, words: tuple[str, ...], kind: str) -> None:
+    """The arm file measures such lengths, rows below the header are read, and the next step is one that works."""
+    done = folder.armcal("init", *words, "--instrument", kind, "--out", "cell", "--json")
+    assert done.code == 0, done.err
+    home = folder.path / "cell"
+    arm = load_arm(home / "arm.toml")
+    assert arm.chain is not None
+    assert arm.chain.instrument.kind == kind
+    header = (home / "measurements.csv").read_text()
+    cells = {"order": "1", "distance_mm": "500", "surface": "left"}
+    (home / "data.csv").write_text(
+        header + ",".join(cells.get(name, "20") for name in header.strip().split(",")) + "\n"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # of columns that are not used
+        measured = load_measurements(home / "data.csv", arm)
+    assert measured.positions.tolist() == [[{"distance": 500.0, "sphere": 15.0, "plane": 0.0}[kind]]]
+    steps, column = (home / "README.md").read_text(), "distance_mm" if kind == "distance" else "surface"
+    assert f"| `{column}` |" in steps
+    assert ("armcal design" in steps) == (kind == "distance")  # which no touch can have
+    assert done.data["next"][-1].partition(": ")[2].startswith(f"armcal {'design' if kind == 'distance' else 'check'}")
+    schema = json.loads((home / "arm.schema.json").read_text())
+    jsonschema.validate(tomllib.loads((home / "arm.toml").read_text()), schema)
+
+
+@pytest.mark.parametrize("instrument", ["", "distance", "sphere", "plane"])
+def test_what_is_commented_out_can_be_put_in(folder: Folder, instrument: str) -> None:
+    text = re.sub(r"(?m)^# (?=\[|\w+ = )", "", dh_files(6, instrument)["arm.toml"])
+    if not instrument:  # a base that is known stands beside no unknown one
+        assert "[base]" in text
+    folder.write("arm.toml", text)
+    arm = load_arm(folder.path / "arm.toml")
+    assert len(arm.constraints) == (0 if instrument in ("sphere", "plane") else 2)
+    assert arm.gravity is not None
 
 
 def test_the_step_that_is_printed_is_the_first_of_the_campaign(folder: Folder) -> None:
@@ -98,6 +138,7 @@ def test_ends_that_cannot_be_measured_are_not_taken(folder: Folder) -> None:
         (("--links", "0"), "--links: found '0', allowed: how many, 1 to 12, or lengths > 0"),
         (("--links", "3,-1"), "--links: found '3,-1'"),
         (("--links", "3", "--dh", "6"), "--dh: found with --links"),
+        (("--instrument", "distance"), "--instrument: found for a planar arm, allowed: with --dh or --urdf"),
         (("--tip-link", "tool0"), "--tip-link: found without --urdf"),
         (("--urdf", "none.urdf"), "none.urdf: no such file"),
         (("--urdf", str(URDF), "--tip-link", "tool1"), "did you mean 'tool0'"),
