@@ -73,19 +73,19 @@ class Compensation:
     def _message(self, near: bool, error: float, angle: float, missed: list[float], inside: bool) -> str:
         """Of one target: what is left [mm], [deg], at the angles identified or not, and what constraints are missed by
         [mm]."""
-        familiar = " at the angles identified" if inside else ""
-        turned = "" if self.angles is None else f" and {angle:.4g} deg"
-        said = [] if near else [f"out of reach within the joint limits: {error:.4g} mm{turned} are left{familiar}"]
+        familiar = " (within the angles identified)" if inside else ""
+        by = f"{error:.4g} mm{'' if self.angles is None else f' and {angle:.4g} deg'}"
+        said = (
+            [] if near else [f"out of reach within the joint limits: the nearest posture{familiar} misses it by {by}"]
+        )
         numbered = enumerate(zip(self.constraints, missed, strict=True), start=1)
         said += [f"constraint {k} ({kind}) is missed by {size:.4g} mm" for k, (kind, size) in numbered if size > 0.0]
         return "; ".join(said)
 
     @property
     def safe_commands(self) -> Array:
-        """(k, n) as `commands`, NaN where they miss a constraint: nobody may drive to these."""
-        if self.violations is None:
-            return self.commands
-        return np.where(np.any(self.violations > 0.0, axis=1)[:, None], np.nan, self.commands)
+        """(k, n) as `commands`, NaN where the target is not reached: no controller may be fed with these."""
+        return np.where(self.reached[:, None], self.commands, np.nan)
 
     @property
     def warnings(self) -> list[str]:

@@ -22,11 +22,12 @@ def command(session: Session, calibrated: Path, targets: Path, output: Output) -
     """Joint commands that reach TARGETS (x_mm,y_mm or nominal q1_deg..) on the CALIBRATED arm.
 
     In space with z_mm, and rx_deg, ry_deg, rz_deg or a quaternion where the tool's orientation matters. Commands
-    keep to the joint limits and the [[constraints]] of the arm file; where that cannot be, the row says why. A warning
-    counts the targets that need joint angles outside those of the identification, where the model extrapolates.
+    keep to the joint limits and the [[constraints]] of the arm file; where that cannot be, the row says why and has no
+    angles. A warning counts the targets that need joint angles outside those of the identification, where the model
+    extrapolates.
     """
     from doe.problem.constraints import constraints_of
-    from doe.report.identification_tables import compensation_tables
+    from doe.report.compensation_tables import compensation_tables
     from identification.compensate import compensate
     from identification.files.arm import load_arm
     from identification.files.target import commands_text, load_targets

@@ -75,9 +75,9 @@ def command(
     answer = Answer(found.to_json(), diagnosis_tables(found))
     try:
         named = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
-        page = gap_page(found, measurements, origin(session.seed, named), output.out) if report else ""
+        page = gap_page(found, measurements, origin(session.seed, named), output.out, [arm, *data]) if report else ""
         answer.shown += write(found, arm, output, {curves: curves_text(found.curves), report: page})
-        answer.shown += next_steps(diagnosis_actions(answer.data, str(arm), " ".join(map(str, data)), output.out))
+        answer.shown += next_steps(diagnosis_actions(answer.data, str(arm), [*map(str, data)], output.out))
     except InputError as error:  # the diagnosis is shown all the same
         say(str(error))
         answer.exit_code = error.exit_code

@@ -7,7 +7,7 @@ from time import perf_counter
 
 import click
 
-from doe.cli.common import Answer, Session, read_measurements, verb
+from doe.cli.common import Answer, Session, read_sessions, verb
 from doe.cli.options import FILE, Output, Seconds, output_options
 from identification.errors import InputError
 
@@ -17,7 +17,7 @@ from identification.errors import InputError
     "Next postures for an ambiguous diagnosis.",
 )
 @click.argument("arm", type=FILE)
-@click.argument("data", type=FILE)
+@click.argument("data", type=FILE, nargs=-1, required=True)
 @click.option("--runs", type=click.IntRange(min=1), required=True, help="Number of further measurements K.")
 @click.option("--payloads", help="Payloads to choose from [kg], as 0,5,10; left out: the arm's own.")
 @click.option(
@@ -29,9 +29,12 @@ from identification.errors import InputError
 )
 @output_options(out="Write the next postures (CSV).")
 def command(
-    session: Session, arm: Path, data: Path, runs: int, payloads: str | None, seconds: float, output: Output
+    session: Session, arm: Path, data: tuple[Path, ...], runs: int, payloads: str | None, seconds: float, output: Output
 ) -> Answer:
-    """The next RUNS postures, to distinguish the candidates of an ambiguous diagnosis, and their chance of success."""
+    """The next RUNS postures, to distinguish the candidates of an ambiguous diagnosis, and their chance of success.
+
+    Several files DATA are sessions of one arm, as for `armcal diagnose`.
+    """
     from doe.discrimination.t_optimal import discriminate
     from doe.report.next_postures import missing_payload, next_data, next_tables, next_text
     from identification.files.arm import load_arm
@@ -41,7 +44,7 @@ def command(
     masses = None if payloads is None else payload_list(payloads)
     if masses is not None and loaded.gravity is None:
         raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
-    measurements = read_measurements(data, loaded)
+    measurements = read_sessions(data, loaded)
     with session.progress() as progress:
         diagnosis = diagnose(loaded, measurements, seed=session.seed, progress=progress)
     if diagnosis.verdict != "ambiguous":
@@ -56,7 +59,7 @@ def command(
 
     found = discriminate(loaded, diagnosis, measurements, runs, session.seed, masses, stop=late)
     written = [
-        f"{line}; measure them and append the rows to {data}"
+        f"{line}; measure them and append the rows to {data[-1]}"
         for line in output.write(next_text(found), "next postures")
     ]
     shown = [*next_tables(diagnosis, found), *written, *missing_payload(loaded, measurements, found)]

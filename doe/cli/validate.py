@@ -32,13 +32,15 @@ def command(session: Session, model: Path, data: Path, refit: str, output: Outpu
     All that was identified stays as it is; the drawing, refitted in the same way, stands beside it. A session column
     in DATA has the base refitted in each session.
     """
-    from doe.report.validation import validation_figure, validation_tables
+    from doe.report.validation import better, validation_figure, validation_tables
+    from doe.report.verdict import next_steps, validation_actions
     from identification.files.arm import load_arm
     from identification.validate import validate
 
     arm = load_arm(model)
     found = validate(arm, read_measurements(data, arm), refit)
-    answer = Answer(found.to_json(), validation_tables(found))
+    actions = validation_actions(better(found), refit, str(model), str(data))
+    answer = Answer(found.to_json(), [*validation_tables(found), *next_steps(actions)])
     output.draw(lambda: validation_figure(found))
     warn_beside_json(f"{data}: {note}" for note in found.notes)
     return answer

@@ -197,5 +197,5 @@ class Run:
         """Commands that take the real arm to the positions where the nominal arm would be at these postures."""
         found = compensate(extended.calibrated_arm(), postures=postures)
         self.write("targets.csv", plan_text(Plan(postures)))
-        self.write("commands.csv", commands_text(found.commands, found.targets, found.errors))
+        self.write("commands.csv", commands_text(found.safe_commands, found.targets, found.errors))
         return found

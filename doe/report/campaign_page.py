@@ -138,7 +138,7 @@ class Campaign:
             pooled = " ".join(["armcal diagnose", names["arm"], *data])
             return [*self.worse, Action("See what all measurements together say, each file as a session:", pooled)]
         if diagnoses := self.said("diagnose"):
-            return diagnosis_actions(diagnoses[-1], names["arm"], names["rows"])
+            return diagnosis_actions(diagnoses[-1], names["arm"], [names["rows"]])
         if given.calibrated or self.said("identify") or self.said("validate"):
             chosen = given.calibrated.get(self.chosen or "")
             diagnosed = chosen is not None and identified(chosen).get("source") == "armcal diagnose"

@@ -216,16 +216,18 @@ def gap_page(
     measurements: Measurements | None = None,
     origin: Origin | None = None,
     written: Path | None = None,
+    files: Sequence[Path] = (),
 ) -> str:
     """The page of `armcal diagnose --report`.
 
     measurements : that were diagnosed, to see what the drawing leaves of them;  origin : of the page
     written : the extended model, where it is written beside the page
+    files : arm and measurements, for the commands of the next steps
     """
     data = diagnosis.to_json()
     nominal = None if measurements is None else rms_distance(drawing_residuals(diagnosis.arm, measurements))
     sections = [*gap_sections(diagnosis, nominal), *([] if origin is None else [origin_section(origin)])]
-    arm, rows, *_ = ("arm.toml", "data.csv") if origin is None else (*map(str, origin.files), "data.csv")
+    arm, *rows = [*map(str, files)] or ["arm.toml"]
     title = f"Gap report: {diagnosis.arm.name or 'arm'}"
-    actions = diagnosis_actions(data, arm, rows, written)
+    actions = diagnosis_actions(data, arm, rows or ["data.csv"], written)
     return page(title, diagnosis_verdict(data), sections, actions, data["warnings"])

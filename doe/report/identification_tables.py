@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from rich.table import Table
 from rich.text import Text
 
 from doe.report.page import Sheet
 from doe.report.terminal import estimate_text, facts, number, table, unit_of
-from identification.compensation import Compensation
 from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
 from identification.estimation.shown import in_words
-from identification.kinematics.parameters import REVOLUTE
 from identification.servo import ServoError
 from identification.sessions import placing
 
@@ -121,45 +118,3 @@ def servo_table(errors: Sequence[ServoError]) -> Table:
         rows.append([str(data["joint"]), *(f"{data[key]:z.5f}" for key in keys), data["unit"]])
     said = "read less commanded: offset + reversal s + rest, s = +1 or -1 the sign of the last motion"
     return table(("joint", *keys, "unit"), rows, "Servo error", caption=said, left=("unit",))
-
-
-def residual_text(error: float) -> str:
-    """Distance of the calibrated model's tip from its target [mm], not to be read as the robot's accuracy."""
-    return "< 1e-6" if error < 1e-6 else number(error) if error < 100.0 else f"{error:.0f}"
-
-
-def compensation_tables(found: Compensation, most: int = 24) -> list[Any]:
-    """Joint commands for the first targets, and how many are reached."""
-    types, axes = found.joint_types or (REVOLUTE,) * found.commands.shape[1], "xyz"[: found.targets.shape[1]]
-    fine = len(types) + len(axes) <= 6  # more columns with fewer decimals, for 80 characters a line
-    commands = np.where(np.isnan(found.safe_commands), np.nan, found.commands_in_file_units)
-    found_rows = zip(found.targets, commands, found.errors, found.reached, strict=True)
-    rows = (
-        [
-            f"{row}{'' if reached else ' !'}",
-            *(f"{v:.{1 if fine else 0}f}" for v in target),
-            *("-" if np.isnan(v) else f"{v:.{3 if fine else 2}f}" for v in command),
-            residual_text(error),
-        ]
-        for row, (target, command, error, reached) in enumerate(found_rows, start=1)
-    )
-    caption = f"first {most} of {len(found.targets)} targets; --out writes all"
-    joints = (f"q{j}" if kind == REVOLUTE else f"q{j} [mm]" for j, kind in enumerate(types, start=1))
-    padding = (0, 0, 0, int(fine))
-    headings, title = ("row", *(f"{axis} [mm]" for axis in axes), *joints, "left"), "Commands [deg]"
-    reached = f"{np.count_nonzero(found.reached)} of {len(found.targets)} targets reached by the calibrated model"
-    if found.model_rms is not None:
-        reached += f" (RMS {found.model_rms:.4g} mm on its own measurements)"
-    if found.angles is not None:
-        largest = found.to_json()["max_error_deg"]
-        reached += f"; orientations are those wanted to {residual_text(largest or 0.0)} deg, by the same model"
-    said = [f"target {k} ! {message}" for k, message in enumerate(found.messages, start=1) if message]
-    more = [f"... and {len(said) - most} more not reached; --out writes all"] if len(said) > most else []
-    return [
-        reached,
-        *(Text(warning, style="bold") for warning in found.warnings),
-        table(headings, rows, title, most=most, caption=caption, padding=padding),
-        *([] if fine else [Text("Rounded to 0.01 deg here; --out and --json give every digit.")]),
-        *map(Text, said[:most]),
-        *more,
-    ]

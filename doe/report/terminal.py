@@ -20,6 +20,16 @@ def number(value: float | None, digits: int = 4) -> str:
     return "-" if value is None or not np.isfinite(value) else f"{value:z.{digits}f}"  # no -0.0000
 
 
+def in_a_sentence(value: float | None) -> str:
+    """A length to three significant digits, as people say it: `0.110`, `1.42`, `34`; a dash for None."""
+    if value is None or not np.isfinite(value):
+        return "-"
+    if value == 0.0:
+        return "0"
+    digits = int(np.clip(2 - np.floor(np.log10(abs(value))), 0, 6))
+    return f"{value:z.{digits}f}"
+
+
 def unit_of(unit: str) -> str:
     """For a column of units: a dash where there is none."""
     return "–" if unit == "1" else unit

@@ -11,40 +11,59 @@ from rich.text import Text
 
 from doe.report.gap_figures import binned_rms
 from doe.report.pictures import AFTER, BEFORE, MANY, base_of, draw_residual_arrows, projections, workspace_axes
-from doe.report.terminal import number, table
+from doe.report.terminal import in_a_sentence, number, table
 from identification.arrays import Array
 from identification.measurements import distances
 from identification.validate import HARDLY, Figures, Validation
 
 REFITTED = {
-    "base": "position and rotation of the base refitted",
-    "offsets": "joint offsets and position of the base refitted",
-    "none": "nothing refitted",
+    "base": "position and rotation of the base",
+    "offsets": "joint offsets, position of the base",
 }
 
 
 def validation_tables(found: Validation) -> list[Any]:
-    """Drawing and model over all rows, then block by block."""
-    sessions = f" in each of {len(found.refitted)} sessions" if len(found.refitted) > 1 else ""
-    points = " and the measured points" if found.arm.chain is not None and found.refit != "none" else ""
-    summary = f"{len(found.residuals)} rows, {REFITTED[found.refit]}{points}{sessions}; everything else as in the file"
+    """Verdict, drawing and model over all rows, then block by block."""
     figures_of = ("RMS", "mean", "95 %\nbelow", "largest")
     rows = ((name, *_cells(figures)) for name, figures in (("drawing", found.nominal), ("model", found.model)))
-    shown: list[Any] = [summary, table(("", *figures_of), rows, "Distances in mm", left=("",))]
-    if found.model.rms >= found.nominal.rms:
-        shown.append("On these rows the model is no better than the drawing.")
-    shown += [Text(note, style="bold") for note in found.notes]
-    doubtful = found.model.rms >= found.nominal.rms or any(HARDLY in note for note in found.notes)
-    if doubtful and found.refit != "offsets":
-        shown.append("Have zeros moved? --refit offsets tells; armcal identify MODEL DATA --only joint_offsets,base")
+    shown: list[Any] = [Text(verdict(found), style="bold")]
+    shown += [Text(note, style="bold") for note in found.notes if HARDLY not in note]
+    shown += [refitted_in_words(found), table(("", *figures_of), rows, "Distances in mm", left=("",))]
     if blocks := found.blocks:
         lines = (
             [block.kind, block.name, str(block.rows), number(block.nominal.rms), *_cells(block.model)]
             for block in blocks
         )
         headings = ("block", "which", "rows", "RMS\ndrawing", *figures_of)
-        shown.append(table(headings, lines, "Block by block, in mm", left=("block", "which")))
+        shown.append(table(headings, lines, "Block by block, in mm", left=("block", "which"), padding=0))
     return shown
+
+
+def refitted_in_words(found: Validation) -> str:
+    """How many rows there are, and what was fitted to them."""
+    if found.refit == "none":
+        return f"{len(found.residuals)} rows, nothing refitted"
+    sessions = f" in each of {len(found.refitted)} sessions" if len(found.refitted) > 1 else ""
+    what = f"{REFITTED[found.refit]}{'' if found.arm.chain is None else ', measured points'}"
+    return f"{len(found.residuals)} rows, refitted{sessions}: {what}; everything else as in the file"
+
+
+def verdict(found: Validation) -> str:
+    """How well the model predicts, and what the calibration is worth, in a sentence or two."""
+    model, drawing = in_a_sentence(found.model.rms), in_a_sentence(found.nominal.rms)
+    kind = "positions" if found.measurements.dimension > 1 else "readings"
+    rows = f"The model predicts these {len(found.residuals)} {kind}"
+    if not better(found):
+        worse = HARDLY if found.model.rms < found.nominal.rms else "no better"
+        return f"{rows} {worse} than the drawing: {model} mm RMS against {drawing} mm."
+    removed = 1.0 - found.model.rms / found.nominal.rms
+    gain = f"The calibration removes {100.0 * removed:.0f} % of the error."
+    return f"{rows} to {model} mm RMS; the drawing misses them by {drawing} mm. {gain}"
+
+
+def better(found: Validation) -> bool:
+    """Whether the model is better than the drawing, by more than the rows scatter."""
+    return found.model.rms < found.nominal.rms and not any(HARDLY in note for note in found.notes)
 
 
 def _cells(figures: Figures) -> list[str]:

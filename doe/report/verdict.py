@@ -19,8 +19,8 @@ MOST = 4  # kinds of effects that a verdict spells out
 
 
 def next_steps(actions: Sequence[Action]) -> list[str]:
-    """The same for a terminal: a line each."""
-    return [f"next: {action.text} {action.command}".strip() for action in actions]
+    """The same for a terminal: a line each, the command on a line of its own."""
+    return [f"next: {action.text}" + (f"\n      {action.command}" if action.command else "") for action in actions]
 
 
 def in_words(labels: Sequence[str]) -> str:
@@ -111,10 +111,10 @@ def gap_in_words(data: Data) -> str:
 
 
 def diagnosis_actions(
-    data: Data, arm: str = "arm.toml", rows: str = "data.csv", written: Path | None = None
+    data: Data, arm: str = "arm.toml", rows: Sequence[str] = ("data.csv",), written: Path | None = None
 ) -> list[Action]:
-    """What follows from a diagnosis;  written : the extended model, where it has been."""
-    called = f"armcal diagnose {arm} {rows}"
+    """What follows from a diagnosis of these files;  written : the extended model, where it has been."""
+    called = " ".join(["armcal diagnose", arm, *rows])
     confirm = Action(
         "Measure some twenty other postures, best on another day, and let them confirm what was found:",
         f"{called} --holdout other.csv",
@@ -124,10 +124,11 @@ def diagnosis_actions(
         wrong = "Do not put this into the controller: rows that no fit has seen speak against it."
         return [Action(partly if helps(data) else wrong), confirm]
     if data["verdict"] == "none":
-        use = Action("Use the calibration of the geometry:", f"armcal identify {arm} {rows} --out calibrated.toml")
+        fit = f"armcal identify {arm} {rows[0]}" if len(rows) == 1 else called  # identify takes one file
+        use = Action("Use the calibration of the geometry:", f"{fit} --out calibrated.toml")
         return [use, correct("calibrated.toml")]
     if data["verdict"] == "ambiguous":
-        apart = f"armcal discriminate {arm} {rows} --runs 6 --out next.csv"
+        apart = " ".join(["armcal discriminate", arm, *rows, "--runs 6 --out next.csv"])
         again = Action("Add the new rows to the data, and diagnose again:", called)
         return [Action("Measure the postures that tell the explanations apart:", apart), again]
     keep = [] if written else [Action("Keep the extended model:", f"{called} --out extended.toml")]
@@ -172,6 +173,17 @@ def validation_verdict(
     figures = f"{number(data['rms_mm'])} mm RMS (95 % below {number(data['p95_mm'])} mm)"
     drawn = f"where the drawing leaves {number(data['rms_nominal_mm'])} mm"
     return f"On {data['rows']} rows of {rows}{which}, {model} leaves {figures}, {drawn}."
+
+
+def validation_actions(better: bool, refit: str, model: str, rows: str) -> list[Action]:
+    """What to do with a model that predicts other measurements, or does not."""
+    if better:
+        return [correct(model)]
+    anew = Action("Find the zeros of the joints anew:", f"armcal identify {model} {rows} --only joint_offsets,base")
+    if refit == "offsets":
+        return [anew]
+    asked = f"armcal validate {model} {rows} --refit offsets"
+    return [Action("Have the zeros of the joints moved? See what refitting them gains:", asked), anew]
 
 
 def plan_actions(arm: str = "arm.toml", plan: str = "plan.csv") -> list[Action]:

@@ -81,6 +81,7 @@ def test_unreachable_targets_are_listed_and_approached() -> None:
     assert found.errors[1] == pytest.approx(700.0 - reach, abs=1e-3)  # the arm stretches towards it
     assert np.all(np.abs(found.commands) <= LIMITS)
     assert np.all(np.isfinite(found.errors))
+    assert np.isnan(found.safe_commands).any(axis=1).tolist() == [False, True, False, True]
 
 
 def test_limits_hold_where_the_correction_presses_against_them() -> None:
@@ -212,7 +213,7 @@ def test_out_of_reach_the_command_stays_at_the_angles_of_the_identification() ->
     assert np.all(found.errors <= inside + room)
     assert not found.reached.any()
     assert found.warnings == []
-    assert all(message.endswith("mm are left at the angles identified") for message in found.messages)
+    assert all("the nearest posture (within the angles identified) misses it" in said for said in found.messages)
     stretched = compensate(two, targets[:1], np.array([[0.1, 0.1]]))
     assert stretched.errors[0] == pytest.approx(np.hypot(700.0, 100.0) - 500.0, abs=1e-3)
     assert stretched.warnings

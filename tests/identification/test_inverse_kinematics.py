@@ -83,7 +83,7 @@ def test_targets_outside_the_workspace_say_so() -> None:
     outside, inside, far = found.messages
     assert outside == "constraint 1 (workspace_box) is missed by 30 mm"
     assert inside == ""
-    assert far.startswith("out of reach within the joint limits: 500 mm are left; constraint 1")
+    assert far.startswith("out of reach within the joint limits: the nearest posture misses it by 500 mm; constraint 1")
     figures = found.to_json()
     assert (figures["reached"], figures["unreachable"], figures["unreachable_count"]) == (1, [1, 3], 2)
     assert figures["max_unreached_mm"] > 499.0

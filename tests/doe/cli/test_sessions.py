@@ -50,7 +50,10 @@ def test_files_are_sessions(sessions: Folder) -> None:
         for parameter, true in zip(there["parameters"], (0.08, 0.05), strict=True):
             assert abs(parameter["value"] - true) < 5 * parameter["std"]
     assert "replicates across sessions: transmission_ripple:2[k=5]" in done.data["sentence"]
-    assert "Across sessions" in sessions.read("gap.html")
+    page = sessions.read("gap.html")
+    assert "Across sessions" in page
+    assert "armcal diagnose arm.toml monday.csv friday.csv --holdout other.csv" in page
+    assert "armcal diagnose arm.toml monday.csv --" not in page
     written = sessions.read("extended.toml")
     assert "base_offset" in written
     assert "session_base" not in written
@@ -69,6 +72,13 @@ def test_a_column_names_sessions(sessions: Folder) -> None:
     assert "session_base" not in sessions.read("calibrated.toml")
     alone = sessions.armcal("validate", "calibrated.toml", "monday.csv", "--refit", "none", "--json").data
     assert alone["rms_mm"] < 0.2
+
+
+def test_next_postures_for_several_files(sessions: Folder) -> None:
+    """`discriminate` reads what `diagnose` reads, as its next step is given with the same files."""
+    done = sessions.armcal("discriminate", "arm.toml", "monday.csv", "friday.csv", "--runs", "2")
+    assert done.code == 0, done.err
+    assert "transmission_ripple:2[k=5] is missing from the model" in " ".join(done.out.split())
 
 
 def test_the_same_file_twice(sessions: Folder) -> None:

@@ -230,7 +230,9 @@ def test_validate_where_the_arm_stands_elsewhere(spatial: Folder) -> None:
     same = spatial.armcal("validate", "calibrated.toml", "data.csv", "--refit", "none", "--json", "--picture", "x.png")
     assert same.code == 0, same.err
     assert same.data["rms_mm"] < 0.05
-    assert spatial.armcal("validate", "calibrated.toml", "data.csv").out.startswith("80 rows, position and rotation")
+    shown = spatial.armcal("validate", "calibrated.toml", "data.csv").out
+    assert shown.startswith("The model predicts these 80 positions to ")
+    assert "80 rows, refitted: position and rotation of the base, measured points; everything else" in shown
 
 
 def test_commands_for_the_real_arm(spatial: Folder) -> None:
@@ -242,11 +244,14 @@ def test_commands_for_the_real_arm(spatial: Folder) -> None:
     assert spatial.read("commands.csv").startswith(
         "q1_mm,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,x_mm,y_mm,z_mm,error_mm,reachable"
     )
-    rows = np.loadtxt(spatial.path / "commands.csv", delimiter=",", skiprows=1, usecols=range(11))
+    rows = np.genfromtxt(spatial.path / "commands.csv", delimiter=",", skip_header=1, usecols=range(11))
     commands = np.c_[rows[:, :1], np.radians(rows[:, 1:6])]
     reached = rows[:, 9] < 1e-6
     real = Model(load_arm(spatial.path / "truth.toml")).position(commands)
     assert rms_distance((real - rows[:, 6:9])[reached]) < 0.06
+    assert np.array_equal(
+        ~reached, np.isnan(commands).all(axis=1)
+    )  # a controller is not fed with what misses its target
     shown = spatial.armcal("compensate", "calibrated.toml", "plan.csv").out
     assert "q1 [mm]" in shown
     assert "z [mm]" in shown

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from doe.report.terminal import facts, number, table, to_significant_digits, unit_of
+from doe.report.terminal import facts, in_a_sentence, number, table, to_significant_digits, unit_of
 
 
 def shown(renderable: Table, width: int = 80) -> str:
@@ -42,6 +42,14 @@ def test_significant_digits_are_three_of_the_standard_deviation(
     value: float | None, std: float | None, text: str
 ) -> None:
     assert to_significant_digits(value, std) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.10953, "0.110"), (1.4236, "1.42"), (34.04, "34.0"), (1829.0, "1829"), (0.0, "0"), (None, "-")],
+)
+def test_figures_in_sentences_have_three_digits(value: float | None, text: str) -> None:
+    assert in_a_sentence(value) == text
 
 
 def test_brackets_are_no_markup() -> None:

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from rich.console import Console
 
-from doe.report.validation import validation_figure, validation_tables
+from doe.report.validation import better, validation_figure, validation_tables, verdict
 from identification.arm import Arm, Calibration
 from identification.measurements import Measurements
-from identification.validate import validate
+from identification.validate import HARDLY, validate
 
 ARM = Arm([300.0, 200.0], calibration=Calibration.of([1.0, -2.0], [0.01, -0.02]))
 
@@ -26,14 +26,24 @@ def test_tables_and_picture() -> None:
     for part in validation_tables(found):
         console.print(part)
     text = console.file.getvalue()
-    assert "16 rows, position and rotation of the base refitted in each of 2 sessions" in text
+    assert (
+        "16 rows, refitted in each of 2 sessions: position and rotation of the base; everything else as in the file"
+        in text
+    )
     for figure in (*vars(found.model).values(), *vars(found.nominal).values()):
         assert f"{figure:.4f}" in text
     assert "monday" in text
     assert "no better than the drawing" not in text
+    kept = found.model.rms / found.nominal.rms
+    said = f"mm. The calibration removes {100.0 * (1.0 - kept):.0f} % of the error."
+    assert text.startswith(
+        f"The model predicts these 16 positions to {found.model.rms:.3f} mm RMS; the drawing misses "
+    )
+    assert said in " ".join(text.split())
     swapped = replace(found, residuals=found.nominal_residuals, nominal_residuals=found.residuals)
-    assert "On these rows the model is no better than the drawing." in validation_tables(swapped)
-    assert any(str(part).startswith("Have zeros moved?") for part in validation_tables(swapped))
-    assert "Have zeros moved?" not in text
+    assert verdict(swapped).startswith("The model predicts these 16 positions no better than the drawing: ")
+    doubtful = replace(found, notes=(f"{HARDLY} ...",))
+    assert verdict(doubtful).startswith(f"The model predicts these 16 positions {HARDLY} than the drawing: ")
+    assert [better(one) for one in (found, swapped, doubtful)] == [True, False, False]
     figure = validation_figure(found)
     assert figure.axes[1].get_title().startswith(f"drawing: RMS {found.nominal.rms:.4g} mm")

@@ -13,6 +13,8 @@ from doe.report.verdict import (
     diagnosis_verdict,
     identification_verdict,
     in_words,
+    next_steps,
+    validation_actions,
     validation_verdict,
 )
 
@@ -100,7 +102,31 @@ def test_a_gain_smaller_than_predicted_is_not_called_wrong() -> None:
 def test_a_file_that_was_written_is_named_in_what_follows() -> None:
     """No step asks for what has been done, and the commands name the user's own file."""
     data = {"verdict": "named", "confirmed": True, "effects": [], "where": "joint:1"}
-    kept = [action.command for action in diagnosis_actions(data, "arm.toml", "data.csv", Path("mine.toml"))]
+    kept = [action.command for action in diagnosis_actions(data, "arm.toml", ["data.csv"], Path("mine.toml"))]
     assert not any("--out extended.toml" in command for command in kept)
     assert any("armcal compensate mine.toml" in command for command in kept)
     assert any("--out extended.toml" in action.command for action in diagnosis_actions(data))
+
+
+def test_commands_of_next_steps_stand_on_lines_of_their_own() -> None:
+    good, poor, refitted = (
+        validation_actions(*case, "m.toml", "d.csv") for case in ((True, "base"), (False, "base"), (False, "offsets"))
+    )
+    assert next_steps(good) == [
+        "next: Correct the robot's commands with it:\n      armcal compensate m.toml targets.csv --out commands.csv"
+    ]
+    assert [action.command for action in poor] == [
+        "armcal validate m.toml d.csv --refit offsets",
+        "armcal identify m.toml d.csv --only joint_offsets,base",
+    ]
+    assert refitted == poor[1:]
+
+
+@pytest.mark.parametrize("verdict", ["none", "named", "ambiguous", "unknown"])
+def test_next_steps_name_every_file_that_was_diagnosed(verdict: str) -> None:
+    data = said(verdict, "backlash:2", "gear_ratio:2", sets=2)
+    commands = [action.command for action in diagnosis_actions(data, "arm.toml", ["monday.csv", "friday.csv"])]
+    reading = [command for command in commands if "monday.csv" in command]
+    assert reading
+    assert all(" arm.toml monday.csv friday.csv " in f"{command} " for command in reading)
+    assert not any(command.startswith("armcal identify") for command in reading)  # which takes one file
