@@ -18,6 +18,7 @@ from doe.criteria import D
 from doe.plan.expected_accuracy import (
     ExpectedDeviations,
     deviations_per_draw,
+    error_at_poses,
     expected_deviations,
     over_draws,
     plan_jacobians,
@@ -131,6 +132,15 @@ class Design:
             return None
         return deviations_per_draw(self.problem, model, self.plan.postures, model.sigma, self.plan.weights)
 
+    @property
+    def expected_error(self) -> dict[str, float | None] | None:
+        """Of criterion I: RMS error of the tip over the test poses [mm] by this `plan`, and at its `bound`, below which
+        no plan is; None for other criteria and without sigma."""
+        runs = len(self.plan)
+        plan = error_at_poses(self.problem, self.value, runs)
+        least = None if self.bound is None else error_at_poses(self.problem, self.bound.value, runs)
+        return None if plan is None else {"plan": plan, "bound": least}
+
     def to_json(self) -> dict[str, Any]:
         """Keys of `design` and `score` (identification/files/README.md, "JSON keys"); None where unknown."""
         worst = self.deviations_per_draw
@@ -148,6 +158,7 @@ class Design:
             **postures_json(self.plan),
             "table_1_max_residual": _number(self.table_1_max_residual),
             "std": _deviations_json(self.deviations),
+            "expected_error_mm": self.expected_error,
             **({} if worst is None else {"std_worst_draw": _deviations_json(over_draws(worst, np.max))}),
             "solver": self.solver,
             "status": self.status.name,

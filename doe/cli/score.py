@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,9 +44,11 @@ def command(
     output: Output,
 ) -> Answer:
     """Score a PLAN of your own: efficiency against the bound, expected standard deviations, effects it could show."""
+    from doe.plan.expected_accuracy import error_at_poses
     from doe.plan.file import load_plan
     from doe.plan.observability import criterion_values, observability
     from doe.problem.problem import DesignProblem
+    from doe.problem.robust import average_error
     from doe.report.design_tables import criteria_line, design_tables, observability_line
     from identification.files.arm import load_arm
     from identification.model import Model
@@ -57,13 +60,16 @@ def command(
     pictures: dict[Path | None, Callable[[], Figure]] = {output.picture: lambda: plan_drawing(loaded, given.postures)}
     problem = DesignProblem.of(Model(loaded))
     indices, values = observability(problem, given.postures), criterion_values(problem, given.postures)
+    tip = replace(problem, criterion=average_error(problem))
+    error = None if values["I"] is None else error_at_poses(tip, values["I"], len(given))
     data = design.to_json() | {
+        "workspace_error_mm": error,
         "observability": indices.to_json(),
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }
     output.write_all("", "", pictures if sees is None else pictures | {aliases: lambda: _alias_drawing(sees)})
-    return Answer(data, [*design_tables(design), criteria_line(values), observability_line(indices), *tables])
+    return Answer(data, [*design_tables(design), criteria_line(values, error), observability_line(indices), *tables])
 
 
 def _alias_drawing(sees: Detectability) -> Figure:

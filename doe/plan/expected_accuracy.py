@@ -7,12 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from doe.criteria import I
 from doe.problem.bayesian import EnsembleModel
 from doe.problem.problem import DesignProblem, InformationModel
+from doe.problem.spatial import of_one_arm
 from identification.arrays import Array, readonly
 from identification.information import Spectrum, spectrum
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, ParameterSet
 from identification.kinematics.planar import orientation_transform
+from identification.positions import of_positions
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,21 @@ class ExpectedDeviations:
         for k in self.parameters.indices(kind).tolist():
             found[(self.parameters[k].joint or 0) - 1] = self.values[k]
         return readonly(found)
+
+
+def error_at_poses(problem: DesignProblem, value: float, runs: int) -> float | None:
+    """Expected error of the tip [mm], as RMS over the test poses, that a value of criterion I stands for.
+
+    runs : of the plan, those measured already apart;  None for another criterion, without sigma, and where not
+    everything is estimable. Of several measured points it is that of one of them.
+    """
+    criterion, sigma = problem.criterion, problem.model.sigma
+    if not isinstance(criterion, I) or sigma is None or not np.isfinite(value):
+        return None
+    model = of_one_arm(problem.model)
+    coordinates = criterion.jacobians.shape[1]
+    points = 1.0 if model is None else coordinates / of_positions(model).dimension
+    return float(np.sqrt(max(-value, 0.0) / points / (runs + problem.prior.runs)) * sigma)
 
 
 def plan_spectrum(problem: DesignProblem, postures: Array, weights: Array | None = None) -> Spectrum:

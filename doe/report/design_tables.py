@@ -14,7 +14,7 @@ from doe.plan.observability import Observability
 from doe.plan.order import Ordered
 from doe.plan.replicate_spacing import distance_to_keep
 from doe.problem.problem import DesignProblem
-from doe.report.terminal import facts, number, table
+from doe.report.terminal import facts, in_a_sentence, number, table
 from identification.arrays import Array
 from identification.kinematics.parameters import EFFECT
 
@@ -70,16 +70,26 @@ def summary_table(data: dict[str, Any], sentence: str) -> Table:
     cut = ", its search was cut by the time limit" if known and bound.get("cut") else ""
     rows = {
         "criterion": f"{kind}, {data['runs']} runs, {data['links']} links",
+        "expected error": expected_error(data),
         f"value of {kind}": None if kind == "D" else number(data["value"], 7),
-        "information (log det M')": number(data["log_det"], 7),
+        "information (log det M')": None if kind == "I" else number(data["log_det"], 7),
         bounded: f"{number(bound['value'], 7)} ({bound['source']}{cut})" if known else "-",
         "efficiency": number(data["efficiency"] if known else None, 6),
         "certified optimal": certified_in_words(data),
-        "deviation from orthogonality (Table I)": None if table_1 is None else number(table_1, 6),
+        "deviation from orthogonality (Table I)": None if table_1 is None or kind == "I" else number(table_1, 6),
         "solver": f"{data['solver']}, {searched}, {data['seconds']:.2f} s" if data["solver"] else None,
         "status": sentence,
     }
     return facts((name, text) for name, text in rows.items() if text is not None)
+
+
+def expected_error(data: dict[str, Any]) -> str | None:
+    """What criterion I is about, in mm: the error by this plan, and that below which there is none."""
+    if (found := data.get("expected_error_mm")) is None:
+        return None
+    least = found["bound"] if not data["outside_limits"] else None
+    limit = "" if least is None else f"; no plan is below {in_a_sentence(least)} mm"
+    return f"{in_a_sentence(found['plan'])} mm at the tip, RMS over the workspace or --test-poses{limit}"
 
 
 def repeats_line(design: Design) -> list[Text]:
@@ -128,10 +138,14 @@ def missing_parameters(problem: DesignProblem) -> list[str]:
     return [p.name for p in problem.model.parameters if p.kind == EFFECT and p.name in problem.deviations]
 
 
-def criteria_line(values: dict[str, float | None]) -> Text:
-    """The value of every criterion, all of which are better the larger they are."""
+def criteria_line(values: dict[str, float | None], error: float | None = None) -> Text:
+    """The value of every criterion, all of which are better the larger they are.
+
+    error : at the tip over the workspace [mm], what I stands for
+    """
     figures = ", ".join(f"{name} {'-' if value is None else format(value, '.5g')}" for name, value in values.items())
-    return Text(f"every criterion: {figures} (I: the tip over the workspace; Ds: what is in mm)")
+    tip = "the tip over the workspace" + ("" if error is None else f", {in_a_sentence(error)} mm RMS")
+    return Text(f"every criterion, the larger the better: {figures} (I: {tip}; Ds: what is in mm)")
 
 
 def observability_line(indices: Observability) -> Text:

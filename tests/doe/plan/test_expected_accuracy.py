@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 
-from doe.plan.expected_accuracy import expected_deviations
+from doe.bounds.bound import Bound
+from doe.design import score
+from doe.plan.expected_accuracy import error_at_poses, expected_deviations
+from doe.problem.robust import average_error
 from identification.arm import Arm
 from identification.model import Model
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
@@ -50,6 +54,23 @@ def test_agrees_with_simulated_least_squares_on_any_plan() -> None:
     np.testing.assert_allclose(found.length, estimates[:, :4].std(axis=0), rtol=0.03)
     np.testing.assert_allclose(found.joint_offset, offsets.std(axis=0), rtol=0.03)
     np.testing.assert_allclose(found.orientation, np.cumsum(offsets, axis=1).std(axis=0), rtol=0.03)
+
+
+def test_value_of_criterion_i_in_mm() -> None:
+    """Root mean over poses of tr(J cov J^T), from unscaled Jacobians of new and measured postures."""
+    generator = np.random.default_rng(8)
+    plan, kept, poses = (generator.uniform(FOUR.lower, FOUR.upper, (k, 4)) for k in (9, 3, 50))
+    plain = problem(FOUR, kept=kept)
+    case = replace(plain, criterion=average_error(plain, poses))
+    rows = case.model.jacobian(np.concatenate([plan, kept])).reshape(24, 8)
+    covariance = 0.1**2 * np.linalg.inv(rows.T @ rows)
+    at = case.model.jacobian(poses).reshape(50, 2, 8)
+    expected = np.sqrt(np.mean([np.trace(j @ covariance @ j.T) for j in at]))
+    found = score(case, plan, Bound(case.objective(plan), "grid")).expected_error
+    assert found == pytest.approx({"plan": expected, "bound": expected}, rel=1e-9)
+    assert error_at_poses(plain, -1.0, 9) is None  # criterion D
+    assert error_at_poses(case, -np.inf, 9) is None
+    assert score(plain, plan).to_json()["expected_error_mm"] is None
 
 
 def test_none_without_sigma_or_enough_runs() -> None:

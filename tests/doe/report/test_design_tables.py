@@ -10,7 +10,7 @@ from rich.table import Table
 
 from doe.design import score
 from doe.problem.robust import missing_effects, robust_problem
-from doe.report.design_tables import accuracy_table, missing_lines
+from doe.report.design_tables import accuracy_table, expected_error, missing_lines
 from tests.doe.six_axis import six_axis
 
 
@@ -29,3 +29,11 @@ def test_effects_that_may_be_missing_are_counted_not_listed() -> None:
     assert "if effects of typical size may be missing" in str(found.title)
     assert "if the model lacks nothing" in str(getattr(accuracy_table(score(plain, design.plan.postures)), "title", ""))
     assert any("6 parameters of gear_ratio" in line.plain for line in missing_lines(design))
+
+
+def test_criterion_i_is_said_in_mm() -> None:
+    data = {"expected_error_mm": {"plan": 0.1723, "bound": 0.1391}, "outside_limits": []}
+    said = "0.172 mm at the tip, RMS over the workspace or --test-poses"
+    assert expected_error(data) == f"{said}; no plan is below 0.139 mm"
+    assert expected_error({**data, "outside_limits": [3]}) == said  # no bound applies
+    assert expected_error({"expected_error_mm": None}) is None
