@@ -14,6 +14,7 @@ from identification.kinematics.turns import turned_into
 from identification.measurements import Measurements
 from identification.model import Model
 
+DIAGNOSED = "armcal diagnose"  # `source` of its calibrations
 QUARTERS = 4  # groups by time; the quadrants of the workspace are as many
 READ = np.radians(1e-6)  # what the digits of a file take from an angle
 ROOM = 0.02  # of a joint's range at either end, left for the corrections of a posture
@@ -54,6 +55,15 @@ def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
     (lower, upper), types = limits, Model(arm).joint_types
     q = turned_into(postures, lower, upper, types, READ)
     return (q < lower - READ) | (q > upper + READ)
+
+
+def diagnosed(arm: Arm) -> bool:
+    """Whether an arm's calibration is that of a diagnosis, or has values of effects beside the place of the base, as a
+    diagnosed model has that was identified anew."""
+    if arm.calibration is None:
+        return False
+    effects = {p.name for effect in Model(arm).effects if effect.name != "base_offset" for p in effect.parameters}
+    return identified(arm).get("source") == DIAGNOSED or not effects.isdisjoint(arm.calibration.values)
 
 
 def identified_range(arm: Arm) -> Array | None:

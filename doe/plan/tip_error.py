@@ -14,8 +14,11 @@ from doe.problem.problem import DesignProblem
 from doe.problem.robust import robust_problem, tip_jacobians, workspace
 from doe.problem.spatial import of_one_arm
 from identification.arrays import Array
+from identification.estimation.prior import Prior
+from identification.gap.library_prior import LibraryPrior
 from identification.kinematics.parameters import EFFECT
 from identification.positions import of_positions
+from identification.row_groups import diagnosed
 
 SPACE = 3  # coordinates of a point
 
@@ -25,8 +28,9 @@ class TipError:
     """Root mean square distances [mm].
 
     right : the model lacks nothing, and is fitted by least squares, of a spatial arm with the prior of its machining
-    missing : effects of typical size are missing in the model, which is fitted in the same way
-    with_prior : the same arms, fitted with the effects and their prior (`identify --prior`)
+    missing : effects of typical size are missing in the model, which is fitted in the same way; infinite where none
+        are counted
+    with_prior : the same arms, fitted with the effects and their prior (`identify --library-prior`)
     worst : as `right`, at that of the test poses where it is largest
     """
 
@@ -63,7 +67,8 @@ def tip_error(problem: DesignProblem, wide: DesignProblem, postures: Array, pose
     taken = np.linalg.lstsq(least, unseen, rcond=None)[0]
     lacking = targets[..., :own] @ taken - targets[..., own:]
     bias = np.sum(lacking**2 @ (noise / wide.precisions[own:]), axis=1)  # sizes squared, in scaled parameters
-    return TipError(_mean(right), _mean(right + bias), _mean(all_known), float(np.sqrt(right.max())))
+    lacks = (_mean(right + bias), _mean(all_known)) if wide.parameters > own else (np.inf, np.inf)
+    return TipError(_mean(right), *lacks, float(np.sqrt(right.max())))
 
 
 def _of_measurements(wide: DesignProblem, postures: Array) -> Array:
@@ -96,7 +101,13 @@ def _mean(squares: Array) -> float:
 
 
 def robust_or_none(problem: DesignProblem) -> DesignProblem | None:
-    """`robust_problem`, None where there is no sigma to weigh sizes against, no library for the model, or it is one."""
-    model = problem.model
+    """`robust_problem`, None where there is no sigma to weigh sizes against, no library for the model, or it is one.
+
+    Of a diagnosed arm nothing is missing: what its data could show is in the model, at typical size they would have.
+    """
+    model, own = problem.model, of_one_arm(problem.model)
     robust = any(p.kind == EFFECT and p.name in problem.deviations for p in model.parameters)
-    return None if model.sigma is None or of_one_arm(model) is None or robust else robust_problem(problem)
+    if model.sigma is None or own is None or robust:
+        return None
+    nothing = LibraryPrior(own.arm, (), Prior({}), {}) if diagnosed(own.arm) else None
+    return robust_problem(problem, nothing)

@@ -13,7 +13,7 @@ from rich.text import Text
 from doe.advise import Advice
 from doe.design import Design
 from doe.report.pictures import AFTER, BEFORE
-from doe.report.terminal import number, table
+from doe.report.terminal import in_a_sentence, number, table
 
 NONE = "None of these plans is within 0.1 % of the bound."
 ENOUGH = 0.999  # of the bound
@@ -25,13 +25,19 @@ TIP_ERRORS = {
     "missing": "effects\nmissing\n[mm]",
     "with_prior": "library\nprior\n[mm]",
 }
-TIP = (
-    "The last four columns are expected errors of the tip where nothing was measured (RMS over the workspace): if the "
-    "model is right, then at the worst pose, if effects of typical size are missing, and if these are allowed for by "
-    "identify --library-prior.",
-    "The last two may rise with the runs: more runs average out noise, not what a model lacks, which wrong lengths and "
-    "zeros take up, by more or less from plan to plan. Where effects may be missing, choose the postures with armcal "
-    "design --robust.",
+RIGHT = (
+    "Expected errors of the tip where nothing was measured (RMS over the workspace): if the model is right, and then "
+    "at the worst pose."
+)
+DIAGNOSED = (
+    "The model has the effects that its diagnosis found, at the sizes measured; others are not counted: armcal "
+    "diagnose says which sizes its data rule out. armcal validate compares it with new measurements."
+)
+MISSING = (
+    "The last two columns: if effects of typical size are missing, and if these are allowed for by identify "
+    "--library-prior. They may rise with the runs: more runs average out noise, not what a model lacks, which wrong "
+    "lengths and zeros take up, by more or less from plan to plan. Where effects may be missing, choose the postures "
+    "with armcal design --robust."
 )
 
 
@@ -70,7 +76,7 @@ def advice_tables(advice: Advice) -> list[Any]:
     if not advice.of_tip and any(known):
         columns["length\nstd\n[mm]"] = [number(None if d is None else d.largest_length, 5) for d in known]
         columns["angle\nstd\n[deg]"] = [number(None if d is None else np.degrees(d.largest_angle), 5) for d in known]
-    for key, heading in TIP_ERRORS.items() if advice.tip_errors else ():
+    for key, heading in [*TIP_ERRORS.items()][: 4 if counts_missing(advice) else 2] if advice.tip_errors else ():
         columns[heading] = [number(getattr(error, key), 4) for error in advice.tip_errors]
     every, wanted = list(zip(*columns.values(), strict=True)), set(shown_runs(advice))
     rows = [row for m, row in zip(advice.runs, every, strict=True) if m in wanted]
@@ -79,7 +85,13 @@ def advice_tables(advice: Advice) -> list[Any]:
     lines += (
         [] if len(rows) == len(every) else [f"{len(rows)} of {len(every)} numbers of runs; --json has all of them."]
     )
-    return [*shown, *lines, *(map(Text, TIP) if advice.tip_errors else ())]
+    tip = [RIGHT, MISSING if counts_missing(advice) else DIAGNOSED] if advice.tip_errors else []
+    return [*shown, *lines, *map(Text, tip)]
+
+
+def counts_missing(advice: Advice) -> bool:
+    """Whether effects may be missing, as in a model that was not diagnosed."""
+    return any(np.isfinite(error.missing) for error in advice.tip_errors)
 
 
 def efficiency(design: Design) -> str:
@@ -109,7 +121,10 @@ def sentence(advice: Advice) -> str:
         return f"No number of runs up to {max(advice.runs)} reaches {advice.target:g} mm. {efficient}"
     of = "at the tip" if advice.of_tip else "in each length"
     errors = (e for design, e in zip(advice.designs, advice.tip_errors, strict=False) if design is smallest)
-    missing = "".join(f"; at the tip {number(e.missing, 4)} mm if effects of typical size are missing" for e in errors)
+    lacks = (e.missing for e in errors if np.isfinite(e.missing))
+    missing = "".join(
+        f"; at the tip {in_a_sentence(error)} mm if effects of typical size are missing" for error in lacks
+    )
     suffice = f"{len(smallest.plan)} runs suffice for {advice.target:g} mm {of}, if the model is right{missing}."
     return f"{suffice} {efficient}"
 

@@ -30,7 +30,7 @@ from identification.errors import InputError
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.measurements import distances
 from identification.model import Model
-from identification.row_groups import identified
+from identification.row_groups import diagnosed
 from identification.validate import Validation, validate
 
 FIGURES = ("rms_mm", "mean_mm", "p95_mm", "max_mm")
@@ -141,8 +141,8 @@ class Campaign:
             return diagnosis_actions(diagnoses[-1], names["arm"], [names["rows"]])
         if given.calibrated or self.said("identify") or self.said("validate"):
             chosen = given.calibrated.get(self.chosen or "")
-            diagnosed = chosen is not None and identified(chosen).get("source") == "armcal diagnose"
-            return calibrated_actions(**names, calibrated=self.chosen or "calibrated.toml")[int(diagnosed) :]
+            done = chosen is not None and diagnosed(chosen)
+            return calibrated_actions(**names, calibrated=self.chosen or "calibrated.toml")[int(done) :]
         if given.measurements:
             return data_actions(**names)
         return plan_actions(names["arm"], next(iter(given.plans), "plan.csv"))

@@ -17,6 +17,7 @@ from identification.gap.search import Choice, HypothesisSearch
 from identification.gap.selection import trial_of
 from identification.gap.workflow import Findings
 from identification.measurements import joint_range
+from identification.row_groups import DIAGNOSED
 
 
 def candidate_list(found: Findings, draws: int, generator: np.random.Generator) -> tuple[Candidate, ...]:
@@ -54,7 +55,7 @@ def candidate_of(found: Fit, added: int, test: tuple[float, float], sure: Uncert
     """
     own = len(found.model.effects) - added  # the arm's own come first
     effects, specs = found.model.effects[own:], found.model.arm.effects
-    origin = {"source": "armcal diagnose", "joint_range_deg": joint_range(found.rows.postures)}
+    origin = {"source": DIAGNOSED, "joint_range_deg": joint_range(found.rows.postures), "scatter_mm": found.sigma}
     origin |= freedom_kept(found.model.names, sure.freedom)
     return Candidate(
         tuple(effect.label for effect in effects),

@@ -17,8 +17,9 @@ from doe.problem.problem import DesignProblem
 from doe.report.advice import advice_tables, sentence, shown_runs, spans
 from identification.arm import Arm, Calibration
 from identification.errors import InputError
+from identification.model import Model
 from identification.reuse import only
-from tests.doe.arms import FIVE, FOUR, problem
+from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, problem
 from tests.doe.plan.test_addition import whole_information
 
 FREE = problem(Arm([260.0, 180.0, 120.0], sigma=0.1))
@@ -36,7 +37,7 @@ def test_lengths_are_known_to_sigma_over_the_root_of_the_runs() -> None:
     said = sentence(found)
     assert said.startswith("7 runs suffice for 0.04 mm in each length, if the model is right; at the tip ")
     assert said.endswith(
-        f" {found.tip_errors[3].missing:.4f} mm if effects of typical size are missing. "
+        f" {found.tip_errors[3].missing:.2f} mm if effects of typical size are missing. "
         "Plans within 0.1 % of the bound exist for m = 4 to 9."
     )
     assert spans([9, 4, 6, 7]) == ["4", "6 to 7", "9"]
@@ -125,6 +126,16 @@ def test_a_table_of_many_runs_has_a_few_rows_and_the_smallest_for_the_target() -
     error = found.tip_errors[20 - 4]
     wanted = [error.right, error.worst, error.missing, error.with_prior]
     assert rows[20][-4:] == [f"{value:.4f}" for value in wanted]  # each figure in its own column
+
+
+def test_a_diagnosed_arm_has_no_columns_of_effects_that_may_be_missing() -> None:
+    values = {"encoder_eccentricity:2.a": 1e-3, "encoder_eccentricity:2.b": 0.0}
+    arm = replace(FOUR.with_effects(ECCENTRICITY), calibration=Calibration(values))
+    for one, columns in ((arm, 6), (replace(arm, calibration=None), 8)):
+        shown = advice_tables(advise(DesignProblem.of(Model(one)), [8], target=1.0, seconds=1.0))
+        assert len(next(part.columns for part in shown if isinstance(part, Table))) == columns
+        assert any("may be missing" in str(part) for part in shown) is (columns == 8)
+        assert ("effects of typical size" in str(shown[0])) is (columns == 8)
 
 
 def test_without_a_sigma_the_scatter_of_the_calibration_stands_in() -> None:

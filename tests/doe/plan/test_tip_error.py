@@ -11,7 +11,7 @@ from doe.plan.tip_error import TipError, robust_or_none, tip_error
 from doe.problem.bayesian import EnsembleModel
 from doe.problem.problem import DesignProblem
 from doe.problem.robust import average_error, missing_effects, robust_problem, workspace
-from identification.arm import Arm
+from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.model import Model
 from tests.doe.six_axis import SIX_AXIS, six_axis
@@ -65,6 +65,21 @@ def test_where_no_sizes_are_known_there_is_none() -> None:
     assert robust_or_none(DesignProblem.of(Model(Arm([300.0, 200.0])))) is None
     assert robust_or_none(replace(PLAIN, model=EnsembleModel(PLAIN.model, np.zeros((1, 4))))) is None
     assert robust_or_none(WIDE) is None
+
+
+def test_of_a_diagnosed_arm_nothing_is_missing() -> None:
+    """What is right of it is criterion I of its own model; nothing is promised of effects that it may lack."""
+    values = {"encoder_eccentricity:1.a": 1e-3, "encoder_eccentricity:1.b": 0.0}
+    own = ARM.with_effects(EffectSpec("encoder_eccentricity", 1))
+    case = DesignProblem.of(Model(replace(own, calibration=Calibration(values))))
+    wide = robust_or_none(case)
+    assert wide is not None
+    assert wide.model.parameters.names == case.model.parameters.names
+    found, poses = tip_error(case, wide, POSTURES), workspace(case)
+    expected = -replace(case, criterion=average_error(case, poses)).objective(POSTURES) * 0.1**2 / len(POSTURES)
+    assert found.right**2 == pytest.approx(expected, rel=1e-9)
+    said = found.to_json()
+    assert (said["effects_missing"], said["effects_missing_prior"]) == (None, None)
 
 
 def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
