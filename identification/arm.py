@@ -29,7 +29,7 @@ from identification.kinematics.parameters import (
 
 if TYPE_CHECKING:
     from identification.kinematics.spatial import SpatialChain
-    from identification.workspace import Constraint
+    from identification.workspace import WorkspaceConstraint
 
 MAX_LINKS = 12
 # what files may say: beyond these, squares overflow and sines of angles are noise
@@ -172,7 +172,7 @@ class Arm(ByValue):
     sigma: float | None = None
     name: str = "arm"
     gravity: Gravity | None = None
-    constraints: tuple[Constraint, ...] = ()
+    constraints: tuple[WorkspaceConstraint, ...] = ()
     effects: tuple[EffectSpec, ...] = ()
     calibration: Calibration | None = None
     gear_ratios: Array | None = None

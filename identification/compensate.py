@@ -61,7 +61,7 @@ def compensate(
     given = None if postures is None else _checked("postures", postures, arm.links)
     turned = _orientations(arm, orientations, targets is None)
     arm = _aiming(arm, poses=turned is not None)
-    nominal_arm = Model(as_drawn(arm))
+    nominal_arm = Model(drawn_arm(arm))
     goals = _goals(nominal_arm, targets, given)
     if turned is not None and targets is None and given is not None:
         turned = nominal_arm.orientations(given)
@@ -120,7 +120,7 @@ def _aiming(arm: Arm, poses: bool) -> Arm:
     return arm if arm.chain is None else replace(arm, chain=replace(arm.chain, angle_scale=scale))
 
 
-def as_drawn(arm: Arm) -> Arm:
+def drawn_arm(arm: Arm) -> Arm:
     """The nominal arm, without effects; where its base is not given it stands where the calibration found it, a planar
     one turned by the offset of joint 1, and a spatial one with its points."""
     chain, stands = arm.chain, tuple(spec for spec in arm.effects if spec.name == "base_offset")

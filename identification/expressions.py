@@ -16,7 +16,7 @@ from identification.composition import Composition
 from identification.conditions import Conditions
 from identification.effects import Chain, Effect, measured_position
 from identification.effects.chain import ORIENTATION, chain_at, condition_width, orientation_columns
-from identification.effects.places import position_and_state, split, widths
+from identification.effects.places import by_place, position_and_state, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
 from identification.kinematics.base_axes import along, planar_axes
@@ -178,7 +178,7 @@ class Expressions:
         if self.composed:
             return self.composed.joint_levers
         added, position, _ = self._with_added
-        turns = split(added, self.arm.links, self.arm.dimension)["joint_angles"]
+        turns = by_place(added, self.arm.links, self.arm.dimension)["joint_angles"]
         return self._at_zero("levers", [ca.jacobian(position, turns)])
 
     @cached_property

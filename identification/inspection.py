@@ -27,7 +27,7 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.reading import Readings
-from identification.readings import as_written, out_of_step, read_differently, unseen_joints
+from identification.readings import as_written, joints_of_unseen_sign, out_of_step, read_differently
 from identification.sessions import with_sessions
 from identification.status import Status
 from identification.validate import drawing_residuals
@@ -225,7 +225,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         other_units=other_units,
         units=tuple(units),
         frame=tuple(another_frame(arm, measurements)),
-        unseen=unseen_joints(arm, measurements),
+        unseen=joints_of_unseen_sign(arm, measurements),
         step=tuple(out_of_step(arm, measurements)),
         rest=(*copied_rows(measurements), *([] if other_units else outside_limits(arm, measurements))),
         gaps=tuple(gap_notes(measurements)),

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from identification.kinematics.turns import turned_into
 from identification.measurements import Conditions
 from identification.model import Model
 from identification.newton_ascent import newton_ascent
+from identification.workspace import PostureCondition
 
 TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close; so near may a constraint be missed
 SEEDS = 32  # random postures per target where none is given, or where the nominal one leads nowhere
@@ -33,21 +33,7 @@ BEND = 1e-7  # [rad] of a joint, for second derivatives
 TURNED_AWAY = 4  # of the seeds that reach a target where the arm may not stand, led out of there
 INSIDE = 0.01  # [mm] how far inside its constraints such a posture is aimed at
 
-
-class Constraint(Protocol):
-    """What a posture must satisfy besides the joint limits, as of `doe.problem.constraints`."""
-
-    @property
-    def kind(self) -> str:
-        """Name in messages, as in the arm file."""
-        ...
-
-    def margin(self, postures: Array) -> Array:
-        """(m, k) margins [mm] of postures (m, n), satisfied where >= 0."""
-        ...
-
-
-Constraints = Sequence[Constraint]
+Constraints = Sequence[PostureCondition]
 
 
 def violations(constraints: Constraints, postures: Array) -> Array:

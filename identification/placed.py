@@ -46,7 +46,7 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
         calibration = replace(calibration, values=values, base=None, tools={}, tool_axes={})
     there = replace(standing_in(chain, values), known=known)
     geometry = {name: value for name, value in values.items() if _place(name) not in (BASE, TOOL)}
-    found = standing(there, rows, geometry)
+    found = standing_chain(there, rows, geometry)
     if BASE not in known:
         chain = replace(chain, base=found.base)
     if TOOL not in known:
@@ -78,7 +78,7 @@ def markers_of(measurements: Measurements) -> NDArray[np.int64]:
     return np.zeros(len(measurements), dtype=np.int64) if numbers is None else numbers
 
 
-def standing(chain: SpatialChain, measurements: Measurements, values: Mapping[str, float]) -> SpatialChain:
+def standing_chain(chain: SpatialChain, measurements: Measurements, values: Mapping[str, float]) -> SpatialChain:
     """The chain where the closed form finds its base and its measured points or frames, as far as they are not known.
 
     values : best known errors of the geometry
@@ -119,9 +119,9 @@ def _there(
     """The chain where rows of another session find its base, and the points that were not seen before."""
     old = seen[markers_of(rows)]
     if not old.any():
-        return standing(replace(chain, known=frozenset()), rows, values)
-    found = standing(replace(chain, known=frozenset({TOOL})), rows.rows(old), values)
-    return found if old.all() else standing(replace(found, known=frozenset({BASE})), rows.rows(~old), values)
+        return standing_chain(replace(chain, known=frozenset()), rows, values)
+    found = standing_chain(replace(chain, known=frozenset({TOOL})), rows.rows(old), values)
+    return found if old.all() else standing_chain(replace(found, known=frozenset({BASE})), rows.rows(~old), values)
 
 
 def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChain:

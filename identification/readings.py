@@ -52,7 +52,7 @@ def as_written(arm: Arm, measurements: Measurements) -> Readings:
     return Readings(replace(reading, rms=_distance(_anywhere(arm), _some(measurements))(reading)), None)
 
 
-def unseen_joints(arm: Arm, measurements: Measurements) -> tuple[int, ...]:
+def joints_of_unseen_sign(arm: Arm, measurements: Measurements) -> tuple[int, ...]:
     """Turning joints (from 1) whose sign and zero no measured point shows: reversed and a quarter or half turn away the
     drawing leaves no more; none with orientations, few rows, or where the drawing leaves much as it is."""
     numbers, arm = measurements.marker_numbers, _anywhere(arm)

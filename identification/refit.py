@@ -23,7 +23,7 @@ from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.placed import placed_model, with_markers
 from identification.sessions import BASE as PLANAR_BASE
-from identification.sessions import moved, standing
+from identification.sessions import start_at_bases, with_base_offset
 
 
 def as_calibrated(arm: Arm) -> Arm:
@@ -51,7 +51,7 @@ def _composed(spec: EffectSpec, chain: SpatialChain, values: Mapping[str, float]
 def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
     """Those that a refit may estimate, among others."""
     if arm.chain is None:
-        return Model(standing(arm)).all_parameters
+        return Model(with_base_offset(arm)).all_parameters
     return with_markers(arm.chain, measurements).every_parameter
 
 
@@ -64,10 +64,10 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
         return Model(arm), np.zeros(0)
     offsets = [f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + 1)] if refit == "offsets" else []
     known = Model(arm).best_known
-    model = Model(standing(arm), {k: value for k, value in known.items() if k not in (*PLANAR_BASE, *offsets)})
+    model = Model(with_base_offset(arm), {k: value for k, value in known.items() if k not in (*PLANAR_BASE, *offsets)})
     start = model.parameters.vector(known)
     computed = model.position(measurements.postures, start, conditions)
-    return model, moved(start, model, computed, measurements.positions)
+    return model, start_at_bases(start, model, computed, measurements.positions)
 
 
 def _spatial(arm: Arm, measurements: Measurements, refit: str) -> Model:

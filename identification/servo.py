@@ -21,7 +21,7 @@ SERVO = "servo_error"
 
 
 @dataclass(frozen=True)
-class ServoError:
+class FollowingError:
     """Read less commanded position of one joint [rad, mm]: offset + reversal s + rest, s the sign of the last motion.
 
     joint : from 1;  rms, largest : of all of it;  rest : RMS of the rest
@@ -48,7 +48,7 @@ class ServoError:
         return {"joint": self.joint, "unit": "deg" if self.kind == REVOLUTE else "mm", **figures}
 
 
-def servo_errors(measurements: Measurements, kinds: Sequence[str]) -> tuple[ServoError, ...]:
+def following_errors(measurements: Measurements, kinds: Sequence[str]) -> tuple[FollowingError, ...]:
     """Of every joint, by least squares; empty where no commands are given or they are the readings.
 
     kinds : (n) `revolute` or `prismatic`
@@ -60,17 +60,17 @@ def servo_errors(measurements: Measurements, kinds: Sequence[str]) -> tuple[Serv
     return tuple(_of_joint(j, kind, errors[:, j - 1], signs[:, j - 1]) for j, kind in enumerate(kinds, start=1))
 
 
-def _of_joint(joint: int, kind: str, error: Array, sign: Array) -> ServoError:
+def _of_joint(joint: int, kind: str, error: Array, sign: Array) -> FollowingError:
     columns = np.column_stack([np.ones(len(error)), sign])
     (offset, reversal), *_ = np.linalg.lstsq(columns, error, rcond=1e-9)
     rest = error - columns @ [offset, reversal]
     figures = np.sqrt(np.mean(error**2)), np.max(np.abs(error)), np.sqrt(np.mean(rest**2))
-    return ServoError(joint, kind, float(offset), float(reversal), *map(float, figures))
+    return FollowingError(joint, kind, float(offset), float(reversal), *map(float, figures))
 
 
 def with_servo_errors(arm: Arm, measurements: Measurements) -> Arm:
     """The arm with the servo errors that the measurements show, instead of its own, where they have commands."""
-    if not (found := servo_errors(measurements, arm.joint_types)):
+    if not (found := following_errors(measurements, arm.joint_types)):
         return arm
     others = (spec for spec in arm.effects if spec.name != SERVO)
     return arm.with_effects(*others, *(error.spec for error in found if error.largest > 0.0))

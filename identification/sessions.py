@@ -35,7 +35,7 @@ def placing(parameters: ParameterSet) -> list[int]:
 
 
 # -- one table of several ----------------------------------------------------------------------------------------------
-def pooled(tables: Mapping[str, Measurements]) -> Measurements:
+def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
     """Sessions by name as one table; a table that names sessions of its own keeps them, its name before theirs.
 
     Columns that not every table has are left out, with a warning (`UserWarning`). Raises `InputError` for tables of
@@ -102,7 +102,7 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
     if arm.chain is not None:
         return _in_space(arm, measurements, spec)
     wide = with_base(arm)
-    bases = base_of_each_session(standing(arm), measurements)
+    bases = base_of_each_session(with_base_offset(arm), measurements)
     values = Model(wide).best_known | bases[0] | dict(Model(wide).fixed)
     shift = complex(values[BASE[0]], values[BASE[1]])
     for number, base in enumerate(bases[1:], start=2):
@@ -135,14 +135,14 @@ def _in_space(arm: Arm, measurements: Measurements, spec: EffectSpec) -> Arm:
 
 
 def base_of_each_session(arm: Arm, measurements: Measurements) -> list[dict[str, float]]:
-    """Rotation and shift of the base for each session, by `moved`, of an arm with a base offset."""
+    """Rotation and shift of the base for each session, by `start_at_bases`, of an arm with a base offset."""
     model, conditions = Model(arm), measurements.conditions
     start, found = model.parameters.vector(model.best_known), []
     computed = model.position(measurements.postures, start, replace(conditions, session=None))
     by_name = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
     for session in measurements.session_names:
         rows = by_name.get(session)
-        there = start if rows is None else moved(start, model, computed[rows], measurements.positions[rows])
+        there = start if rows is None else start_at_bases(start, model, computed[rows], measurements.positions[rows])
         found.append({name: float(there[model.parameters.index(name)]) for name in BASE})
     return found
 
@@ -162,16 +162,16 @@ def without_sessions(calibration: Calibration) -> Calibration:
 def with_base(arm: Arm) -> Arm:
     """The arm with a base offset, its own if it has one; the base of a spatial arm is part of its geometry."""
     stands = arm.chain is not None or any(spec.name == "base_offset" for spec in arm.effects)
-    return arm if stands else standing(arm)
+    return arm if stands else with_base_offset(arm)
 
 
-def standing(arm: Arm) -> Arm:
+def with_base_offset(arm: Arm) -> Arm:
     """The arm with a base offset among its effects, its value to be estimated."""
     others = tuple(spec for spec in arm.effects if spec.name != "base_offset")
     return arm.with_effects(*others, EffectSpec("base_offset"))
 
 
-def moved(start: Array, model: Model, computed: Array, measured: Array) -> Array:
+def start_at_bases(start: Array, model: Model, computed: Array, measured: Array) -> Array:
     """(p,) start with the rotation and shift of the base that bring (m, 2) computed tips nearest to measured ones.
 
     Exact where nothing but the chain depends on where the base stands; otherwise a start for least squares.

@@ -175,7 +175,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
         raise InputError(f"refit: unknown name {refit!r}, {nearest(refit, REFITS)}")
     if arm.calibration is None and not any(spec.values for spec in arm.effects):
         raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
-    check(Model(arm), measurements)
+    check_validation(Model(arm), measurements)
     residuals, refitted, free = np.empty_like(measurements.positions), [], 0
     for rows in measurements.session_rows:
         session, conditions = measurements.rows(rows), conditions_of(arm, measurements, refit).rows(rows)
@@ -199,7 +199,7 @@ def drawing_residuals(arm: Arm, measurements: Measurements, refit: str = "base")
     return residuals
 
 
-def check(model: Model, measurements: Measurements) -> None:
+def check_validation(model: Model, measurements: Measurements) -> None:
     """Raises `InputError` for measurements of another arm, and for effects without gravity."""
     for what, found, needed in (
         ("joints", measurements.links, model.joints),

@@ -1,10 +1,13 @@
-"""Where an arm may move: constraints on its postures. Plain data, in millimetres and radians."""
+"""Where an arm may move: constraints on its postures as plain data, in millimetres and radians, and what they ask."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+
+from identification.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -49,4 +52,17 @@ class LineOfSight:
     acceptance: float = float(np.pi / 2.0)
 
 
-Constraint = WorkspaceBox | KeepOutCircle | KeepOutCylinder | LineOfSight
+WorkspaceConstraint = WorkspaceBox | KeepOutCircle | KeepOutCylinder | LineOfSight
+
+
+class PostureCondition(Protocol):
+    """What a posture must satisfy besides the joint limits, as computed by `doe.problem.constraints`."""
+
+    @property
+    def kind(self) -> str:
+        """Name in messages, as in the arm file."""
+        ...
+
+    def margin(self, postures: Array) -> Array:
+        """(m, k) margins [mm] of postures (m, n), satisfied where >= 0."""
+        ...

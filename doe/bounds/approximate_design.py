@@ -119,7 +119,7 @@ class SparseDesign:
         return level(self.gradient, self.information)
 
 
-def assess(
+def certified_design(
     found: SparseDesign,
     largest: float,
     *,

@@ -12,7 +12,7 @@ from time import perf_counter
 
 import numpy as np
 
-from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, assess
+from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, certified_design
 from doe.bounds.bound import Bound
 from doe.bounds.branch_and_bound import maximum
 from doe.bounds.continuous import ContinuousSet
@@ -186,7 +186,7 @@ def with_certificate(
 ) -> ApproximateDesign:
     """The certificate: `largest` >= max tr(G F) over the design space."""
     solved = largest - ended.level <= 10.0 * tolerance * abs(ended.level)
-    return assess(
+    return certified_design(
         ended,
         largest,
         candidates=candidates,

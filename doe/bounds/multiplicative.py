@@ -15,7 +15,7 @@ from time import perf_counter
 
 import numpy as np
 
-from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, assess
+from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, certified_design
 from doe.bounds.equivalence import largest_sensitivity, level
 from doe.bounds.restricted_master import check_identified
 from doe.plan.ascent import IN_TIME
@@ -61,7 +61,7 @@ def multiplicative(
     found = SparseDesign(problem, prior, plan)
     largest = largest_sensitivity(problem, candidates, found.gradient, prior)
     solved = largest - found.level <= 2.0 * gap * abs(found.level)  # postures were left out
-    return assess(
+    return certified_design(
         found,
         largest,
         candidates=len(candidates),

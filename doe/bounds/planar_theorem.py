@@ -63,7 +63,7 @@ def closed_form_bound(problem: DesignProblem) -> Bound | None:
     return Bound(closed_form_log_det(problem), "closed_form", rigorous=True) if applies(problem) else None
 
 
-def table_1(postures: Array, weights: Array | None = None) -> dict[tuple[int, int], complex]:
+def pair_means(postures: Array, weights: Array | None = None) -> dict[tuple[int, int], complex]:
     """Pair (j, k), 1 <= j < k <= n -> mean over the runs of exp(i (q_(j+1) + ... + q_k)) = H_jk.
 
     All of them vanish if and only if log det M' = 0: Table I for any n. The paper's six sums of four links are right:
@@ -88,4 +88,4 @@ def pair_name(pair: tuple[int, int]) -> str:
 
 def table_1_max_residual(postures: Array, weights: Array | None = None) -> float:
     """Largest |H_jk| over all pairs; 0 for a single link, which has no conditions."""
-    return max((abs(value) for value in table_1(postures, weights).values()), default=0.0)
+    return max((abs(value) for value in pair_means(postures, weights).values()), default=0.0)

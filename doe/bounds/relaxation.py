@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, assess
+from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, certified_design
 from doe.bounds.column_generation import column_generation
 from doe.bounds.convex_program import solve_program
 from doe.bounds.equivalence import largest_sensitivity
@@ -111,7 +111,7 @@ def _one_program(
     support = support[np.argsort(-weights[support], kind="stable")]
     plan = Plan(candidates.take(support), proper_weights(weights[support]), problem.model.joint_types)
     found = SparseDesign(problem, prior, plan, answer.gradient)
-    return assess(
+    return certified_design(
         found,
         largest_sensitivity(problem, candidates, found.gradient, prior),
         candidates=len(candidates),

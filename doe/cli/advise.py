@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 from click.core import ParameterSource
 
-from doe.cli.common import Answer, Session, verb, warn_beside_json
+from doe.cli.common import Answer, CommonOptions, verb, warn_beside_json
 from doe.cli.options import FILE, Output, Seconds, only_option, output_options
 from identification.errors import InputError
 
@@ -31,7 +31,7 @@ from identification.errors import InputError
 )
 @output_options(picture="Write the curve as .png, .svg or .pdf.")
 def command(
-    session: Session,
+    common: CommonOptions,
     arm: Path,
     runs: str,
     only: tuple[str, ...],
@@ -55,9 +55,9 @@ def command(
     problem = DesignProblem.of(only_these(loaded, words) if words else Model(loaded))
     if words and not given("runs"):
         runs = f"{problem.fewest_runs}:40"
-    with session.progress() as progress:
+    with common.progress() as progress:
         numbers = run_range(runs, problem.fewest_runs)
-        advice = advise(problem, numbers, target=target_mm, seed=session.seed, seconds=seconds, progress=progress)
+        advice = advise(problem, numbers, target=target_mm, seed=common.seed, seconds=seconds, progress=progress)
     said = {"only": words, "fewest_runs": problem.fewest_runs} if words else {}
     fewest = f"{problem.fewest_runs} run{'' if problem.fewest_runs == 1 else 's'}"
     found = f"identifiable from {fewest} or more at well-chosen postures; how accurately, the table says"

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from identification.estimation import Identification
 
 
-def write(
+def write_calibrated(
     found: Identification,
     path: Path,
     output: Output,

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, CommonOptions, verb
 from doe.cli.options import FILE
 
 
 @verb("armcal check arm.toml measurements.csv", "Are the measurements what they should be?")
 @click.argument("arm", type=FILE)
 @click.argument("data", type=FILE)
-def command(session: Session, arm: Path, data: Path) -> Answer:
+def command(common: CommonOptions, arm: Path, data: Path) -> Answer:
     """Look at the measurements DATA of ARM before anything is fitted in earnest.
 
     Rows, ranges against limits, units, repeats, what the drawing leaves with its place fitted, joints that turn the
@@ -28,6 +28,6 @@ def command(session: Session, arm: Path, data: Path) -> Answer:
 
     loaded = load_arm(arm)
     measurements = load_measurements(data, loaded)
-    session.report(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
+    common.report(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
     found = inspect(loaded, measurements)
     return Answer(found.to_json(), inspection_tables(found, str(arm), str(data)))

@@ -42,7 +42,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Session:
+class CommonOptions:
     """The common options of one call."""
 
     as_json: bool
@@ -77,7 +77,7 @@ def read_sessions(paths: tuple[Path, ...], arm: Arm) -> Measurements:
     """The measurements of an arm from one file or several, each of which is a session of its file's name."""
     if len(paths) == 1:
         return read_measurements(paths[0], arm)
-    from identification.sessions import pooled
+    from identification.sessions import pooled_sessions
 
     real = [os.path.realpath(path) for path in paths]
     for path, there in zip(paths, real, strict=True):
@@ -85,13 +85,13 @@ def read_sessions(paths: tuple[Path, ...], arm: Arm) -> Measurements:
             raise InputError(f"{path}: is given {real.count(there)} times, allowed: each session once")
     stems = [path.stem for path in paths]
     names = [stem if stems.count(stem) == 1 else str(path) for path, stem in zip(paths, stems, strict=True)]
-    return pooled({name: read_measurements(path, arm) for name, path in zip(names, paths, strict=True)})
+    return pooled_sessions({name: read_measurements(path, arm) for name, path in zip(names, paths, strict=True)})
 
 
 def verb(
     example: str, summary: str, kind: type[click.Command] = click.Command
 ) -> Callable[[Callable[..., Answer]], click.Command]:
-    """Turn `function(session, **options) -> Answer` into a click command of its module's name.
+    """Turn `function(common, **options) -> Answer` into a click command of its module's name.
 
     summary : its line in `armcal --help`;  kind : of command
 
@@ -104,7 +104,7 @@ def verb(
         @wraps(function)
         def run(as_json: bool, quiet: bool, seed: int, **options: Any) -> None:
             with _warnings_as_lines(quiet), shown_progress(name, quiet) as report:
-                answer = _guarded(function, Session(as_json, quiet, seed, report), options)
+                answer = _guarded(function, CommonOptions(as_json, quiet, seed, report), options)
             _deliver(answer, as_json)
             sys.exit(answer.exit_code)
 
@@ -156,14 +156,14 @@ def _paths(context: click.Context, *, written: bool) -> Iterator[tuple[str, clic
             yield from ((name, parameter.type, path) for path in paths if isinstance(path, Path))
 
 
-def _guarded(function: Callable[..., Answer], session: Session, options: dict[str, Any]) -> Answer:
+def _guarded(function: Callable[..., Answer], common: CommonOptions, options: dict[str, Any]) -> Answer:
     try:
         with stoppable():
             if sys.stdout is None:
                 raise JobError("standard output is closed; send it to a file or to /dev/null")
             check_folder()
             check_outputs(click.get_current_context())
-            return function(session, **options)
+            return function(common, **options)
     except ArmcalError as error:
         say(str(error))
         sys.exit(error.exit_code)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, CommonOptions, verb
 from doe.cli.jobs import JobOptions, interruptible, job_options
 from doe.cli.options import FILE, Seconds, grouped
 from identification.errors import InputError
@@ -90,7 +90,7 @@ comparison_options = grouped(
 @click.argument("arms", type=FILE, nargs=-1, required=True, metavar="ARM...")
 @comparison_options
 @job_options(workers=1, out="Rows, summary and pictures go here; NAME.parquet: the rows only.")
-def command(session: Session, arms: tuple[Path, ...], compared: ComparisonOptions, job: JobOptions) -> Answer:
+def command(common: CommonOptions, arms: tuple[Path, ...], compared: ComparisonOptions, job: JobOptions) -> Answer:
     """Run design solvers side by side on the problems ARM x RUNS, each run in a separate process.
 
     Every plan is evaluated on the stored problem, independently of its solver. Hit rate: fraction of the runs that
@@ -108,10 +108,10 @@ def command(session: Session, arms: tuple[Path, ...], compared: ComparisonOption
     table_file = rows_file(job.out)
     with (
         interruptible(table_file),
-        session.progress() as progress,
+        common.progress() as progress,
         RowTable.open(table_file, resume=job.resume, force=job.force) as table,
     ):
-        rows = compare(comparison, table, where, seed=session.seed, progress=progress)
+        rows = compare(comparison, table, where, seed=common.seed, progress=progress)
     shown = comparison_tables(rows)
     if job.out is not None and table_file != job.out:
         write_results(job.out, rows)

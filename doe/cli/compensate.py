@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import Answer, Session, verb, warn_beside_json
+from doe.cli.common import Answer, CommonOptions, verb, warn_beside_json
 from doe.cli.options import FILE, Output, output_options
 from identification.errors import InputError
 
@@ -18,7 +18,7 @@ from identification.errors import InputError
 @click.argument("calibrated", type=FILE)
 @click.argument("targets", type=FILE)
 @output_options(out="Write the joint commands (CSV).")
-def command(session: Session, calibrated: Path, targets: Path, output: Output) -> Answer:
+def command(common: CommonOptions, calibrated: Path, targets: Path, output: Output) -> Answer:
     """Joint commands that reach TARGETS (x_mm,y_mm or nominal q1_deg..) on the CALIBRATED arm.
 
     In space with z_mm, and rx_deg, ry_deg, rz_deg or a quaternion where the tool's orientation matters. Commands

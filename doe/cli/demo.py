@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import Answer, Session, stopped_by, verb
+from doe.cli.common import Answer, CommonOptions, stopped_by, verb
 from doe.cli.options import FOLDER, force_option
 from doe.cli.typed import origin
 from identification.errors import InputError, JobError
@@ -18,7 +18,7 @@ from identification.files.io import write_whole
 @click.option("--spatial", is_flag=True, help="Six axes and a laser tracker instead of the paper's 4-link arm.")
 @click.option("--out", type=FOLDER, metavar="DIR", help="Directory for the files; left out: the next free armcal-demo.")
 @force_option
-def command(session: Session, spatial: bool, out: Path | None, force: bool) -> Answer:
+def command(common: CommonOptions, spatial: bool, out: Path | None, force: bool) -> Answer:
     """The whole loop on the paper's 4-link arm, or on one of six axes: from a plan to the missing effect, commands for
     the real arm, in space a corrected URDF file, and a report.html."""
     from doe.demo.planar import planar
@@ -31,9 +31,9 @@ def command(session: Session, spatial: bool, out: Path | None, force: bool) -> A
     directory = next_free(Path("armcal-demo")) if out is None else out
     make_directory(directory, force)
     try:
-        with session.progress() as progress:
-            demo = run_demo(directory, six_axes() if spatial else planar(), session.seed, progress, force)
-            page = demo_page(demo, origin(session.seed, [directory / name for name in demo.files]))
+        with common.progress() as progress:
+            demo = run_demo(directory, six_axes() if spatial else planar(), common.seed, progress, force)
+            page = demo_page(demo, origin(common.seed, [directory / name for name in demo.files]))
             write_whole(directory / "report.html", page, force=True)
             save(overview_figure(demo), directory / "overview.png", force=True)
     except KeyboardInterrupt as error:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, CommonOptions, verb
 from doe.cli.options import FILE, Output, Seconds, grouped, output_options, plan_drawing
 from doe.cli.problems import CriterionOptions, PostureOptions, criterion_options, design_problem, posture_options
 from identification.errors import InputError
@@ -61,7 +61,7 @@ search_options = grouped(
 @posture_options
 @output_options(picture="Draw the postures (.png, .svg, .pdf).", out="Write the plan (CSV).")
 def command(
-    session: Session,
+    common: CommonOptions,
     arm: Path,
     search: SearchOptions,
     criterion: CriterionOptions,
@@ -80,13 +80,13 @@ def command(
     check_order(search.order)
     if criterion.robust and search.discriminating:
         raise InputError("--discriminating: found with --robust, allowed: one of them")
-    problem = design_problem(loaded, criterion, postures, session.seed)
+    problem = design_problem(loaded, criterion, postures, common.seed)
     if criterion.robust and search.solver in (None, "fedorov"):
         problem = with_choices(problem)
-    design, data, extra = _searched(session, problem, loaded, search)
+    design, data, extra = _searched(common, problem, loaded, search)
     extra += missing_lines(design) if not search.discriminating else []
     if search.order is not None:
-        design = _ordered(design, search.order, session.seed, data, extra)
+        design = _ordered(design, search.order, common.seed, data, extra)
     extra += output.write_all(
         plan_text(design.plan, loaded.joint_types),
         "plan",
@@ -98,13 +98,13 @@ def command(
 
 
 def _searched(
-    session: Session, problem: DesignProblem, arm: Arm, search: SearchOptions
+    common: CommonOptions, problem: DesignProblem, arm: Arm, search: SearchOptions
 ) -> tuple[Design, dict[str, Any], list[Any]]:
     """The design, with the JSON keys and tables that a discriminating design adds."""
     from doe.solvers import solve
 
-    effort = search.effort | {"seed": session.seed}
-    with session.progress() as progress:
+    effort = search.effort | {"seed": common.seed}
+    with common.progress() as progress:
         if not search.discriminating:
             return solve(problem, search.runs, progress=progress, **effort), {}, []
         from doe.discrimination.design import discrimination_design

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.common import Answer, Session, read_measurements, read_sessions, say, verb, warn_beside_json
+from doe.cli.common import Answer, CommonOptions, read_measurements, read_sessions, say, verb, warn_beside_json
 from doe.cli.options import FILE, FileOrShare, LibraryEffects, Output, output_options, prior_options
 from doe.cli.typed import origin
 from identification.errors import InputError
@@ -40,7 +40,7 @@ HOLDOUT = FileOrShare(path_type=Path)
 @prior_options
 @output_options(out="Write the arm file extended by the named effect; --force also where it is not confirmed.")
 def command(
-    session: Session,
+    common: CommonOptions,
     arm: Path,
     data: tuple[Path, ...],
     holdout: Path | float | None,
@@ -65,18 +65,18 @@ def command(
 
     loaded = load_arm(arm)
     check_no_arm_file(data, prior.prior)
-    measurements, held_out = parts(data, holdout, loaded, session.seed)
+    measurements, held_out = parts(data, holdout, loaded, common.seed)
     loaded = with_servo_errors(loaded, measurements)
-    with session.progress() as progress:
-        more = (session.seed, draws, progress)
+    with common.progress() as progress:
+        more = (common.seed, draws, progress)
         found = diagnose(loaded, measurements, held_out, *more, prior=prior.held, missing=prior.names)
     refuted = [f"not confirmed: {found.confirmation}"] if found.confirmed is False else []
     warn_beside_json([*found.warnings, *refuted])
     answer = Answer(found.to_json(), diagnosis_tables(found))
     try:
         named = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
-        page = gap_page(found, measurements, origin(session.seed, named), output.out, [arm, *data]) if report else ""
-        answer.shown += write(found, arm, output, {curves: curves_text(found.curves), report: page})
+        page = gap_page(found, measurements, origin(common.seed, named), output.out, [arm, *data]) if report else ""
+        answer.shown += write_diagnosis(found, arm, output, {curves: curves_text(found.curves), report: page})
         answer.shown += next_steps(diagnosis_actions(answer.data, str(arm), [*map(str, data)], output.out))
     except InputError as error:  # the diagnosis is shown all the same
         say(str(error))
@@ -106,7 +106,7 @@ def parts(
     return measurements, None if holdout is None else read_measurements(holdout, arm)
 
 
-def write(found: Diagnosis, arm: Path, output: Output, more: Mapping[Path | None, str]) -> list[str]:
+def write_diagnosis(found: Diagnosis, arm: Path, output: Output, more: Mapping[Path | None, str]) -> list[str]:
     """Write the requested files, all or none, and return the lines that report them.
 
     more : name -> content of the report and the curves; None: not requested

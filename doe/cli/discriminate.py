@@ -7,7 +7,7 @@ from time import perf_counter
 
 import click
 
-from doe.cli.common import Answer, Session, read_sessions, verb
+from doe.cli.common import Answer, CommonOptions, read_sessions, verb
 from doe.cli.options import FILE, Output, Seconds, output_options
 from identification.errors import InputError
 
@@ -29,7 +29,13 @@ from identification.errors import InputError
 )
 @output_options(out="Write the next postures (CSV).")
 def command(
-    session: Session, arm: Path, data: tuple[Path, ...], runs: int, payloads: str | None, seconds: float, output: Output
+    common: CommonOptions,
+    arm: Path,
+    data: tuple[Path, ...],
+    runs: int,
+    payloads: str | None,
+    seconds: float,
+    output: Output,
 ) -> Answer:
     """The next RUNS postures, to distinguish the candidates of an ambiguous diagnosis, and their chance of success.
 
@@ -45,8 +51,8 @@ def command(
     if masses is not None and loaded.gravity is None:
         raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
     measurements = read_sessions(data, loaded)
-    with session.progress() as progress:
-        diagnosis = diagnose(loaded, measurements, seed=session.seed, progress=progress)
+    with common.progress() as progress:
+        diagnosis = diagnose(loaded, measurements, seed=common.seed, progress=progress)
     if diagnosis.verdict != "ambiguous":
         sentence = f"nothing to distinguish: the verdict is not ambiguous but {diagnosis.sentence}"
         return Answer({"verdict": diagnosis.verdict, "postures_deg": [], "chance": None}, [sentence])
@@ -54,10 +60,10 @@ def command(
 
     def late() -> bool:
         left = end - perf_counter()
-        session.report(5, None, f"choosing the next postures, at most {max(left, 0.0):.0f} s left")
+        common.report(5, None, f"choosing the next postures, at most {max(left, 0.0):.0f} s left")
         return left < 0.0
 
-    found = discriminate(loaded, diagnosis, measurements, runs, session.seed, masses, stop=late)
+    found = discriminate(loaded, diagnosis, measurements, runs, common.seed, masses, stop=late)
     written = [
         f"{line}; measure them and append the rows to {data[-1]}"
         for line in output.write(next_text(found), "next postures")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import click
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, CommonOptions, verb
 
 
 @verb("armcal effects joint_compliance", "The physical effects that armcal knows, and the data that each needs.")
 @click.argument("name", required=False)
-def command(session: Session, name: str | None) -> Answer:
+def command(common: CommonOptions, name: str | None) -> Answer:
     """List the effects of the library, or say everything about the effect NAME.
 
     Formula, parameters with units and typical sizes, which data or tables it needs and how to give them, and how it

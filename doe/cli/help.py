@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, CommonOptions, verb
 from identification.errors import InputError, nearest
 
 FORMATS = "formats"
@@ -12,7 +12,7 @@ FORMATS = "formats"
 
 @verb("armcal help formats", "The help of a verb, or the file formats.")
 @click.argument("topic", default=FORMATS)
-def command(session: Session, topic: str) -> Answer:
+def command(common: CommonOptions, topic: str) -> Answer:
     """Show the help of the verb TOPIC, or with `formats` all file formats and JSON keys."""
     context = click.get_current_context()
     assert context.parent is not None  # a verb is called by its group

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from doe.cli import calibrated
-from doe.cli.common import Answer, Session, read_measurements, verb, warn_beside_json
+from doe.cli.common import Answer, CommonOptions, read_measurements, verb, warn_beside_json
 from doe.cli.options import FILE, LibraryEffects, Output, PriorOrFile, only_option, output_options, prior_options
 from identification.errors import InputError
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from identification.gap.library_prior import LibraryPrior
     from identification.measurements import Measurements
     from identification.model import Model
-    from identification.servo import ServoError
+    from identification.servo import FollowingError
 
 
 @verb(
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 @click.option("--urdf", type=FILE, metavar="FILE", help="Write the corrected URDF file of a spatial arm.")
 @output_options(out="Write a calibrated arm file (TOML).")
 def command(
-    session: Session,
+    common: CommonOptions,
     arm: Path,
     data: Path,
     method: str | None,
@@ -77,7 +77,7 @@ def command(
     """
     from identification.files.arm import load_arm
     from identification.reuse import at_reference, with_place_doubted, words_of
-    from identification.servo import servo_errors, with_servo_errors
+    from identification.servo import following_errors, with_servo_errors
     from identification.sessions import with_sessions
 
     loaded, words = load_arm(arm), words_of(only)
@@ -85,17 +85,17 @@ def command(
         if value is not None and loaded.chain is None:
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
     measurements = read_measurements(data, loaded)
-    loaded, errors = with_servo_errors(loaded, measurements), servo_errors(measurements, loaded.joint_types)
+    loaded, errors = with_servo_errors(loaded, measurements), following_errors(measurements, loaded.joint_types)
     old = None if prior_from is None else load_arm(prior_from)
     if old or words or any(effect.values for effect in loaded.effects):  # what is held counts from the old temperature
         measurements = at_reference(measurements, old or loaded)
     wanted = Wanted(words, prior, prior_from, method, sigma, parameters == "minimal")
-    session.report(0, None, f"fitting {len(measurements)} rows")
+    common.report(0, None, f"fitting {len(measurements)} rows")
     found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
     if words:
         found = with_place_doubted(found, with_sessions(loaded, measurements), words, measurements)
     before, nominal = loaded.calibration if words else None, drawing_left(loaded, measurements, words)
-    answered = answer(found, arm, output, urdf, library, before, nominal, None if old is None else old.calibration)
+    answered = fit_answer(found, arm, output, urdf, library, before, nominal, None if old is None else old.calibration)
     answered.data |= said
     answered.shown += wanted.sentences(said)
     return with_commands(answered, errors)
@@ -214,7 +214,7 @@ def check_with_prior(minimal: bool, method: str | None) -> None:
         raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
 
 
-def with_commands(said: Answer, errors: tuple[ServoError, ...]) -> Answer:
+def with_commands(said: Answer, errors: tuple[FollowingError, ...]) -> Answer:
     """The answer with the servo errors (readings less commands) added, if the data have both."""
     from doe.report.identification_tables import servo_table
 
@@ -239,7 +239,7 @@ def minimal_model(model: Model, measurements: Measurements) -> Model:
     return kept
 
 
-def answer(
+def fit_answer(
     found: Identification,
     path: Path,
     output: Output,
@@ -269,4 +269,4 @@ def answer(
         return Answer(data, shown, exit_code=1 if found.not_identifiable else 0)
     if (reason := calibrated.no_file(found, output.force)) is not None:
         return Answer(data, [*shown, *(f"{name} was not written: {reason}" for name in wanted)], exit_code=1)
-    return Answer(data, shown + calibrated.write(found, path, output, urdf, hidden, before, prior))
+    return Answer(data, shown + calibrated.write_calibrated(found, path, output, urdf, hidden, before, prior))

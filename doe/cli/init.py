@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, CommonOptions, verb
 from doe.cli.options import FILE, FOLDER
 from identification.errors import InputError
 from identification.files.io import PathLike, write_together
@@ -26,7 +26,7 @@ from identification.files.io import PathLike, write_together
 @click.option("--out", type=FOLDER, default=".", show_default="here", metavar="DIR", help="Folder; made if missing.")
 @click.option("--force", is_flag=True, help="Overwrite existing files.")
 def command(
-    session: Session,
+    common: CommonOptions,
     links: str | None,
     robot: Path | None,
     dh: int | None,

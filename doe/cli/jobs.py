@@ -31,9 +31,9 @@ class JobOptions:
 
     def where(self) -> Workers:
         """The workers asked for. Raises `InputError` if the cluster does not answer."""
-        from doe.jobs.workers import choose
+        from doe.jobs.workers import chosen_workers
 
-        return choose(self.workers, self.cluster)
+        return chosen_workers(self.workers, self.cluster)
 
 
 def job_options(*, workers: int | None, out: str) -> Decorator:

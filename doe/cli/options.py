@@ -119,9 +119,9 @@ class Output:
         files: dict[PathLike, str | bytes] = {self.out: text} if what and self.out is not None else {}
         for path, figure in figures.items():
             if path is not None:
-                from doe.report.pictures import picture
+                from doe.report.pictures import picture_bytes
 
-                files[path] = picture(figure(), path)
+                files[path] = picture_bytes(figure(), path)
         write_together(files, force=self.force)
         return [f"{what} written to {self.out}"] if what and self.out is not None else []
 

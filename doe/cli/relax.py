@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, CommonOptions, verb
 from doe.cli.options import FILE, Output, Seconds, grouped, output_options
 from doe.cli.problems import CriterionOptions, PostureOptions, criterion_options, design_problem
 from identification.errors import InputError
@@ -67,7 +67,7 @@ relaxation_options = grouped(
 @criterion_options("D, A, E, I, Ds or Dstar.")
 @output_options(out="Write the plan with weights (CSV).")
 def command(
-    session: Session, arm: Path, chosen: RelaxationOptions, criterion: CriterionOptions, output: Output
+    common: CommonOptions, arm: Path, chosen: RelaxationOptions, criterion: CriterionOptions, output: Output
 ) -> Answer:
     """Optimal weights over candidate postures, with a certificate recomputed from the weights and a cross-check."""
     from doe.bounds.relaxation import relax
@@ -83,7 +83,7 @@ def command(
         loaded, criterion, PostureOptions(candidates=chosen.candidates if criterion.robust else None)
     )
     problem = with_choices(problem) if criterion.robust and chosen.grid is None else problem
-    with session.progress() as progress:
+    with common.progress() as progress:
         progress(0, 2, "weights")
         solver = chosen.solver or ("multiplicative" if criterion.robust else "column_generation")
         new = chosen.runs or (problem.parameters if problem.deviations else None)
@@ -93,7 +93,7 @@ def command(
         if chosen.check:
             progress(1, 2, "cross-check")
             runs = chosen.runs or max(2 * loaded.links, problem.fewest_runs)
-            compared = cross_check(problem, found, runs, seed=session.seed, seconds=end - perf_counter())
+            compared = cross_check(problem, found, runs, seed=common.seed, seconds=end - perf_counter())
             data["cross_check"] = compared.rows()
             shown.append(cross_check_table(compared))
     return Answer(data, [*shown, *output.write(plan_text(found.plan, loaded.joint_types), "plan with weights")])

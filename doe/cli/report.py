@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, CommonOptions, verb
 from doe.cli.options import FILE, force_option
 from doe.cli.typed import origin
 
@@ -15,7 +15,7 @@ from doe.cli.typed import origin
 @click.argument("files", type=FILE, nargs=-1, required=True)
 @click.option("--out", type=FILE, metavar="PAGE.html", required=True, help="Write the page.")
 @force_option
-def command(session: Session, files: tuple[Path, ...], out: Path, force: bool) -> Answer:
+def command(common: CommonOptions, files: tuple[Path, ...], out: Path, force: bool) -> Answer:
     """Make one page of the FILES of a campaign, whichever there are.
 
     Arm files (nominal, calibrated, extended), plans, measurements, and what design, score, identify, diagnose or
@@ -28,7 +28,7 @@ def command(session: Session, files: tuple[Path, ...], out: Path, force: bool) -
     from identification.files.io import write_whole
 
     given = read_given(files)
-    text, campaign = campaign_page(given, origin(session.seed, files))
+    text, campaign = campaign_page(given, origin(common.seed, files))
     write_whole(out, text, force=force)
     listed = [
         {"file": name, "kind": given.kinds[name], "bytes": size, "sha256": digest}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, CommonOptions, verb
 from doe.cli.options import FILE, Output, Seconds, output_options, plan_drawing
 from doe.cli.problems import CriterionOptions, design_problem, robust_options
 from identification.errors import InputError
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 @robust_options
 @output_options(picture="Draw the postures (.png, .svg, .pdf).")
 def command(
-    session: Session,
+    common: CommonOptions,
     arm: Path,
     plan: Path,
     aliases: Path | None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, CommonOptions, verb
 from doe.cli.options import FILE, force_option
 from identification.errors import InputError
 from identification.files.io import write_whole
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.option("--truth", type=FILE, required=True, help="Arm file with [calibration] and [[effects]] values.")
 @click.option("--out", type=FILE, required=True, metavar="FILE", help="Measurements CSV to write.")
 @force_option
-def command(session: Session, arm: Path, plan: Path, truth: Path, out: Path, force: bool) -> Answer:
+def command(common: CommonOptions, arm: Path, plan: Path, truth: Path, out: Path, force: bool) -> Answer:
     """Measure the TRUTH at the postures of a PLAN, with the arm's noise (sigma_mm).
 
     The plan may give payload_kg, temperature_C and direction1.. of every row.
@@ -51,7 +51,7 @@ def command(session: Session, arm: Path, plan: Path, truth: Path, out: Path, for
         warnings.warn(f"{truth}: {sentence}", UserWarning, stacklevel=2)
     conditions = load_plan_conditions(plan, loaded.links)
     try:
-        data = simulate(true_arm, postures, np.random.default_rng(session.seed), sigma=sigma, **conditions)
+        data = simulate(true_arm, postures, np.random.default_rng(common.seed), sigma=sigma, **conditions)
     except InputError as error:
         raise InputError(f"{truth}: {error}") from None
     write_whole(out, measurement_text(data, loaded.joint_types), force=force)

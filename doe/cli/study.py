@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, CommonOptions, verb
 from doe.cli.jobs import JobOptions, interruptible, job_options
 from identification.errors import InputError, JobError, nearest
 
@@ -57,7 +57,7 @@ where study.toml has, for instance (names of files are beside it):
 @click.argument("study", metavar="STUDY.toml|NAME")
 @click.option("--replications", type=click.IntRange(min=1), help="Simulated data sets per cell, instead of the file's.")
 @job_options(workers=None, out="Folder; left out: STUDY.results")
-def command(session: Session, study: str, replications: int | None, job: JobOptions) -> Answer:
+def command(common: CommonOptions, study: str, replications: int | None, job: JobOptions) -> Answer:
     """Simulate, identify and count: what plans, models and noise do to the accuracy.
 
     STUDY is a file, or the name of a study that comes with armcal: paper (every table, figure and number of the paper,
@@ -70,8 +70,8 @@ def command(session: Session, study: str, replications: int | None, job: JobOpti
         raise InputError(f"study: unknown name {study!r}, {nearest(study, BUILT_IN)}, or a file NAME.toml")
     folder = job.out or Path(study).with_suffix(".results")
     where = job.where()
-    with interruptible(folder), session.progress() as progress:
-        options = {"seed": session.seed, "resume": job.resume, "force": job.force, "progress": progress}
+    with interruptible(folder), common.progress() as progress:
+        options = {"seed": common.seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
             return BUILT_IN[study](replications, folder, where, options)
         return _from_file(Path(study), replications, folder, where, options)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import Answer, Session, read_measurements, verb, warn_beside_json
+from doe.cli.common import Answer, CommonOptions, read_measurements, verb, warn_beside_json
 from doe.cli.options import FILE, Output, output_options
 
 REFITS = ("base", "offsets", "none")
@@ -26,7 +26,7 @@ REFITS = ("base", "offsets", "none")
     help="What is fitted to DATA: where the base stands, that and all joint offsets, or nothing.",
 )
 @output_options(picture="Draw residuals against time and over the workspace (PNG, SVG, PDF).")
-def command(session: Session, model: Path, data: Path, refit: str, output: Output) -> Answer:
+def command(common: CommonOptions, model: Path, data: Path, refit: str, output: Output) -> Answer:
     """Compare the calibrated MODEL (an arm file with [calibration]) with other measurements DATA.
 
     All that was identified stays as it is; the drawing, refitted in the same way, stands beside it. A session column

@@ -22,7 +22,7 @@ from typing import Any
 
 SINGLE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 GRACE = 60.0  # [s] for the interpreter to start, import and answer; not part of the limit on the call itself
-COMMAND = "from doe.jobs.isolated import answer; answer()"
+COMMAND = "from doe.jobs.isolated import serve; serve()"
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def _outcome(code: int, result: bytes, errors: bytes, limit: float, wall: float)
     return Outcome(None, "crashed", f"{reason}: {lines[-1] if lines else 'no message'}", wall, None)
 
 
-def answer() -> None:
+def serve() -> None:
     """What runs in the new process: the task from standard input, the outcome to what was standard output."""
     channel = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # solvers print banners there

@@ -41,7 +41,7 @@ def seed_of(key: Key, seed: int = 0) -> np.random.SeedSequence:
     return np.random.SeedSequence([seed, *np.frombuffer(digest, dtype="<u4").tolist()])
 
 
-def run(
+def run_tasks(
     function: Function,
     keys: Sequence[Key],
     table: RowTable,
@@ -113,9 +113,9 @@ class Job:
     def run(
         self, function: Function, keys: Sequence[Key], name: str, payload: Callable[[Key], Any] | None = None
     ) -> polars.DataFrame:
-        """The rows of all keys, as `run` gives them, kept in the table of this name."""
+        """The rows of all keys, as `run_tasks` gives them, kept in the table of this name."""
         options: dict[str, Any] = {"seed": self.seed, "payload": payload, "progress": self.progress}
-        return run(function, keys, self.tables[name], self.workers, **options)
+        return run_tasks(function, keys, self.tables[name], self.workers, **options)
 
 
 def _work(state: _Dispatcher, workers: Workers, ahead: int) -> None:

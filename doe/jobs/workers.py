@@ -87,7 +87,7 @@ def cluster(address: str, patience: float = 10.0) -> Workers:
     return Workers(lambda: _cluster_executor(address), max(threads, 1))
 
 
-def choose(workers: int | None = None, address: str | None = None) -> Workers:
+def chosen_workers(workers: int | None = None, address: str | None = None) -> Workers:
     """What the options --workers and --cluster ask for; both left out: all cores."""
     if address is not None:
         return cluster(address)

@@ -36,7 +36,7 @@ def apportion(weights: Array, runs: int) -> NDArray[np.int64]:
     return numbers
 
 
-def rounded(plan: Plan, runs: int) -> Array:
+def rounded_plan(plan: Plan, runs: int) -> Array:
     """(runs, n) postures of an approximate design, each as often as its weight asks for."""
     carried = plan.shares > 0.0
     numbers = apportion(plan.shares[carried] / plan.shares[carried].sum(), runs)

@@ -20,22 +20,13 @@ from doe.problem.spatial_constraints import InView, OutsideCylinder
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.model import Model
-from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
+from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, PostureCondition, WorkspaceBox
 
 ANYWHERE = 1e6  # [mm] a side that the arm file leaves out
 
 
-class Constraint(Protocol):
+class Constraint(PostureCondition, Protocol):
     """A condition on one posture, satisfied where all margins are >= 0."""
-
-    @property
-    def kind(self) -> str:
-        """Name in messages, as in the arm file."""
-        ...
-
-    def margin(self, postures: Array) -> Array:
-        """(m, k) margins of postures (m, n), numerically."""
-        ...
 
     def symbolic(self, q: ca.SX) -> ca.SX:
         """(k,) expressions of the same signs, differentiable almost everywhere."""

@@ -80,7 +80,7 @@ def advice_tables(advice: Advice) -> list[Any]:
         columns[heading] = [number(getattr(error, key), 4) for error in advice.tip_errors]
     every, wanted = list(zip(*columns.values(), strict=True)), set(shown_runs(advice))
     rows = [row for m, row in zip(advice.runs, every, strict=True) if m in wanted]
-    shown: list[Any] = [Text(sentence(advice), style="bold"), table(list(columns), rows)]
+    shown: list[Any] = [Text(advice_sentence(advice), style="bold"), table(list(columns), rows)]
     lines = ["* within 0.1 % of the bound."] if advice.efficient_runs() else []
     lines += (
         [] if len(rows) == len(every) else [f"{len(rows)} of {len(every)} numbers of runs; --json has all of them."]
@@ -110,7 +110,7 @@ def shown_runs(advice: Advice) -> list[int]:
     return sorted(found | ({len(advice.smallest.plan)} if advice.smallest else set()))
 
 
-def sentence(advice: Advice) -> str:
+def advice_sentence(advice: Advice) -> str:
     """What to do, in one line."""
     good = ", ".join(spans(advice.efficient_runs()))
     efficient = f"Plans within 0.1 % of the bound exist for m = {good}." if good else NONE

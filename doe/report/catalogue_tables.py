@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.text import Text
 
-from doe.report.terminal import facts, table, unit_of
+from doe.report.terminal import facts, table, unit_or_dash
 from identification.effects.catalogue import Entry
 
 TITLES = {
@@ -50,7 +50,7 @@ def entry_tables(entry: Entry) -> list[Any]:
         lines.append(("looks like", entry.alias))
     shown: list[Any] = [Text(entry.name, style="bold"), facts(lines)]
     if entry.parameters:
-        rows = [[p.toml_key, unit_of(p.file_unit), _size(p.typical, p.to_file)] for p in entry.parameters]
+        rows = [[p.toml_key, unit_or_dash(p.file_unit), _size(p.typical, p.to_file)] for p in entry.parameters]
         title = "Parameters" if entry.place != "one joint or all" else "Parameters (of an arm of three joints)"
         shown.append(table(("key", "unit", "typical size"), rows, title, left=("key", "unit")))
     if entry.settings:

@@ -15,7 +15,7 @@ from doe.report.page import Action, Section, Sheet, page
 from doe.report.pictures import certificate_figure
 from doe.report.plan_steps import plan_section
 from doe.report.signed_residuals import Compared, signed_figures
-from doe.report.terminal import number, to_significant_digits, unit_of
+from doe.report.terminal import number, to_significant_digits, unit_or_dash
 from doe.report.verdict import design_verdict, diagnosis_verdict
 from identification.gap.summary import findings, headline
 from identification.model import Model
@@ -52,7 +52,7 @@ def parameter_sheet(demo: Demo) -> Sheet:
     for row in demo.checked:
         std = row["std"]
         figures = [to_significant_digits(row[key], std) for key in ("value", "low_95", "high_95")]
-        rows.append([row["name"], *figures, number(row["hidden"]), unit_of(row["unit"])])
+        rows.append([row["name"], *figures, number(row["hidden"]), unit_or_dash(row["unit"])])
     return Sheet(["parameter", "value", "low 95 %", "high 95 %", "truth", "unit"], rows)
 
 

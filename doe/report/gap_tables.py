@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from doe.report.page import Sheet
-from doe.report.terminal import estimate_text, number, table, unit_of
+from doe.report.terminal import estimate_text, number, table, unit_or_dash
 from identification.gap.detectability import Size
 from identification.gap.result import Diagnosis
 from identification.gap.summary import findings, headline
@@ -49,7 +49,7 @@ def estimate_sheet(candidate: Data) -> Sheet:
     for found in candidate["parameters"]:
         owner, _, short = found["name"].rpartition(".")
         figures = (estimate_text(found[key], found["std"], found["unit"]) for key in ("value", "low_95", "high_95"))
-        rows.append([f"{labels.get(owner, owner)}.{short}", *figures, unit_of(found["unit"])])
+        rows.append([f"{labels.get(owner, owner)}.{short}", *figures, unit_or_dash(found["unit"])])
     return Sheet(["parameter", "value", "low 95 %", "high 95 %", "unit"], rows)
 
 

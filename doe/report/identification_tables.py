@@ -9,11 +9,11 @@ from rich.table import Table
 from rich.text import Text
 
 from doe.report.page import Sheet
-from doe.report.terminal import estimate_text, facts, number, table, unit_of
+from doe.report.terminal import estimate_text, facts, number, table, unit_or_dash
 from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
-from identification.estimation.shown import in_words
-from identification.servo import ServoError
+from identification.estimation.shown import p_value_in_words
+from identification.servo import FollowingError
 from identification.sessions import placing
 
 MOVED = 1e-3  # of the RMS: where a file lacks the place it has been fitted before
@@ -27,7 +27,7 @@ def identification_tables(
     nominal : RMS distance [mm] that the drawing leaves, where only the place of the arm was estimated
     """
     data = found.to_json()
-    of_what = compared(found, nominal is not None)
+    of_what = compared_with(found, nominal is not None)
     given = "given" if found.sigma_known else "from the residuals"
     summary = [
         ("method", f"{data['method']}: {found.outcome}"),
@@ -43,7 +43,7 @@ def identification_tables(
     ]
     if data["p_value"] is not None:
         scatter = f"the residuals scatter {number(data['scatter_mm'], 5)} mm"
-        summary.append(("chi2", f"{data['chi2']:.2f}, {in_words(data['p_value'])}: {scatter}"))
+        summary.append(("chi2", f"{data['chi2']:.2f}, {p_value_in_words(data['p_value'])}: {scatter}"))
     summary.append(("95 % intervals", found.uncertainty.sentence))
     warned = [Text(warning, style="bold") for warning in found.warnings]
     rows = [row for row in found.corrected_values if row.parameter not in hidden]
@@ -62,7 +62,7 @@ def tip_in_words(data: Mapping[str, Any]) -> str:
     return f"{inside} mm at the tip within the angles measured, {anywhere} mm over the joint limits (RMS)"
 
 
-def compared(found: Identification, place: bool = False) -> str:
+def compared_with(found: Identification, place: bool = False) -> str:
     """What the errors before and after the fit are those of;  place : nothing but where a calibrated arm stands."""
     if place and found.rms_before > (1.0 + MOVED) * found.rms_after:
         return "where the arm file has it -> found anew"
@@ -73,14 +73,14 @@ def compared(found: Identification, place: bool = False) -> str:
 
 def corrected_sheet(rows: Sequence[CorrectedValue]) -> Sheet:
     """The values to enter in the controller: nominal and corrected, with intervals."""
-    keys, rows = ("nominal", "corrected", "std", "low_95", "high_95"), [row for row in rows if not as_drawn(row)]
+    keys, rows = ("nominal", "corrected", "std", "low_95", "high_95"), [row for row in rows if not equals_drawing(row)]
     names = [f"{row.name} *" if row.held_by_prior else row.name for row in rows]
     figures = ([estimate_text(getattr(row, key), row.std, row.unit) for key in keys] for row in rows)
-    cells = [[name, *values, unit_of(row.unit)] for name, values, row in zip(names, figures, rows, strict=True)]
+    cells = [[name, *values, unit_or_dash(row.unit)] for name, values, row in zip(names, figures, rows, strict=True)]
     return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells)
 
 
-def as_drawn(row: CorrectedValue) -> bool:
+def equals_drawing(row: CorrectedValue) -> bool:
     """Whether a value and its interval are the drawing's to the last digit shown."""
     figures = (row.nominal, row.corrected, row.low_95, row.high_95)
     return row.unit in ("mm", "deg") and None not in figures and len({f"{figure:z.5f}" for figure in figures}) == 1
@@ -110,7 +110,7 @@ def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
     return said
 
 
-def servo_table(errors: Sequence[ServoError]) -> Table:
+def servo_table(errors: Sequence[FollowingError]) -> Table:
     """Servo error of each joint: reading less command."""
     keys = ("offset", "reversal", "rms", "largest", "rest")
     rows = []

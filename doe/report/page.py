@@ -80,7 +80,7 @@ def page(
     from jinja2 import Environment, PackageLoader
 
     environment = Environment(loader=PackageLoader("doe.report", "."), autoescape=True, trim_blocks=True)
-    drawn = [vars(s) | {"pictures": [picture(f) for f in s.figures]} for s in sections]
+    drawn = [vars(s) | {"pictures": [page_picture(f) for f in s.figures]} for s in sections]
     style, script = (files("doe.report").joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
     return environment.get_template("page.html.j2").render(
         html_table=html_table,
@@ -95,7 +95,7 @@ def page(
     )
 
 
-def picture(figure: Figure) -> dict[str, Any]:
+def page_picture(figure: Figure) -> dict[str, Any]:
     """A figure as the page has it: SVG in the page's colours, its size, whether it is too wide for a phone, and of one
     that is the strips (left end, width) that stand below each other there."""
     text = re.sub("|".join(COLORS), lambda found: COLORS[found[0]], svg(figure))

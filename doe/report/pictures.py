@@ -31,10 +31,10 @@ BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 
 def save(figure: Figure, path: Path, force: bool = False) -> None:
     """Write a figure whole or not at all; the ending says the format (.png, .svg, .pdf). Raises `InputError`."""
-    write_whole(path, picture(figure, path), force=force)
+    write_whole(path, picture_bytes(figure, path), force=force)
 
 
-def picture(figure: Figure, path: Path) -> bytes:
+def picture_bytes(figure: Figure, path: Path) -> bytes:
     """The content of a picture file. Raises `InputError` for an ending that is no format."""
     check_picture(path)
     buffer = io.BytesIO()

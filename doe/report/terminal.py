@@ -30,7 +30,7 @@ def in_a_sentence(value: float | None) -> str:
     return f"{value:z.{digits}f}"
 
 
-def unit_of(unit: str) -> str:
+def unit_or_dash(unit: str) -> str:
     """For a column of units: a dash where there is none."""
     return "–" if unit == "1" else unit
 

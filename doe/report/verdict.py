@@ -23,7 +23,7 @@ def next_steps(actions: Sequence[Action]) -> list[str]:
     return [f"next: {action.text}" + (f"\n      {action.command}" if action.command else "") for action in actions]
 
 
-def in_words(labels: Sequence[str]) -> str:
+def effects_in_words(labels: Sequence[str]) -> str:
     """`encoder disc off centre, once per turn (encoder_eccentricity:1)`; the first few, one kind is said once."""
     kinds: dict[str, list[str]] = {}
     for label in labels:
@@ -54,9 +54,10 @@ def diagnosis_verdict(data: Data) -> list[str]:
 def missing(data: Data) -> str:
     """The verdict of `armcal diagnose`."""
     effects, sets = data["effects"], data["candidates"]
+    which = effects_in_words(effects) if one_kind(effects) else f"{len(effects)} effects"
     return {
         "none": "Nothing is missing from the model that these data can show.",
-        "named": f"Missing from the model: {in_words(effects) if one_kind(effects) else f'{len(effects)} effects'}.",
+        "named": f"Missing from the model: {which}.",
         "ambiguous": f"{len(sets)} explanations fit about equally well.",
         "unknown": f"Something that the library does not have is missing, at {place_in_words(data)}.",
     }[data["verdict"]]
@@ -66,17 +67,17 @@ def details(data: Data) -> list[str]:
     """What the verdict speaks of, by name."""
     effects = data["effects"]
     if data["verdict"] == "ambiguous":
-        sets = [in_words(c["effects"]) or "nothing" for c in data["candidates"]]
+        sets = [effects_in_words(c["effects"]) or "nothing" for c in data["candidates"]]
         return [f"{sentence_of('; or '.join(sets[:MOST]))}."]
     if data["verdict"] == "named" and not one_kind(effects):
-        return [f"{sentence_of(in_words(effects))}."]
+        return [f"{sentence_of(effects_in_words(effects))}."]
     if data["verdict"] != "unknown" or not effects:
         return []
     curves = [int(label.partition(":")[2]) for label in effects if is_described(data) and label.startswith(f"{CURVE}:")]
     others = [label for label in effects if not curves or not label.startswith(f"{CURVE}:")]
     words = "An error curve of {} describes" if len(curves) == 1 else "Error curves of {} describe"
     described = [f"{words.format(of_joints(sorted(curves)))} it; its cause is open."] if curves else []
-    return [*described, *([f"Beside it: {in_words(others)}."] if others else [])]
+    return [*described, *([f"Beside it: {effects_in_words(others)}."] if others else [])]
 
 
 def one_kind(labels: Sequence[str]) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from doe.plan.rounding import rounded
+from doe.plan.rounding import rounded_plan
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import TOGETHER, Exchange
 from doe.solvers.ipopt import Climber, Ipopt, polishes
@@ -40,7 +40,7 @@ class RelaxRound:
         """The rounded plan as it is, then one offer per start."""
         from doe.bounds.column_generation import continuous_design  # deferred: it needs scipy.linalg
 
-        first = rounded(continuous_design(problem, runs=runs, proof=0.0, stop=budget.part(HALF).ended).plan, runs)
+        first = rounded_plan(continuous_design(problem, runs=runs, proof=0.0, stop=budget.part(HALF).ended).plan, runs)
         yield Offer(first)
         started = self._begin(problem, first, min(budget.starts, max(1, TOGETHER // runs)), generator)
         improved = self.exchange.improve(problem, started, generator, budget)[0]

@@ -18,7 +18,7 @@ import numpy as np
 from doe.criteria import criterion
 from doe.jobs.isolated import call
 from doe.jobs.row_table import Key, Row, RowTable, short_hash, with_columns
-from doe.jobs.tasks import run
+from doe.jobs.tasks import run_tasks
 from doe.jobs.workers import Workers
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
@@ -156,7 +156,7 @@ def compare(
     def payload(key: Key) -> Task:
         return subjects[key["arm_hash"]][1], solvers[key["solver"]]
 
-    return run(run_of, comparison.keys, rows, workers, seed=seed, payload=payload, progress=progress)
+    return run_tasks(run_of, comparison.keys, rows, workers, seed=seed, payload=payload, progress=progress)
 
 
 def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: Task) -> list[Row]:

@@ -39,7 +39,7 @@ def widths(links: int, dimension: int = 2) -> dict[str, int]:
     }
 
 
-def split(vector: ca.SX, links: int, dimension: int = 2) -> dict[str, ca.SX]:
+def by_place(vector: ca.SX, links: int, dimension: int = 2) -> dict[str, ca.SX]:
     """Place -> its elements of a vector over all places."""
     sizes = widths(links, dimension)
     ends = list(accumulate(sizes.values()))
@@ -78,7 +78,7 @@ def position_and_state(
     n, d = chain.links, chain.dimension
     own = values.numel() - sum(len(effect.parameters) for effect in effects)
     geometry, parts = values[:own], _with_values(effects, values[own:])
-    more = split(ca.SX.zeros(sum(widths(n, d).values())) if added is None else added, n, d)
+    more = by_place(ca.SX.zeros(sum(widths(n, d).values())) if added is None else added, n, d)
     given = ca.vertcat(*(more[place] for place in OF_LOAD if place in more))
     loads = sum((_loads(e, chain, v) for e, v in parts), given)
     loads[0] += chain.payload

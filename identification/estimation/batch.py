@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError
+from identification.estimation.checks import check_measurements
 from identification.estimation.chord import Chord
-from identification.estimation.estimate import check, weighting
+from identification.estimation.estimate import weighting
 from identification.estimation.levenberg_marquardt import levenberg_marquardt, outcomes
 from identification.estimation.methods import gauss_newton, linear, starts
 from identification.estimation.prior import Prior
@@ -108,7 +109,7 @@ def _problem(model: Model, plan: Measurements | ArrayLike, measured: Array, weig
     if measured.ndim != 3 or measured.shape[1:] != (m, d):
         raise InputError(f"positions: shape {measured.shape}, allowed: (K, {m}, {d})")
     prior = Prior(model.prior) if model.prior else None
-    check(model, replace(plan, positions=np.zeros((m, d))))
+    check_measurements(model, replace(plan, positions=np.zeros((m, d))))
     own = "estimated" if plan.sigma is None else plan.sigma  # never the arm's sigma, but to weigh a prior against
     noise = weighting(model, plan, own if prior is None else "given", weights)
     return Problem(model, plan.postures, plan.conditions, measured, noise.weights, prior=prior)

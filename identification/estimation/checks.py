@@ -27,7 +27,7 @@ class Noise(NamedTuple):
     reliance: str | None = None
 
 
-def check(model: Model, measurements: Measurements, prior: Prior | None = None) -> None:
+def check_measurements(model: Model, measurements: Measurements, prior: Prior | None = None) -> None:
     """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations.
 
     prior : of parameters that need no equation, besides those of the model

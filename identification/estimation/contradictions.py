@@ -66,7 +66,7 @@ class Contradiction:
         return dict(vars(self))
 
 
-def in_words(found: Sequence[Contradiction], anew: Sequence[Parameter]) -> list[str]:
+def warning(found: Sequence[Contradiction], anew: Sequence[Parameter]) -> list[str]:
     """The warning;  anew : parameters without a prior."""
     if not found:
         return []
@@ -180,7 +180,7 @@ def _p_value(drop: float, freedom: float) -> float:
     return float(chdtrc(1.0, drop) if np.isinf(freedom) else fdtrc(1.0, freedom, drop))
 
 
-def compared(
+def with_contradictions(
     found: Identification, problem: Problem, noise: Noise, again: Callable[[Mapping[str, float]], Identification]
 ) -> Identification:
     """The fit with what contradicts its prior, and with the covariance of the noise that is there without it.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
-from identification.estimation.checks import Noise, check, weighting
+from identification.estimation.checks import Noise, check_measurements, weighting
 from identification.estimation.levenberg_marquardt import Solution
 from identification.estimation.methods import METHODS
 from identification.estimation.outcome import Spread, as_filed, identification
@@ -54,7 +54,7 @@ def estimate(
     `not_identifiable`, and `status` says so. Raises `InputError` for data that do not fit the model, `JobError` if the
     method fails.
     """
-    check(model, measurements)
+    check_measurements(model, measurements)
     if prior := model.prior:
         if method not in (None, "gauss_newton"):
             raise InputError(f"method: {method} for a spatial arm held by a prior, allowed: gauss_newton")

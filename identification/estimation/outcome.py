@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.estimation.checks import Noise
 from identification.estimation.levenberg_marquardt import Solution
-from identification.estimation.outlying import limit_of, outlying, scaled
+from identification.estimation.outlying import limit_of, outlying, robust_squares
 from identification.estimation.plausibility import doubts, far_rows
 from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
@@ -112,7 +112,7 @@ def outlier_rows(problem: Problem, parameters: Array, residual: Array) -> NDArra
     p, d = len(parameters), white.shape[1]
     if white.size - p + len(problem.prior_rows) <= p:
         return outlier
-    if white.size > MANY * p and scaled(np.sum(white**2, axis=1), d).max() < CLEAR * limit_of(d):
+    if white.size > MANY * p and robust_squares(np.sum(white**2, axis=1), d).max() < CLEAR * limit_of(d):
         return outlier
     columns = problem.jacobian(parameters).reshape(len(used), -1)[used].reshape(white.size, p)
     held = problem.prior_rows

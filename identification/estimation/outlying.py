@@ -62,10 +62,10 @@ def studentised(
     right = flat.T @ inside.reshape(-1) if moment is None else flat.T @ inside.reshape(-1) + moment
     off = inside - own @ (inverse @ right)
     rest = (1.0 + 1e-6) * np.eye(d) - (flat @ inverse).reshape(own.shape) @ own.transpose(0, 2, 1)
-    squares[kept] = scaled(np.einsum("mi,mi->m", off, np.linalg.solve(rest, off[..., None])[..., 0]), d)
+    squares[kept] = robust_squares(np.einsum("mi,mi->m", off, np.linalg.solve(rest, off[..., None])[..., 0]), d)
     return squares
 
 
-def scaled(squares: Array, d: int) -> Array:
+def robust_squares(squares: Array, d: int) -> Array:
     """Squared distances (m,) of d coordinates in units of their robust variance: the median of chi-square is kept."""
     return np.asarray(squares / max(np.median(squares) / chdtri(d, 0.5), 1e-300))

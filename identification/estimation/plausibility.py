@@ -64,7 +64,7 @@ def doubts(
         *another_frame(arm, measurements),
         *outside_limits(arm, measurements),
     ]
-    said += [] if residual.size <= parameters.size else rounded(residual, measurements)
+    said += [] if residual.size <= parameters.size else only_rounding(residual, measurements)
     return Doubts(tuple(said), bool(bad))
 
 
@@ -108,7 +108,7 @@ def far_rows(residual: Array, outlier: NDArray[np.bool_]) -> list[str]:
     ]
 
 
-def rounded(residual: Array, measurements: Measurements) -> list[str]:
+def only_rounding(residual: Array, measurements: Measurements) -> list[str]:
     """True for residuals of the size of rounding: data without noise, for which standard deviations mean nothing."""
     left, largest = rms_distance(residual), float(np.max(np.abs(measurements.positions)))
     if left > ROUNDING * largest:

@@ -123,14 +123,14 @@ class Identification:
         """What chi2 says where it rejects the model or the sigma given, and what follows for the intervals."""
         if self.p_value is None or self.p_value >= LEVEL or self.scatter is None or not self.sigma:
             return None
-        return shown.misfit(self, self.p_value, self.scatter / self.sigma)
+        return shown.misfit_sentence(self, self.p_value, self.scatter / self.sigma)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings to be read before the results."""
         prior = () if self.prior is None else self.prior.names
         anew = [p for p in getattr(self.model, "parameters", ()) if p.name not in prior]
-        misfit = (*contradictions.in_words(self.contradictions, anew), *((self.misfit,) if self.misfit else ()))
+        misfit = (*contradictions.warning(self.contradictions, anew), *((self.misfit,) if self.misfit else ()))
         doubts = (*self.doubts, *hardly_determined(self))
         return (*doubts, *misfit) if self.status is Status.implausible else (*misfit, *doubts)
 

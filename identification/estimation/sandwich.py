@@ -36,7 +36,7 @@ def sandwich(jacobian: Array, residual: Array, root: Array, groups: NDArray[np.i
     jacobian : (m, d, p) and residual : (m, d), whitened;  root : (p, rank), root @ root.T = (J^T J)^-1
     groups : (m,) number of the group of each row, 0, 1, ...
     """
-    leverages, vectors, scores = decomposed(jacobian @ root, residual, groups)
+    leverages, vectors, scores = decomposed_groups(jacobian @ root, residual, groups)
     if leverages.max() > 1.0 - ALONE:
         return None
     factors = 1.0 / np.sqrt(1.0 - np.maximum(leverages, 0.0))
@@ -47,7 +47,7 @@ def sandwich(jacobian: Array, residual: Array, root: Array, groups: NDArray[np.i
     return Sandwich(corrected @ corrected.T, freedom)
 
 
-def decomposed(columns: Array, residual: Array, groups: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+def decomposed_groups(columns: Array, residual: Array, groups: NDArray[np.int64]) -> tuple[Array, Array, Array]:
     """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: (G, k) l, (G, r, k) V and (G, k) V^T Q_g^T r_g, zero where a
     group has fewer than k directions;  groups as large as each other at a time, small ones by Q_g Q_g^T."""
     d, r = columns.shape[1:]

@@ -15,14 +15,14 @@ COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
 HEADINGS = ("parameter", "value", "std", "95 % low", "95 % high", "unit")
 
 
-def in_words(p: float) -> str:
+def p_value_in_words(p: float) -> str:
     """`p = 0.012`; a p-value that underflows is not shown as zero."""
     return f"p = {p:.3g}" if p > 0.0 else "p < 1e-300"
 
 
-def misfit(found: Identification, p_value: float, times: float) -> str:
+def misfit_sentence(found: Identification, p_value: float, times: float) -> str:
     """That chi2 rejects the model or the sigma given, and what follows; times : residuals in units of that sigma."""
-    figures = f"chi2 {found.chi2:.4g}, {found.dof} degrees of freedom, {in_words(p_value)}"
+    figures = f"chi2 {found.chi2:.4g}, {found.dof} degrees of freedom, {p_value_in_words(p_value)}"
     prior = "the prior does not hold (above), " if found.contradictions else ""
     cause = f"{prior}the model is incomplete or sigma_mm too small"
     relied = found.uncertainty.kind == "given"
@@ -60,7 +60,7 @@ def remarks(found: Identification) -> list[str]:
     lines = [f"not identifiable: {combination}" for combination in found.not_identifiable]
     known = "given" if found.sigma_known else "estimated"
     sigma = "unknown" if found.sigma is None else f"{found.sigma:.4g} mm ({known})"
-    chi2 = "" if found.p_value is None else f", chi2 {found.chi2:.4g}, {in_words(found.p_value)}"
+    chi2 = "" if found.p_value is None else f", chi2 {found.chi2:.4g}, {p_value_in_words(found.p_value)}"
     lines.append(f"sigma {sigma}, {found.dof} degrees of freedom{chi2}")
     lines.append(f"95 % intervals: {found.uncertainty.sentence}")
     lines.append(f"RMS {found.rms_before:.4g} -> {found.rms_after:.4g} mm")

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import Machining
 from identification.arrays import Array
-from identification.estimation.checks import Noise, check, weighting
-from identification.estimation.contradictions import compared
+from identification.estimation.checks import Noise, check_measurements, weighting
+from identification.estimation.contradictions import with_contradictions
 from identification.estimation.levenberg_marquardt import ITERATIONS, Index, LeastSquares, Solution, levenberg_marquardt
 from identification.estimation.methods import starts
 from identification.estimation.outcome import Spread, identification
@@ -70,7 +70,7 @@ def estimate_with_prior(
     """
     model, zeros = placed_with_zeros(model, measurements)
     prior = replace(prior, deviations={**model.prior, **prior.deviations})
-    check(model, measurements, prior)
+    check_measurements(model, measurements, prior)
     noise = weighting(model, measurements, sigma, weights)
     whole = replace(Problem.of(model, measurements, noise.weights), prior=prior)
     problem, solution, widths, jacobian = _solved(whole, noise, zeros)
@@ -90,7 +90,7 @@ def estimate_with_prior(
         held = replace(model, known={**model.fixed, **known})
         return estimate_with_prior(held, measurements, Prior(prior.deviations), sigma, weights)
 
-    return compared(found, problem, noise, again)
+    return with_contradictions(found, problem, noise, again)
 
 
 def far_from_drawing(machining: Machining, widths: Widths) -> list[str]:
@@ -113,7 +113,7 @@ def _solved(problem: Problem, noise: Noise, zeros: Mapping[str, float]) -> tuple
     given, linearized = noise.reliance == "given", _Linearizations(replace(problem, prior=None))
 
     def solved(at: Array, most: int) -> tuple[Problem, Solution, Widths]:
-        scale, widths = likeliest(Linearized.of(problem, at, *linearized.at(at)), noise, given)
+        scale, widths = likeliest(LinearizedProblem.of(problem, at, *linearized.at(at)), noise, given)
         found = replace(problem, noise=scale, prior=widened(problem, widths))
         return found, levenberg_marquardt(replace(linearized.with_prior(found), iterations=most), at[None]), widths
 
@@ -165,7 +165,7 @@ def _uncertainty(problem: Problem, covariance: Array, dof: float, noise: Noise) 
     return Uncertainty("given" if given else "scatter", problem.noise**2 * covariance, freedom)
 
 
-class Linearized(NamedTuple):
+class LinearizedProblem(NamedTuple):
     """A problem without its prior, linear about values x of its parameters, in as few rows as say the same.
 
     target : (N,) weighted residuals if all parameters with a prior were at its center;  jacobian : (N, p)
@@ -181,7 +181,7 @@ class Linearized(NamedTuple):
     zeros: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, problem: Problem, x: Array, residual: Array, jacobian: Array) -> Linearized:
+    def of(cls, problem: Problem, x: Array, residual: Array, jacobian: Array) -> LinearizedProblem:
         """About x (p,), where the problem without its prior has these residuals (N,) and this Jacobian (N, p)."""
         parameters, prior = problem.model.parameters, problem.prior
         factor = np.zeros((len(parameters), 0)) if prior is None else prior.factor(parameters)
@@ -209,7 +209,7 @@ class Linearized(NamedTuple):
         return max(float(np.linalg.norm(left)) / np.sqrt(max(self.spare, 1)), 1e-12)
 
 
-def likeliest(problem: Linearized, noise: Noise, given: bool) -> tuple[float, Widths]:
+def likeliest(problem: LinearizedProblem, noise: Noise, given: bool) -> tuple[float, Widths]:
     """Noise, no less than a given one (`given`: that one), and the machining's widths of the largest likelihood."""
     unit = 1.0 if (known := noise.sigma is not None) or given else problem.scatter
     if problem.spare == 0:

@@ -33,7 +33,7 @@ from identification.files.arm_schema import (
 )
 from identification.files.io import PathLike, read_toml
 from identification.kinematics.parameters import chain_parameters
-from identification.workspace import Constraint, KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox, WorkspaceConstraint
 
 
 def load_arm(path: PathLike) -> Arm:
@@ -90,7 +90,7 @@ def _warn_if_radians(path: PathLike, tables: Mapping[str, Any]) -> None:
         warnings.warn(f"{path}: {message}", UserWarning, stacklevel=3)
 
 
-def _constraint(table: ConstraintTable) -> Constraint:
+def _constraint(table: ConstraintTable) -> WorkspaceConstraint:
     if isinstance(table, BoxTable):
         return WorkspaceBox((table.x_mm[0], table.x_mm[1]), (table.y_mm[0], table.y_mm[1]))
     if isinstance(table, CircleTable):

@@ -29,7 +29,7 @@ COORDINATE = f"a number [mm], up to {LENGTH_RANGE[1]:g}"
 ANGLE = f"an angle [deg], up to {LARGEST_ANGLE:g}"
 
 
-class RowTable(StrictTable):
+class DHTable(StrictTable):
     """`[[dh]]`: one joint."""
 
     a_mm: Coordinate = Field(description=COORDINATE)
@@ -191,7 +191,7 @@ class SpatialArmFile(StrictTable):
     urdf: str | None = Field(None, description="the name of a URDF file beside this one, or its text")
     base_link: str | None = Field(None, description="the name of a link of the URDF file")
     tip_link: str | None = Field(None, description="the name of a link of the URDF file")
-    dh: list[RowTable] | None = Field(None, min_length=1, max_length=MAX_LINKS, description=f"1 to {MAX_LINKS} [[dh]]")
+    dh: list[DHTable] | None = Field(None, min_length=1, max_length=MAX_LINKS, description=f"1 to {MAX_LINKS} [[dh]]")
     joint_limits_deg: AnglesTable | None = Field(None, description="a table with lower and upper")
     joint_limits_mm: TravelsTable | None = Field(None, description="a table with lower and upper")
     base: PoseTable | None = Field(None, description="a table with x_mm, y_mm, z_mm, rx_deg, ry_deg, rz_deg")
@@ -239,7 +239,7 @@ class SpatialArmFile(StrictTable):
 
 _TABLES: dict[str, type[BaseModel]] = {
     "": SpatialArmFile,
-    "dh": RowTable,
+    "dh": DHTable,
     "joint_limits_deg": AnglesTable,
     "joint_limits_mm": TravelsTable,
     "base": PoseTable,

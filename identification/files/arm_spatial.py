@@ -39,7 +39,7 @@ from identification.files.arm_schema_spatial import (
     SphereTable,
     TravelsTable,
 )
-from identification.files.io import PathLike, beside, read_toml
+from identification.files.io import PathLike, named_file, read_toml
 from identification.files.schema import require_count
 from identification.files.urdf import Urdf, parse_urdf, read_urdf, urdf_text, with_origins
 from identification.kinematics.corrected import before_errors
@@ -48,7 +48,7 @@ from identification.kinematics.frames import from_own_axes, pose
 from identification.kinematics.instrument import Instrument
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE
 from identification.kinematics.spatial import BASE, TOOL, Joint, SpatialChain
-from identification.workspace import Constraint, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
+from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox, WorkspaceConstraint
 
 
 def spatial_arm(tables: Mapping[str, Any], folder: PathLike) -> Arm:
@@ -89,7 +89,11 @@ def urdf_of(tables: Mapping[str, Any], folder: PathLike) -> tuple[Urdf, str, str
         return None
     if name.lstrip().startswith("<"):
         return parse_urdf(name, "urdf"), str(tables["base_link"]), str(tables["tip_link"])
-    return read_urdf(beside(folder, name, "urdf", "the arm file")), str(tables["base_link"]), str(tables["tip_link"])
+    return (
+        read_urdf(named_file(folder, name, "urdf", "the arm file")),
+        str(tables["base_link"]),
+        str(tables["tip_link"]),
+    )
 
 
 def corrected_urdf(path: PathLike, chain: SpatialChain) -> str:
@@ -195,7 +199,7 @@ def _machining(table: MachiningTable | None) -> Machining:
     return Machining(usual.translation if table.translation_mm is None else table.translation_mm, rotation)
 
 
-def _constraint(table: SpatialConstraint) -> Constraint:
+def _constraint(table: SpatialConstraint) -> WorkspaceConstraint:
     if isinstance(table, SpatialBoxTable):
         return WorkspaceBox(_pair(table.x_mm), _pair(table.y_mm), _pair(table.z_mm))
     if isinstance(table, SphereTable):

@@ -20,7 +20,7 @@ from identification.files.arm_effects import GEOMETRY_KEY, FileName, built, curv
 from identification.files.io import PathLike, read_toml
 from identification.files.toml import Plain, append_tables, replace_table
 from identification.kinematics.parameters import GEOMETRY, chain_parameters
-from identification.workspace import Constraint, KeepOutCircle, KeepOutCylinder, WorkspaceBox
+from identification.workspace import KeepOutCircle, KeepOutCylinder, WorkspaceBox, WorkspaceConstraint
 
 if TYPE_CHECKING:
     from identification.effects import Effect
@@ -40,9 +40,9 @@ def dump_arm(arm: Arm) -> str:
             "joint_limits_deg": {"lower": _degrees(arm.lower), "upper": _degrees(arm.upper)},
         }
     else:
-        from identification.files.arm_text_spatial import chain_tables, placed_calibration
+        from identification.files.arm_text_spatial import calibration_with_places, chain_tables
 
-        tables, calibration = chain_tables(arm, arm.chain), placed_calibration(arm.chain, calibration)
+        tables, calibration = chain_tables(arm, arm.chain), calibration_with_places(arm.chain, calibration)
     tables |= {} if arm.gear_ratios is None else {"gear_ratio": _floats(arm.gear_ratios)}
     if arm.sigma is not None:
         tables.setdefault("measurement", {})["sigma_mm"] = float(arm.sigma)
@@ -125,7 +125,7 @@ def _gravity_table(gravity: Gravity) -> Plain:
     } | ({} if gravity.payload_at is None else {"payload_at_mm": _floats(gravity.payload_at)})
 
 
-def _constraint_table(constraint: Constraint) -> Plain:
+def _constraint_table(constraint: WorkspaceConstraint) -> Plain:
     """`[[constraints]]`, of the plane or of space."""
     if isinstance(constraint, WorkspaceBox):
         sides = zip("xyz", (constraint.x, constraint.y, constraint.z), strict=True)

@@ -50,7 +50,7 @@ def _tidy(value: float) -> float:
     return float(f"{value:.15g}")
 
 
-def placed_calibration(chain: SpatialChain, found: Calibration | None) -> Calibration | None:
+def calibration_with_places(chain: SpatialChain, found: Calibration | None) -> Calibration | None:
     """The calibration, with where base and measured points are if they are somewhere without being known."""
     somewhere = BASE not in chain.known and not np.array_equal(chain.base, np.eye(4))
     named = TOOL not in chain.known and (

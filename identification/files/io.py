@@ -71,7 +71,7 @@ def read_toml(path: PathLike) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: nested too deeply, allowed: TOML 1.0, less nested") from None
 
 
-def beside(folder: PathLike, name: str, key: str, whose: str) -> Path:
+def named_file(folder: PathLike, name: str, key: str, whose: str) -> Path:
     """The file that another file in `folder` names under `key`; `whose` says which file that is.
 
     Raises `InputError` for a name that leads out of the folder, also by a link.

@@ -40,7 +40,7 @@ def read_lengths(table: Table, instrument: Instrument) -> Array:
     return values[:, None] * factor
 
 
-def read_sessions(table: Table, instrument: Instrument | None) -> NDArray[np.str_] | None:
+def session_of_rows(table: Table, instrument: Instrument | None) -> NDArray[np.str_] | None:
     """(m,) names of the sessions; each surface that is touched has a place of its own, as each session has."""
     columns = ["session", SURFACE] if instrument is not None and instrument.contact else ["session"]
     found = [table.texts(column) for column in columns if column in table]

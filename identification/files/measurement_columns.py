@@ -16,9 +16,9 @@ from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, MAX_
 from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.files.csv import KNOWN, Table, Test
-from identification.files.length_columns import SURFACE, lengths_of, read_lengths, read_sessions, unit_of
+from identification.files.length_columns import SURFACE, lengths_of, read_lengths, session_of_rows, unit_of
 from identification.files.order_columns import order_columns, read_gaps, read_order
-from identification.files.orientation import angle_columns, orientation_columns, read_orientations
+from identification.files.orientation import angle_columns, orientation_columns_of, read_orientations
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
         **read_conditions(table, n),
         "sigma": _sigma(table),
         "repeats": _repeats(table),
-        "session": (session := read_sessions(table, instrument)),
+        "session": (session := session_of_rows(table, instrument)),
         "gaps": read_gaps(table, session) if order is not None and "order" in table else None,
         "marker": table.texts("marker") if chain is not None and "marker" in table else None,
         "orientations": read_orientations(table) if poses else None,
@@ -74,11 +74,11 @@ def _warn_unused(table: Table, types: JointTypes, axes: Sequence[str], chain: Sp
     poses = chain is not None and chain.angle_scale is not None
     lengths = [f"{name}_{unit}" for name in (*axes, "sigma") for unit in ("mm", "m")]
     optional = [*_OPTIONAL, *(["marker"] if spatial else []), *_OF_PLANS, *(f"direction{j}" for j in range(1, n + 1))]
-    optional += orientation_columns(table) if poses else []
+    optional += orientation_columns_of(table) if poses else []
     optional += [SURFACE] if chain is not None and chain.instrument.contact else []
     optional += [column for column in table.columns if _COMMANDED.match(column)]
     wanted = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
-    hint = wanted if spatial and len(axes) == 3 and not poses and orientation_columns(table) else ""
+    hint = wanted if spatial and len(axes) == 3 and not poses and orientation_columns_of(table) else ""
     warn_unknown(table, [*joint_columns(table, types), *lengths, *optional], hint)
 
 

@@ -17,7 +17,7 @@ NEARLY_ONE = 0.01  # by which a quaternion's length may be off: files have few d
 _COLUMN = re.compile(r"r[xyz]_(deg|rad)|q[wxyz]")
 
 
-def orientation_columns(table: Table) -> list[str]:
+def orientation_columns_of(table: Table) -> list[str]:
     """The columns of an orientation that a table has."""
     return [column for column in table.columns if _COLUMN.fullmatch(column)]
 
@@ -25,7 +25,7 @@ def orientation_columns(table: Table) -> list[str]:
 def read_orientations(table: Table) -> Array | None:
     """(m, 3, 3) axes of the measured frame, from `rx_deg, ry_deg, rz_deg` (about own axes, x, then y, then z; or in
     `_rad`) or from a quaternion `qw, qx, qy, qz`; None if the table has none of these columns."""
-    if not (found := orientation_columns(table)):
+    if not (found := orientation_columns_of(table)):
         return None
     from identification.kinematics.orientations import from_angles, from_quaternions  # CasADi, which few files need
 

@@ -22,7 +22,7 @@ from identification.files.measurement_columns import (
     read_postures,
     warn_unknown,
 )
-from identification.files.orientation import angle_columns, orientation_columns, read_orientations
+from identification.files.orientation import angle_columns, orientation_columns_of, read_orientations
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def load_targets(path: PathLike, links: int | Arm) -> Targets:
     positions = np.column_stack([millimetres(table, axis) for axis in "xyz"[:dimension]]) if has_positions else None
     postures = read_postures(table, types) if joints else None
     spatial = has_positions and dimension == 3
-    warn_unknown(table, ["run", *given, *joints, *(orientation_columns(table) if spatial else ())])
+    warn_unknown(table, ["run", *given, *joints, *(orientation_columns_of(table) if spatial else ())])
     return Targets(positions, postures, read_orientations(table) if spatial else None)
 
 

@@ -38,7 +38,7 @@ class CrossValidated(NamedTuple):
     predicted: Array
 
 
-class Linearized(NamedTuple):
+class LinearizedFit(NamedTuple):
     """A fit of n free parameters to m rows, linearized about its solution.
 
     left : (m, d) residuals [mm];  columns : (m, d, n) Jacobian;  white_left, white : both whitened
@@ -55,7 +55,7 @@ class Linearized(NamedTuple):
     determined: float
 
     @classmethod
-    def of(cls, found: Fit) -> Linearized:
+    def of(cls, found: Fit) -> LinearizedFit:
         """Linearize a fit; serial correlation of its rows is ignored."""
         rows, left = replace(found.rows, correlation=0.0), found.left
         columns, prior, left_by_prior = found.regression()
@@ -66,9 +66,9 @@ class Linearized(NamedTuple):
         return cls(left, columns, white_left, white, prior.T @ prior, prior.T @ left_by_prior, determined)
 
 
-def cross_validate(found: Fit | Linearized, folds: Groups) -> CrossValidated:
+def cross_validate(found: Fit | LinearizedFit, folds: Groups) -> CrossValidated:
     """Predict each part of the rows of a fit from the other parts;  folds : (m,) index of each row's part."""
-    problem = found if isinstance(found, Linearized) else Linearized.of(found)
+    problem = found if isinstance(found, LinearizedFit) else LinearizedFit.of(found)
     parts = [np.flatnonzero(folds == fold) for fold in np.unique(folds)]
     own = [_normal(problem.white[part], problem.white_left[part]) for part in parts]
     normal = problem.normal + sum(square for square, _ in own)
@@ -82,7 +82,7 @@ def cross_validate(found: Fit | Linearized, folds: Groups) -> CrossValidated:
     return CrossValidated(left, expected)
 
 
-def _predicted(problem: Linearized, part: NDArray[np.int64], moved: Array, step: Array, inverse: Array) -> float:
+def _predicted(problem: LinearizedFit, part: NDArray[np.int64], moved: Array, step: Array, inverse: Array) -> float:
     """Mean square distance [mm^2] expected in one part: noise plus the uncertainty of the parameters.
 
     moved : (m, d) residuals of all rows with the parameters of the other parts [mm]
@@ -142,14 +142,14 @@ def cross_validation(
         "other postures": (generator.permutation(count) * min(FOLDS, count) // count)[postures],
         "another stretch of time": by_groups[0],
     }
-    fits = Linearized.of(base), Linearized.of(named)
+    fits = LinearizedFit.of(base), LinearizedFit.of(named)
     return tuple(
         confirm(_held_out(*fits, folds), by_groups, transfer, "cross-validation", LEVEL / QUESTIONS, anything)
         for transfer, folds in parts.items()
     )
 
 
-def _held_out(base: Linearized, named: Linearized, folds: Groups) -> HeldOut:
+def _held_out(base: LinearizedFit, named: LinearizedFit, folds: Groups) -> HeldOut:
     left, found = cross_validate(base, folds).residual[:, POINT], cross_validate(named, folds)
     after = found.residual[:, POINT]
     return HeldOut(

@@ -19,7 +19,7 @@ from identification.effects import Effect
 from identification.gap.curve_fit import Basis, Evidence, Penalized, bases_of, curve_columns
 from identification.gap.f_tests import CHUNK
 from identification.gap.fit import Fit
-from identification.gap.hypotheses import Hypothesis, unseen_joints
+from identification.gap.hypotheses import Hypothesis, untested_joints
 from identification.gap.lagged_products import LaggedProducts
 from identification.gap.whitening import Rows
 from identification.information import column_lengths
@@ -66,7 +66,7 @@ class System:
         """Bases of the joints that can have a curve: they move, move the measured point, and have none in the file."""
         arm = self.found.model.arm
         taken = {spec.joint for spec in arm.effects if spec.curve is not None}
-        unseen = unseen_joints(self.found.model, self.rows)
+        unseen = untested_joints(self.found.model, self.rows)
         return bases_of(self.rows.postures, [j for j in range(arm.links) if j + 1 not in {*taken, *unseen}])
 
     def _columns(self, rows: Rows) -> Array:
@@ -223,7 +223,7 @@ def folds(postures: Array) -> NDArray[np.int64]:
     return order[group.ravel()] % FOLDS
 
 
-def choose(system: System, margin: float) -> CurveChoice:
+def choose_curves(system: System, margin: float) -> CurveChoice:
     """Add curves one by one while the cost decreases by more than `margin`, then remove effects not needed."""
     best = system.explain(system.named, ())
     while left := [b.joint for b in system.bases if b.joint not in best.joints]:

@@ -16,7 +16,7 @@ from identification.estimation.uncertainty import Uncertainty
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import candidate_of
 from identification.gap.curve import Curve
-from identification.gap.curve_choice import CurveChoice, Members, System, choose
+from identification.gap.curve_choice import CurveChoice, Members, System, choose_curves
 from identification.gap.curve_fit import Basis, Evidence, curve_columns
 from identification.gap.fit import Fit, fit
 from identification.gap.hypotheses import Hypothesis
@@ -126,7 +126,7 @@ def find_curves(found: Findings, measurements: Measurements) -> Curves | None:
         again = fit(named.model, plain, named.by_name)
         systems.append((System(again, plain, chosen, base.rank), ()))
     before = systems[0][0].explain(chosen, ()).cost + _noise_cost(*systems[0])
-    options = [(system, scatter, choose(system, WINDOW)) for system, scatter in systems]
+    options = [(system, scatter, choose_curves(system, WINDOW)) for system, scatter in systems]
     system, scatter, best = min(options, key=lambda o: o[2].cost + _noise_cost(o[0], o[1]))
     gain = before - best.cost - _noise_cost(system, scatter)
     if not best.joints or gain <= WINDOW or not _predicts_better(system, best):

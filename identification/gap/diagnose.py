@@ -11,7 +11,7 @@ import numpy as np
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
-from identification.estimation.estimate import check
+from identification.estimation.checks import check_measurements
 from identification.gap.agreement import overruled
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import trial_list
@@ -139,7 +139,7 @@ def check_input(arm: Arm, measurements: Measurements, holdout: Measurements | No
     """Raise `InputError` for too few draws and for data that do not fit the arm or lack what its effects need."""
     if draws < FEWEST_DRAWS:
         raise InputError(f"draws: {draws}, allowed: at least {FEWEST_DRAWS}, or no effect can pass the strictest test")
-    check(Model(arm), measurements)
+    check_measurements(Model(arm), measurements)
     touching = arm.chain is not None and arm.chain.instrument.contact  # contacts have no positions
     for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
         if not (touching and name == "position") and np.all(np.ptp(table, axis=0) == 0.0):

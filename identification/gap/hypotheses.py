@@ -236,7 +236,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
     known = of_dimension(arm.dimension)
     shown = {name: cls for name, cls in known.items() if _testable(cls)}
     own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths, arm.dimension)}
-    unseen = frozenset[int]() if rows is None else unseen_joints(Model(arm), rows)
+    unseen = frozenset[int]() if rows is None else untested_joints(Model(arm), rows)
     members: list[Hypothesis] = []
     skipped: dict[str, str] = {}
     for name, cls in shown.items():
@@ -257,7 +257,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
     return HypothesisSet(arm, tuple(members), skipped, aliases)
 
 
-def unseen_joints(model: Model, rows: Rows) -> frozenset[int]:
+def untested_joints(model: Model, rows: Rows) -> frozenset[int]:
     """Joints (from 1) of a spatial arm at which no joint effect is tested.
 
     These are prismatic joints, since joint effects describe rotary encoders and gears, and joints with an RMS lever

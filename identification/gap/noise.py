@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.estimation.outlying import outlying
-from identification.estimation.shown import in_words
+from identification.estimation.shown import p_value_in_words
 from identification.gap.fit import Fit
 from identification.gap.omnibus_test import MANY
 from identification.gap.posture_neighbors import lag_of
@@ -52,7 +52,7 @@ class Finding:
             "serial_correlation": "rows measured one after the other err alike, lag-1 correlation",
             "repeats": "misfit larger than what repeats scatter, by the variance ratio",
         }[kind]
-        return f"{self.name} ({what} {abs(self.size):.2g}, {in_words(self.p)})"
+        return f"{self.name} ({what} {abs(self.size):.2g}, {p_value_in_words(self.p)})"
 
 
 def outliers(found: Fit, everything: Rows) -> NDArray[np.bool_]:

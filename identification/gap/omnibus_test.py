@@ -71,7 +71,7 @@ def wild_draws(corrected: Array, hypotheses: Dictionary, draws: int, generator: 
     A score is the sum over postures of a sign times the contribution of the posture. From `MANY` postures on it is
     drawn from the normal distribution with the covariance of those sums, which is known exactly.
     """
-    parts, inside = contributions(corrected, hypotheses)
+    parts, inside = product_contributions(corrected, hypotheses)
     total, rank = np.sum(corrected**2), inside.shape[1]
     of_each = hypotheses.scores(parts.T, inside.T)  # (D, m) what each posture contributes to the scores
     if len(corrected) < MANY or len(hypotheses.index) > draws:  # normal draws take the root of a larger matrix
@@ -104,7 +104,7 @@ def smallest_drawn(hypotheses: Dictionary, drawn: Iterable[Draws]) -> Array:
     return np.concatenate([hypotheses.smallest_weighted(one.scores, one.squares) for one in drawn])
 
 
-def contributions(corrected: Array, hypotheses: Dictionary) -> tuple[Array, Array]:
+def product_contributions(corrected: Array, hypotheses: Dictionary) -> tuple[Array, Array]:
     """(m, C) and (m, r) contributions of each posture to the products of the residuals with columns and basis."""
     m, d = corrected.shape
     residual, matrix = corrected.ravel(), hypotheses.columns.matrix

@@ -89,7 +89,7 @@ class Probabilities:
         return found
 
 
-class _Option(NamedTuple):
+class _EffectSet(NamedTuple):
     """One set of effects.
 
     labels : of its effects, which identify it;  names : sorted keys;  log_odds : against the base model
@@ -110,7 +110,7 @@ def probabilities(found: Findings) -> Probabilities:
     beside = list(dict.fromkeys([(), *fewer, chosen]))
     anchors = {a: _refitted(search, a) for a in [*beside, *(rival for rival, _ in found.selection.rivals)]}
     least = max(option.log_odds for option in anchors.values()) - NEGLIGIBLE
-    sets: dict[frozenset[str], _Option] = {}
+    sets: dict[frozenset[str], _EffectSet] = {}
     for anchor, own in anchors.items():
         for option in [own, *_longer(search, anchor, least)]:
             known = sets.get(option.labels)
@@ -120,7 +120,7 @@ def probabilities(found: Findings) -> Probabilities:
     return _normalized(search, list(sets.values()), outside)
 
 
-def _normalized(search: HypothesisSearch, options: list[_Option], outside: float) -> Probabilities:
+def _normalized(search: HypothesisSearch, options: list[_EffectSet], outside: float) -> Probabilities:
     total = logsumexp([outside, *(option.log_odds for option in options)])
     sets: dict[Names, float] = {}
     likeliest = {option.names: option.chosen for option in sorted(options, key=lambda option: option.log_odds)}
@@ -131,17 +131,17 @@ def _normalized(search: HypothesisSearch, options: list[_Option], outside: float
     return Probabilities(none, sets, float(np.exp(outside - total)), titles)
 
 
-def _refitted(search: HypothesisSearch, chosen: Choice) -> _Option:
+def _refitted(search: HypothesisSearch, chosen: Choice) -> _EffectSet:
     """A set of effects, weighed by its own fit."""
     found, base = search.fit(chosen), search.fit(())
     labels, names = _labels(chosen), tuple(sorted(h.key for h in chosen))
     if not chosen:
-        return _Option(chosen, labels, names, 0.0, refitted=True)
+        return _EffectSet(chosen, labels, names, 0.0, refitted=True)
     factor = log_bayes_factor(_decomposed(search, chosen), found.squares, base.squares, base.freedom)
-    return _Option(chosen, labels, names, float(factor) + _log_prior(search, chosen), refitted=True)
+    return _EffectSet(chosen, labels, names, float(factor) + _log_prior(search, chosen), refitted=True)
 
 
-def _longer(search: HypothesisSearch, chosen: Choice, least: float) -> Iterator[_Option]:
+def _longer(search: HypothesisSearch, chosen: Choice, least: float) -> Iterator[_EffectSet]:
     """The set with each further effect, weighed by its fit if there is one, else by the linearized fit.
 
     least : log odds below which a set is negligible
@@ -163,7 +163,7 @@ def _longer(search: HypothesisSearch, chosen: Choice, least: float) -> Iterator[
             yield _refitted(search, (*chosen, further))
         elif member.tied or member.key not in search.hypotheses.families:
             names = tuple(sorted([*keys, further.key]))  # a family as one value, until it is fitted
-            yield _Option((*chosen, further), own | {further.label}, names, float(log_odds[k]), refitted=False)
+            yield _EffectSet((*chosen, further), own | {further.label}, names, float(log_odds[k]), refitted=False)
 
 
 def _outside(search: HypothesisSearch, chosen: Choice) -> float:

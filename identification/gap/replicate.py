@@ -18,7 +18,7 @@ from identification.effects import Effect
 from identification.gap.confirmation import LEVEL, Groups, Mean, groupings, mean_of
 from identification.gap.fit import Fit
 from identification.gap.replication import InSession, Replication
-from identification.gap.shared_fit import Carried, Session, SharedFit
+from identification.gap.shared_fit import Carried, SessionRows, SharedFit
 from identification.measurements import Measurements
 
 
@@ -35,7 +35,7 @@ def replications(
     turn = np.empty(len(data))
     turn[data.sequence] = np.arange(len(data))
     sessions = tuple(
-        Session(name, rows, groupings(data.postures[rows], data.posture_numbers[rows], turn[rows]))
+        SessionRows(name, rows, groupings(data.postures[rows], data.posture_numbers[rows], turn[rows]))
         for name, rows in zip(data.sessions, data.session_rows, strict=True)
     )
     problem = SharedFit.of(found, sessions)
@@ -79,7 +79,7 @@ def _together(problem: SharedFit, carried: list[Carried]) -> bool | None:
     return _returns(_gain(problem, gains, by_groups, expected), expected, any(c.unsure for c in carried))
 
 
-def _groups(session: Session, carried: Carried) -> list[Groups]:
+def _groups(session: SessionRows, carried: Carried) -> list[Groups]:
     """The groups of the tested rows of a session, renumbered from 0."""
     return [np.unique(groups[carried.part], return_inverse=True)[1] for groups in session.groups]
 

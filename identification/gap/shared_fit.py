@@ -24,7 +24,7 @@ SINGULAR = 1e-10  # of the largest eigenvalue of columns of unit length
 FEWEST = 8  # rows needed to test a curve: one for each group
 
 
-class Session(NamedTuple):
+class SessionRows(NamedTuple):
     """Indices of the rows of a session, and groups of these rows that count as independent, by time first."""
 
     name: str
@@ -66,10 +66,10 @@ class SharedFit:
     lengths: Array
     penalty: Array
     curves: dict[int, Index]
-    sessions: tuple[Session, ...]
+    sessions: tuple[SessionRows, ...]
 
     @classmethod
-    def of(cls, found: Fit, sessions: tuple[Session, ...]) -> SharedFit:
+    def of(cls, found: Fit, sessions: tuple[SessionRows, ...]) -> SharedFit:
         """Linearize a fit;  sessions : of the rows of the fit."""
         rows = found.rows
         shape = len(rows), rows.dimension, -1

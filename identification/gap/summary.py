@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from identification.estimation.shown import in_words
+from identification.estimation.shown import p_value_in_words
 from identification.gap.excluded_waves import waves_clause
 from identification.gap.order_range import order_clauses
 from identification.gap.replication import replication_clauses
@@ -109,7 +109,7 @@ def rests_on(found: Diagnosis) -> list[str]:
 
 def candidate_lines(candidate: Candidate) -> list[str]:
     """Test statistics and estimates of a candidate, one line each."""
-    figures = f"F = {candidate.f:.1f}, {in_words(candidate.p_adjusted)}, Delta BIC = {candidate.delta_bic:.1f}"
+    figures = f"F = {candidate.f:.1f}, {p_value_in_words(candidate.p_adjusted)}, Delta BIC = {candidate.delta_bic:.1f}"
     stated = {label: found for label, found in candidate.estimates.items() if found}  # a curve has no parameters
     estimates = [f"  {label}: {', '.join(map(str, found))}" for label, found in stated.items()]
     sure = [f"  95 % intervals: {candidate.reliance}"] if stated else []
@@ -127,7 +127,7 @@ def text(found: Diagnosis) -> str:
 def html(found: Diagnosis) -> str:
     """The whole diagnosis as HTML tables."""
     candidates = [c for c in found.candidates or (found.named,) if c.effects]
-    sets = [[c.title, f"{c.f:.1f}", in_words(c.p_adjusted), f"{c.delta_bic:.1f}"] for c in candidates]
+    sets = [[c.title, f"{c.f:.1f}", p_value_in_words(c.p_adjusted), f"{c.delta_bic:.1f}"] for c in candidates]
     values = [
         [c.title, p.name, *(f"{x:.4g}" for x in (p.value, p.low_95, p.high_95)), p.unit]
         for c in candidates

@@ -56,7 +56,7 @@ def likeliest_shape(search: HypothesisSearch, unknown: Unknown) -> Unknown:
     return _best(unknown.p, [_option(search, kept, shapes) for kept, shapes in surveys if shapes.listed])
 
 
-class _Option(NamedTuple):
+class _ShapeChoice(NamedTuple):
     """A shape with the named effects that are kept beside it, and the BIC of both together."""
 
     bic: float
@@ -65,29 +65,29 @@ class _Option(NamedTuple):
     shape: str
 
 
-def _best(p: float, options: list[_Option]) -> Unknown:
+def _best(p: float, options: list[_ShapeChoice]) -> Unknown:
     """The option with the lowest BIC, as a result."""
     best = min(options, key=lambda option: option.bic)
     return Unknown(p, best.place, best.shape, best.kept, best.bic)
 
 
-def _option(search: HypothesisSearch, kept: Choice, shapes: Survey) -> _Option:
+def _option(search: HypothesisSearch, kept: Choice, shapes: Survey) -> _ShapeChoice:
     """The shape that reduces BIC most beside a set of effects."""
     changes = shapes.bic_changes
     k = int(np.argmin(changes))
-    return _Option(search.bic(kept) + float(changes[k]), kept, *shapes.listed[k])
+    return _ShapeChoice(search.bic(kept) + float(changes[k]), kept, *shapes.listed[k])
 
 
 def _reduced(chosen: Choice) -> list[Choice]:
     """All sets without one member, all without the members at one place, and the empty set."""
     sets = [chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))]
-    for place in dict.fromkeys(place_of(h.key) for h in chosen):
-        sets.append(tuple(h for h in chosen if place_of(h.key) != place))
+    for place in dict.fromkeys(place_of_effect(h.key) for h in chosen):
+        sets.append(tuple(h for h in chosen if place_of_effect(h.key) != place))
     unique = {frozenset(h.label for h in s): s for s in [*sets, *([()] if chosen else [])]}
     return list(unique.values())
 
 
-def place_of(key: str) -> str:
+def place_of_effect(key: str) -> str:
     """Place at which the effect with this key acts."""
     name, _, joint = key.partition(":")
     return f"joint:{joint}" if joint else PLACES.get(name, name)

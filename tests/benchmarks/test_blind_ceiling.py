@@ -62,7 +62,7 @@ def log_mean(x: np.ndarray) -> float:
     return float(x.max() + np.log(np.mean(np.exp(x - x.max()))))
 
 
-def directions(bare: simulator.Truth, run: simulator.Session, name: str, j: int | None) -> Iterator[np.ndarray]:
+def directions(bare: simulator.TrueArm, run: simulator.RowConditions, name: str, j: int | None) -> Iterator[np.ndarray]:
     """(2m, S) sampled columns of an effect, one array per order of a ripple."""
 
     def probe(values: dict) -> np.ndarray:
@@ -94,7 +94,7 @@ def planned(cell: str, seed: int) -> np.ndarray | None:
     return discrimination_design(DesignProblem.of(Model(arm)), arm, runs).design.plan.postures
 
 
-def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, simulator.Truth]:
+def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, simulator.TrueArm]:
     """Whitened residual off the base model (2m,), what might be hidden, lambda and the truth of one data set."""
     spec = cells.CELLS[cell]
     assert spec.lam is not None
@@ -135,7 +135,7 @@ def _unit(columns: np.ndarray, off: Callable[[np.ndarray], np.ndarray]) -> np.nd
     return seen[:, keep] / norms[keep]
 
 
-def posterior(cell: str, seed: int) -> tuple[dict[tuple[Possible, ...], float], simulator.Truth]:
+def posterior(cell: str, seed: int) -> tuple[dict[tuple[Possible, ...], float], simulator.TrueArm]:
     """Set of effects -> log posterior (up to a constant) for one data set, and the truth."""
     residual, possible, lam, truth = drawn(cell, seed)
     scores = [lam * (residual @ one.columns) - lam**2 / 2.0 for one in possible]

@@ -18,7 +18,7 @@ import pytest
 
 from doe.studies.blind import spatial_cells
 from doe.studies.blind.hidden_effects import key
-from doe.studies.blind.simulator import Session
+from doe.studies.blind.simulator import RowConditions
 from doe.studies.blind.spatial_cells import ALL_JOINTS, CELLS, OF_ARM, OF_GRAVITY, OF_JOINT, column
 from doe.studies.blind.spatial_simulator import SpatialTruth, base_jacobian, moments, position
 from tests.benchmarks.test_blind_ceiling import CIRCLE, log_mean
@@ -30,7 +30,7 @@ SEEN = spatial_cells.SEEN
 Columns = Iterator[tuple[str, int | None, np.ndarray]]  # type, joint, (3m, S) sampled columns of effects
 
 
-def drawn(seed: int) -> tuple[SpatialTruth, Session, np.ndarray]:
+def drawn(seed: int) -> tuple[SpatialTruth, RowConditions, np.ndarray]:
     """The truth of data set number `seed`, its session, and what is measured beside the bare arm [sigma], (3m,)."""
     spec, rng = CELLS[CELL], np.random.default_rng([20261125, list(CELLS).index(CELL), seed])
     truth = spatial_cells.leaning(spatial_cells.random_truth(spec, rng), rng)
@@ -41,7 +41,7 @@ def drawn(seed: int) -> tuple[SpatialTruth, Session, np.ndarray]:
     return hidden, run, (data.positions - position(truth, run)).ravel() / truth.sigma
 
 
-def lever(truth: SpatialTruth, run: Session, joint: int) -> np.ndarray:
+def lever(truth: SpatialTruth, run: RowConditions, joint: int) -> np.ndarray:
     """(3m,) derivative of the position by the angle of a joint."""
     h = 1e-6 * np.eye(truth.n)[joint - 1]
     up, down = (position(replace(truth, offsets=truth.offsets + step), run).ravel() for step in (h, -h))
@@ -49,7 +49,7 @@ def lever(truth: SpatialTruth, run: Session, joint: int) -> np.ndarray:
 
 
 def of_gravity(
-    truth: SpatialTruth, run: Session, directions: np.ndarray
+    truth: SpatialTruth, run: RowConditions, directions: np.ndarray
 ) -> Iterator[tuple[str, int | None, np.ndarray]]:
     """Type, joint and (3m, S) columns of every effect of gravity, for (S, 3) directions of gravity."""
     along = [replace(truth, gravity=axis) for axis in np.eye(3)]
@@ -67,7 +67,7 @@ def of_gravity(
     yield ALL_JOINTS, None, whole
 
 
-def others(truth: SpatialTruth, run: Session) -> Columns:
+def others(truth: SpatialTruth, run: RowConditions) -> Columns:
     """The same of the library's other common effects."""
     for name in (*OF_JOINT, *OF_ARM):
         if name in (*OF_GRAVITY, ALL_JOINTS):

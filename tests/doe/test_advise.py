@@ -14,7 +14,7 @@ from rich.table import Table
 
 from doe.advise import advise, with_scatter
 from doe.problem.problem import DesignProblem
-from doe.report.advice import advice_tables, sentence, shown_runs, spans
+from doe.report.advice import advice_sentence, advice_tables, shown_runs, spans
 from identification.arm import Arm, Calibration
 from identification.errors import InputError
 from identification.model import Model
@@ -34,7 +34,7 @@ def test_lengths_are_known_to_sigma_over_the_root_of_the_runs() -> None:
     assert found.smallest is not None
     assert len(found.smallest.plan) == 7
     assert found.efficient_runs() == found.runs
-    said = sentence(found)
+    said = advice_sentence(found)
     assert said.startswith("7 runs suffice for 0.04 mm in each length, if the model is right; at the tip ")
     assert said.endswith(
         f" {found.tip_errors[3].missing:.2f} mm if effects of typical size are missing. "

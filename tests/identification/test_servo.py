@@ -16,7 +16,7 @@ from identification.files.arm_text import with_effects
 from identification.files.measurement import load_measurements, measurement_text
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.servo import servo_errors, servo_shift, with_servo_errors
+from identification.servo import following_errors, servo_shift, with_servo_errors
 from identification.simulate import simulate
 
 ARM = Arm([300.0, 250.0], sigma=0.05)
@@ -34,7 +34,7 @@ def test_what_a_controller_leaves() -> None:
     """The two numbers of each joint come back; positions are those of the joints as read."""
     found = data()
     assert found.commanded is not None
-    errors = servo_errors(found, ARM.joint_types)
+    errors = following_errors(found, ARM.joint_types)
     for error in errors:
         b, h = SLACK[error.joint]
         assert (error.offset, error.reversal) == pytest.approx((b, h), abs=1e-12)
@@ -56,7 +56,7 @@ def test_fits_do_not_care() -> None:
 def test_only_where_commands_are_given() -> None:
     found = data()
     for other in (replace(found, commanded=None), replace(found, commanded=found.postures)):
-        assert servo_errors(other, ARM.joint_types) == ()
+        assert following_errors(other, ARM.joint_types) == ()
         assert with_servo_errors(ARM, other) is ARM
 
 

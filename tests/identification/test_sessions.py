@@ -19,7 +19,7 @@ from identification.measurements import Conditions, Measurements
 from identification.minimal import minimal
 from identification.model import Model
 from identification.placed import placed_model
-from identification.sessions import of_these_sessions, pooled, with_sessions, without_sessions
+from identification.sessions import of_these_sessions, pooled_sessions, with_sessions, without_sessions
 
 LENGTHS = np.array([300.0, 200.0, 150.0])
 ERRORS, OFFSETS = np.array([1.0, -0.5, 0.3]), np.radians([0.4, -0.6, 0.2])
@@ -39,7 +39,7 @@ def session(number: int, m: int = 20, **columns: object) -> Measurements:
 
 def test_each_session_has_a_base_of_its_own() -> None:
     """Bases are recovered by any angle: relative to the first, rotation and shift of the tip in its frame."""
-    data = pooled({f"day {k}": session(k) for k in range(3)})
+    data = pooled_sessions({f"day {k}": session(k) for k in range(3)})
     arm = with_sessions(Arm(LENGTHS), data)
     found = estimate(Model(arm), data)
     assert found.rms_after < 1e-8
@@ -55,7 +55,7 @@ def test_each_session_has_a_base_of_its_own() -> None:
 
 
 def test_the_calibration_that_is_kept_is_that_of_the_first_session() -> None:
-    data = pooled({"a": session(0), "b": session(1)})
+    data = pooled_sessions({"a": session(0), "b": session(1)})
     kept = without_sessions(estimate(Model(with_sessions(Arm(LENGTHS), data)), data).calibration())
     assert not [name for name in (*kept.values, *kept.parameter_names) if name.startswith("session_base")]
     assert kept.covariance.shape == (8, 8)
@@ -66,21 +66,21 @@ def test_the_calibration_that_is_kept_is_that_of_the_first_session() -> None:
 def test_one_session_changes_nothing() -> None:
     arm = Arm(LENGTHS)
     assert with_sessions(arm, session(0)) is arm
-    assert with_sessions(arm, pooled({"only": session(0)})) is arm
+    assert with_sessions(arm, pooled_sessions({"only": session(0)})) is arm
 
 
 def test_a_known_base_stays_known() -> None:
     """Where the arm file says where the base stands, that holds in the first session."""
     shift = BASES[0][1]
     arm = Arm(LENGTHS, effects=(EffectSpec("base_offset", values={"x0": shift.real, "y0": shift.imag}),))
-    data = pooled({"a": session(0), "b": session(1)})
+    data = pooled_sessions({"a": session(0), "b": session(1)})
     found = estimate(Model(with_sessions(arm, data)), data)
     assert found.rms_after < 1e-8
     assert "base_offset.x0" not in found.names
 
 
 def test_a_hold_out_has_the_sessions_of_the_data() -> None:
-    data = pooled({"a": session(0), "b": session(1)})
+    data = pooled_sessions({"a": session(0), "b": session(1)})
     later = replace(session(1, 5), session=np.full(5, "b"))
     np.testing.assert_array_equal(of_these_sessions(later, data).conditions.session, 1.0)
     for other, found in ((session(1), "no column session"), (replace(later, session=np.full(5, "c")), "session 'c'")):
@@ -90,7 +90,7 @@ def test_a_hold_out_has_the_sessions_of_the_data() -> None:
 
 
 def test_some_rows_keep_the_number_of_their_session() -> None:
-    data = pooled({"a": session(0), "b": session(1)})
+    data = pooled_sessions({"a": session(0), "b": session(1)})
     later = data.rows(data.session == "b")
     assert later.sessions == ("b",)
     assert later.session_names == ("a", "b")
@@ -101,15 +101,15 @@ def test_pooled_tables() -> None:
     one = session(0, 3, repeats=[5, 5, 7], order=[1, 2, 3], sigma=[0.1, 0.1, 0.2])
     two = session(1, 2, repeats=[0, 5], order=[1, 2])
     with pytest.warns(UserWarning, match="left out: sigma"):
-        data = pooled({"a": one, "b": two})
+        data = pooled_sessions({"a": one, "b": two})
     assert data.session.tolist() == ["a"] * 3 + ["b"] * 2
     assert data.repeats[0] == data.repeats[1]
     assert len(set(data.repeats.tolist())) == 4  # 5 in one table is not 5 in the other
     np.testing.assert_array_equal(data.conditions.time, [-0.5, 0.0, 0.5, -0.5, 0.5])
     named = replace(session(2, 2), session=np.array(["x", "y"]))
-    assert pooled({"a": session(0, 1), "c": named}).session.tolist() == ["a", "c/x", "c/y"]
+    assert pooled_sessions({"a": session(0, 1), "c": named}).session.tolist() == ["a", "c/x", "c/y"]
     with pytest.raises(InputError, match=r"^b: found 2 joints and 2 coordinates, allowed: 3 and 2"):
-        pooled({"a": session(0), "b": Measurements(np.zeros((2, 2)), np.ones((2, 2)))})
+        pooled_sessions({"a": session(0), "b": Measurements(np.zeros((2, 2)), np.ones((2, 2)))})
 
 
 def test_what_is_not_said_is_session_one() -> None:
@@ -152,7 +152,7 @@ def test_sessions_of_a_spatial_arm(poses: bool) -> None:
     """Three set-ups of base and instrument, the third with another reflector: one geometry explains all, and the bases
     stand to one another as they were put. Without noise all of it is exact but for the prior's pull."""
     parts = {"a": in_space(0, "top", poses), "b": in_space(1, "top", poses), "c": in_space(2, "side", poses)}
-    data = pooled(parts)
+    data = pooled_sessions(parts)
     arm = Arm.of_chain(replace(CHAIN, angle_scale=300.0 if poses else None), sigma=1e-4)
     assert data_warnings(data, arm) == []
     model = placed_model(Model(with_sessions(arm, data)), data)
@@ -176,5 +176,5 @@ def test_sessions_of_a_spatial_arm(poses: bool) -> None:
     left = parts["a"].positions - stands.position(parts["a"].postures, conditions=there)
     assert np.abs(left).max() < 1e-5
     with pytest.warns(UserWarning, match="left out: orientations") if poses else nullcontext():
-        mixed = pooled({"a": parts["a"], "b": in_space(1, "top")})
+        mixed = pooled_sessions({"a": parts["a"], "b": in_space(1, "top")})
     assert mixed.dimension == 3

@@ -24,8 +24,8 @@ from doe.studies.blind.rare_effects import LOADS, RARE_JOINT, RARE_WHOLE
 from doe.studies.blind.simulator import (
     Drawn,
     G,
-    Session,
-    Truth,
+    RowConditions,
+    TrueArm,
     measure,
     measure_more,
     noise,
@@ -119,7 +119,7 @@ CELLS = {
 SAME_ARM = 10  # consecutive sets with one arm and plan where plans are designed, which takes time
 
 
-def truth_of(spec: CellSpec, rng: np.random.Generator) -> Truth:
+def truth_of(spec: CellSpec, rng: np.random.Generator) -> TrueArm:
     if spec.limits != "paper":
         return random_truth(rng, None, spec.limits)
     truth = random_truth(rng, 4)
@@ -132,7 +132,7 @@ def truth_of(spec: CellSpec, rng: np.random.Generator) -> Truth:
     )
 
 
-def hidden(spec: CellSpec, truth: Truth, run: Session, rng: np.random.Generator) -> list[Drawn]:
+def hidden(spec: CellSpec, truth: TrueArm, run: RowConditions, rng: np.random.Generator) -> list[Drawn]:
     """The effects of a data set."""
     if spec.many:
         return many_effects(truth, run, spec.many, MANY_SIZES, rng)
@@ -150,7 +150,7 @@ def hidden(spec: CellSpec, truth: Truth, run: Session, rng: np.random.Generator)
     return effects
 
 
-def arm_of(spec: CellSpec, truth: Truth, rng: np.random.Generator) -> Arm:
+def arm_of(spec: CellSpec, truth: TrueArm, rng: np.random.Generator) -> Arm:
     """The arm as its maker describes it."""
     masses = truth.masses * rng.uniform(0.7, 1.3, truth.n) if spec.wrong_masses else truth.masses
     gravity = Gravity(np.array([0.0, -G]), masses, truth.center, truth.payload)
@@ -167,13 +167,13 @@ def to_be_planned(cell: str, seed: int) -> tuple[Arm, int] | None:
     return arm_of(spec, truth, np.random.default_rng(0)), max(spec.m, truth.n + 4)
 
 
-def shared_truth(cell: str, seed: int) -> Truth:
+def shared_truth(cell: str, seed: int) -> TrueArm:
     """The arm of SAME_ARM consecutive sets."""
     rng = np.random.default_rng([20261122, list(CELLS).index(cell), seed // SAME_ARM])
     return truth_of(CELLS[cell], rng)
 
 
-def true_values(truth: Truth) -> dict[str, float]:
+def true_values(truth: TrueArm) -> dict[str, float]:
     """Parameter name -> true value, named as the library names its parameters [API units]."""
     pairs = zip(truth.length_errors, truth.joint_offsets, strict=True)
     base = [(j + 1, float(length), float(offset)) for j, (length, offset) in enumerate(pairs)]
@@ -224,14 +224,14 @@ def data_set(cell: str, seed: int, planned: np.ndarray | None = None) -> DataSet
     )
 
 
-def _undesigned(spec: CellSpec, rng: np.random.Generator) -> tuple[Truth, np.ndarray]:
+def _undesigned(spec: CellSpec, rng: np.random.Generator) -> tuple[TrueArm, np.ndarray]:
     """An arm, and random postures (m, n) of it."""
     truth = truth_of(spec, rng)
     count = int(rng.choice(MANY_ROWS)) if spec.many else max(spec.m, truth.n + 4)
     return truth, rng.uniform(truth.lower, truth.upper, (count, truth.n))
 
 
-def exact(truth: Truth, run: Session) -> Array:
+def exact(truth: TrueArm, run: RowConditions) -> Array:
     """(m, 2) positions without noise [mm]."""
     p = position(truth, run)
     return np.column_stack([p.real, p.imag])

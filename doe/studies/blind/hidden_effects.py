@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from doe.studies.blind.rare_effects import RARE_JOINT, RARE_WHOLE, SHAPE, drawn_values
-from doe.studies.blind.simulator import Drawn, Session, Truth, position
+from doe.studies.blind.simulator import Drawn, RowConditions, TrueArm, position
 
 LIBRARY_JOINT = (
     "joint_compliance",
@@ -66,22 +66,22 @@ def directions_of(name: str, n: int, rng: np.random.Generator) -> dict:
     return one_sign[name]
 
 
-def scaled(values: dict, factor: float) -> dict:
+def scaled_amplitudes(values: dict, factor: float) -> dict:
     """The amplitudes times a factor; k, at, width and the like are shapes and stay."""
     return {name: (v if name in ("k", *SHAPE) else v * factor) for name, v in values.items()}
 
 
-def column(truth: Truth, run: Session, effect: tuple[str, int | None, dict]) -> np.ndarray:
+def column(truth: TrueArm, run: RowConditions, effect: tuple[str, int | None, dict]) -> np.ndarray:
     """(2m,) derivative of the position with respect to the amplitude of an effect."""
     name, j, v = effect
     h = 1e-6
-    up = position(replace(truth, effects=[(name, j, scaled(v, h))]), run)
-    down = position(replace(truth, effects=[(name, j, scaled(v, -h))]), run)
+    up = position(replace(truth, effects=[(name, j, scaled_amplitudes(v, h))]), run)
+    down = position(replace(truth, effects=[(name, j, scaled_amplitudes(v, -h))]), run)
     d = (up - down) / (2 * h)
     return np.column_stack([d.real, d.imag]).ravel()
 
 
-def base_jacobian(truth: Truth, run: Session) -> np.ndarray:
+def base_jacobian(truth: TrueArm, run: RowConditions) -> np.ndarray:
     """(2m, 2n) derivative by u_j = l_j exp(i dtheta_j), real and imaginary parts: the base model is linear in them."""
     z = np.exp(1j * np.cumsum(run.q, axis=1))
     both = np.hstack([z, 1j * z])
@@ -92,7 +92,7 @@ def off(columns: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return vector - columns @ np.linalg.lstsq(columns, vector, rcond=1e-10)[0]
 
 
-def values_of(truth: Truth, name: str, j: int | None, rng: np.random.Generator) -> dict:
+def values_of(truth: TrueArm, name: str, j: int | None, rng: np.random.Generator) -> dict:
     """A random direction in the parameter space of an effect of the library or of a rare one."""
     if name in RARE_JOINT + RARE_WHOLE:
         span = 0.0 if j is None else float(truth.upper[j - 1] - truth.lower[j - 1])
@@ -100,12 +100,12 @@ def values_of(truth: Truth, name: str, j: int | None, rng: np.random.Generator) 
     return directions_of(name, truth.n, rng)
 
 
-def wave(truth: Truth, run: Session, k: float, lam: float, rng: np.random.Generator) -> Drawn:
+def wave(truth: TrueArm, run: RowConditions, k: float, lam: float, rng: np.random.Generator) -> Drawn:
     """A gear ripple of k per turn at a random joint."""
     phase, j = rng.uniform(0, 2 * np.pi), int(rng.integers(1, truth.n + 1))
     v = {"a": np.cos(phase), "b": np.sin(phase), "k": k}
     seen = np.linalg.norm(off(base_jacobian(truth, run), column(truth, run, ("transmission_ripple", j, v))))
-    return "transmission_ripple", j, scaled(v, float(lam * truth.sigma / seen))
+    return "transmission_ripple", j, scaled_amplitudes(v, float(lam * truth.sigma / seen))
 
 
 def settings_of(effect: Drawn) -> dict[str, float]:
@@ -117,8 +117,8 @@ def settings_of(effect: Drawn) -> dict[str, float]:
 
 
 def sized(
-    truth: Truth,
-    run: Session,
+    truth: TrueArm,
+    run: RowConditions,
     name: str,
     j: int | None,
     lam: float,
@@ -132,10 +132,12 @@ def sized(
     seen = np.linalg.norm(off(base_jacobian(truth, run) if others is None else others, d))
     if seen < 0.02 * np.linalg.norm(d):
         return None
-    return real, j, scaled(v, float(lam * truth.sigma / seen))
+    return real, j, scaled_amplitudes(v, float(lam * truth.sigma / seen))
 
 
-def random_effect(truth: Truth, run: Session, lam: float, rng: np.random.Generator, name: str | None = None) -> Drawn:
+def random_effect(
+    truth: TrueArm, run: RowConditions, lam: float, rng: np.random.Generator, name: str | None = None
+) -> Drawn:
     """One effect of the library, its type at random, then its joint."""
     while True:
         pick = name or str(rng.choice(LIBRARY_JOINT + LIBRARY_WHOLE))
@@ -147,7 +149,7 @@ def random_effect(truth: Truth, run: Session, lam: float, rng: np.random.Generat
 
 
 def many_effects(
-    truth: Truth, run: Session, kind: str, sizes: tuple[float, float], rng: np.random.Generator
+    truth: TrueArm, run: RowConditions, kind: str, sizes: tuple[float, float], rng: np.random.Generator
 ) -> list[Drawn]:
     """What a real robot has at once, each effect of its own size lambda between two (even on a logarithmic scale).
 
@@ -165,7 +167,7 @@ def many_effects(
     return [effect for effect in drawn if effect is not None]
 
 
-def library_columns(truth: Truth, run: Session) -> np.ndarray:
+def library_columns(truth: TrueArm, run: RowConditions) -> np.ndarray:
     """(2m, C) base Jacobian and the columns of every effect of the library but the ripples."""
     pairs = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_skew": "ab"}
     pairs |= {"base_offset": "xy", "base_drift": "xy"}
@@ -183,7 +185,9 @@ def library_columns(truth: Truth, run: Session) -> np.ndarray:
     return np.hstack(columns)
 
 
-def outside_effect(truth: Truth, run: Session, lam: float, rng: np.random.Generator) -> tuple[str, int | None, dict]:
+def outside_effect(
+    truth: TrueArm, run: RowConditions, lam: float, rng: np.random.Generator
+) -> tuple[str, int | None, dict]:
     """An effect the library does not have, of size lam outside the span of the library."""
     span = library_columns(truth, run)
     while True:

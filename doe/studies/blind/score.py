@@ -130,7 +130,7 @@ def _bars() -> Iterator[Bar]:
 BARS = tuple(_bars())
 
 
-def score(truth: pl.DataFrame, found: pl.DataFrame) -> BlindStudy:
+def scored_table(truth: pl.DataFrame, found: pl.DataFrame) -> BlindStudy:
     """Join the table of truths and that of diagnoses."""
     failures = sum(int((frame["status"] != "done").sum()) for frame in (truth, found))
     hidden = {(row["cell"], row["set"]): row for row in truth.iter_rows(named=True) if row["status"] == "done"}

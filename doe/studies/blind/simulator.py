@@ -18,7 +18,7 @@ Drawn = tuple[str, int | None, dict]  # name, joint, values of an effect
 
 
 @dataclass
-class Truth:
+class TrueArm:
     """The real arm: what is drawn, what is hidden."""
 
     lengths: np.ndarray  # (n,) nominal [mm]
@@ -39,7 +39,7 @@ class Truth:
 
 
 @dataclass
-class Session:
+class RowConditions:
     """What a row was measured under."""
 
     q: np.ndarray  # (m, n)
@@ -49,7 +49,7 @@ class Session:
     payload: np.ndarray  # (m,)
 
 
-def random_truth(rng: np.random.Generator, n: int | None = None, limits: str = "full") -> Truth:
+def random_truth(rng: np.random.Generator, n: int | None = None, limits: str = "full") -> TrueArm:
     n = int(rng.integers(2, 7)) if n is None else n
     lengths = np.round(rng.uniform(80.0, 400.0, n))
     if limits == "full":
@@ -58,7 +58,7 @@ def random_truth(rng: np.random.Generator, n: int | None = None, limits: str = "
         span = np.concatenate([[2 * np.pi], rng.uniform(np.radians(120), np.radians(300), n - 1)])
         middle = rng.uniform(-0.5, 0.5, n)
         lower, upper = middle - span / 2, middle + span / 2
-    return Truth(
+    return TrueArm(
         lengths=lengths,
         masses=lengths / 100.0 * rng.uniform(1.0, 5.0, n),
         center=np.full(n, 0.5),
@@ -71,14 +71,14 @@ def random_truth(rng: np.random.Generator, n: int | None = None, limits: str = "
     )
 
 
-def session(truth: Truth, q: np.ndarray, rng: np.random.Generator) -> Session:
+def session(truth: TrueArm, q: np.ndarray, rng: np.random.Generator) -> RowConditions:
     m = len(q)
     change = np.sign(np.diff(q, axis=0))
     s = np.vstack([np.ones(truth.n), change])
     for i in range(1, m):
         s[i] = np.where(s[i] == 0, s[i - 1], s[i])
     walk = 20.0 + 3.0 * np.sin(np.arange(m) / m * 2.5 * np.pi + rng.uniform(0, 6.3)) + rng.normal(0, 1.0, m)
-    return Session(q, np.arange(m) / (m - 1) - 0.5, walk - walk.mean(), s, np.full(m, truth.payload))
+    return RowConditions(q, np.arange(m) / (m - 1) - 0.5, walk - walk.mean(), s, np.full(m, truth.payload))
 
 
 def joints_xy(lengths_m: np.ndarray, theta: np.ndarray) -> np.ndarray:
@@ -87,7 +87,7 @@ def joints_xy(lengths_m: np.ndarray, theta: np.ndarray) -> np.ndarray:
     return np.hstack([np.zeros((len(theta), 1)), np.cumsum(steps, axis=1)])
 
 
-def torques(truth: Truth, run: Session) -> np.ndarray:
+def torques(truth: TrueArm, run: RowConditions) -> np.ndarray:
     """(m, n) gravity torque about each joint [N m]: weight times horizontal distance, downwards."""
     theta = np.cumsum(run.q, axis=1)
     points = joints_xy(truth.lengths / 1000.0, theta)
@@ -101,7 +101,7 @@ def torques(truth: Truth, run: Session) -> np.ndarray:
     return tau
 
 
-def bending(truth: Truth, run: Session) -> tuple[np.ndarray, np.ndarray]:
+def bending(truth: TrueArm, run: RowConditions) -> tuple[np.ndarray, np.ndarray]:
     """(m, n) deflection [mm] and slope [rad] of each link's tip per unit 1/(EI)."""
     theta = np.cumsum(run.q, axis=1)
     n = truth.n
@@ -119,7 +119,7 @@ def bending(truth: Truth, run: Session) -> tuple[np.ndarray, np.ndarray]:
     return deflection, slope
 
 
-def weighed(run: Session, effects: list[Drawn]) -> Session:
+def weighed(run: RowConditions, effects: list[Drawn]) -> RowConditions:
     """The session as gravity sees it: with the true payload, and turned against a base that leans."""
     values = {name: v for name, _, v in effects}
     q = run.q.copy()
@@ -127,7 +127,9 @@ def weighed(run: Session, effects: list[Drawn]) -> Session:
     return replace(run, q=q, payload=run.payload + values.get("payload_error", {"d": 0.0})["d"])
 
 
-def angle_error(truth: Truth, run: Session, heavy: Session, name: str, j: int | None, v: dict) -> np.ndarray:
+def angle_error(
+    truth: TrueArm, run: RowConditions, heavy: RowConditions, name: str, j: int | None, v: dict
+) -> np.ndarray:
     """(m, n) what an effect adds to the joint angles;  heavy : the session as gravity sees it."""
     out = np.zeros(run.q.shape)
     if name == "joint_compliance" and j is None:
@@ -163,7 +165,7 @@ def angle_error(truth: Truth, run: Session, heavy: Session, name: str, j: int | 
     return out
 
 
-def position(truth: Truth, run: Session) -> np.ndarray:
+def position(truth: TrueArm, run: RowConditions) -> np.ndarray:
     """(m,) complex true positions."""
     q = run.q + truth.joint_offsets
     lengths = (truth.lengths + truth.length_errors) * np.ones(q.shape)
@@ -203,7 +205,7 @@ def position(truth: Truth, run: Session) -> np.ndarray:
     return p
 
 
-def noise(truth: Truth, run: Session, rng: np.random.Generator, kind: str = "white") -> np.ndarray:
+def noise(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: str = "white") -> np.ndarray:
     """(m,) complex noise."""
     m = len(run.q)
     e = rng.standard_normal((m, 2)) @ np.array([1, 1j]) * truth.sigma
@@ -222,7 +224,7 @@ def noise(truth: Truth, run: Session, rng: np.random.Generator, kind: str = "whi
     return e
 
 
-def recorded(truth: Truth, run: Session, error: np.ndarray) -> Measurements:
+def recorded(truth: TrueArm, run: RowConditions, error: np.ndarray) -> Measurements:
     """What the instrument says."""
     p = position(truth, run) + error
     order = np.arange(len(run.q), dtype=float)
@@ -230,13 +232,13 @@ def recorded(truth: Truth, run: Session, error: np.ndarray) -> Measurements:
     return Measurements(run.q, xy, order, temperature=20.0 + run.warm, directions=run.s)
 
 
-def measure(truth: Truth, run: Session, rng: np.random.Generator, kind: str) -> Measurements:
+def measure(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: str) -> Measurements:
     return recorded(truth, run, noise(truth, run, rng, kind))
 
 
 def measure_more(
-    truth: Truth,
-    run: Session,
+    truth: TrueArm,
+    run: RowConditions,
     data: Measurements,
     postures: np.ndarray,
     payload: np.ndarray | None,
@@ -247,7 +249,7 @@ def measure_more(
     m, count = len(data), len(postures)
     q = np.vstack([data.postures, postures])
     s = session(truth, q, rng).s[m:] if directions is None else directions
-    added = Session(
+    added = RowConditions(
         postures,
         0.5 + np.arange(1, count + 1) / (m - 1),
         rng.normal(0.0, 1.0, count),

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doe.studies.blind.cells import WAVES, DataSet
-from doe.studies.blind.hidden_effects import directions_of, key, off, scaled, settings_of
-from doe.studies.blind.simulator import Drawn, Session, session
+from doe.studies.blind.hidden_effects import directions_of, key, off, scaled_amplitudes, settings_of
+from doe.studies.blind.simulator import Drawn, RowConditions, session
 from doe.studies.blind.spatial_simulator import OF_GRAVITY, SpatialTruth, base_jacobian, position, shift, turn
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.arrays import Array
@@ -33,7 +33,7 @@ class SpatialCell:
     lam : size of the hidden effect, None: nothing is hidden;  reflectors : measured points, taking turns
     gravity : the hidden effect is one of gravity, and the arm file is wrong about `masses` of the links (by up to
         30 %), the mass of the `tool` (missing, a parameter), how the base leans (1 to 3 degrees, `tilt`), or the
-        `place` of the payload (see `beside`, `loaded`)
+        `place` of the payload (see `with_offset_payload`, `loaded`)
     """
 
     m: int
@@ -100,15 +100,15 @@ def directions(name: str, rng: np.random.Generator) -> dict:
     return {"c": 1.0} if name == "bearing_compliance" else directions_of(name, 6, rng)
 
 
-def column(truth: SpatialTruth, run: Session, marker: np.ndarray | None, effect: Drawn) -> np.ndarray:
+def column(truth: SpatialTruth, run: RowConditions, marker: np.ndarray | None, effect: Drawn) -> np.ndarray:
     """(3m,) derivative of the position with respect to the amplitude of an effect."""
     name, joint, values = effect
-    up, down = (replace(truth, effects=[(name, joint, scaled(values, step))]) for step in (1e-6, -1e-6))
+    up, down = (replace(truth, effects=[(name, joint, scaled_amplitudes(values, step))]) for step in (1e-6, -1e-6))
     return (position(up, run, marker) - position(down, run, marker)).ravel() / 2e-6
 
 
 def random_effect(
-    spec: SpatialCell, truth: SpatialTruth, run: Session, marker: np.ndarray | None, rng: np.random.Generator
+    spec: SpatialCell, truth: SpatialTruth, run: RowConditions, marker: np.ndarray | None, rng: np.random.Generator
 ) -> Drawn:
     """One effect, its type at random, then its joint, so large that off the geometry it is lambda sigma long."""
     own = ("transmission_ripple",) if spec.order else (*OF_GRAVITY, ALL_JOINTS) if spec.gravity else OF_JOINT + OF_ARM
@@ -121,7 +121,7 @@ def random_effect(
         length = column(truth, run, marker, effect)
         seen = np.linalg.norm(off(geometry, length))
         if seen > SEEN * np.linalg.norm(length) > 0.0:
-            return effect[0], joint, scaled(effect[2], float(spec.lam * truth.sigma / seen))
+            return effect[0], joint, scaled_amplitudes(effect[2], float(spec.lam * truth.sigma / seen))
 
 
 def arm_of(spec: SpatialCell, truth: SpatialTruth, rng: np.random.Generator) -> Arm:
@@ -142,14 +142,14 @@ def leaning(truth: SpatialTruth, rng: np.random.Generator) -> SpatialTruth:
     return replace(truth, gravity=turn(angle * np.array([np.cos(phase), np.sin(phase), 0.0])) @ truth.gravity)
 
 
-def beside(truth: SpatialTruth, rng: np.random.Generator) -> SpatialTruth:
+def with_offset_payload(truth: SpatialTruth, rng: np.random.Generator) -> SpatialTruth:
     """The arm with a payload of 5 to 20 kg that hangs 150 to 300 mm beside the first measured point."""
     phase = rng.uniform(0.0, 2.0 * np.pi)
     away = rng.uniform(150.0, 300.0) * np.array([np.cos(phase), np.sin(phase), rng.uniform(-0.3, 0.6)])
     return replace(truth, payload=float(rng.uniform(5.0, 20.0)), load=truth.tools[0] + away)
 
 
-def loaded(spec: SpatialCell, truth: SpatialTruth, run: Session, rng: np.random.Generator) -> list[Drawn]:
+def loaded(spec: SpatialCell, truth: SpatialTruth, run: RowConditions, rng: np.random.Generator) -> list[Drawn]:
     """Compliance in all joints, such that the payload's place adds lambda sigma off the compliance that would fit best
     without it; and that place."""
     c = rng.uniform(0.5, 1.5, truth.n)
@@ -163,7 +163,7 @@ def loaded(spec: SpatialCell, truth: SpatialTruth, run: Session, rng: np.random.
     return [("joint_compliance", None, {"c": size * c}), ("payload_place", None, place)]
 
 
-def measured(truth: SpatialTruth, spec: SpatialCell, run: Session, rng: np.random.Generator) -> Measurements:
+def measured(truth: SpatialTruth, spec: SpatialCell, run: RowConditions, rng: np.random.Generator) -> Measurements:
     """What the instrument says, reflectors taking turns."""
     marker = markers(spec, run)
     positions = position(truth, run, marker) + truth.sigma * rng.standard_normal((len(run.q), 3))
@@ -172,7 +172,7 @@ def measured(truth: SpatialTruth, spec: SpatialCell, run: Session, rng: np.rando
     return Measurements(run.q, positions, order, temperature=20.0 + run.warm, directions=run.s, **names)
 
 
-def markers(spec: SpatialCell, run: Session) -> np.ndarray | None:
+def markers(spec: SpatialCell, run: RowConditions) -> np.ndarray | None:
     """(m,) number of the measured point of each row, None: there is one."""
     return None if spec.reflectors == 1 else np.arange(len(run.q)) % spec.reflectors
 
@@ -199,7 +199,7 @@ def data_set(cell: str, seed: int, _: Array | None = None) -> DataSet:
     truth = random_truth(spec, rng)
     if spec.gravity == "tilt":
         truth = leaning(truth, rng)
-    truth = beside(truth, rng) if spec.gravity == "place" else truth
+    truth = with_offset_payload(truth, rng) if spec.gravity == "place" else truth
     run, fresh = (_session(spec, truth, count, rng) for count in (spec.m, FRESH))
     arm = arm_of(spec, truth, rng)
     if spec.gravity == "place":
@@ -216,7 +216,7 @@ def data_set(cell: str, seed: int, _: Array | None = None) -> DataSet:
     )
 
 
-def _session(spec: SpatialCell, truth: SpatialTruth, count: int, rng: np.random.Generator) -> Session:
+def _session(spec: SpatialCell, truth: SpatialTruth, count: int, rng: np.random.Generator) -> RowConditions:
     """Random postures; each is measured at every reflector before the arm goes on."""
     q = rng.uniform(truth.lower, truth.upper, (count // spec.reflectors, truth.n))
     return session(truth, np.repeat(q, spec.reflectors, axis=0), rng)  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from doe.studies.blind.simulator import Drawn, G, Session, angle_error
+from doe.studies.blind.simulator import Drawn, G, RowConditions, angle_error
 
 OF_GRAVITY = ("joint_compliance", "gravity_backlash", "bearing_compliance")
 
@@ -95,7 +95,7 @@ def shift(vector: np.ndarray) -> np.ndarray:
     return found
 
 
-def moved(axes: np.ndarray, points: np.ndarray, q: np.ndarray) -> list[np.ndarray]:
+def link_motions(axes: np.ndarray, points: np.ndarray, q: np.ndarray) -> list[np.ndarray]:
     """n transformations (m, 4, 4) of what lies beyond each joint, from home to the postures (m, n)."""
     place, found = np.broadcast_to(np.eye(4), (len(q), 4, 4)), []
     for axis, point, angle in zip(axes, points, q.T, strict=True):
@@ -104,10 +104,10 @@ def moved(axes: np.ndarray, points: np.ndarray, q: np.ndarray) -> list[np.ndarra
     return found
 
 
-def moments(truth: SpatialTruth, run: Session) -> np.ndarray:
+def moments(truth: SpatialTruth, run: RowConditions) -> np.ndarray:
     """(m, n, 3) moment of gravity [N m] about the origin of each joint's frame, of the drawing, turned back home."""
     home = truth.home
-    places = moved(home[:-1, :3, 2], home[:-1, :3, 3], run.q)
+    places = link_motions(home[:-1, :3, 2], home[:-1, :3, 3], run.q)
     start, end = home[:-1, :3, 3], home[1:, :3, 3]
     loads = [
         (mass, place, at)
@@ -137,7 +137,7 @@ class Errors:
     shifts: np.ndarray
 
 
-def errors(truth: SpatialTruth, run: Session) -> Errors:
+def errors(truth: SpatialTruth, run: RowConditions) -> Errors:
     """Of all effects of an arm."""
     m, n, home = len(run.q), truth.n, truth.home[:-1]
     found = Errors(*(np.zeros((m, n)) for _ in range(2)), *(np.zeros((m, n, 3)) for _ in range(2)))
@@ -165,12 +165,12 @@ def errors(truth: SpatialTruth, run: Session) -> Errors:
     return found
 
 
-def position(truth: SpatialTruth, run: Session, marker: np.ndarray | None = None) -> np.ndarray:
+def position(truth: SpatialTruth, run: RowConditions, marker: np.ndarray | None = None) -> np.ndarray:
     """(m, 3) true positions of the measured points, by their numbers (m,) from 0; None: of the first."""
     return places(truth, run, marker)[-1][:, :3, 3]
 
 
-def places(truth: SpatialTruth, run: Session, marker: np.ndarray | None = None) -> list[np.ndarray]:
+def places(truth: SpatialTruth, run: RowConditions, marker: np.ndarray | None = None) -> list[np.ndarray]:
     """n + 2 transformations (m, 4, 4): of the base, of what lies beyond each joint, and the measured point's place."""
     error, home = errors(truth, run), truth.home[:, :3, 3]
     links = np.diff(home, axis=0)
@@ -184,7 +184,7 @@ def places(truth: SpatialTruth, run: Session, marker: np.ndarray | None = None) 
     return [*found, found[-1] @ shift(points)]
 
 
-def _base(truth: SpatialTruth, run: Session) -> np.ndarray:
+def _base(truth: SpatialTruth, run: RowConditions) -> np.ndarray:
     """(m, 4, 4) where the arm's base is in each row."""
     values = {name: v for name, _, v in truth.effects}
     drift = np.array(values.get("base_drift", {"v": np.zeros(3)})["v"]) * run.t[:, None]
@@ -192,7 +192,7 @@ def _base(truth: SpatialTruth, run: Session) -> np.ndarray:
     return shift(drift) @ truth.base @ screw(turn(rotation), np.zeros(3))
 
 
-def base_jacobian(truth: SpatialTruth, run: Session, marker: np.ndarray | None = None) -> np.ndarray:
+def base_jacobian(truth: SpatialTruth, run: RowConditions, marker: np.ndarray | None = None) -> np.ndarray:
     """(3m, 6 (n + 1) + 3K) derivative by a small displacement of the base and of all beyond each joint, and by the
     places of the measured points: all that the geometry of an arm can be wrong about."""
     *frames, last = places(truth, run, marker)

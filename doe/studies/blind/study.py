@@ -26,7 +26,7 @@ from doe.studies.blind import cells as simulated
 from doe.studies.blind import spatial_cells as spatial
 from doe.studies.blind.cells import DataSet
 from doe.studies.blind.rivals import error, has_processes, library_gap, process_gap, true_arm, true_gap
-from doe.studies.blind.score import BARS, BlindStudy, score
+from doe.studies.blind.score import BARS, BlindStudy, scored_table
 from identification.arm import Arm
 from identification.errors import InputError, nearest
 from identification.estimation.intervals import quantile_95
@@ -83,7 +83,7 @@ def blind_study(
 
         truth = job.run(hide, keys, TRUTH, payload=planned)
         diagnoses = job.run(examine, [{**key, "draws": draws} for key in keys], DIAGNOSES, payload=planned)
-        found = score(truth, diagnoses)
+        found = scored_table(truth, diagnoses)
         if folder is not None:
             write_together(
                 {folder / f"{name}.parquet": parquet(table) for name, table in found.tables.items()}, force=True

@@ -3,6 +3,6 @@
 from doe.studies.monte_carlo.file import load_study
 from doe.studies.monte_carlo.plans import dft_postures
 from doe.studies.monte_carlo.specification import Fitted, Study, Truth
-from doe.studies.monte_carlo.study import StudyResult, pooled, run_study
+from doe.studies.monte_carlo.study import StudyResult, pooled_rows, run_study
 
-__all__ = ["Fitted", "Study", "StudyResult", "Truth", "dft_postures", "load_study", "pooled", "run_study"]
+__all__ = ["Fitted", "Study", "StudyResult", "Truth", "dft_postures", "load_study", "pooled_rows", "run_study"]

@@ -22,7 +22,7 @@ from identification.arm import Arm, EffectSpec
 from identification.errors import InputError, nearest
 from identification.files.arm import arm_from_tables, load_arm
 from identification.files.arm_text import dump_arm
-from identification.files.io import PathLike, beside, read_toml
+from identification.files.io import PathLike, named_file, read_toml
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
@@ -131,7 +131,7 @@ def load_study(path: PathLike) -> Study:
         raise InputError(f"{path}: {error}") from None
 
 
-_beside = partial(beside, whose="the study file")
+_beside = partial(named_file, whose="the study file")
 
 
 def _truths(file: StudyFile, arms: Sequence[Arm]) -> Sequence[Truth]:

@@ -31,7 +31,7 @@ PLANS, BLOCKS, CELLS = "plans.parquet", "blocks.parquet", "cells.parquet"
 class StudyResult:
     """What a study found.
 
-    cells : one row per cell and parameter, see `pooled`;  blocks : one row per block of replications and parameter
+    cells : one row per cell and parameter, see `pooled_rows`;  blocks : one row per block of replications and parameter
     plans : one row per plan that a solver made
     """
 
@@ -69,7 +69,7 @@ def run_study(
         plans = job.run(make_plan, list(plan_keys(study)), PLANS, payload=lambda key: arms[key["inputs"]])
         tasks = dict(_tasks(study, made_postures(study, plans)))
         blocks = job.run(replicate, [dict(key) for key in tasks], BLOCKS, payload=lambda key: tasks[_frozen(key)])
-        cells = pooled(blocks)
+        cells = pooled_rows(blocks)
         if folder is not None:
             write_whole(Path(folder) / CELLS, parquet(cells), force=True)
     return StudyResult(cells, blocks, plans)
@@ -117,7 +117,7 @@ def discard(folder: Path, new: bool) -> None:
         folder.rmdir()
 
 
-def pooled(blocks: pl.DataFrame) -> pl.DataFrame:
+def pooled_rows(blocks: pl.DataFrame) -> pl.DataFrame:
     """One row per cell and parameter: blocks pooled.
 
     `fits`, `failed` : numbers of data sets;  `mean_error`, `std`, `rms` : of the errors, file units

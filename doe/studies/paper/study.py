@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from doe.jobs.row_table import Key, Row, RowTable, frame_of, parquet
-from doe.jobs.tasks import run
+from doe.jobs.tasks import run_tasks
 from doe.jobs.workers import Workers
 from doe.studies.paper.errata import CHECKS, errata
 from doe.studies.paper.figures import RUNS, figure_1, figure_2
@@ -65,7 +65,7 @@ def paper_study(
         for target in targets.values():
             check_writable(target, resume or force)
         table.forget([key for key, rows in table.rows.items() if rows[0]["status"] != "done"])
-        found = PaperStudy(assemble(run(part, keys, table, workers, seed=seed, progress=progress)))
+        found = PaperStudy(assemble(run_tasks(part, keys, table, workers, seed=seed, progress=progress)))
     write_together({target: parquet(found.tables[name]) for name, target in targets.items()}, force=True)
     return found
 

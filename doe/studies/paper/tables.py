@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from doe.bounds.planar_theorem import table_1 as table_1_sums
+from doe.bounds.planar_theorem import pair_means as table_1_sums
 from doe.jobs.row_table import frame_of
 from doe.studies.monte_carlo.plans import dft_postures
 from doe.studies.monte_carlo.specification import Study, Truth

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from doe.bounds.approximate_design import SparseDesign, assess
+from doe.bounds.approximate_design import SparseDesign, certified_design
 from doe.bounds.equivalence import largest_sensitivity
 from doe.plan.plan import Plan
 from doe.problem.candidates import grid
@@ -24,7 +24,7 @@ def judged(plan: Plan, status: Status = Status.converged):  # type: ignore[no-un
     largest = largest_sensitivity(
         case, candidates, np.linalg.inv(case.information(plan.postures, plan.shares)), PriorInformation()
     )
-    return assess(
+    return certified_design(
         SparseDesign(case, PriorInformation(), plan), largest, candidates=len(candidates), rigorous=True,
         status=status, solver="by hand", solver_status="done", seconds=0.5,
     )  # fmt: skip

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from doe.cli.common import Answer, Session, verb
+from doe.cli.common import Answer, CommonOptions, verb
 from tests.doe.cli.conftest import Folder, without_progress
 
 FULL = Path("/dev/full")
@@ -53,7 +53,7 @@ def test_closed_errors_and_a_pipe_that_ends_early(folder: Folder) -> None:
 
 def test_brackets_are_no_markup() -> None:
     @verb("armcal effects", "A line.")
-    def command(session: Session) -> Answer:
+    def command(session: CommonOptions) -> Answer:
         return Answer({}, ["transmission_ripple:1[k=20] and [red]"])
 
     assert CliRunner().invoke(command, []).stdout == "transmission_ripple:1[k=20] and [red]\n"

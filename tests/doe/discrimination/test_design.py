@@ -20,7 +20,7 @@ from doe.solvers import solve
 from doe.solvers.solver import Budget
 from doe.studies.blind.cells import CELLS, arm_of, truth_of
 from doe.studies.blind.hidden_effects import base_jacobian, column
-from doe.studies.blind.simulator import Truth, session
+from doe.studies.blind.simulator import TrueArm, session
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.errors import InputError
 from identification.model import Model
@@ -81,7 +81,7 @@ def test_joint_limits_cost_at_most_the_loss_and_effects_become_visible() -> None
     assert visible_share(postures, 2, 1) > 0.3
 
 
-def likeness_of_sag(truth: Truth, postures: np.ndarray) -> float:
+def likeness_of_sag(truth: TrueArm, postures: np.ndarray) -> float:
     """Cosine, off the base model, between bending links and equally soft joints, by the simulator of the study."""
     run = session(truth, postures, np.random.default_rng(0))
     base = np.linalg.qr(base_jacobian(truth, run))[0]

@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe.jobs.row_table import RowTable, parquet, read_rows
-from doe.jobs.tasks import Function, Job, run
+from doe.jobs.tasks import Function, Job, run_tasks
 from doe.jobs.workers import Workers, processes, serial
 from identification.errors import InputError, JobError
 
@@ -29,7 +29,7 @@ KEYS = [{"task": task, "setting": "a"} for task in range(12)]
 
 def rows(function: Function, workers: Workers, keys: list[dict[str, Any]] = KEYS, **options: Any) -> pl.DataFrame:
     with RowTable.open(None) as table:
-        return run(function, keys, table, workers, **options).drop("seconds")
+        return run_tasks(function, keys, table, workers, **options).drop("seconds")
 
 
 def test_rows_come_in_the_order_of_the_keys_and_from_their_own_seeds() -> None:
@@ -58,11 +58,11 @@ def test_a_task_that_raises_is_a_row() -> None:
 def test_resume_does_only_what_is_missing(tmp_path: Path) -> None:
     path = tmp_path / "rows.parquet"
     with pytest.raises(KeyboardInterrupt), RowTable.open(path) as table:
-        run(work.interrupt_at_three, KEYS, table)
+        run_tasks(work.interrupt_at_three, KEYS, table)
     assert sorted(set(read_rows(path)["task"])) == [0, 1, 2]
     seen = []
     with RowTable.open(path, resume=True) as table:
-        frame = run(work.draw, KEYS, table, progress=lambda done, total, _: seen.append((done, total)))
+        frame = run_tasks(work.draw, KEYS, table, progress=lambda done, total, _: seen.append((done, total)))
     assert seen == [(done, 12) for done in range(3, 13)]
     assert frame["value"].to_list() == work.drawn(KEYS)
     assert read_rows(path)["value"].to_list() == work.drawn(KEYS)
@@ -72,7 +72,7 @@ def test_lost_workers_that_cannot_come_back_are_an_error(tmp_path: Path) -> None
     keys = [{"task": task, "mark": str(tmp_path / "mark") if task == 3 else ""} for task in range(8)]
     pool = processes(1)
     with RowTable.open(None) as table, pytest.raises(JobError, match="--resume"):
-        run(work.die_once, keys, table, Workers(pool.open, 1))
+        run_tasks(work.die_once, keys, table, Workers(pool.open, 1))
 
 
 def test_killed_process_loses_nothing(tmp_path: Path) -> None:
@@ -95,11 +95,11 @@ def test_a_task_that_kills_its_worker_each_time_is_a_row() -> None:
 def test_killed_study_leaves_no_process_behind_and_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "rows.parquet"
     code = (
-        "import os, signal, work\nfrom doe.jobs.tasks import Job, run\nfrom doe.jobs.workers import processes\n"
+        "import os, signal, work\nfrom doe.jobs.tasks import Job, run_tasks\nfrom doe.jobs.workers import processes\n"
         "from doe.jobs.row_table import RowTable\n"
         "def kill(done, total, message):\n    if done == 6: os.kill(os.getpid(), signal.SIGKILL)\n"
         f"with RowTable.open({str(path)!r}) as table:\n"
-        "    run(work.slow_draw, [{'task': k} for k in range(30)], table, processes(2), progress=kill)\n"
+        "    run_tasks(work.slow_draw, [{'task': k} for k in range(30)], table, processes(2), progress=kill)\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     # the workers hold standard output: it closes when the last of them is gone
@@ -110,7 +110,7 @@ def test_killed_study_leaves_no_process_behind_and_goes_on(tmp_path: Path) -> No
     assert len(read_rows(path)) == 12
     keys = [{"task": task} for task in range(30)]
     with RowTable.open(path, resume=True) as table:
-        frame = run(work.draw, keys, table)
+        frame = run_tasks(work.draw, keys, table)
     assert frame["value"].to_list() == work.drawn(keys)
 
 
@@ -155,7 +155,7 @@ def test_wherever_it_stopped_the_bytes_are_those_of_one_run(
     folder = tmp_path_factory.mktemp("rows")
     for number, part in enumerate((done, again)):
         with RowTable.open(folder / "parts", resume=True) as table:
-            run(work.mixed, [KEYS[k] for k in sorted(part, reverse=True)], table)
+            run_tasks(work.mixed, [KEYS[k] for k in sorted(part, reverse=True)], table)
             if killed and number:
                 table._finish = lambda: None  # type: ignore[method-assign]
                 assert table._journal is not None
@@ -163,6 +163,6 @@ def test_wherever_it_stopped_the_bytes_are_those_of_one_run(
     content = []
     for name in ("parts", "whole"):
         with RowTable.open(folder / name, resume=True) as table:
-            run(work.mixed, KEYS, table)
+            run_tasks(work.mixed, KEYS, table)
         content.append(parquet(pl.read_parquet(folder / name).drop("seconds")))
     assert content[0] == content[1]

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from doe.jobs.row_table import RowTable, read_rows
-from doe.jobs.tasks import run
-from doe.jobs.workers import Workers, choose, cluster
+from doe.jobs.tasks import run_tasks
+from doe.jobs.workers import Workers, chosen_workers, cluster
 from identification.errors import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
@@ -66,14 +66,14 @@ def test_cluster_with_a_killed_worker_gives_the_same_bits(tmp_path: Path) -> Non
                 os.kill(victims[0], signal.SIGKILL)
 
         with RowTable.open(path) as table:
-            frame = run(work.slow_draw, keys, table, workers, progress=kill_one)
+            frame = run_tasks(work.slow_draw, keys, table, workers, progress=kill_one)
     assert len(victims) == 1
     assert len(set(frame["process"])) == 2
     assert victims[0] not in set(frame["process"][-20:])
     assert frame["value"].to_list() == work.drawn(keys)
     assert read_rows(path).equals(frame)  # the file is in the order of the keys, whoever finished first
     with RowTable.open(None) as table:
-        assert frame.drop("seconds", "process").equals(run(work.draw, keys, table).drop("seconds"))
+        assert frame.drop("seconds", "process").equals(run_tasks(work.draw, keys, table).drop("seconds"))
 
 
 def test_a_killed_scheduler_is_one_line_and_keeps_what_is_finished(tmp_path: Path) -> None:
@@ -92,12 +92,12 @@ def test_a_killed_scheduler_is_one_line_and_keeps_what_is_finished(tmp_path: Pat
                 scheduler.kill()
 
         with pytest.raises(JobError, match="--resume"), RowTable.open(path) as table:
-            run(work.slow_draw, keys, table, workers, progress=kill)
+            run_tasks(work.slow_draw, keys, table, workers, progress=kill)
     kept = read_rows(path)
     assert 5 <= len(kept) / 2 < 60
     assert kept["value"].to_list() == work.drawn(keys[: len(kept) // 2])
     with RowTable.open(path, resume=True) as table:
-        assert run(work.draw, keys, table)["value"].to_list() == work.drawn(keys)
+        assert run_tasks(work.draw, keys, table)["value"].to_list() == work.drawn(keys)
 
 
 def ready(address: str, count: int) -> Workers:
@@ -139,6 +139,6 @@ def test_scheduler_without_workers_is_one_line() -> None:
 
 
 def test_choice_of_workers() -> None:
-    assert choose(1).count == 1
-    assert choose(3).count == 3
-    assert choose(3).reopens
+    assert chosen_workers(1).count == 1
+    assert chosen_workers(3).count == 3
+    assert chosen_workers(3).reopens

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe.plan.plan import Plan
-from doe.plan.rounding import apportion, rounded
+from doe.plan.rounding import apportion, rounded_plan
 from identification.errors import InputError
 
 
@@ -36,7 +36,7 @@ def test_fewer_runs_than_postures() -> None:
 
 def test_rounded() -> None:
     plan = Plan(np.array([[1.0], [2.0], [3.0]]), np.array([0.5, 0.0, 0.5]))
-    np.testing.assert_array_equal(rounded(plan, 4).ravel(), [1, 1, 3, 3])
+    np.testing.assert_array_equal(rounded_plan(plan, 4).ravel(), [1, 1, 3, 3])
 
 
 @pytest.mark.parametrize("weights", [[0.5, 0.4], [1.1, -0.1], [1.0, 0.0]])

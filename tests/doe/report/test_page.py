@@ -15,7 +15,7 @@ from doe.design import score
 from doe.plan.file import load_plan
 from doe.problem.problem import DesignProblem
 from doe.report.gap_tables import estimate_sheet
-from doe.report.page import Action, Section, Sheet, page, picture
+from doe.report.page import Action, Section, Sheet, page, page_picture
 from identification.files.arm import load_arm
 from identification.model import Model
 from tests.doe.cli.conftest import Folder
@@ -194,12 +194,12 @@ def test_wide_pictures_are_stacked_on_a_phone(pages: Folder, opened: Any) -> Non
 def test_strips_part_a_picture_between_its_columns() -> None:
     figure = Figure(figsize=(10.0, 3.0), layout="constrained")
     figure.subplots(2, 3)
-    ends = picture(figure)["strips"]
+    ends = page_picture(figure)["strips"]
     assert len(ends) == 3
     assert sum(width for _, width in ends) == pytest.approx(720.0, abs=0.1)
     for (left, width), (after, _) in pairwise(ends):
         assert left + width == pytest.approx(after, abs=0.02)
-    assert picture(Figure(figsize=(5.0, 3.0)))["strips"] == []  # narrow enough
+    assert page_picture(Figure(figsize=(5.0, 3.0)))["strips"] == []  # narrow enough
     lonely = Figure(figsize=(10.0, 3.0))
     lonely.subplots()
-    assert picture(lonely)["strips"] == []  # nothing to part
+    assert page_picture(lonely)["strips"] == []  # nothing to part

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from doe.report.terminal import facts, in_a_sentence, number, table, to_significant_digits, unit_of
+from doe.report.terminal import facts, in_a_sentence, number, table, to_significant_digits, unit_or_dash
 
 
 def shown(renderable: Table, width: int = 80) -> str:
@@ -82,4 +82,4 @@ def test_styled_cells_keep_their_style() -> None:
 
 
 def test_a_number_without_a_unit_has_a_dash_for_one() -> None:
-    assert [unit_of(unit) for unit in ("mm", "1", "1/K")] == ["mm", "–", "1/K"]
+    assert [unit_or_dash(unit) for unit in ("mm", "1", "1/K")] == ["mm", "–", "1/K"]

@@ -11,8 +11,8 @@ from doe.report.verdict import (
     design_verdict,
     diagnosis_actions,
     diagnosis_verdict,
+    effects_in_words,
     identification_verdict,
-    in_words,
     next_steps,
     validation_actions,
     validation_verdict,
@@ -29,11 +29,13 @@ def said(verdict: str, *effects: str, confirmed: bool | None = None, sets: int =
 
 
 def test_effects_are_said_in_words_with_their_names() -> None:
-    assert in_words(["backlash:2"]) == "gear play, by direction of approach (backlash:2)"
-    assert in_words(["transmission_ripple:2[k=6]"]) == "gear ripple, k times per turn (transmission_ripple:2[k=6])"
-    assert in_words(["of_a_plugin:1"]) == "of_a_plugin:1"
+    assert effects_in_words(["backlash:2"]) == "gear play, by direction of approach (backlash:2)"
+    assert (
+        effects_in_words(["transmission_ripple:2[k=6]"]) == "gear ripple, k times per turn (transmission_ripple:2[k=6])"
+    )
+    assert effects_in_words(["of_a_plugin:1"]) == "of_a_plugin:1"
     three = [f"backlash:{j}" for j in (3, 1, 2)]
-    assert in_words(three) == "gear play, by direction of approach (backlash of joints 1 to 3)"
+    assert effects_in_words(three) == "gear play, by direction of approach (backlash of joints 1 to 3)"
 
 
 @pytest.mark.parametrize(

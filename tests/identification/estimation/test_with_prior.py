@@ -16,7 +16,7 @@ from identification.estimation import estimate, estimate_with_prior
 from identification.estimation.checks import weighting
 from identification.estimation.prior import Prior
 from identification.estimation.problem import Problem
-from identification.estimation.with_prior import WIDTHS, ZERO_WIDTHS, Linearized, Restricted, likeliest
+from identification.estimation.with_prior import WIDTHS, ZERO_WIDTHS, LinearizedProblem, Restricted, likeliest
 from identification.gap.library_prior import library_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
@@ -185,7 +185,7 @@ def test_copies_of_many_rows_are_no_new_evidence_of_an_arm_far_from_its_drawing(
 
     def width(times: float, copies: int) -> float:
         target, columns = (np.concatenate([a] * copies) for a in (misfit + jacobian @ (times * sizes), jacobian))
-        linear = Linearized.of(problem, zero, target, columns)._replace(equations=3000 * copies)
+        linear = LinearizedProblem.of(problem, zero, target, columns)._replace(equations=3000 * copies)
         return likeliest(linear, weighting(SPATIAL, data, None, None), given=False)[1][0]
 
     once = [width(times, 1) for times in (0.5, 1.0, 1.2, 1.4, 1.6, 2.0, 4.0)]
@@ -212,7 +212,7 @@ def test_the_widths_are_those_of_the_largest_marginal_likelihood(factors: tuple[
         return left + 4.0 * sum(width != 1.0 for width in widths)
 
     problem = replace(Problem.of(SPATIAL, data, np.full(len(data), 0.05**-2)), prior=Prior(SPATIAL.prior))
-    linear = Linearized.of(problem, zero, residual / 0.05, jacobian / 0.05)
+    linear = LinearizedProblem.of(problem, zero, residual / 0.05, jacobian / 0.05)
     noise = weighting(SPATIAL, data, 0.05, None)
     expected = min(product(WIDTHS, ZERO_WIDTHS), key=minus_log)
     assert (expected[0] > 1.0, expected[1] > 1.0) == (factors[0] > 1.0, factors[1] > 1.0)

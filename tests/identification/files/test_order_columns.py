@@ -14,7 +14,7 @@ from identification.errors import InputError
 from identification.files.measurement import load_measurements, measurement_text
 from identification.gap.library_prior import given_by
 from identification.measurements import Measurements
-from identification.sessions import pooled
+from identification.sessions import pooled_sessions
 
 M = 30
 Q = np.random.default_rng(41).integers(-4, 5, (M, 3)) * 0.25  # few values, so that joints often rest
@@ -89,7 +89,7 @@ def test_gaps_are_those_of_each_session(tmp_path: Path) -> None:
     assert saved(two, tmp_path).gaps is None
     anew = np.r_[np.arange(12.0), np.arange(18.0)]
     assert saved(replace(two, order=anew), tmp_path).gaps is None
-    together = pooled({"whole": WHOLE, "struck": struck(tmp_path)})
+    together = pooled_sessions({"whole": WHOLE, "struck": struck(tmp_path)})
     assert together.gaps is not None
     assert (np.flatnonzero(together.gaps) + 1).tolist() == [M + 5, M + 10, M + 18]
 

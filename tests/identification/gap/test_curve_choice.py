@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import build
-from identification.gap.curve_choice import FOLDS, STRETCHES, CurveChoice, System, choose, folds, is_function_of
+from identification.gap.curve_choice import FOLDS, STRETCHES, CurveChoice, System, choose_curves, folds, is_function_of
 from identification.gap.hypotheses import HypothesisSet, hypotheses
 from identification.gap.search import HypothesisSearch
 from identification.gap.whitening import Rows
@@ -128,7 +128,7 @@ def test_rows_of_one_posture_share_a_fold() -> None:
 
 def test_a_name_stays_and_a_curve_takes_the_place_of_a_wrong_one() -> None:
     """A ripple of 12 per turn in joint 1 is what it is; in joint 2 no ripple fits."""
-    found = choose(_system(200, *RIPPLES), 6.0)
+    found = choose_curves(_system(200, *RIPPLES), 6.0)
     assert [h.label for h in found.kept] == ["transmission_ripple:1[k=12]"]
     assert found.joints == (1,)
 

@@ -344,7 +344,7 @@ def test_poor_data_do_not_crash() -> None:
     data = measured(None)
     still = data.postures.copy()
     still[:, 1] = 0.3
-    run = simulator.Session(still, data.order, data.temperature, data.directions, np.full(60, TRUTH.payload))
+    run = simulator.RowConditions(still, data.order, data.temperature, data.directions, np.full(60, TRUTH.payload))
     truth = replace(TRUTH, effects=[])
     p = simulator.position(truth, run) + 0.05 * np.random.default_rng(1).normal(size=(60, 2)) @ [1.0, 1.0j]
     found = diagnose(ARM, Measurements(still, np.column_stack([p.real, p.imag])), draws=399)

@@ -11,11 +11,11 @@ from identification.gap.diagnose import diagnose
 from identification.gap.fit import fit
 from identification.gap.replicate import replications
 from identification.gap.replication import Replication, replication_clauses
-from identification.gap.shared_fit import Session, SharedFit
+from identification.gap.shared_fit import SessionRows, SharedFit
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.sessions import pooled, with_sessions
+from identification.sessions import pooled_sessions, with_sessions
 
 LENGTHS, SIGMA, K = np.array([300.0, 200.0]), 0.1, 5
 BASES = [(0.0, 0.0), (0.7, 100.0 - 50.0j), (-2.0, 30.0j)]
@@ -33,7 +33,7 @@ def session(number: int, size: complex, m: int = 60) -> Measurements:
 
 
 def found(*sizes: complex) -> tuple[Replication, Measurements]:
-    data = pooled({f"day {k + 1}": session(k, size) for k, size in enumerate(sizes)})
+    data = pooled_sessions({f"day {k + 1}": session(k, size) for k, size in enumerate(sizes)})
     arm = with_sessions(Arm(LENGTHS), data)
     spec = EffectSpec("transmission_ripple", 2, {"k": K})
     rows = Rows.of(data)
@@ -125,7 +125,7 @@ def bumpy(number: int, sign: float, width: float) -> Measurements:
 @pytest.mark.parametrize(("sign", "answer"), [(1.0, True), (-1.0, False)])
 def test_a_curve_returns_where_both_sessions_have_measured(sign: float, answer: bool) -> None:
     """One session covers a part of the angles of the other; its curve has another level there."""
-    data = pooled({"wide": bumpy(0, 1.0, np.pi), "narrow": bumpy(1, sign, 1.2)})
+    data = pooled_sessions({"wide": bumpy(0, 1.0, np.pi), "narrow": bumpy(1, sign, 1.2)})
     diagnosis = diagnose(Arm(LENGTHS), data, draws=399)
     curve = next((r for r in diagnosis.replication if r.effect == "joint_error_curve:2"), None)
     if answer:
@@ -143,7 +143,7 @@ def test_without_common_angles_nothing_is_said() -> None:
     z = (LENGTHS * np.exp(1j * np.cumsum(q, axis=1))).sum(axis=1)
     data = Measurements(q, np.column_stack([z.real, z.imag]) + generator.normal(0.0, SIGMA, (60, 2)))
     fitted = fit(Model(Arm(LENGTHS, effects=(EffectSpec("gear_ratio", 2),))), Rows.of(data))
-    sides = [Session(name, np.arange(30) + 30 * k, (np.arange(30) % 8,)) for k, name in enumerate("ab")]
+    sides = [SessionRows(name, np.arange(30) + 30 * k, (np.arange(30) % 8,)) for k, name in enumerate("ab")]
     shared = SharedFit.of(fitted, tuple(sides))
     carried = shared.carried(0, shared.columns_of(fitted.model.effects[0]), joint=2)
     assert carried.unsure

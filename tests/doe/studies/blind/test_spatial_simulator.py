@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from doe.studies.blind import spatial_simulator
-from doe.studies.blind.simulator import Session, session
+from doe.studies.blind.simulator import RowConditions, session
 from doe.studies.blind.spatial_simulator import SpatialTruth
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.conditions import Conditions
@@ -46,7 +46,7 @@ VALUES: dict[str, tuple[dict, dict, float]] = {
 }
 
 
-def truth_and_session(seed: int = 1) -> tuple[SpatialTruth, Session]:
+def truth_and_session(seed: int = 1) -> tuple[SpatialTruth, RowConditions]:
     """An arm as drawn, 30 postures of it."""
     generator = np.random.default_rng(seed)
     base = pose((300.0, -200.0, 900.0), from_own_axes(0.3, -0.2, 2.0))
@@ -67,7 +67,7 @@ def model_of(truth: SpatialTruth, *specs: EffectSpec) -> Model:
     return Model(Arm.of_chain(chain, gravity=gravity, effects=specs))
 
 
-def difference(truth: SpatialTruth, run: Session, *specs: EffectSpec) -> float:
+def difference(truth: SpatialTruth, run: RowConditions, *specs: EffectSpec) -> float:
     """Largest distance [mm] of a coordinate, of both measured points."""
     marker = np.arange(len(run.q)) % 2
     conditions = Conditions(run.payload, run.warm, run.t, run.s, marker=1.0 * marker)

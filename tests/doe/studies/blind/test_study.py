@@ -27,7 +27,7 @@ from doe.studies.blind import cells
 from doe.studies.blind import study as blind
 from doe.studies.blind.rivals import error, gaussian_process, has_processes, true_arm
 from doe.studies.blind.score import BARS as BARS_OF_STUDY
-from doe.studies.blind.score import FURTHER, Bar, BlindStudy, score
+from doe.studies.blind.score import FURTHER, Bar, BlindStudy, scored_table
 from doe.studies.blind.study import blind_study
 from identification.arm import Calibration
 from identification.errors import InputError
@@ -170,7 +170,7 @@ def tables(hidden: dict, said: dict) -> BlindStudy:
     place = {"cell": "two, lambda 8", "set": 0, "status": "done"}
     truth = {"hidden": [], "place": None, "wrong_rows": [], "gap_true_mm": None}
     found = {"verdict": "none", "named": [], "candidates": [], "where": None, "outlier_rows": [], "gap_named_mm": None}
-    return score(frame_of([{**place, **truth, **hidden}]), frame_of([{**place, **found, **said}]))
+    return scored_table(frame_of([{**place, **truth, **hidden}]), frame_of([{**place, **found, **said}]))
 
 
 def figures(found: BlindStudy) -> dict[str, float]:
@@ -260,7 +260,7 @@ def test_errors_of_shares_and_means() -> None:
         {**cell, "set": k, "verdict": "named", "named": [name], "candidates": [name], "gap_named_mm": None}
         for k, name in enumerate(names)
     ]
-    study = score(frame_of(truth), frame_of(found))
+    study = scored_table(frame_of(truth), frame_of(found))
     row = study.cells.filter(polars.col("measure") == "exact").row(0, named=True)
     assert row["value"] == 0.75
     assert row["standard_error"] == pytest.approx(np.sqrt(0.75 * 0.25 / 4))

@@ -17,7 +17,7 @@ from doe.cli.study import command
 from doe.jobs.row_table import frame_of
 from doe.jobs.workers import processes
 from doe.plan.plan import Plan
-from doe.studies.monte_carlo import Fitted, Study, Truth, dft_postures, load_study, pooled, run_study
+from doe.studies.monte_carlo import Fitted, Study, Truth, dft_postures, load_study, pooled_rows, run_study
 from doe.studies.monte_carlo.replications import Cell
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
@@ -82,7 +82,7 @@ def test_cells_pool_blocks_as_if_there_were_none() -> None:
         }
         for e in parts
     ]  # fmt: skip
-    (found,) = pooled(frame_of(rows)).to_dicts()
+    (found,) = pooled_rows(frame_of(rows)).to_dicts()
     every = np.concatenate(parts)
     assert found["fits"] == 46
     assert found["failed"] == 3

@@ -20,7 +20,15 @@ from doe.studies.paper import study as paper_run
 from doe.studies.paper.equations import Erratum
 from doe.studies.paper.errata import errata
 from doe.studies.paper.figures import figure_1, figure_2
-from doe.studies.paper.tables import agreement, consistent, joint_offset_std, table_1, table_2, table_3, text_figures
+from doe.studies.paper.tables import (
+    agreement,
+    consistent,
+    joint_offset_std,
+    table_1,
+    table_2,
+    table_3,
+    text_figures,
+)
 from identification.errors import JobError
 from identification.progress import silent
 
