@@ -102,15 +102,16 @@ class Outliers(NoiseEffect):
         count = round(values.get("share", 0.0) * len(errors))
         rows = generator.choice(len(errors), count, replace=False)
         changed = errors.copy()
-        changed[rows, : self.dimension] += values.get("size", 0.0) * scene.sigma * self._directions(count, generator)
+        width = min(self.dimension, errors.shape[1])  # a length is one number
+        changed[rows, :width] += values.get("size", 0.0) * scene.sigma * self._directions(count, width, generator)
         return changed
 
-    def _directions(self, count: int, generator: np.random.Generator) -> Array:
-        """(count, 2 or 3) unit vectors, uniform over all directions."""
-        if self.dimension == 2:
+    def _directions(self, count: int, width: int, generator: np.random.Generator) -> Array:
+        """(count, width) unit vectors, uniform over all directions; of width 1 a sign."""
+        if width == 2:
             angle = generator.uniform(0.0, 2.0 * np.pi, count)
             return np.column_stack([np.cos(angle), np.sin(angle)])
-        drawn = generator.standard_normal((count, self.dimension))
+        drawn = generator.standard_normal((count, width))
         return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec
 from identification.kinematics.frames import pose
+from identification.kinematics.instrument import Instrument
 from identification.kinematics.parameters import PRISMATIC
 from identification.kinematics.spatial import Joint, SpatialChain
 from identification.model import Model
@@ -88,6 +89,19 @@ def test_in_space_outliers_point_anywhere(tools: dict[str, np.ndarray], angle_sc
     np.testing.assert_allclose((moved_by[off] ** 2).mean(axis=0) / 4.0, 1.0 / 3.0, atol=0.05)
     if angle_scale is not None:
         np.testing.assert_array_equal(found.orientations, exact.orientations)
+
+
+def test_outliers_of_lengths_are_too_long_or_too_short() -> None:
+    """A distance is one number: off by `size` standard deviations, either way equally often."""
+    chain = SpatialChain(ELBOW, np.eye(4), tools={"1": TOOLS["1"]}, instrument=Instrument("distance"))
+    arm = Arm.of_chain(chain, sigma=0.1)
+    noisy = arm.with_effects(EffectSpec("outliers", None, {"share": 0.5, "size": 20.0}))
+    exact, found = (simulate(one, SETTINGS, np.random.default_rng(5), sigma=0.1) for one in (arm, noisy))
+    moved_by = (found.positions - exact.positions)[:, 0]
+    off = np.abs(moved_by) > 1e-9
+    assert off.sum() == 500
+    np.testing.assert_allclose(np.abs(moved_by[off]), 2.0, rtol=1e-9)
+    assert abs(np.sum(moved_by > 1e-9) - 250) < 45  # four standard deviations of a fair coin
 
 
 def test_in_space_joint_noise_turns_each_reflector_about_its_joint() -> None:
