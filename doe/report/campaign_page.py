@@ -13,7 +13,7 @@ from doe.report.given_files import Given
 from doe.report.origin import Origin, origin_section
 from doe.report.page import Action, Section, Sheet, page
 from doe.report.plan_steps import plan_section
-from doe.report.signed_residuals import Compared, signed_figures
+from doe.report.signed_residuals import Compared, caption, signed_figures
 from doe.report.terminal import number
 from doe.report.verdict import (
     calibrated_actions,
@@ -37,10 +37,6 @@ FIGURES = ("rms_mm", "mean_mm", "p95_mm", "max_mm")
 PLACED = (
     "Everything stays as it is in the file but for where the arm stands, which is fitted anew to each set of "
     "measurements; so it is for the drawing."
-)
-SIGNED = (
-    "Measured less computed, as the error of that joint which would explain most of a row's residual. Red: {0}. "
-    "Blue: {1}. Line: the difference of the two models."
 )
 
 
@@ -181,15 +177,15 @@ class Campaign:
         cells = [[name, *map(number, values)] for name, values in zip(names, figures, strict=True)]
         other = None if len(tests) == 1 else list(tests.values())[-2]
         before, pair = last.nominal_residuals if other is None else other.residuals, (names[-2], names[-1])
-        notes = new_effects(last.arm, None if other is None else other.arm)
-        more = measured.conditions, ("before", "after"), notes, Model(last.arm)
+        named = new_effects(last.arm, None if other is None else other.arm)
+        more = measured.conditions, Model(last.arm), named
         compared = Compared(last.arm, measured.postures, before, last.residuals, *more)
         used = "" if None in self.digests else "No model given here names this file as what it was fitted to. "
         used = f"Fitted to these rows: {', '.join(self.fitted(rows))}. " if self.fitted_to(rows) else used
         found = "".join(f"{note[:1].upper()}{note[1:]}. " for note in last.notes if "identified from" not in note)
         return Section(
             f"Error on {rows}",
-            f"{len(measured)} rows. {used}{found}{PLACED} {SIGNED.format(*pair)}",
+            f"{len(measured)} rows. {used}{found}{PLACED} {caption(*pair, named)}",
             [Sheet(["distance [mm]", "RMS", "mean", "95 % below", "largest"], cells)],
             [
                 workspace_arrows(last.arm, measured.positions, ((before, pair[0]), (last.residuals, pair[1]))),
@@ -203,14 +199,10 @@ class Campaign:
         return [plan_section(next(iter(self.given.arms.values())), plan, table, name)]
 
 
-def new_effects(arm: Arm, before: Arm | None) -> dict[int, str]:
-    """Joint -> effects that a model has there and the one before had not; nothing against the drawing."""
-    known = {spec.key for spec in before.effects} if before else {spec.key for spec in arm.effects}
-    found: dict[int, list[str]] = {}
-    for spec in arm.effects:
-        if spec.joint is not None and spec.key not in known:
-            found.setdefault(spec.joint, []).append(spec.key)
-    return {joint: "\n".join(keys) for joint, keys in found.items()}
+def new_effects(arm: Arm, before: Arm | None) -> list[str]:
+    """Labels of the effects that a model has and the one before had not; None: the drawing, which has none."""
+    known = {effect.label for effect in Model(before).effects} if before else set()
+    return [effect.label for effect in Model(arm).effects if effect.label not in known]
 
 
 def _blocks(data: Any) -> Section:

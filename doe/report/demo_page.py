@@ -8,13 +8,13 @@ from typing import Any
 from rich.text import Text
 
 from doe.demo.run import Demo
-from doe.report.gap_sections import gap_sections, named_by_joint
+from doe.report.gap_sections import gap_sections
 from doe.report.gap_tables import as_table, candidate_sheet
 from doe.report.origin import Origin, origin_section
 from doe.report.page import Action, Section, Sheet, page
 from doe.report.pictures import certificate_figure
 from doe.report.plan_steps import plan_section
-from doe.report.signed_residuals import Compared, signed_figures
+from doe.report.signed_residuals import Compared, caption, signed_figures
 from doe.report.terminal import number, to_significant_digits, unit_or_dash
 from doe.report.verdict import design_verdict, diagnosis_verdict
 from identification.gap.summary import findings, headline
@@ -142,15 +142,15 @@ def plan_sections(demo: Demo) -> list[Section]:
 
 def found_sections(demo: Demo) -> list[Section]:
     """The estimates, and how they compare with the hidden truth."""
+    named = demo.diagnosis.effects
     identified = (
-        "From simulated measurements of an arm whose true errors the fit does not know. Below: the 200 fresh postures, "
-        "red without what was named, blue with it; each residual as the error of that joint which would explain most "
-        "of it; line: what the named effect does."
+        "From simulated measurements of an arm whose true errors the fit does not know. Below: the 200 fresh postures. "
+        + caption("the geometry identified", f"the model {last_model(demo)}" if named else "the same model", named)
     )
     hidden = "What was hidden, as the simulation has it: the fits and the commands saw the measurements only."
     before, after = (demo.fresh.positions - demo.predicted(found) for found in (demo.base, demo.extended))
-    arm, notes = demo.extended.calibrated_arm(), named_by_joint(demo.diagnosis)
-    compared = Compared(arm, demo.fresh.postures, before, after, notes=notes, model=Model(arm))
+    arm, fresh = demo.extended.calibrated_arm(), demo.fresh
+    compared = Compared(arm, fresh.postures, before, after, fresh.conditions, Model(arm), named)
     return [
         Section("Identification", identified, [gap_steps_sheet(demo)], signed_figures(compared)),
         *gap_sections(demo.diagnosis, demo.base.rms_before),

@@ -37,13 +37,6 @@ from identification.validate import drawing_residuals
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SIGNED = (
-    "Each row's residual, measured less computed, as the error of that joint which would explain most of it. Red: the "
-    "model without what is named, but for what the curves of other joints explain. Blue: with it. Line: the difference "
-    "of the two models, which is what the effects named at this joint do. A wave or a slope in the red points that is "
-    "gone in the blue ones is explained."
-)
-
 
 def missing_section(data: Data) -> Section:
     """What is named, with its values."""
@@ -148,25 +141,16 @@ def sessions_section(diagnosis: Diagnosis) -> list[Section]:
 def signed_section(diagnosis: Diagnosis) -> Section:
     """Residuals of the data with their sign, against each joint."""
     from doe.report.gap_figures import rows_kept
-    from doe.report.signed_residuals import Compared, signed_figures
+    from doe.report.signed_residuals import Compared, caption, signed_figures
 
-    shown, kept = diagnosis.residuals, rows_kept(diagnosis)
+    shown, kept, named = diagnosis.residuals, rows_kept(diagnosis), diagnosis.effects
     postures = np.column_stack([values for name, values in shown.against.items() if name.startswith("joint ")])
     postures, before, after = (values[kept] for values in (postures, shown.before, shown.after))
-    named = Model(diagnosis.extended_arm())
-    figures = signed_figures(
-        Compared(diagnosis.arm, postures, before, after, notes=named_by_joint(diagnosis), model=named)
-    )
-    return Section("Signed error against each joint", SIGNED, figures=figures)
-
-
-def named_by_joint(diagnosis: Diagnosis) -> dict[int, str]:
-    """Joint -> effects named there."""
-    found: dict[int, list[str]] = {}
-    for label, spec in zip(diagnosis.effects, diagnosis.named.specs, strict=True):
-        if spec.joint is not None:
-            found.setdefault(spec.joint, []).append(label)
-    return {joint: "\n".join(labels) for joint, labels in found.items()}
+    model = Model(diagnosis.extended_arm())
+    conditions = shown.conditions.rows(kept)
+    figures = signed_figures(Compared(diagnosis.arm, postures, before, after, conditions, model, named))
+    lead = caption("the model without what is named", "the model with what is named", named)
+    return Section("Signed error against each joint", lead, figures=figures)
 
 
 def corrected_section(

@@ -1,13 +1,18 @@
-"""Residuals with their sign against each joint, as the error of that joint that they mean, with the fitted curve.
+"""Residuals with their sign against each joint, as the error of that joint that they mean, with the curve of the model.
 
 A joint that turns by e too far moves the tip by e times its lever d tip / d q_j. The error that explains most of a
 row's residual r is e = r . lever / |lever|^2; where the lever is short a row says little, and e is held small.
+
+Where effects of the model turn a joint by a function of its angle, this function is the line, and the points before are
+the residuals of the same model without these effects: partial residuals (W. A. Larsen, S. J. McCleary, "The use of
+partial residual plots in regression analysis", Technometrics 1972), which scatter about the line as the points after
+scatter about zero. A model fitted without the effects would bend lengths and zeros to make up for them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,20 +23,22 @@ from doe.report.pictures import AFTER, BEFORE, LIMIT, MANY, TICKS
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import Conditions
+from identification.effects import Effect
+from identification.error_curve import all_hold
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS
 from identification.measurements import POINT
 from identification.model import Model
 
 SHORT = 0.3  # of the longest lever: below, a row counts less
 STILL = 0.02  # of the reach: a joint with shorter levers says little
-POINTS = 721  # of the fitted curve
-FINE, SMOOTH = 1.0 / 1000.0, 1.0 / 12.0  # share of the range that it looks at: of an effect, of all that changed
-NEARBY = 10  # rows that a point of the curve looks at, at most an eighth of all
+POINTS = 721  # of a line
+SMOOTH = 1.0 / 12.0  # share of the range that a point of a fitted line looks at, at least
+NEARBY = 10  # rows that it looks at, at most an eighth of all
 SOME = 8  # postures that an effect at a joint is averaged over
-SWEEPS = 5  # over the joints that have a curve
 RIDGE, FAR = 0.1, 0.1  # in squared widths; share of the range without rows
 SHOWN = 99.0  # [%] of the points that set the scale
-Curve = tuple[Array, Array, Array]  # angles, error there, error at each row
+OTHERWISE = 0.1  # of what an effect does, RMS, that its function of the angle may leave
+READ = "Measured less computed, as the error of that joint which would explain most of a row's residual."
 
 
 def joint_errors(levers: Array, residuals: Array) -> Array:
@@ -42,12 +49,12 @@ def joint_errors(levers: Array, residuals: Array) -> Array:
     return np.divide(along, clear, out=np.zeros_like(along), where=clear > 0.0)
 
 
-def fitted_curve(q: Array, lever: Array, change: Array, narrowest: float = FINE) -> tuple[Array, Array]:
+def fitted_curve(q: Array, lever: Array, change: Array, narrowest: float = SMOOTH) -> tuple[Array, Array]:
     """Angles, and the error of a joint there that the change (m, d) [mm] between two models means; NaN far from rows.
 
     Local linear least squares of the rows nearby, weighted by the squared lever.
 
-    narrowest : share of the range that counts as nearby at least
+    narrowest : share of the range that counts as nearby, at least
     """
     span, grid = float(np.ptp(q)) or 1.0, dense(q)
     distance = kth_distances(q, grid, int(np.clip(len(q) // 8, 3, NEARBY)))
@@ -67,50 +74,9 @@ def fitted_curve(q: Array, lever: Array, change: Array, narrowest: float = FINE)
     return grid, np.divide(value, scale, out=np.full(POINTS, np.nan), where=known)
 
 
-def fitted_curves(
-    postures: Array, levers: Array, change: Array, joints: Collection[int], model: Model | None = None
-) -> dict[int, Curve]:
-    """Joint (from 0) -> its curve, and what that means at each row (m,): of several joints together, each is fitted to
-    what the others leave of the change.
-
-    model : whose effects at a joint are drawn as they are, also between the rows; what else changed there is smooth
-    """
-    found = {j: (np.empty(0), np.empty(0), np.zeros(len(postures))) for j in joints}
-    known = {j: np.zeros(POINTS) if model is None else joint_error(model, j, postures) for j in joints}
-    for _ in range(SWEEPS if len(found) > 1 else 1):
-        for j in found:
-            q, lever = postures[:, j], levers[:, :, j]
-            named = np.interp(q, dense(q), known[j])
-            left = change - by_others(found, levers, j) - lever * named[:, None]
-            grid, error = fitted_curve(q, lever, left, FINE if model is None else SMOOTH)
-            error = error + known[j]
-            found[j] = grid, error, np.interp(q, grid, np.nan_to_num(error))
-    return found
-
-
 def dense(q: Array) -> Array:
     """(POINTS,) angles over the range of (m,) others."""
     return np.linspace(q.min(), q.max(), POINTS)
-
-
-def joint_error(model: Model, joint: int, postures: Array) -> Array:
-    """What the effects at a joint (from 0) add to its angle, densely over its range in postures (m, n), in the mean of
-    some of them."""
-    own = {p.name for effect in model.effects if effect.joint == joint + 1 for p in effect.parameters}
-    without = np.where([name in own for name in model.names], 0.0, model.values)
-    some = postures[np.linspace(0, len(postures) - 1, min(len(postures), SOME)).astype(int)]
-    angles, q = dense(postures[:, joint]), np.tile(some, (POINTS, 1))
-    q[:, joint] = np.repeat(angles, len(some))
-    lever = model.joint_levers(q)[:, POINT, joint]
-    moved = np.nan_to_num(model.position(q) - model.position(q, without))[:, : lever.shape[1]]
-    along, square = (np.sum(lever * a, axis=1).reshape(POINTS, -1).sum(axis=1) for a in (moved, lever))
-    tables = [spec.curve.at(angles) for spec in model.arm.effects if spec.curve and spec.joint == joint + 1]
-    return np.asarray(np.divide(along, square, out=np.zeros(POINTS), where=square > 0.0) + sum(tables))
-
-
-def by_others(curves: Mapping[int, Curve], levers: Array, joint: int) -> Array:
-    """(m, d) change [mm] due to the curves of all joints but one."""
-    return np.sum([levers[:, :, k] * at[:, None] for k, (_, _, at) in curves.items() if k != joint], axis=0)
 
 
 def kth_distances(q: Array, grid: Array, k: int) -> Array:
@@ -123,11 +89,10 @@ def kth_distances(q: Array, grid: Array, k: int) -> Array:
 
 @dataclass(frozen=True)
 class Compared:
-    """Residuals (m, d) [mm], measured less computed, of two models at postures (m, n), with their names.
+    """Residuals (m, d) [mm], measured less computed, of two models at postures (m, n).
 
-    model : the later one, for the curves of its effects; None: these follow from the rows alone
-    notes : joint (from 1) -> what was found there, and what the curves of the others explain is taken off before; if
-        there are any, the other joints get no curve; if there are none, the curves are smooth
+    model : the later one;  named : labels of its effects that the earlier one has not; where it has none of these, the
+        line is what lies between the two models, smoothed
     """
 
     arm: Arm
@@ -135,38 +100,125 @@ class Compared:
     before: Array
     after: Array
     conditions: Conditions | None = None
-    names: tuple[str, str] = ("before", "after")
-    notes: Mapping[int, str] = field(default_factory=dict)
     model: Model | None = None
+    named: Collection[str] = ()
+
+
+@dataclass(frozen=True)
+class Share:
+    """What an effect adds at a joint: (POINTS,) errors densely over its range, NaN where it is off, and (m, d) what it
+    does to the rows [mm]."""
+
+    effect: Effect
+    line: Array
+    moved: Array
+
+    def of_angle(self, q: Array, lever: Array) -> bool:
+        """Whether it is a function of the angle alone, as far as the rows show: a backlash is none."""
+        left = self.moved - lever * np.interp(q, dense(q), np.nan_to_num(self.line))[:, None]
+        return bool(np.linalg.norm(left) <= OTHERWISE * np.linalg.norm(self.moved))
+
+
+def joint_error(model: Model, effect: Effect, postures: Array) -> Array:
+    """What an effect adds to the angle of its joint, densely over its range in postures (m, n), in the mean of some of
+    them."""
+    assert effect.joint is not None
+    joint = effect.joint - 1
+    angles = dense(postures[:, joint])
+    if effect.curve is not None:
+        return effect.curve.at(angles)
+    some = postures[np.linspace(0, len(postures) - 1, min(len(postures), SOME)).astype(int)]
+    q = np.tile(some, (POINTS, 1))
+    q[:, joint] = np.repeat(angles, len(some))
+    lever = model.joint_levers(q)[:, POINT, joint]
+    moved = done_by(model, effect, q)[:, : lever.shape[1]]
+    along, square = (np.sum(lever * a, axis=1).reshape(POINTS, -1).sum(axis=1) for a in (moved, lever))
+    return np.asarray(np.divide(along, square, out=np.zeros(POINTS), where=square > 0.0))
+
+
+def done_by(model: Model, effect: Effect, postures: Array, conditions: Conditions | None = None) -> Array:
+    """(m, d) what an effect with parameters moves [mm]."""
+    own = {p.name for p in effect.parameters}
+    without = np.where([name in own for name in model.names], 0.0, model.values)
+    position = (model.position(postures, values, conditions) for values in (None, without))
+    return np.nan_to_num(np.subtract(*position))
+
+
+def share_of(model: Model, effect: Effect, rows: Compared, lever: Array) -> Share:
+    """A curve acts where all curves hold, and is drawn where there are such rows."""
+    assert effect.joint is not None
+    q, line = rows.postures[:, effect.joint - 1], joint_error(model, effect, rows.postures)
+    if effect.curve is None:
+        return Share(effect, line, done_by(model, effect, rows.postures, rows.conditions)[:, : lever.shape[1]])
+    curves = [(e.joint - 1, e.curve) for e in model.effects if e.curve is not None and e.joint is not None]
+    hold = all_hold(curves, rows.postures)
+    grid = dense(q)
+    near = kth_distances(q[hold > 0.5], grid, 1) < FAR * (float(np.ptp(q)) or 1.0)
+    return Share(effect, np.where(near, line, np.nan), lever * (hold * effect.curve.at(q))[:, None])
+
+
+def shown_shares(rows: Compared, joint: int, lever: Array) -> tuple[list[Share], bool]:
+    """The named effects at a joint (from 0) that are functions of its angle, or else those that are not, and which of
+    the two they are."""
+    if rows.model is None:
+        return [], True
+    here = [effect for effect in rows.model.effects if effect.joint == joint + 1 and effect.label in rows.named]
+    shares = [share_of(rows.model, effect, rows, lever) for effect in here]
+    smooth = [s for s in shares if s.effect.curve is not None or s.of_angle(rows.postures[:, joint], lever)]
+    return (smooth, True) if smooth else (shares, False)
 
 
 def signed_figures(rows: Compared) -> list[Figure]:
-    """A picture for each joint: its error by the residuals of both models, and the curve between the two."""
+    """A picture for each joint: its error by the residuals of both models, and the model's line between the two."""
     model = Model(rows.arm)
     levers = model.joint_levers(rows.postures, conditions=rows.conditions)[:, POINT]
-    before, after = (values[:, : levers.shape[1]] for values in (rows.before, rows.after))
-    curves = fitted_curves(rows.postures, levers, before - after, [joint - 1 for joint in rows.notes], rows.model)
     figures = []
     for j, kind in enumerate(model.joint_types):
         unit, factor, _ = FILE_UNITS[JOINT_UNITS[kind]]
-        q, figure = rows.postures[:, j], Figure(figsize=(3.7, 2.5), layout="constrained")
+        figure = Figure(figsize=(3.7, 2.5), layout="constrained")
         axes = figure.subplots()
-        own = before - by_others(curves, levers, j)
-        errors = [factor * joint_errors(levers, values)[:, j] for values in (own, after)]
-        draw_errors(axes, factor * q, errors, rows.names)
-        if j in curves or not curves:
-            curve = curves[j][:2] if curves else fitted_curve(q, levers[:, :, j], before - after, SMOOTH)
-            axes.plot(*(factor * line for line in curve), color="k", lw=1.3)
+        title = draw_joint(axes, rows, j, levers, factor)
         axes.set(xlabel=f"joint {j + 1} [{unit}]", ylabel=f"error [{unit}]")
         still = np.linalg.norm(levers[:, :, j], axis=1).max() < STILL * rows.arm.reach
-        axes.set_title(
-            rows.notes.get(j + 1, "hardly moves the measured point" if still else ""), fontsize=9, parse_math=False
-        )
+        axes.set_title("hardly moves the measured point" if still else title, fontsize=9, parse_math=False)
         if j == 0:
-            axes.plot([], [], color="k", lw=1.3, label="fitted")
+            axes.plot([], [], color="k", lw=1.3, label="model")
             axes.legend(frameon=False, fontsize=8, ncols=3, handletextpad=0.3, columnspacing=1.0)
         figures.append(figure)
     return figures
+
+
+def draw_joint(axes: Axes, rows: Compared, joint: int, levers: Array, factor: float) -> str:
+    """Points and line of a joint (from 0), in units of 1 / factor; what stands above them."""
+    q, lever = rows.postures[:, joint], levers[:, :, joint]
+    shares, smooth = shown_shares(rows, joint, lever)
+    before, after = (values[:, : levers.shape[1]] for values in (rows.before, rows.after))
+    moved = sum((share.moved for share in shares), np.zeros_like(after))
+    errors = [joint_errors(levers, values)[:, joint] for values in (after + moved if shares else before, after)]
+    draw_errors(axes, factor * q, [factor * values for values in errors], ("before", "after"))
+    if shares and not smooth:
+        axes.plot(factor * q, factor * joint_errors(levers, moved)[:, joint], "k.", ms=3)
+    elif shares or not at_joints(rows.named):
+        line = np.sum([share.line for share in shares], axis=0) if shares else fitted_curve(q, lever, before - after)[1]
+        axes.plot(factor * dense(q), factor * line, color="k", lw=1.3)
+    off = [s.effect.label for s in shares if not s.moved.any()]
+    return "\n".join(s.effect.label + (" (off here)" if s.effect.label in off else "") for s in shares)
+
+
+def at_joints(named: Collection[str]) -> list[str]:
+    """Of labels those of effects at a joint: `backlash:2`."""
+    return [label for label in named if ":" in label]
+
+
+def caption(before: str, after: str, named: Collection[str] = ()) -> str:
+    """How the pictures are read; before, after : the models in words, a comma may follow."""
+    if not at_joints(named):
+        return f"{READ} Red: {before}. Blue: {after}. Line: the difference of the two, smoothed."
+    return (
+        f"{READ} Blue: {after}. Red: {before}; but where effects stand above a picture, the blue model without these. "
+        "Black: what these effects add, as the model has them. A wave in the red points that the black line follows "
+        "and the blue points lack is explained."
+    )
 
 
 def draw_errors(axes: Axes, angles: Array, errors: Sequence[Array], names: Sequence[str]) -> None:

@@ -293,4 +293,5 @@ def show_residuals(arm: Arm, measurements: Measurements, base: Fit, named: Fit) 
         readonly(named.position_residuals(measurements, conditions)),
         MappingProxyType({name: readonly(values) for name, values in against.items()}),
         measurements.positions,
+        conditions,
     )

@@ -9,6 +9,7 @@ from typing import Any
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
+from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
 from identification.gap import summary
 from identification.gap.candidate import Candidate
@@ -46,6 +47,7 @@ class Residuals:
     after: Array
     against: Mapping[str, Array]
     positions: Array
+    conditions: Conditions
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -11,15 +12,18 @@ from doe.report.gap_figures import workspace_arrows
 from doe.report.page import svg
 from doe.report.signed_residuals import (
     Compared,
+    caption,
+    dense,
     draw_errors,
     fitted_curve,
-    fitted_curves,
     joint_error,
     joint_errors,
     kth_distances,
     signed_figures,
 )
 from identification.arm import Arm, Calibration, EffectSpec
+from identification.conditions import Conditions
+from identification.error_curve import ErrorCurve
 from identification.model import Model
 
 LENGTHS = np.array([300.0, 200.0])
@@ -48,7 +52,7 @@ def test_the_curve_is_the_change_where_there_are_rows_and_nothing_elsewhere() ->
     q = np.concatenate([generator.uniform(-3.0, 0.0, 400), generator.uniform(2.0, 3.0, 200)])
     lever = generator.normal(size=(600, 2))
     change = lever * (1e-3 * np.sin(4.0 * q))[:, None]
-    grid, found = fitted_curve(q, lever, change)
+    grid, found = fitted_curve(q, lever, change, 1e-3)
     seen = np.isfinite(found)
     gap = (grid > 0.61) & (grid < 1.39)  # farther than a tenth of the range, 0.6, from every row
     assert not seen[gap].any()
@@ -60,20 +64,6 @@ def test_the_curve_is_the_change_where_there_are_rows_and_nothing_elsewhere() ->
     np.testing.assert_allclose(one_angle[0], 2e-3)
 
 
-def test_curves_of_several_joints_are_told_apart() -> None:
-    q = np.random.default_rng(6).uniform(-2.0, 2.0, (1500, 2))
-    lever = np.stack([np.stack([-tip(q)[:, 1], tip(q)[:, 0]], axis=1), np.zeros((1500, 2))], axis=2)
-    lever[:, :, 1] = 200.0 * np.stack([-np.sin(q.sum(axis=1)), np.cos(q.sum(axis=1))], axis=1)
-    real = {0: 1e-3 * np.sin(5.0 * q[:, 0]), 1: 2e-3 * np.cos(4.0 * q[:, 1])}
-    change = sum(lever[:, :, j] * error[:, None] for j, error in real.items())
-    found = fitted_curves(q, lever, np.asarray(change), [0, 1])
-    for j, error in real.items():
-        # a line through ten rows misses by f'' h^2 / 2 = 32e-3 * 0.014^2 / 2 and what the other joint's rows scatter
-        assert np.sqrt(np.mean((found[j][2] - error) ** 2)) < 1e-4
-    alone = fitted_curves(q, lever, np.asarray(change), [1])[1][2]
-    assert np.sqrt(np.mean((alone - real[1]) ** 2)) > 2e-4
-
-
 def test_the_nearest_rows_are_those_of_a_search_among_all() -> None:
     generator = np.random.default_rng(3)
     q, grid = generator.normal(size=30), np.linspace(-3.0, 3.0, 50)
@@ -82,35 +72,81 @@ def test_the_nearest_rows_are_those_of_a_search_among_all() -> None:
         np.testing.assert_allclose(kth_distances(q, grid, k), expected)
 
 
-def test_one_picture_for_each_joint_with_a_curve_where_something_was_found() -> None:
-    q = np.random.default_rng(4).uniform(-1.0, 1.0, (30, 2))
-    before, after = np.random.default_rng(5).normal(size=(2, 30, 2))
-    arm = Arm(LENGTHS)
-    first, second = (f.axes[0] for f in signed_figures(Compared(arm, q, before, after, notes={2: "backlash:2"})))
-    assert (second.get_title(), second.get_xlabel()) == ("backlash:2", "joint 2 [deg]")
-    lengths = [[len(line.get_xdata()) for line in axes.lines] for axes in (first, second)]
-    assert 721 not in lengths[0]
-    assert 721 in lengths[1]
+def model_with(effect: EffectSpec, **values: float) -> Model:
+    """Two links with one effect of these values [rad]."""
+    found = {f"{effect.key}.{name}": value for name, value in values.items()}
+    return Model(Arm(LENGTHS, effects=(effect,), calibration=Calibration(found)))
 
 
-def test_between_a_few_rows_the_line_is_what_the_effect_does() -> None:
-    """A gear ripple of nine periods a turn, seen in fourteen rows: no smoother of rows shows it."""
+def points_and_line(axes: Axes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(m, 2) points before, (m, 2) after, and the black ones, (0, 2) without any."""
+    black = [line.get_xydata() for line in axes.lines if line.get_color() == "k" and len(line.get_xdata())]
+    zero, before, _, after = axes.lines[:4]
+    assert list(zero.get_ydata()) == [0.0, 0.0]
+    return before.get_xydata(), after.get_xydata(), black[0] if black else np.empty((0, 2))
+
+
+def test_the_line_is_the_effect_of_the_model_and_the_points_before_lack_it() -> None:
+    """A gear ripple of nine periods a turn in fourteen rows: no smoother of rows shows it. Whatever the earlier model
+    leaves, here what wrong lengths do, the red points are on the wave where the blue ones are on zero."""
     q = np.random.default_rng(7).uniform(-1.5, 1.5, (14, 2))
-    effects = (EffectSpec("transmission_ripple", 2, {"k": 9.0}),)
-    values = {"transmission_ripple:2.a": 1e-3}
-    real = Model(Arm(LENGTHS, effects=effects, calibration=Calibration(values)))
-    levers = real.joint_levers(q)
-    change = real.position(q) - tip(q)
-    grid, error, at_rows = fitted_curves(q, levers, change, [1], real)[1]
-    wave = joint_error(real, 1, q)
-    assert np.ptp(wave) > 1.5e-3
-    np.testing.assert_allclose(error[np.isfinite(error)], wave[np.isfinite(error)], atol=2e-6)
-    np.testing.assert_allclose(at_rows, np.interp(q[:, 1], grid, wave), atol=2e-6)
-    sine, cosine = np.sin(9.0 * grid), np.cos(9.0 * grid)
-    part = np.linalg.lstsq(np.column_stack([sine, cosine]), wave, rcond=None)[0]
+    real = model_with(EffectSpec("transmission_ripple", 2, {"k": 9.0}), a=1e-3)
+    wave = joint_error(real, real.effects[0], q)
+    grid = dense(q[:, 1])
+    basis = np.column_stack([np.sin(9.0 * grid), np.cos(9.0 * grid)])
+    part = np.linalg.lstsq(basis, wave, rcond=None)[0]
     assert np.hypot(*part) == pytest.approx(1e-3, rel=1e-3)
-    jagged = fitted_curves(q, levers, change, [1])[1][1]
-    assert np.nanstd(jagged - wave) > 1e-4
+    np.testing.assert_allclose(basis @ part, wave, atol=2e-6)  # to first order
+    before = np.random.default_rng(5).normal(size=(14, 2))
+    rows = Compared(real.arm, q, before, np.zeros((14, 2)), model=real, named=[real.effects[0].label])
+    first, second = (f.axes[0] for f in signed_figures(rows))
+    assert (second.get_title(), second.get_xlabel()) == ("transmission_ripple:2[k=9]", "joint 2 [deg]")
+    red, blue, line = points_and_line(second)
+    np.testing.assert_allclose(line, np.degrees(np.column_stack([grid, wave])))
+    expected = np.column_stack([np.sin(9.0 * q[:, 1]), np.cos(9.0 * q[:, 1])]) @ part  # at the angles themselves
+    np.testing.assert_allclose(np.radians(red[:, 1]), expected, atol=2e-6)
+    np.testing.assert_array_equal(blue[:, 1], 0.0)
+    red, _, line = points_and_line(first)  # nothing is named there: the earlier model, no line
+    np.testing.assert_allclose(np.radians(red[:, 1]), joint_errors(real.joint_levers(q), before)[:, 0])
+    assert len(line) == 0
+    assert "Black: what these effects add" in caption("the drawing", "the model", rows.named)
+
+
+def test_an_effect_that_is_no_function_of_the_angle_is_drawn_at_the_rows() -> None:
+    """Backlash: b this way or that way, by the side from which the joint came."""
+    q = np.random.default_rng(9).uniform(-1.0, 1.0, (30, 2))
+    sides = np.sign(np.random.default_rng(10).normal(size=(30, 2)))
+    model = model_with(EffectSpec("backlash", 2), b=2e-3)
+    nothing = np.zeros((30, 2))
+    rows = Compared(model.arm, q, nothing, nothing, Conditions(directions=sides), model, ["backlash:2"])
+    red, _, black = points_and_line(signed_figures(rows)[1].axes[0])
+    np.testing.assert_allclose(np.radians(red[:, 1]), 2e-3 * sides[:, 1], rtol=1e-3)
+    np.testing.assert_allclose(black, red)
+
+
+def test_an_error_curve_is_off_beyond_its_angles() -> None:
+    curve = ErrorCurve(-1.0, 1.0, np.array([0.0, 1e-3, -1e-3, 2e-3, 0.0]))
+    arm = Arm(LENGTHS, effects=(EffectSpec("joint_error_curve", 2, curve=curve),), calibration=Calibration({}))
+    inside, beyond = np.linspace(-0.9, 0.9, 40), np.linspace(2.2, 3.0, 20)
+    for angles, on in ((inside, 40), (np.r_[inside, beyond], 40), (beyond, 0)):
+        q, nothing = np.column_stack([np.zeros_like(angles), angles]), np.zeros((len(angles), 2))
+        rows = Compared(arm, q, nothing, nothing, model=Model(arm), named=["joint_error_curve:2"])
+        axes = signed_figures(rows)[1].axes[0]
+        red, _, line = points_and_line(axes)
+        np.testing.assert_allclose(np.radians(red[:on, 1]), curve.at(angles[:on]), atol=1e-12)
+        np.testing.assert_array_equal(red[on:, 1], 0.0)
+        assert np.isfinite(line[:, 1]).any() == (on > 0)
+        assert axes.get_title() == f"joint_error_curve:2{'' if on else ' (off here)'}"
+
+
+def test_without_effects_the_line_is_what_lies_between_the_two_models() -> None:
+    q = np.random.default_rng(4).uniform(-1.0, 1.0, (60, 2))
+    arm = Arm(LENGTHS, calibration=Calibration({"joint_offset:2": 4e-3}))
+    offset = 200.0 * 4e-3 * np.stack([-np.sin(q.sum(axis=1)), np.cos(q.sum(axis=1))], axis=1)
+    _, second = (f.axes[0] for f in signed_figures(Compared(arm, q, offset, np.zeros((60, 2)), model=Model(arm))))
+    line = points_and_line(second)[2]
+    np.testing.assert_allclose(np.radians(line[:, 1]), 4e-3, rtol=1e-2)
+    assert "Line: the difference of the two" in caption("the drawing", "the model", ["base_drift"])
 
 
 def test_the_base_is_drawn_where_the_arm_stands() -> None:
