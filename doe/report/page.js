@@ -1,6 +1,10 @@
 "use strict";
 // A plan that is stepped through, reordered and cut, with log det M' of what is left. Text is never read as markup.
 
+const KEYS = "Tap or click a run to select it; the buttons above act on the selected run. Keys in the table: " +
+  "↑ and ↓, Page Up, Page Down, Home and End select; Alt with ↑ or ↓ moves the run; Delete strikes it out or puts it back. " +
+  "Without it: the D-efficiency that is left without this run.";
+
 function element(name, parent, text = "", attributes = {}) {
   const found = document.createElement(name);
   found.textContent = text;
@@ -58,7 +62,8 @@ class Steps {
     this.turn = 30;
     this.whole = logDet(information(plan, plan.rows.keys()));
     [this.left, this.right] = [element("div", place), element("div", place)];
-    this.runs = element("div", place, "", { class: "runs scroll", tabindex: "0", role: "group", "aria-label": "Runs" });
+    element("p", place, KEYS, { class: "keys", id: `${place.dataset.plan}-keys` });
+    this.runs = element("div", place, "", { class: "runs scroll" });
     this.reset();
     this.build();
     this.show();
@@ -75,10 +80,13 @@ class Steps {
   build() {
     const names = { role: "img", "aria-label": "The arm at the postures of the plan" };
     this.picture = shape("svg", this.left, { viewBox: "0 0 400 320", ...names });
+    this.where = element("p", this.left, "", { class: "where", "aria-live": "polite" });
     const buttons = element("div", this.left, "", { class: "buttons" });
     this.button(buttons, "◀ Back", () => this.step(-1));
     this.button(buttons, "Step ▶", () => this.step(1));
-    this.where = element("span", buttons);
+    this.button(buttons, "▲ Earlier", () => this.move(this.at, -1));
+    this.button(buttons, "▼ Later", () => this.move(this.at, 1));
+    this.striking = this.button(buttons, "", () => this.strike(this.order[this.at]));
     if (this.plan.points[0][0].length === 3) {
       const label = element("label", buttons, "Turn the view ");
       const slider = element("input", label, "", { type: "range", min: 0, max: 360, value: this.turn });
@@ -88,25 +96,34 @@ class Steps {
     const more = element("div", this.right, "", { class: "buttons" });
     this.button(more, "Download the edited plan (CSV)", () => this.download());
     this.button(more, "Undo all", () => { this.reset(); this.show(); });
-    this.runs.addEventListener("keydown", event => this.key(event));
-    const table = element("table", this.runs, "", { class: "wide" }), row = element("tr", element("thead", table));
-    this.headings = ["place", "run", ...this.plan.joints, "without it", ""];
-    for (const name of this.headings) element("th", row, name, { scope: "col" });
-    this.body = element("tbody", table);
+    this.table();
   }
 
-  button(parent, text, action, label = text) {
-    const found = element("button", parent, text, { type: "button", "aria-label": label });
+  // one tab stop: the current row has the focus (the grid of the ARIA Authoring Practices, with roving tabindex)
+  table() {
+    const about = { "aria-label": "Runs", "aria-describedby": this.runs.previousElementSibling.id };
+    const table = element("table", this.runs, "", { class: "wide", role: "grid", ...about });
+    const row = element("tr", element("thead", table, "", { role: "rowgroup" }), "", { role: "row" });
+    this.headings = ["place", "run", ...this.plan.joints, "without it"];
+    for (const name of this.headings) element("th", row, name, { scope: "col", role: "columnheader" });
+    this.body = element("tbody", table, "", { role: "rowgroup" });
+    this.body.addEventListener("keydown", event => this.key(event));
+  }
+
+  button(parent, text, action) {
+    const found = element("button", parent, text, { type: "button" });
     found.addEventListener("click", action);
     return found;
   }
 
+  // keys of the table: they reach it only from its current row
   key(event) {
-    const move = { ArrowDown: 1, ArrowUp: -1 }[event.key];
-    if (event.target.tagName === "BUTTON" && !move) return;
-    if (move && event.altKey) this.move(this.at, move);
-    else if (move) this.step(move);
-    else if (event.key === "Delete") this.strike(this.order[this.at]);
+    if (event.ctrlKey || event.metaKey) return;
+    const by = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10, Home: -Infinity, End: Infinity }[event.key];
+    if (event.altKey && Math.abs(by) === 1) this.move(this.at, by);
+    else if (event.altKey) return;
+    else if (by) this.step(by);
+    else if (event.key === "Delete" || event.key === "Backspace") this.strike(this.order[this.at]);
     else return;
     event.preventDefault();
   }
@@ -134,13 +151,12 @@ class Steps {
   efficiency(matrix) { return Math.exp((logDet(matrix) - this.whole) / this.plan.parameters); }
 
   show() {
-    const focus = document.activeElement && document.activeElement.dataset.name;
+    const inside = this.body.contains(document.activeElement);
     this.draw();
     this.list();
     this.summary();
-    const again = focus && this.body.querySelector(`[data-name="${focus}"]`);
-    if (again) again.focus();
-    const top = this.body.children[this.at].offsetTop, box = this.runs;
+    const row = this.body.children[this.at], top = row.offsetTop, box = this.runs;
+    if (inside) row.focus({ preventScroll: true });
     if (top < box.scrollTop + 40 || top > box.scrollTop + box.clientHeight - 40) box.scrollTop = top - box.clientHeight / 2;
   }
 
@@ -154,6 +170,9 @@ class Steps {
       facts["D-efficiency against the whole plan"] = efficiency.toFixed(4);
     } else facts["log det M'"] = "not every parameter can be identified";
     if (this.plan.joints.every(name => name.endsWith("[deg]"))) facts["joint travel"] = `${this.travel(kept).toFixed(1)} deg`;
+    const said = JSON.stringify(facts);
+    if (said === this.said) return; // or it would be read aloud again
+    this.said = said;
     this.figures.replaceChildren();
     for (const [name, value] of Object.entries(facts)) {
       element("dt", this.figures, name);
@@ -179,22 +198,14 @@ class Steps {
     };
     this.body.replaceChildren();
     this.order.forEach((run, place) => {
-      const struck = this.struck.has(run), row = element("tr", this.body);
-      row.className = (struck ? "struck" : "") + (place === this.at ? " current" : "");
-      if (place === this.at) row.setAttribute("aria-current", "true");
-      row.addEventListener("click", () => { this.at = place; this.show(); });
-      const figures = [place + 1, run + 1, ...this.plan.postures[run].map(angle => angle.toFixed(2)), struck ? "" : without(run)];
-      figures.forEach((figure, k) => element("td", row, String(figure), { "data-heading": this.headings[k] }));
-      const cell = element("td", row);
-      for (const [text, name, action] of [
-        ["↑", "up", () => this.move(place, -1)],
-        ["↓", "down", () => this.move(place, 1)],
-        [struck ? "put back" : "strike out", "strike", () => this.strike(run)],
-      ]) {
-        const act = event => { event.stopPropagation(); action(); };
-        this.button(cell, text, act, `${text === "↑" ? "earlier" : text === "↓" ? "later" : text}: run ${run + 1}`).dataset.name = `${name}-${run}`;
-        cell.append(" ");
-      }
+      const struck = this.struck.has(run), current = place === this.at;
+      const states = { role: "row", tabindex: current ? 0 : -1, "aria-selected": current };
+      const row = element("tr", this.body, "", states);
+      row.className = (struck ? "struck" : "") + (current ? " current" : "");
+      row.addEventListener("click", () => { row.focus(); this.at = place; this.show(); });
+      const left = struck ? "struck out" : without(run);
+      const figures = [place + 1, run + 1, ...this.plan.postures[run].map(angle => angle.toFixed(2)), left];
+      figures.forEach((figure, k) => element("td", row, String(figure), { role: "gridcell", "data-heading": this.headings[k] }));
     });
   }
 
@@ -231,7 +242,9 @@ class Steps {
     });
     const [x, y] = place(lines[current][0]);
     shape("rect", this.picture, { x: x - 5, y: y - 5, width: 10, height: 10, fill: "var(--ink)" });
-    this.where.textContent = `run ${current + 1}, place ${this.at + 1} of ${this.order.length}`;
+    const struck = this.struck.has(current);
+    this.where.textContent = `Run ${current + 1}, place ${this.at + 1} of ${this.order.length}${struck ? ", struck out" : ""}`;
+    this.striking.textContent = struck ? "Put back" : "Strike out";
   }
 
   get csv() {

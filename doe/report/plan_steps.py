@@ -27,9 +27,8 @@ from identification.model import Model
 MOST_RUNS = 200  # that a person steps through
 MOST = 150_000  # numbers of the Jacobians in a page, some 12 characters each
 STEPS = (
-    "Step through the runs with the buttons, or with the arrow keys in the list; Alt and an arrow moves a run, Delete "
-    "strikes it out. Without it: the D-efficiency that is left without this run. All is computed in this page; "
-    "the edited plan is a file that armcal score reads."
+    "Step through the runs, move them, or strike them out: what is left is computed in this page, and the edited plan "
+    "is a file that armcal score reads."
 )
 NUMBER = re.compile(r"\s*[-+]?[\d.,]+([eE][-+]?\d+)?\s*")
 DIGITS = 12  # of each: log det agrees with that of `armcal score` to 1e-9
