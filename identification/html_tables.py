@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 LONG = 24  # characters, from which a cell is text that may be broken
-PHONE = 42  # characters of a row, a space on both sides of each cell, that a phone shows
+PHONE = 38  # characters of a row, a space on both sides of each cell, that a phone shows
 
 
 def html_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -11,7 +11,10 @@ from doe.cli.options import FILE, force_option
 from doe.cli.typed import origin
 
 
-@verb("armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html", "One page.")
+@verb(
+    "armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html",
+    "One page of a campaign's files.",
+)
 @click.argument("files", type=FILE, nargs=-1, required=True)
 @click.option("--out", type=FILE, metavar="PAGE.html", required=True, help="Write the page.")
 @force_option

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,9 +30,10 @@ from identification.errors import InputError
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.measurements import distances
 from identification.model import Model
-from identification.row_groups import diagnosed
+from identification.row_groups import diagnosed, outside
 from identification.validate import Validation, validate
 
+MOSTLY = 0.5  # of the rows
 FIGURES = ("rms_mm", "mean_mm", "p95_mm", "max_mm")
 PLACED = (
     "Everything stays as it is in the file but for where the arm stands, which is fitted anew to each set of "
@@ -83,6 +84,24 @@ class Campaign:
         ]
 
     @property
+    def elsewhere(self) -> dict[str, Validation]:
+        """What the chosen model leaves on each set of measurements that it was not fitted to."""
+        chosen = self.chosen
+        pairs = ((rows, tests[chosen]) for rows, tests in self.tests.items() if chosen)
+        return {rows: test for rows, test in pairs if chosen not in self.fitted(rows)}
+
+    @property
+    def beyond(self) -> list[Action]:
+        """What to measure where most rows of other measurements are at angles that the chosen model has not seen."""
+        found = []
+        for rows, test in self.elsewhere.items():
+            out = outside(test.arm, self.given.measurements[rows].postures)
+            if out is not None and (share := float(np.mean(out.any(axis=1)))) > MOSTLY:
+                far = f"{100.0 * share:.0f} % of the rows of {rows} are beyond the angles that {self.chosen} has seen"
+                found.append(Action(f"Measure over all angles that the robot will use, and identify again: {far}."))
+        return found
+
+    @property
     def chosen(self) -> str | None:
         """The calibrated arm of which commands are made: that of the least error on measurements that none was fitted
         to, of equal ones and without such measurements the last given; None without any."""
@@ -107,8 +126,8 @@ class Campaign:
     def verdict(self) -> list[str]:
         """The verdict in sentences, the most advanced result first."""
         found = [sentence for data in self.said("diagnose") for sentence in diagnosis_verdict(data)]
-        for model in sorted(self.given.calibrated, key=lambda model: model != self.chosen):
-            pairs = ((rows, tests[model].to_json()) for rows, tests in self.tests.items() if model in tests)
+        if model := self.chosen:  # what the others leave is in the tables
+            pairs = ((rows, tests[model].to_json()) for rows, tests in self.tests.items())
             found += [validation_verdict(data, model, rows, model in self.fitted(rows)) for rows, data in pairs]
         found += self.choice
         found += [] if self.tests else [validation_verdict(data) for data in self.said("validate")]
@@ -138,7 +157,9 @@ class Campaign:
         if given.calibrated or self.said("identify") or self.said("validate"):
             chosen = given.calibrated.get(self.chosen or "")
             done = chosen is not None and diagnosed(chosen)
-            return calibrated_actions(**names, calibrated=self.chosen or "calibrated.toml")[int(done) :]
+            look, hold, use = calibrated_actions(**names, calibrated=self.chosen or "calibrated.toml")
+            tested = bool(self.elsewhere) or bool(self.said("validate"))
+            return [*self.beyond, *([] if done else [look]), *([] if tested else [hold]), use]
         if given.measurements:
             return data_actions(**names)
         return plan_actions(names["arm"], next(iter(given.plans), "plan.csv"))
@@ -160,7 +181,11 @@ class Campaign:
             first = sorted(arms, key=lambda name: name != self.chosen)
             pairs = ((name, arms[name], getattr(arms[name].calibration, "provenance", None)) for name in first)
             return [
-                corrected_section(corrected_values(arm), arm.chain is not None, name, said) for name, arm, said in pairs
+                replace(
+                    corrected_section(corrected_values(arm), arm.chain is not None, name, said),
+                    folded=name != self.chosen,
+                )
+                for name, arm, said in pairs
             ]
         return [
             corrected_section([CorrectedValue(**row) for row in data["corrected_values"]], "geometry" in data, name)
@@ -185,7 +210,7 @@ class Campaign:
         found = "".join(f"{note[:1].upper()}{note[1:]}. " for note in last.notes if "identified from" not in note)
         return Section(
             f"Error on {rows}",
-            f"{len(measured)} rows. {used}{found}{PLACED} {caption(*pair, named)}",
+            [f"{len(measured)} rows. {used}{found}", PLACED, caption(*pair, named)],
             [Sheet(["distance [mm]", "RMS", "mean", "95 % below", "largest"], cells)],
             [
                 workspace_arrows(last.arm, measured.positions, ((before, pair[0]), (last.residuals, pair[1]))),

@@ -101,7 +101,7 @@ def workspace_figure(diagnosis: Diagnosis) -> Figure:
 
 def workspace_arrows(arm: Arm, positions: Array, pairs: Sequence[tuple[Array, str]]) -> Figure:
     """Residual arrows (m, d) of two models, with their names, at positions (m, d), on one scale."""
-    figure = Figure(figsize=(10.0, 4.8), layout="constrained")
+    figure = Figure(figsize=(9.0, 4.5), layout="constrained")
     axes = workspace_axes(figure, pairs[0][0].shape[1])
     scale = 0.12 * arm.reach / (float(distances(pairs[0][0]).max()) or 1.0)
     for column, (residuals, name), color in zip(axes, pairs, (BEFORE, AFTER), strict=True):
@@ -117,9 +117,9 @@ def alias_figure(detectability: Detectability) -> Figure:
     figure = Figure(figsize=(3.2 + 0.27 * size, 2.2 + 0.27 * size), layout="constrained")
     axis = figure.subplots()
     image = axis.imshow(detectability.likeness, vmin=0.0, vmax=1.0, cmap="magma_r")
-    axis.set_xticks(range(size), detectability.names, rotation=90, fontsize=7)
-    axis.set_yticks(range(size), detectability.names, fontsize=7)
-    axis.set_title("likeness of effects on these postures: 1 = indistinguishable", fontsize=9)
+    axis.set_xticks(range(size), detectability.names, rotation=90, fontsize=9)
+    axis.set_yticks(range(size), detectability.names, fontsize=9)
+    axis.set_title("likeness of effects on these postures: 1 = indistinguishable", fontsize=10)
     figure.colorbar(image, ax=axis, shrink=0.7)
     return figure
 

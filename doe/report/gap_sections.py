@@ -52,16 +52,13 @@ def gap_section(data: Data, figures: Sequence[Figure] = (), nominal: float | Non
 
     nominal : RMS distance of the drawing [mm]
     """
-    drawn = (
-        ""
-        if nominal is None
-        else f" The drawing, placed as well as it can be, leaves {number(nominal)} mm of the data."
-    )
-    return Section("The gap, before and after", gap_text(data) + drawn, [gap_sheet(data)], figures)
+    drawn = f"The drawing, placed as well as it can be, leaves {number(nominal)} mm of the data."
+    lead = [*gap_text(data), *([] if nominal is None else [drawn])]
+    return Section("The gap, before and after", lead, [gap_sheet(data)], figures)
 
 
-def gap_text(data: Data) -> str:
-    """What the figures of the gap mean, and what the rows say that no fit has seen."""
+def gap_text(data: Data) -> list[str]:
+    """In paragraphs: what the figures of the gap mean, and what the rows say that no fit has seen."""
     known = {"repeats": "repeats", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}
     floor = data["gap"]["noise_floor_mm"]
     noise = "the noise, which is not known" if floor is None else f"the noise floor {number(floor)} mm"
@@ -70,12 +67,12 @@ def gap_text(data: Data) -> str:
         "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: "
         f"{noise}{source}; on rows that no fit has seen: what the named model predicts. A smaller gap alone does not "
         "prove a name.",
-        *(said(test) for test in tests_of(data) if test["confirmed"] is not None),
-        *(f"Scatter: {Finding(f['finding'], f['p'], f['size'])}." for f in data["scatter"]),
+        " ".join(said(test) for test in tests_of(data) if test["confirmed"] is not None),
+        " ".join(f"Scatter: {Finding(f['finding'], f['p'], f['size'])}." for f in data["scatter"]),
     ]
     if rows := data["outlier_rows"]:
         text.append(f"Rows left out as outliers: {', '.join(map(str, rows))}.")
-    return " ".join(text)
+    return text
 
 
 def said(test: Data) -> str:

@@ -45,13 +45,14 @@ class Sheet:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page: what it says in one paragraph, then its tables and pictures.
+    """A part of a page: what it says, then its tables and pictures.
 
+    lead : a paragraph, or several
     steps : a plan to be stepped through (`doe.report.plan_steps`);  folded : closed until a reader opens it
     """
 
     title: str
-    lead: str
+    lead: str | Sequence[str]
     sheets: Sequence[Sheet] = ()
     figures: Sequence[Figure] = ()
     steps: Mapping[str, Any] | None = None
@@ -80,12 +81,12 @@ def page(
     from jinja2 import Environment, PackageLoader
 
     environment = Environment(loader=PackageLoader("doe.report", "."), autoescape=True, trim_blocks=True)
-    drawn = [vars(s) | {"pictures": [page_picture(f) for f in s.figures]} for s in sections]
+    drawn = [vars(s) | {"lead": paragraphs(s.lead), "pictures": [page_picture(f) for f in s.figures]} for s in sections]
     style, script = (files("doe.report").joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
     return environment.get_template("page.html.j2").render(
         html_table=html_table,
         title=title,
-        verdict=[verdict] if isinstance(verdict, str) else verdict,
+        verdict=paragraphs(verdict),
         sections=drawn,
         actions=actions,
         warnings=warnings,
@@ -93,6 +94,11 @@ def page(
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
     )
+
+
+def paragraphs(text: str | Sequence[str]) -> list[str]:
+    """One paragraph or several, without empty ones."""
+    return [one for one in ([text] if isinstance(text, str) else text) if one]
 
 
 def page_picture(figure: Figure) -> dict[str, Any]:

@@ -153,6 +153,7 @@ def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4
         axis.axhline(problem.parameters, color=BEFORE, lw=1, ls="--")
         axis.set(xlabel=f"$q_{joint + 1}$ [{unit}]")
         axis.margins(y=0.12)
+        axis.tick_params(labelleft=True)  # on a phone the columns stand below each other
     axes[0].set_ylabel("largest d(q), dashed: p")
     return figure
 
@@ -204,7 +205,10 @@ def projections(dimension: int) -> list[tuple[int, int]]:
 def workspace_axes(figure: Figure | SubFigure, dimension: int) -> list[list[Axes]]:
     """Two columns of axes, before and after, with one for each projection."""
     views = len(projections(dimension))
-    return [list(column) for column in figure.subplots(views, 2, sharex=True, sharey="row", squeeze=False).T]
+    columns = figure.subplots(views, 2, sharex=True, sharey="row", squeeze=False).T
+    for axis in columns.flat:
+        axis.tick_params(labelleft=True)  # on a phone the columns stand below each other
+    return [list(column) for column in columns]
 
 
 def to_scale(figure: Figure, columns: Sequence[Sequence[Axes]]) -> None:

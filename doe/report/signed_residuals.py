@@ -182,7 +182,7 @@ def signed_figures(rows: Compared) -> list[Figure]:
         still = np.linalg.norm(levers[:, :, j], axis=1).max() < STILL * rows.arm.reach
         axes.set_title("hardly moves the measured point" if still else title, fontsize=9, parse_math=False)
         if j == 0:
-            axes.plot([], [], color="k", lw=1.3, label="model")
+            axes.plot([], [], color="k", lw=1.3, label="effects" if at_joints(rows.named) else "change")
             axes.legend(frameon=False, fontsize=8, ncols=3, handletextpad=0.3, columnspacing=1.0)
         figures.append(figure)
     return figures

@@ -9,7 +9,7 @@ from typing import Any
 from doe.report.gap_tables import is_described
 from doe.report.identification_tables import tip_in_words
 from doe.report.page import Action
-from doe.report.terminal import number
+from doe.report.terminal import in_a_sentence
 from identification.effects import library
 from identification.gap.summary import of_joints
 
@@ -104,10 +104,10 @@ def gap_in_words(data: Data) -> str:
     """The error before and after, where it was held out if it was."""
     gap, test = data["gap"], data["confirmation"]
     if test is None:
-        figures = f"from {number(gap['rms_before_mm'])} to {number(gap['rms_after_mm'])} mm"
+        figures = f"from {in_a_sentence(gap['rms_before_mm'])} to {in_a_sentence(gap['rms_after_mm'])} mm"
         return f"On the data the RMS error goes {figures}; no rows were held out to confirm it."
-    figures = f"from {number(test['before_mm'])} to {number(test['after_mm'])} mm"
-    expected = f"{number(test['predicted_mm'])} mm were predicted"
+    figures = f"from {in_a_sentence(test['before_mm'])} to {in_a_sentence(test['after_mm'])} mm"
+    expected = f"{in_a_sentence(test['predicted_mm'])} mm were predicted"
     return f"On {test['rows']} rows that no fit has seen the RMS error goes {figures}; {expected}."
 
 
@@ -155,7 +155,7 @@ def design_verdict(data: Data) -> str:
 
 def identification_verdict(data: Data) -> str:
     """Residuals of a calibration on the data that it was fitted to."""
-    figures = f"{number(data['rms_before_mm'])} to {number(data['rms_after_mm'])} mm"
+    figures = f"{in_a_sentence(data['rms_before_mm'])} to {in_a_sentence(data['rms_after_mm'])} mm"
     return f"On its own data the calibration takes the RMS error from {figures}.{expected_elsewhere(data)}"
 
 
@@ -171,9 +171,9 @@ def validation_verdict(
 ) -> str:
     """Residuals of a calibrated model on other measurements, compared with the drawing's."""
     which = ", which it was fitted to" if seen else ""
-    figures = f"{number(data['rms_mm'])} mm RMS (95 % below {number(data['p95_mm'])} mm)"
-    drawn = f"where the drawing leaves {number(data['rms_nominal_mm'])} mm"
-    return f"On {data['rows']} rows of {rows}{which}, {model} leaves {figures}, {drawn}."
+    figures = f"from {in_a_sentence(data['rms_nominal_mm'])} mm (drawing) to {in_a_sentence(data['rms_mm'])} mm"
+    most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} mm"
+    return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}; {most}."
 
 
 def validation_actions(better: bool, refit: str, model: str, rows: str) -> list[Action]:

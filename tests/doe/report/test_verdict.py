@@ -54,7 +54,7 @@ def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: 
     *verdict, gap = diagnosis_verdict(data)
     assert " ".join(verdict).startswith(first)
     assert len(verdict[0].split()) <= 15
-    figures = "0.5000 to 0.1250 mm" if data["confirmation"] is None else "0.6000 to 0.2500 mm; 0.2000 mm were predicted"
+    figures = "0.500 to 0.125 mm" if data["confirmation"] is None else "0.600 to 0.250 mm; 0.200 mm were predicted"
     assert figures in gap
     assert command in diagnosis_actions(data)[0].command
     if data["confirmed"] is False:
@@ -72,10 +72,10 @@ def test_the_other_commands_in_a_sentence_each() -> None:
     design = {"runs": 20, "criterion": "D", "efficiency": 0.98765, "certified_optimal": False}
     assert design_verdict(design) == "The plan of 20 runs has the efficiency 0.9877 (D)."
     assert "no known bound" in design_verdict(design | {"efficiency": None})
-    assert "3.0000 to 0.2500 mm" in identification_verdict({"rms_before_mm": 3.0, "rms_after_mm": 0.25})
+    assert "3.00 to 0.250 mm" in identification_verdict({"rms_before_mm": 3.0, "rms_after_mm": 0.25})
     figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0}
     assert validation_verdict(figures, "c.toml", "d.csv", seen=True).startswith(
-        "On 7 rows of d.csv, which it was fitted to, c.toml leaves 0.1000 mm RMS"
+        "On 7 rows of d.csv, which it was fitted to, c.toml takes the RMS error from 1.00 mm (drawing) to 0.100 mm"
     )
 
 
