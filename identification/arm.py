@@ -222,6 +222,11 @@ class Arm(ByValue):
         return (REVOLUTE,) * self.links if self.chain is None else self.chain.joint_types
 
     @property
+    def measures_distances(self) -> bool:
+        """Whether distances from a center are measured, and no positions."""
+        return self.chain is not None and self.chain.instrument.distances
+
+    @property
     def reach(self) -> float:
         """Length of the stretched nominal arm [mm]."""
         return float(np.sum(self.lengths)) if self.chain is None else self.chain.reach

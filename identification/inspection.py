@@ -29,6 +29,7 @@ from identification.model import Model
 from identification.reading import Readings
 from identification.readings import as_written, joints_of_unseen_sign, out_of_step, read_differently
 from identification.sessions import with_sessions
+from identification.set_up import constant_length, other_base, turned_frame
 from identification.status import Status
 from identification.validate import drawing_residuals
 
@@ -76,7 +77,8 @@ class Inspection:
     drawing : RMS distance [mm] that the drawing leaves with its place in the instrument's frame fitted, as of
         `validate`;  fit : the geometry fitted, None with too few rows
     other_units : the numbers are of other units, so that neither a fit nor limits would mean anything
-    units : sentences about units, swapped markers and rows that are far off;  frame : about a base elsewhere
+    units : sentences about units, swapped markers and rows that are far off;  frame : about a base elsewhere, or
+        distances off by a constant;  turned : about a frame at another angle
     step : about positions beside another posture
     unseen : joints (from 1) whose sign and zero do not show
     rest : about copied rows and postures outside the limits;  gaps : about rows that are missing between others
@@ -96,6 +98,7 @@ class Inspection:
     other_units: bool
     units: tuple[str, ...]
     frame: tuple[str, ...]
+    turned: tuple[str, ...]
     step: tuple[str, ...]
     unseen: tuple[int, ...]
     rest: tuple[str, ...]
@@ -138,7 +141,7 @@ class Inspection:
         """What these data cannot say, in sentences."""
         still = [str(j.joint) for j in self.joints if j.kind == REVOLUTE and j.high - j.low < STILL]
         said = [] if self.other_units or not still else [_hardly(still)]
-        said += [_unseen(j) for j in self.unseen if str(j) not in still]
+        said += [*self.turned, *(_unseen(j) for j in self.unseen if str(j) not in still)]
         if self.fit is not None and self.fit.misfit and not self.problems:
             said.append(self.fit.misfit.partition(". ")[0] + "; armcal diagnose looks for what is missing")
         if self.fit is not None and self.fit.not_identifiable:
@@ -224,12 +227,19 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         fit=fit,
         other_units=other_units,
         units=tuple(units),
-        frame=tuple(another_frame(arm, measurements)),
+        frame=() if other_units else _frame(arm, measurements, fit),
+        turned=() if other_units else tuple(turned_frame(arm, measurements)),
         unseen=joints_of_unseen_sign(arm, measurements),
         step=tuple(out_of_step(arm, measurements)),
         rest=(*copied_rows(measurements), *([] if other_units else outside_limits(arm, measurements))),
         gaps=tuple(gap_notes(measurements)),
     )
+
+
+def _frame(arm: Arm, measurements: Measurements, fit: Identification | None) -> tuple[str, ...]:
+    """How frame and instrument are set up against the arm file, where that is not as it says."""
+    said = [*another_frame(arm, measurements), *other_base(arm, measurements)]
+    return (*said, *constant_length(arm, measurements, fit))
 
 
 def _fit(arm: Arm, measurements: Measurements) -> Identification | None:

@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike
 
 from identification.arm import Arm
 from identification.arrays import Array
+from identification.effects import library
 from identification.errors import InputError
-from identification.kinematics.instrument import WHOLE
+from identification.kinematics.instrument import DISTANCE, WHOLE
 from identification.kinematics.spatial import BASE
 from identification.model import Model
 
@@ -18,13 +19,14 @@ FEWEST = 4  # positions, of which a rigid motion explains half the coordinates
 
 
 def of_positions(model: Model) -> Model:
-    """The model of the measured point's position with the same parameters; of an instrument that reads positions as it
-    is."""
+    """The model of the measured point's position with the same parameters, without those of the reading of a length; of
+    an instrument that reads positions as it is."""
     chain = model.arm.chain
     if chain is None or chain.instrument.whole:
         return model
     arm = replace(model.arm, chain=replace(chain, instrument=WHOLE))
     held = {*Model(arm).geometry_parameters.names} - {*model.geometry_parameters.names}
+    held |= {p.name for effect in model.effects if DISTANCE in effect.needs for p in effect.parameters}
     return Model(arm, {**(model.known or {}), **dict.fromkeys(held, 0.0)})
 
 
@@ -36,9 +38,12 @@ def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None
     Raises `InputError` for fewer than `FEWEST` postures then.
     """
     whole = of_positions(model)
-    points, jacobian = whole.linearize(postures, parameters)
     if whole is model:
-        return jacobian
+        return model.linearize(postures, parameters)[1]
+    free = [model.names.index(name) for name in whole.names]
+    points, moved = whole.linearize(postures, None if parameters is None else np.asarray(parameters)[..., free])
+    jacobian = np.zeros((*moved.shape[:-1], len(model.names)))  # how a length is read moves no point
+    jacobian[..., free] = moved
     if (m := len(points)) < FEWEST:
         raise InputError(f"postures: {m} for the error of the tip from lengths, allowed: at least {FEWEST}")
     around = points - points.mean(axis=0)
@@ -59,4 +64,5 @@ def in_own_frame(arm: Arm) -> Arm:
     if found is not None:
         values = {name: value for name, value in found.values.items() if not name.startswith(f"{BASE}.")}
         found = replace(found, values=values, base=None)
-    return replace(arm, chain=chain, calibration=found)
+    effects = [spec for spec in arm.effects if DISTANCE not in library()[spec.name].needs]
+    return replace(arm, chain=chain, calibration=found).with_effects(*effects)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,20 @@ from identification.arrays import Array
 UPRIGHT, QUARTER = np.radians(20.0), np.radians(45.0)  # a base is this near to the frame's axes; or to a half turn
 
 
+@lru_cache
+def alone(joints: int) -> tuple[tuple[int, ...], ...]:
+    """(n, n) `Reading.sums` of joints that are each counted from the link before."""
+    return tuple(tuple(int(i == j) for i in range(joints)) for j in range(joints))
+
+
 @dataclass(frozen=True)
 class Reading:
     """One way to read the columns.
 
     order : joint j is in column order[j];  signs : +1 or -1 of each joint
     quarters : quarter turns to add to each joint, whole ones or a zero of any angle
+    sums : (n, n) how often column j has the angle of joint i in it: 1 on the diagonal, and 1 or -1 of joints before j
+        where j is counted from farther back than from the link before
     mirrored : the positions are those of a mirror image: their last axis is read the other way
     turn : of the base [rad] that then explains the positions best, in the plane; None: it says nothing
     rms : distance [mm] that the drawing leaves
@@ -27,8 +36,13 @@ class Reading:
     signs: tuple[int, ...]
     quarters: tuple[float, ...]
     mirrored: bool = False
+    sums: tuple[tuple[int, ...], ...] = ()
     turn: float | None = None
     rms: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not self.sums:
+            object.__setattr__(self, "sums", alone(len(self.order)))
 
     @classmethod
     def as_written(cls, joints: int) -> Reading:
@@ -39,11 +53,13 @@ class Reading:
     def changes(self) -> int:
         """How many things are read differently."""
         swapped = sum(a != b for a, b in enumerate(self.order)) // 2
-        return swapped + sum(s < 0 for s in self.signs) + sum(k != 0 for k in self.quarters) + self.mirrored
+        zeros, absolute = sum(k != 0 for k in self.quarters), self.sums != alone(len(self.order))
+        return swapped + sum(s < 0 for s in self.signs) + zeros + self.mirrored + absolute
 
     def postures(self, given: Array) -> Array:
         """(m, n) what the arm's joints are, of columns (m, n)."""
-        return given[:, list(self.order)] * np.array(self.signs) + 0.5 * np.pi * np.array(self.quarters)
+        read = given[:, list(self.order)] * np.array(self.signs) + 0.5 * np.pi * np.array(self.quarters)
+        return read if self.sums == alone(len(self.order)) else np.linalg.solve(np.array(self.sums), read.T).T
 
     def positions(self, given: Array) -> Array:
         """(m, d) what the positions are in axes of the right hand."""
@@ -57,7 +73,18 @@ class Reading:
         said += [f"joint {j} turns the other way" for j, sign in enumerate(self.signs, start=1) if sign < 0]
         zeros = ((j, np.degrees(x)) for j, x in enumerate(self.zeros, start=1) if x)
         said += [f"joint {j} has another zero than the drawing: add {x:.3g} deg to it" for j, x in zeros]
-        return (*said, *([self._mirror] if self.mirrored else []))
+        return (*said, *self._absolute, *([self._mirror] if self.mirrored else []))
+
+    @property
+    def _absolute(self) -> list[str]:
+        """Joints that are counted from farther back, each with what to take off its column."""
+        said = []
+        for j, row in enumerate(self.sums):
+            if more := [i for i in range(j) if row[i]]:
+                where = f"link {more[0]}" if more[0] else "the base"
+                angle = " ".join(f"{'-' if row[i] > 0 else '+'} q{i + 1}" for i in more)
+                said.append(f"joint {j + 1} is counted from {where}, not from link {j} (its angle: column {angle})")
+        return said
 
     @property
     def zeros(self) -> tuple[float, ...]:

@@ -22,6 +22,7 @@ from identification.kinematics.placement import placed
 from identification.kinematics.spatial import SpatialChain
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
+from identification.parallel_axes import parallel_joints
 from identification.placed import frames_of_tip, placed_model, some
 from identification.reading import Reading, Readings
 
@@ -40,24 +41,26 @@ PLANE, SPACE = 3, 9  # numbers fitted: a pose in the plane; a pose and a point i
 def read_differently(arm: Arm, measurements: Measurements) -> Readings:
     """Look for another way to read the columns that explains the positions clearly better (`CLEARLY`).
 
-    Tried are zeros, of one joint at any angle, signs, pairs of swapped columns, zeros off by quarter turns, and a
-    mirrored frame. With few rows nothing is tried. Where a spatial arm stands and what is measured on it are fitted.
+    Tried are zeros, of one joint at any angle, joints that are counted from farther back than the link before, signs,
+    pairs of swapped columns, zeros off by quarter turns, and a mirrored frame. With few rows nothing is tried. Where a
+    spatial arm stands and what is measured on it are fitted.
     """
-    return _read_differently(_anywhere(arm), _some(measurements))
+    return _read_differently(anywhere(arm), some_of_one_point(measurements))
 
 
 def as_written(arm: Arm, measurements: Measurements) -> Readings:
     """What the columns say, and no other reading looked for."""
     reading = Reading.as_written(arm.links)
-    return Readings(replace(reading, rms=_distance(_anywhere(arm), _some(measurements))(reading)), None)
+    arm, rows = anywhere(arm), some_of_one_point(measurements)
+    return Readings(_turned(arm, rows, replace(reading, rms=_distance(arm, rows)(reading))), None)
 
 
 def joints_of_unseen_sign(arm: Arm, measurements: Measurements) -> tuple[int, ...]:
     """Turning joints (from 1) whose sign and zero no measured point shows: reversed and a quarter or half turn away the
     drawing leaves no more; none with orientations, few rows, or where the drawing leaves much as it is."""
-    numbers, arm = measurements.marker_numbers, _anywhere(arm)
+    numbers, arm = measurements.marker_numbers, anywhere(arm)
     numbers = np.zeros(len(measurements), dtype=np.int64) if numbers is None else numbers
-    points = (_some(measurements.rows(np.flatnonzero(numbers == number))) for number in np.unique(numbers))
+    points = (some_of_one_point(measurements.rows(np.flatnonzero(numbers == number))) for number in np.unique(numbers))
     if measurements.orientations is not None:
         return ()
     return tuple(sorted(set.intersection(*(_unseen(arm, rows) for rows in points))))
@@ -81,7 +84,7 @@ def _changed(reading: Reading) -> int:
     return next(j for j, (s, k) in enumerate(zip(reading.signs, reading.quarters, strict=True), start=1) if s < 0 or k)
 
 
-def _anywhere(arm: Arm) -> Arm:
+def anywhere(arm: Arm) -> Arm:
     """The arm as drawn, where it stands and what is measured on it left open."""
     chain = arm.chain and SpatialChain(arm.chain.joints, arm.chain.end, instrument=arm.chain.instrument)
     return replace(arm, chain=chain)
@@ -95,7 +98,7 @@ def _read_differently(arm: Arm, rows: Measurements) -> Readings:
         return Readings(written, None)
     known = {replace(written, rms=0.0): written}
     zero = partial(_moved_zero, left=left)
-    for stage in (zero, zero, _mirrored, _signs, _swaps, _zeros, _flips, _zeros, _pairs_and_zero):
+    for stage in (zero, zero, _absolute, _mirrored, _signs, _swaps, _zeros, _flips, _zeros, _pairs_and_zero):
         kept = sorted(known.values(), key=lambda reading: reading.rms)
         if kept[0].rms < DRAWN * arm.reach:
             break
@@ -136,12 +139,12 @@ def _few(arm: Arm, rows: Measurements) -> bool:
 def out_of_step(arm: Arm, measurements: Measurements) -> list[str]:
     """Positions that stand beside the posture of another row, in a sentence; none where no step explains them."""
     as_written = Reading.as_written(arm.links)
-    if _few(arm, some := _some(measurements)):
+    if _few(arm, some := some_of_one_point(measurements)):
         return []
     written = _distance(arm, some)(as_written)
     first, last = measurements.rows(slice(None, -1)), measurements.rows(slice(1, None))
     for postures, positions, when in ((first, last, "late"), (last, first, "early")):
-        rows = _some(replace(postures, positions=positions.positions))
+        rows = some_of_one_point(replace(postures, positions=positions.positions))
         if CLEARLY * (left := _distance(arm, rows)(as_written)) < written:
             gain = f"the drawing then leaves {left:.3g} mm instead of {written:.4g}"
             return [f"it looks as if each position stands one row too {when}, beside another posture: {gain}"]
@@ -188,6 +191,21 @@ def _best_zero(best: Reading, joint: int, left: Callable[[Reading], float]) -> R
     return with_zero(round(found) % 4 if abs(found - round(found)) < WHOLE else found)
 
 
+def _absolute(best: Reading, arm: Arm) -> Iterator[Reading]:
+    """One joint, or all from one on, counted from a link farther back than the one before, or from the base: of joints
+    that turn about parallel axes one after the other."""
+    for first, senses in parallel_joints(arm):
+        last = first + len(senses)
+        for start in range(first, last - 1):
+            every = best.sums
+            for j in range(start + 1, last):
+                row = list(best.sums[j])
+                row[start:j] = [senses[i - first] * senses[j - first] for i in range(start, j)]
+                every = (*every[:j], tuple(row), *every[j + 1 :])
+                yield replace(best, sums=(*best.sums[:j], tuple(row), *best.sums[j + 1 :]))
+            yield replace(best, sums=every)
+
+
 def _mirrored(best: Reading, arm: Arm) -> Iterator[Reading]:
     yield replace(best, mirrored=not best.mirrored)
 
@@ -231,7 +249,7 @@ def _pairs_and_zero(best: Reading, arm: Arm) -> Iterator[Reading]:
         yield from _zeros(signs, arm)
 
 
-def _some(measurements: Measurements) -> Measurements:
+def some_of_one_point(measurements: Measurements) -> Measurements:
     """Rows of the point that is measured most, spread over the file."""
     rows = np.arange(len(measurements))
     if (markers := measurements.marker_numbers) is not None:

@@ -70,6 +70,8 @@ LAYERS = {
     "identification.gap": 6,
     "identification.reading": 2,
     "identification.readings": 5,
+    "identification.parallel_axes": 2,
+    "identification.set_up": 6,
     "identification.inspection": 7,
     "doe.criteria": 11,
     "doe.jobs": 11,

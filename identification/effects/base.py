@@ -34,7 +34,8 @@ class Effect:
     name : as in the arm file;  summary : one line for people
     per_joint : `required`, `optional` or `none`: whether the effect is given for a single joint
     first_joint : lowest joint (from 1) that can have it
-    needs : what the arm or the data must have: gravity, directions, temperature, time, session, past
+    needs : what the arm or the data must have: gravity, distance (measured ones), directions, temperature, time,
+        session, past
     family : class of effects that are rivals for the same physical cause (`diagnose` may merge them); by default
         that of the base class, or the name
     through : kind of effects that it modifies, by what they need: `gravity`; without such effects it does nothing

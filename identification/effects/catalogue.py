@@ -21,6 +21,7 @@ JOINTS = 3  # of the arm that parameters are listed for; one parameter per joint
 # what the arm or the data must have -> how to give it
 SUPPLY = {
     "gravity": "[gravity] in the arm file: acceleration_m_s2, link_masses_kg, center_of_mass, payload_kg, ..",
+    "distance": '[instrument] with kind = "distance" in the arm file, and the column distance_mm in the measurements',
     "time": "the column order or time_s in the measurements; without it rows count as measured in their order",
     "past": "the column order or time_s in the measurements; without it rows count as measured in their order",
     "directions": "columns direction1, direction2 .. (+1 or -1) in the measurements; left out: from order without gaps",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from identification.effects.base import Effect, register
+from identification.kinematics.instrument import TINY
 from identification.kinematics.parameters import Parameter
 
 
@@ -22,3 +23,20 @@ class AxesSkew(Effect):
     def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX:
         x, y = position[0], position[1]
         return ca.vertcat(values[0] * x + values[1] * y, values[1] * x - values[0] * y)
+
+
+@register
+class LengthOffset(Effect):
+    """A measured distance is longer than it is by the same everywhere, + c: the zero of a draw wire, the reference
+    length of a ball bar."""
+
+    name = "length_offset"
+    summary = "all measured distances too long by the same"
+    needs = frozenset({"distance"})
+    dimensions = (3,)
+
+    def define(self) -> tuple[Parameter, ...]:
+        return (self.parameter("c", "mm", scale=1.0, typical=0.5),)
+
+    def instrument(self, position: ca.SX, values: ca.SX) -> ca.SX:
+        return values[0] * position / ca.sqrt(ca.sumsqr(position) + TINY**2)  # the center is the origin

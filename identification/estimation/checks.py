@@ -59,6 +59,9 @@ def _check_needs(model: Model, measurements: Measurements) -> None:
         if "gravity" in effect.needs and model.arm.gravity is None:
             allowed = "an arm file with a [gravity] table"
             raise InputError(f"effects: {effect.key} needs gravity torques, allowed: {allowed}")
+        if "distance" in effect.needs and not model.arm.measures_distances:
+            allowed = "an arm file with an [instrument] of kind distance"
+            raise InputError(f"effects: {effect.key} needs measured distances, allowed: {allowed}")
 
 
 def _check_kind(name: str, value: object, needed: str, allowed: str) -> None:

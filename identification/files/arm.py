@@ -16,7 +16,7 @@ from identification.errors import InputError
 from identification.files.arm_effects import (
     FileName,
     calibrated_effects,
-    check_gravity,
+    check_tables,
     covariance_of,
     effects_of,
     file_names,
@@ -66,7 +66,7 @@ def arm_from_tables(tables: dict[str, Any], folder: PathLike = ".") -> Arm:
     links = len(file.links_mm)
     limits = file.joint_limits_deg
     effects = effects_of(file.effects, links)
-    check_gravity(file.gravity, effects)
+    check_tables(file.gravity, effects)
     names = file_names(chain_parameters(np.ones(links)), effects)
     return Arm(
         lengths=readonly(file.links_mm),

@@ -16,7 +16,8 @@ from identification.arrays import Array, readonly
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError, nearest
 from identification.files.arm_schema import CovarianceTable, EffectTable, GravityTable
-from identification.files.arm_schema_spatial import SpatialGravityTable
+from identification.files.arm_schema_spatial import InstrumentTable, SpatialGravityTable
+from identification.kinematics.instrument import DISTANCE
 from identification.kinematics.parameters import Parameter
 
 if TYPE_CHECKING:
@@ -130,11 +131,17 @@ def gravity_of(table: GravityTable | SpatialGravityTable | None, joints: int) ->
     return Gravity(acceleration, masses, readonly(center), table.payload_kg, getattr(table, "payload_at_mm", None))
 
 
-def check_gravity(
-    gravity: GravityTable | SpatialGravityTable | None, effects: Iterable[tuple[EffectSpec, Effect]]
+def check_tables(
+    gravity: GravityTable | SpatialGravityTable | None,
+    effects: Iterable[tuple[EffectSpec, Effect]],
+    instrument: InstrumentTable | None = None,
 ) -> None:
-    """Raises `InputError` for an effect of gravity on an arm without gravity."""
+    """Raises `InputError` for an effect of gravity on an arm without gravity, and for one of measured distances where
+    something else is measured."""
     for spec, effect in effects:
+        if "distance" in effect.needs and (instrument is None or instrument.kind != DISTANCE):
+            found = "no [instrument] table" if instrument is None else f"an [instrument] of kind {instrument.kind}"
+            raise InputError(f"effects: {spec.key} needs measured distances, found {found}, allowed: kind distance")
         if "gravity" in effect.needs and gravity is None:
             raise InputError(f"effects: {spec.key} needs gravity torques, found no [gravity] table, allowed: with one")
 

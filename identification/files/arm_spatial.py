@@ -17,7 +17,7 @@ from identification.errors import InputError, nearest
 from identification.files.arm_effects import (
     FileName,
     calibrated_effects,
-    check_gravity,
+    check_tables,
     covariance_of,
     effects_of,
     file_names,
@@ -61,7 +61,7 @@ def spatial_arm(tables: Mapping[str, Any], folder: PathLike) -> Arm:
     joints = len(chain)
     file.require_counts(joints)
     effects = effects_of(file.effects, joints, chain.dimension)
-    check_gravity(file.gravity, effects)
+    check_tables(file.gravity, effects, file.instrument)
     table, calibration = file.calibration, None
     if table is not None:
         chain = _with_markers(chain, table)

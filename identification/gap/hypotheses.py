@@ -233,6 +233,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
     available = set(BY_ORDER | (given & {"temperature"}))
     available -= FOLLOWING if rows is not None and not rows.conditions.follow else set()
     available |= set() if arm.gravity is None else {"gravity"}
+    available |= {"distance"} if arm.measures_distances else set()
     known = of_dimension(arm.dimension)
     shown = {name: cls for name, cls in known.items() if _testable(cls)}
     own = {effect.label for effect in build_all(arm.effects, arm.links, arm.lengths, arm.dimension)}

@@ -42,6 +42,11 @@ class Instrument:
         """Whether it reads nothing: a surface is touched."""
         return self.kind in CONTACTS
 
+    @property
+    def distances(self) -> bool:
+        """Whether it reads how far the center is."""
+        return self.kind == DISTANCE
+
     def symbolic(self, point: ca.SX) -> ca.SX:
         """What it reads [mm] of a point (3,) in its frame, in CasADi."""
         if self.whole:

@@ -34,6 +34,16 @@ def data(m: int = 40, base: complex = 0.0, zero: float = 0.0, still: bool = Fals
     return Measurements(q, np.column_stack([z.real, z.imag]))
 
 
+def test_a_turned_frame_is_a_note() -> None:
+    """A fit explains it, so that nothing has to be put right, but the controller must not be told."""
+    turned = data()
+    z = turned.positions @ np.array([1.0, 1.0j]) * np.exp(1j * np.radians(40.0))
+    found = inspect(ARM, replace(turned, positions=np.column_stack([z.real, z.imag])))
+    assert found.problems == ()
+    assert any("the frame of the positions is turned by " in note for note in found.notes)
+    assert not any("the frame of the positions" in note for note in inspect(ARM, turned).notes)
+
+
 def test_good_data_have_no_problem() -> None:
     found = inspect(ARM, data())
     assert found.problems == ()

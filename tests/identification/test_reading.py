@@ -23,6 +23,19 @@ def test_columns_are_read_and_named() -> None:
     assert np.allclose(SWAPPED.positions(np.array([[5.0, 6.0]])), [[5.0, -6.0]])
 
 
+def test_joints_counted_from_farther_back() -> None:
+    """Columns a = q1, b = q1 + q2 and c = q3 - q2, whose axis points the other way."""
+    found = Reading((0, 1, 2), (1, 1, 1), (0, 0, 0), sums=((1, 0, 0), (1, 1, 0), (0, -1, 1)))
+    assert found.words == (
+        "joint 2 is counted from the base, not from link 1 (its angle: column - q1)",
+        "joint 3 is counted from link 1, not from link 2 (its angle: column + q2)",
+    )
+    assert (found.changes, found.moved_zeros) == (1, False)
+    q = np.array([[0.1, 0.2, 0.3], [1.0, -2.0, 0.5]])
+    columns = np.column_stack([q[:, 0], q[:, 0] + q[:, 1], q[:, 2] - q[:, 1]])
+    assert np.allclose(found.postures(columns), q)
+
+
 def test_one_two_or_no_explanations() -> None:
     assert Readings(PLAIN, None).sentences == []
     assert Readings(PLAIN, None).to_json() is None

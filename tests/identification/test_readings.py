@@ -39,6 +39,17 @@ def words(arm: Arm, data: Measurements, change: Change) -> tuple[str, ...]:
     return () if better is None else better.words
 
 
+BACK = "is counted from"
+FROM_BASE = f"joint 2 {BACK} the base, not from link 1 (its angle: column - q1)"
+
+
+def added(q: np.ndarray, joint: int, others: list[int]) -> np.ndarray:
+    """Columns of which one has the angles of other joints in it, as of motors in the base."""
+    columns = q.copy()
+    columns[:, joint] += q[:, others].sum(axis=1)
+    return columns
+
+
 CASES: list[tuple[Change, tuple[str, ...]]] = [
     (lambda q: q, ()),
     (lambda q: q * [1, -1, 1], ("joint 2 turns the other way",)),
@@ -48,6 +59,15 @@ CASES: list[tuple[Change, tuple[str, ...]]] = [
     (lambda q: q - [0, np.pi, 0], ("joint 2 has another zero than the drawing: add 180 deg to it",)),
     (lambda q: q - [0, 0, np.pi / 2], ("joint 3 has another zero than the drawing: add 90 deg to it",)),
     (lambda q: q - [0, np.radians(20), 0], ("joint 2 has another zero than the drawing: add 20 deg to it",)),
+    (
+        lambda q: np.cumsum(q, axis=1),
+        (FROM_BASE, f"joint 3 {BACK} the base, not from link 2 (its angle: column - q1 - q2)"),
+    ),
+    (lambda q: np.column_stack([q[:, 0], q[:, 0] + q[:, 1], q[:, 2]]), (FROM_BASE,)),
+    (
+        lambda q: np.column_stack([q[:, :2], q[:, 1] + q[:, 2]]),
+        (f"joint 3 {BACK} link 1, not from link 2 (its angle: column - q2)",),
+    ),
 ]
 
 
@@ -61,6 +81,8 @@ SPATIAL: list[tuple[Change, tuple[str, ...]]] = [
     (lambda q: q * [1, 1, -1, 1, 1, 1], ("joint 3 turns the other way",)),
     (lambda q: q * [-1, 1, -1, 1, 1, -1], ("joint 1 turns the other way", "joint 3 turns the other way")),
     (lambda q: q[:, [0, 1, 2, 4, 3, 5]], ("columns of joints 4 and 5 are swapped",)),
+    (lambda q: added(q, 2, [1]), (f"joint 3 {BACK} link 1, not from link 2 (its angle: column - q2)",)),
+    (lambda q: added(q, 3, [1, 2]), (f"joint 4 {BACK} link 1, not from link 3 (its angle: column - q2 - q3)",)),
 ]
 
 

@@ -120,6 +120,26 @@ def test_a_hidden_effect_is_named(cell: Folder) -> None:
     assert found["gap"]["rms_after_mm"] < 0.012 < 0.03 < found["gap"]["rms_before_mm"]
 
 
+def test_a_bar_that_is_longer_than_its_file_says(cell: Folder) -> None:
+    """`check` offers the effect, with which nothing speaks against the data, and `identify` gives the length."""
+    cell.write("truth.toml", SIX + BAR + TRUTH + '[[effects]]\nname = "length_offset"\nc_mm = 0.5\n')
+    done(cell, "simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "data.csv")
+    (said,) = done(cell, "check", "arm.toml", "data.csv")["problems"]
+    assert said.startswith("all distances look 0.")
+    assert said.endswith('add [[effects]] name = "length_offset"')
+    cell.write("arm.toml", SIX + BAR + '[[effects]]\nname = "length_offset"\n')
+    assert done(cell, "check", "arm.toml", "data.csv")["problems"] == []
+    found = done(cell, "identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
+    (row,) = [row for row in found["parameters"] if row["name"] == "length_offset.c"]
+    assert row["low_95"] - row["std"] < 0.5 < row["high_95"] + row["std"]
+    cell.write("targets.csv", "x_mm,y_mm,z_mm\n500,300,300\n")
+    assert done(cell, "compensate", "calibrated.toml", "targets.csv")["reached"] == 1
+    cell.write("tracker.toml", SIX.replace("[instrument]\n", "") + '[[effects]]\nname = "length_offset"\n')
+    refused = cell.armcal("check", "tracker.toml", "data.csv")
+    assert refused.code == 2
+    assert "length_offset needs measured distances, found no [instrument] table, allowed: kind distance" in refused.err
+
+
 def test_contacts(cell: Folder) -> None:
     """With a ball of 30 mm: joints alone say the arm; a plan cannot be made."""
     generator = np.random.default_rng(5)
