@@ -220,9 +220,11 @@ def _refitted(
     if refit == "none":
         return {}, measurements.positions - model.position(measurements.postures, None, conditions), 0
     names = model.names
-    if (equations := measurements.positions.size) < len(names):
+    if measurements.positions.size < len(names):
         allowed = f"allowed: at least {-(-len(names) // measurements.dimension)} rows in each session"
-        raise InputError(f"measurements: {equations} equations for {len(names)} refitted parameters, {allowed}")
+        raise InputError(
+            f"measurements: too few for {len(names)} refitted parameters, {len(measurements)} in all, {allowed}"
+        )
     weights = np.ones(len(measurements)) if measurements.sigma is None else measurements.sigma**-2.0
     problem = Problem(model, measurements.postures, conditions, measurements.positions[None], weights)
     values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]

@@ -126,7 +126,8 @@ class _Plane(_Sphere):
     def _found(self) -> Array:
         points = self.points()
         middle = points.mean(axis=1)
-        normal = np.linalg.svd(points - middle[:, None], full_matrices=False)[2][:, 2]
+        about = points - middle[:, None]
+        normal = np.linalg.eigh(np.swapaxes(about, 1, 2) @ about)[1][:, :, 0]  # of the least scatter; of few points any
         return np.column_stack([normal, np.sum(normal * middle, axis=1)])
 
     def _linear(self) -> tuple[Array, Array, Array]:

@@ -60,3 +60,11 @@ def test_few_rows_have_a_start(frames: np.ndarray) -> None:
     """Fewer than unknowns: anything that explains them will do."""
     lengths = np.linalg.norm(points(frames[:4]) - CENTER, axis=1)
     assert placed_by_lengths(Instrument("distance"), frames[:4], lengths, REACH).rms < 1.0
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_one_or_two_contacts_have_a_plane(rows: int, frames: np.ndarray) -> None:
+    """Any of those through them."""
+    found = placed_by_lengths(Instrument("plane"), frames[:rows], np.zeros(rows), REACH)
+    assert found.rms < 1e-6 * REACH
+    np.testing.assert_allclose(found.base[:3, :3] @ found.base[:3, :3].T, np.eye(3), atol=1e-12)
