@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
 LONG = 24  # characters, from which a cell is text that may be broken
+SYMBOLS = {r"\bchi2\b": "χ²", r"\bsigma\b": "σ", r"\bDelta BIC\b": "ΔBIC", "->": "→", r"\+-": "±"}
 PHONE = 38  # characters of a row, a space on both sides of each cell, that a phone shows
 
 
@@ -37,6 +39,26 @@ def html_lines(lines: Iterable[str], *, strong: bool = False) -> str:
     """A paragraph for each line."""
     text = (f"<b>{escape(line)}</b>" if strong else escape(line) for line in lines)
     return "".join(f"<p>{line}</p>\n" for line in text)
+
+
+def html_facts(rows: Iterable[tuple[str, str]]) -> str:
+    """Names and what is to be said of each, one below the other."""
+    style = 'style="text-align: left"'
+    pairs = ((escape(name), escape(text)) for name, text in rows)
+    lines = "".join(f'<tr><th scope="row" {style}>{name}</th><td {style}>{text}</td></tr>\n' for name, text in pairs)
+    return f"<table>\n<tbody>\n{lines}</tbody>\n</table>"
+
+
+def html_folded(summary: str, content: str) -> str:
+    """HTML that is shown when a reader opens it; nothing where there is none."""
+    return f"<details><summary>{escape(summary)}</summary>\n{content}</details>" if content else ""
+
+
+def in_symbols(text: str) -> str:
+    """As books print it: `chi2` as χ², `->` as an arrow."""
+    for plain, symbol in SYMBOLS.items():
+        text = re.sub(plain, symbol, text)
+    return text
 
 
 def _cell(text: str, kind: str) -> str:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from identification.estimation.levenberg_marquardt import levenberg_marquardt
 from identification.estimation.problem import Problem
 from identification.gap.confirmation import LEVEL, mean_of
 from identification.gap.holdout import groups_of
+from identification.html_tables import html_lines, html_table
 from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
@@ -148,17 +148,27 @@ class Validation:
         ]
 
     def __str__(self) -> str:
-        refit = "nothing refitted" if self.refit == "none" else f"{self.refit} refitted"
-        lines = [f"{len(self.residuals)} rows, {refit}; distances [mm]:"]
+        lines = [f"{self._heading}; distances [mm]:"]
         lines.append(f"  {'':<10} {'RMS':>8} {'mean':>8} {'95 %':>8} {'maximum':>8}")
-        for name, figures in (("drawing", self.nominal), ("model", self.model)):
+        for name, figures in self._compared:
             lines.append(f"  {name:<10} " + " ".join(f"{value:8.4f}" for value in vars(figures).values()))
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return f"<pre>{escape(str(self))}</pre>"
+        figures = [[name, *(f"{value:.4f}" for value in vars(f).values())] for name, f in self._compared]
+        table = html_table(("distance [mm]", "RMS", "mean", "95 % below", "maximum"), figures)
+        return html_lines([self._heading]) + table + html_lines(f"note: {note}" for note in self.notes)
+
+    @property
+    def _heading(self) -> str:
+        refit = "nothing refitted" if self.refit == "none" else f"{self.refit} refitted"
+        return f"{len(self.residuals)} rows, {refit}"
+
+    @property
+    def _compared(self) -> tuple[tuple[str, Figures], ...]:
+        return ("drawing", self.nominal), ("model", self.model)
 
 
 def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Validation:

@@ -22,6 +22,7 @@ LAYERS = {
     "identification.progress": 0,
     "identification.data_frames": 1,
     "identification.html_tables": 0,
+    "identification.numbers_in_text": 0,
     "identification.threads": 0,
     "identification.files": 1,
     "identification.kinematics": 1,

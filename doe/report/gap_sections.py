@@ -19,7 +19,6 @@ from doe.report.gap_tables import (
     probability_sheet,
     replication_sheet,
     round_sheet,
-    tests_of,
     trial_sheet,
 )
 from doe.report.identification_tables import conventions, corrected_sheet
@@ -29,6 +28,7 @@ from doe.report.terminal import number
 from doe.report.verdict import diagnosis_actions, diagnosis_verdict, expected_elsewhere
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.gap.noise import Finding
+from identification.gap.notebook import tests_of
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model

@@ -12,13 +12,13 @@ from rich.text import Text
 from doe.report.page import Sheet
 from doe.report.terminal import estimate_text, number, table, unit_or_dash
 from identification.gap.detectability import Size
+from identification.gap.notebook import GAP, gap_rows
 from identification.gap.result import Diagnosis
 from identification.gap.summary import findings, headline
 
 MOST_TRIALS = 12
 MOST_ROUNDS = 5  # of naming in a terminal
 LEFT = ("unit", "change")  # columns of words
-ANSWERS = {True: "yes", False: "no", None: "too few rows"}
 
 
 Data = Mapping[str, Any]  # what `armcal diagnose --json` says
@@ -88,21 +88,9 @@ def probability_sheet(data: Data) -> Sheet:
     return Sheet(["explanation", "probability", "in the 90 % set"], rows)
 
 
-def tests_of(data: Data) -> list[Data]:
-    """What rows that were not used for the fits say: the hold-out, and cross-validation."""
-    return ([data["confirmation"]] if data["confirmation"] else []) + list(data["cross_validation"])
-
-
 def gap_sheet(data: Data) -> Sheet:
     """RMS distances before and after, on the data and on rows that no fit has seen, and whether it holds there."""
-    gap, rows = data["gap"], data.get("rows")
-    own = (number(gap[key]) for key in ("rms_before_mm", "rms_after_mm", "noise_floor_mm"))
-    shown = [["the data", "" if rows is None else str(rows), *own, ""]]
-    for test in tests_of(data):
-        kind = "held out" if test["by"] == "holdout" else "cross-validated"
-        figures = (number(test[key]) for key in ("before_mm", "after_mm", "predicted_mm"))
-        shown.append([f"{kind}: {test['transfer']}", str(test["rows"]), *figures, ANSWERS[test["confirmed"]]])
-    return Sheet(["RMS distance [mm]", "rows", "before", "after", "expected", "holds"], shown)
+    return Sheet(GAP, gap_rows(data))
 
 
 def trial_sheet(data: Data) -> Sheet:

@@ -11,13 +11,10 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from identification.numbers_in_text import number, to_significant_digits
+
 FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
 STYLE: dict[str, Any] = {"box": SIMPLE_HEAD, "padding": (0, 0, 0, 1)}  # of every table: one line, below the head
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """A number formatted for a table; a dash for None."""
-    return "-" if value is None or not np.isfinite(value) else f"{value:z.{digits}f}"  # no -0.0000
 
 
 def in_a_sentence(value: float | None) -> str:
@@ -33,16 +30,6 @@ def in_a_sentence(value: float | None) -> str:
 def unit_or_dash(unit: str) -> str:
     """For a column of units: a dash where there is none."""
     return "–" if unit == "1" else unit
-
-
-def to_significant_digits(value: float | None, std: float | None) -> str:
-    """Rounded to the third significant digit of the standard deviation."""
-    if value is None:
-        return "-"
-    if not std:
-        return f"{value:.5g}"
-    digits = int(np.clip(2 - np.floor(np.log10(abs(std))), 0, 12))
-    return f"{value:z.{digits}f}" if abs(value) < 1e6 else f"{value:.5g}"
 
 
 def estimate_text(value: float | None, std: float | None, unit: str) -> str:

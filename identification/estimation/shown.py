@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from identification.html_tables import html_lines, html_table
+from identification.html_tables import html_facts, html_lines, html_table, in_symbols
+from identification.numbers_in_text import to_significant_digits
 
 if TYPE_CHECKING:
     from identification.estimation.result import Identification
@@ -40,13 +41,17 @@ def text(found: Identification) -> str:
     lines = [f"{name:<32} {' '.join(f'{h:>{w}}' for h, w in zip(figures, widths, strict=True))}  {unit}"]
     for name, *cells, unit in table_rows(found):
         lines.append(f"{name:<32} {' '.join(f'{c:>{w}}' for c, w in zip(cells, widths, strict=True))}  {unit}")
-    return "\n".join([*found.warnings, *lines, *remarks(found)])
+    return "\n".join([*found.warnings, *lines, *(f"{name} {said}" for name, said in remarks(found))])
 
 
 def html(found: Identification) -> str:
-    """The same as a table between paragraphs."""
-    table = html_table(HEADINGS, table_rows(found))
-    return html_lines(found.warnings, strong=True) + table + html_lines(remarks(found))
+    """The same as tables: the parameters, rounded by their standard deviations, and what else was found."""
+    rows = [
+        [name, *(to_significant_digits(row[key], row["std"]) for key in COLUMNS), row["unit"]]
+        for name, row in zip(found.shown_names, found.rows(), strict=True)
+    ]
+    facts = ((in_symbols(name.removesuffix(":")), in_symbols(said)) for name, said in remarks(found))
+    return html_lines(map(in_symbols, found.warnings), strong=True) + html_table(HEADINGS, rows) + html_facts(facts)
 
 
 def table_rows(found: Identification) -> list[list[str]]:
@@ -55,22 +60,24 @@ def table_rows(found: Identification) -> list[list[str]]:
     return [[name, *(_cell(row[key]) for key in COLUMNS), row["unit"]] for name, row in rows]
 
 
-def remarks(found: Identification) -> list[str]:
-    """Parameters not distinguishable, sigma, intervals, errors before and after, and how the fit ended."""
-    lines = [f"not identifiable: {combination}" for combination in found.not_identifiable]
+def remarks(found: Identification) -> list[tuple[str, str]]:
+    """What, and what is said of it: parameters not distinguishable, sigma, intervals, errors before and after, and how
+    the fit ended."""
+    lines = [("not identifiable:", combination) for combination in found.not_identifiable]
     known = "given" if found.sigma_known else "estimated"
     sigma = "unknown" if found.sigma is None else f"{found.sigma:.4g} mm ({known})"
     chi2 = "" if found.p_value is None else f", chi2 {found.chi2:.4g}, {p_value_in_words(found.p_value)}"
-    lines.append(f"sigma {sigma}, {found.dof} degrees of freedom{chi2}")
-    lines.append(f"95 % intervals: {found.uncertainty.sentence}")
-    lines.append(f"RMS {found.rms_before:.4g} -> {found.rms_after:.4g} mm")
-    lines.append(f"max {found.max_before:.4g} -> {found.max_after:.4g} mm")
+    lines.append(("sigma", f"{sigma}, {found.dof} degrees of freedom{chi2}"))
+    lines.append(("95 % intervals:", found.uncertainty.sentence))
+    lines.append(("RMS", f"{found.rms_before:.4g} -> {found.rms_after:.4g} mm"))
+    lines.append(("max", f"{found.max_before:.4g} -> {found.max_after:.4g} mm"))
     if found.expected_tip is not None:
         measured = f"{found.expected_tip_measured:.4g} mm within the angles measured"
-        lines.append(f"expected error of the tip {measured}, {found.expected_tip:.4g} mm over the joint limits (RMS)")
+        anywhere = f"{found.expected_tip:.4g} mm over the joint limits (RMS)"
+        lines.append(("expected error of the tip", f"{measured}, {anywhere}"))
     if found.rms_angles is not None:
-        lines.append("orientations, RMS {:.4g} -> {:.4g} deg".format(*np.degrees(found.rms_angles)))
-    return [*lines, f"{found.method}: {found.outcome}"]
+        lines.append(("orientations, RMS", "{:.4g} -> {:.4g} deg".format(*np.degrees(found.rms_angles))))
+    return [*lines, (f"{found.method}:", found.outcome)]
 
 
 def _cell(value: Any) -> str:

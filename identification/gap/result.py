@@ -11,7 +11,7 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
-from identification.gap import summary
+from identification.gap import notebook, summary
 from identification.gap.candidate import Candidate
 from identification.gap.choice_validation import ChoiceValidation
 from identification.gap.confirmation import Confirmation
@@ -231,4 +231,4 @@ class Diagnosis:
         return summary.text(self)
 
     def _repr_html_(self) -> str:
-        return summary.html(self)
+        return notebook.html(self)

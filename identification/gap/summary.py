@@ -1,4 +1,4 @@
-"""Present a diagnosis as text and HTML: the verdict in one line, then the evidence."""
+"""Present a diagnosis as text: the verdict in one line, then the evidence."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from identification.estimation.shown import p_value_in_words
 from identification.gap.excluded_waves import waves_clause
 from identification.gap.order_range import order_clauses
 from identification.gap.replication import replication_clauses
-from identification.html_tables import html_lines, html_table
 
 if TYPE_CHECKING:
     from identification.gap.candidate import Candidate
@@ -122,23 +121,6 @@ def text(found: Diagnosis) -> str:
     for candidate in found.candidates or (found.named,):
         lines += candidate_lines(candidate) if candidate.effects else []
     return "\n".join([headline(found), *(f"  {line}" for line in (*lines, *remarks(found)))])
-
-
-def html(found: Diagnosis) -> str:
-    """The whole diagnosis as HTML tables."""
-    candidates = [c for c in found.candidates or (found.named,) if c.effects]
-    sets = [[c.title, f"{c.f:.1f}", p_value_in_words(c.p_adjusted), f"{c.delta_bic:.1f}"] for c in candidates]
-    values = [
-        [c.title, p.name, *(f"{x:.4g}" for x in (p.value, p.low_95, p.high_95)), p.unit]
-        for c in candidates
-        for p in c.parameters
-    ]
-    parts = [html_lines([headline(found), *found.warnings], strong=True)]
-    parts += [html_lines([*findings(found), *rests_on(found)])]
-    parts += [html_table(("effects", "F", "p", "Delta BIC"), sets)] if sets else []
-    headings = ("effects", "parameter", "value", "95 % low", "95 % high", "unit")
-    parts += [html_table(headings, values)] if values else []
-    return "".join([*parts, html_lines(remarks(found))])
 
 
 def remarks(found: Diagnosis) -> list[str]:

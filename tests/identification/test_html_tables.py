@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html.parser import HTMLParser
 
-from identification.html_tables import html_lines, html_table
+from identification.html_tables import html_facts, html_folded, html_lines, html_table, in_symbols
 
 
 class Cells(HTMLParser):
@@ -50,3 +50,17 @@ def test_rows_that_are_too_wide_for_a_phone_have_their_headings_in_each_cell() -
     assert "data-heading" not in html_table(["a", "b"], [["x" * 90, "y" * 20]])
     assert html_table(["<i>", "b", "c"], [["x" * 30, "1", "2"] * 1]).count('data-heading="&lt;i&gt;"') == 0
     assert html_table(["<i>", "b", "c"], [["x" * 40, "1", "2"]]).count('data-heading="&lt;i&gt;"') == 1
+
+
+def test_symbols_are_those_of_books_and_keys_stay_as_they_are() -> None:
+    said = in_symbols("sigma 0.1 mm, chi2 20.5, RMS 2 -> 1 mm, Delta BIC 3, 1 +- 2; sigma_mm, chi2s")
+    assert said == "σ 0.1 mm, χ² 20.5, RMS 2 → 1 mm, ΔBIC 3, 1 ± 2; sigma_mm, chi2s"
+
+
+def test_facts_stand_beside_their_names_and_a_fold_has_a_title() -> None:
+    text = html_facts([("a<b", "1 & 2")])
+    assert text.count("<tr>") == 1
+    assert ">a&lt;b</th>" in text
+    assert ">1 &amp; 2</td>" in text
+    assert html_folded("<more>", "<p>x</p>") == "<details><summary>&lt;more&gt;</summary>\n<p>x</p></details>"
+    assert html_folded("more", "") == ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,6 +95,10 @@ def test_figures_of_the_drawing_are_those_of_a_rigid_motion() -> None:
     assert data["rms_mm"] == pytest.approx(np.sqrt(np.mean(after**2)), rel=1e-9)
     assert data["p95_mm"] == pytest.approx(np.percentile(after, 95), rel=1e-6)
     assert data["max_mm"] == pytest.approx(np.max(after), rel=1e-6)
+    page = validate(calibrated(), Measurements(q, measured))._repr_html_()
+    figures = [np.sqrt(np.mean(after**2)), np.mean(after), np.percentile(after, 95), np.max(after)]
+    row = re.sub(r" data-heading=\"[^\"]*\"", "", page)
+    assert "<td>model</td>" + "".join(f"<td>{value:.4f}</td>" for value in figures) in row
 
 
 def test_offsets_refit_every_joint_offset() -> None:

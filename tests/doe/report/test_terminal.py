@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import io
-import math
 
 import pytest
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from doe.report.terminal import facts, in_a_sentence, number, table, to_significant_digits, unit_or_dash
+from doe.report.terminal import facts, in_a_sentence, table, unit_or_dash
 
 
 def shown(renderable: Table, width: int = 80) -> str:
@@ -18,30 +17,6 @@ def shown(renderable: Table, width: int = 80) -> str:
     with console.capture() as capture:
         console.print(renderable)
     return capture.get()
-
-
-@pytest.mark.parametrize(
-    ("value", "text"), [(None, "-"), (math.nan, "-"), (math.inf, "-"), (1.23456, "1.2346"), (-1e-9, "0.0000")]
-)
-def test_number(value: float | None, text: str) -> None:
-    assert number(value) == text
-
-
-@pytest.mark.parametrize(
-    ("value", "std", "text"),
-    [
-        (1.23456789, 0.0123, "1.2346"),
-        (1.23456789, 12.3, "1.2"),
-        (None, 1.0, "-"),
-        (2e7, 1.0, "2e+07"),
-        (0.5, None, "0.5"),
-        (-1e-5, 0.1, "0.000"),
-    ],
-)
-def test_significant_digits_are_three_of_the_standard_deviation(
-    value: float | None, std: float | None, text: str
-) -> None:
-    assert to_significant_digits(value, std) == text
 
 
 @pytest.mark.parametrize(

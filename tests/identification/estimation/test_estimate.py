@@ -251,8 +251,14 @@ def test_result_is_read_only_and_prints() -> None:
     assert max(map(len, text.splitlines())) <= 130
     page = found._repr_html_()
     assert "<pre>" not in page
-    assert page.count("<tr>") == 1 + len(found.names)
-    assert ">joint_offset:2</td>" in page
+    parameters, facts = page.split("</table>")[:2]
+    assert parameters.count("<tr>") == 1 + len(found.names)
+    assert ">joint_offset:2</td>" in parameters
+    value, std = (row[found.names.index("joint_offset:2")] for row in np.degrees([found.parameters, found.std]))
+    shown = f"{value:.{2 - int(np.floor(np.log10(std)))}f}"  # to the third digit of the standard deviation
+    assert f">joint_offset:2</td><td>{shown}</td>" in parameters.replace(' data-heading="value"', "")
+    assert ">σ</th>" in facts
+    assert "→" in facts
 
 
 # -- refusals --------------------------------------------------------------------------------------------------------

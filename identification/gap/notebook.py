@@ -1,0 +1,90 @@
+"""A diagnosis as a notebook shows it: verdict, gap and what is named as tables, everything else behind a fold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from identification.estimation.shown import p_value_in_words
+from identification.gap import summary
+from identification.html_tables import html_folded, html_lines, html_table, in_symbols
+from identification.numbers_in_text import number, to_significant_digits
+
+if TYPE_CHECKING:
+    from identification.gap.candidate import Candidate
+    from identification.gap.result import Diagnosis
+
+GAP = ("RMS distance [mm]", "rows", "before", "after", "expected", "holds")
+SETS = ("effects", "probability", "F", "adjusted p", "ΔBIC")
+ESTIMATES = ("parameter", "value", "95 % low", "95 % high", "unit")
+ROUNDS, EXCLUDED = ("round", "added and removed", "left [mm]"), ("effect", "smallest size that would have been found")
+ANSWERS = {True: "yes", False: "no", None: "too few rows"}
+
+
+def html(found: Diagnosis) -> str:
+    """The whole diagnosis as HTML."""
+    candidates = [c for c in found.candidates or (found.named,) if c.effects]
+    said = [found.likely, *(f"scatter: {finding}" for finding in found.scatter), *map(str, found.replication)]
+    if found.outlier_rows:
+        said.append(f"left out as outliers: rows {', '.join(map(str, found.outlier_rows))}")
+    return "".join(
+        [
+            html_lines(map(in_symbols, [summary.headline(found), *found.warnings]), strong=True),
+            html_lines(map(in_symbols, summary.findings(found))),
+            html_table(GAP, gap_rows(found.to_json())),
+            html_lines([f"expected: {found.gap.floor} on the data; elsewhere what the model predicts"]),
+            html_table(SETS, [_figures(found, c) for c in candidates]) if candidates else "",
+            *(_estimates(c, several=len(candidates) > 1) for c in candidates if c.parameters),
+            html_lines(map(in_symbols, said)),
+            *_folded(found),
+        ]
+    )
+
+
+def gap_rows(data: Mapping[str, Any]) -> list[list[str]]:
+    """Of the JSON object of a diagnosis: RMS distances before and after, on the data and on rows that no fit has seen,
+    and whether the model holds there, under the headings `GAP`."""
+    gap, rows = data["gap"], data.get("rows")
+    own = (number(gap[key]) for key in ("rms_before_mm", "rms_after_mm", "noise_floor_mm"))
+    shown = [["the data", "" if rows is None else str(rows), *own, ""]]
+    for test in tests_of(data):
+        kind = "held out" if test["by"] == "holdout" else "cross-validated"
+        figures = (number(test[key]) for key in ("before_mm", "after_mm", "predicted_mm"))
+        shown.append([f"{kind}: {test['transfer']}", str(test["rows"]), *figures, ANSWERS[test["confirmed"]]])
+    return shown
+
+
+def tests_of(data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """What rows that were not used for the fits say: the hold-out, and cross-validation."""
+    return ([data["confirmation"]] if data["confirmation"] else []) + list(data["cross_validation"])
+
+
+def _figures(found: Diagnosis, candidate: Candidate) -> list[str]:
+    """How likely a candidate is, and its tests; what curves describe is no name, and has no probability."""
+    likely = "-" if summary.described(found) else number(candidate.probability, 2)
+    p = p_value_in_words(candidate.p_adjusted).removeprefix("p ").removeprefix("= ")
+    return [candidate.title, likely, f"{candidate.f:.1f}", p, f"{candidate.delta_bic:.1f}"]
+
+
+def _estimates(candidate: Candidate, several: bool) -> str:
+    """The parameters of a candidate;  several : there are others, it is named."""
+    rows = [
+        [f"{label}.{p.short}", *(to_significant_digits(x, p.std) for x in (p.value, p.low_95, p.high_95)), p.unit]
+        for label, estimates in candidate.estimates.items()
+        for p in estimates
+    ]
+    title = html_lines([f"Estimates of {candidate.title}:"]) if several else ""
+    return title + html_table(ESTIMATES, rows) + html_lines([f"95 % intervals: {candidate.reliance}"])
+
+
+def _folded(found: Diagnosis) -> list[str]:
+    """Rounds of the search, sizes that are excluded where nothing is named, and notes."""
+    rounds = [
+        [str(k), *str(one).removesuffix(" mm left").rsplit(": ", 1)] for k, one in enumerate(found.rounds, start=1)
+    ]
+    sizes = [] if found.effects else [[name, str(size)] for name, size in found.excluded.items()]
+    return [
+        html_folded(f"{len(rounds)} rounds", html_table(ROUNDS, rounds)) if len(rounds) > 1 else "",
+        html_folded("Sizes that are excluded", html_table(EXCLUDED, sizes)) if sizes else "",
+        html_folded("Notes", html_lines(found.notes)),
+    ]

@@ -1,0 +1,64 @@
+"""A diagnosis in a notebook: tables with the figures of its JSON object, nothing unescaped, the rest behind a fold."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from identification.arm import Arm
+from identification.gap.diagnose import diagnose
+from identification.gap.result import Diagnosis
+from identification.measurements import Measurements
+
+LENGTHS = np.array([300.0, 200.0])
+
+
+@cache
+def diagnosed(play: float) -> Diagnosis:
+    """Two links by hand; joint 2 has play, by the side from which it comes."""
+    generator = np.random.default_rng(3)
+    q, sides = generator.uniform(-1.5, 1.5, (40, 2)), np.sign(generator.normal(size=(40, 2)))
+    angles = np.cumsum(q + play * sides * [0.0, 1.0], axis=1)
+    tips = np.stack([np.cos(angles) @ LENGTHS, np.sin(angles) @ LENGTHS], axis=1)
+    measured = Measurements(q, tips + generator.normal(0.0, 0.02, (40, 2)), directions=sides)
+    return diagnose(Arm(LENGTHS, sigma=0.02), measured, draws=399)
+
+
+def tables(page: str) -> list[list[list[str]]]:
+    """The cells of each table, row by row."""
+    rows = [re.findall(r"<tr>(.*?)</tr>", part, re.S) for part in page.split("</table>")[:-1]]
+    return [[re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.S) for row in part] for part in rows]
+
+
+def test_what_is_named_stands_in_tables() -> None:
+    found = diagnosed(2e-3)
+    assert found.effects == ("backlash:2",)
+    page, data = found._repr_html_(), found.to_json()
+    assert "<pre" not in page
+    gap, sets, estimates = tables(page)[:3]
+    assert gap[1][:4] == ["the data", "40", *(f"{data['gap'][f'rms_{k}_mm']:.4f}" for k in ("before", "after"))]
+    assert [row[0] for row in gap[2:]] == [f"cross-validated: {test['transfer']}" for test in data["cross_validation"]]
+    assert sets[1][:3] == ["backlash:2", f"{found.named.probability:.2f}", f"{found.named.f:.1f}"]
+    (name, value, low, high, unit) = estimates[1]
+    assert (name, unit) == ("backlash:2.b", "deg")
+    assert float(low) < float(value) < float(high)
+    (estimate,) = data["named"]["parameters"]
+    assert abs(float(value) - np.degrees(2e-3)) < 5.0 * estimate["std"]
+    assert page.index("<details>") > page.index("</table>")
+    assert len(page) < 6000
+
+
+def test_where_nothing_is_named_the_sizes_that_are_excluded_are_behind_a_fold() -> None:
+    found = diagnosed(0.0)
+    assert found.effects == ()
+    page = found._repr_html_()
+    fold = page[page.index("<summary>Sizes that are excluded") :]
+    assert [row[0] for row in tables(fold)[0][1:]] == list(found.excluded)
+
+
+def test_nothing_is_read_as_markup() -> None:
+    assert "<b>&" in replace(diagnosed(0.0), warnings=("<img>",))._repr_html_()
+    assert "<img>" not in replace(diagnosed(0.0), warnings=("<img>",), notes=("<img>",))._repr_html_()
