@@ -12,7 +12,7 @@ from rich.text import Text
 from doe.report.page import Sheet
 from doe.report.terminal import estimate_text, number, table, unit_or_dash
 from identification.gap.detectability import Size
-from identification.gap.notebook import GAP, gap_rows
+from identification.gap.notebook import gap_rows
 from identification.gap.result import Diagnosis
 from identification.gap.summary import findings, headline
 
@@ -90,7 +90,7 @@ def probability_sheet(data: Data) -> Sheet:
 
 def gap_sheet(data: Data) -> Sheet:
     """RMS distances before and after, on the data and on rows that no fit has seen, and whether it holds there."""
-    return Sheet(GAP, gap_rows(data))
+    return Sheet(*gap_rows(data))
 
 
 def trial_sheet(data: Data) -> Sheet:

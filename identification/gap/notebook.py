@@ -14,16 +14,11 @@ if TYPE_CHECKING:
     from identification.gap.candidate import Candidate
     from identification.gap.result import Diagnosis
 
-GAP = ("RMS distance [mm]", "rows", "before", "after", "expected", "holds")
-SETS = ("effects", "probability", "F", "adjusted p", "ΔBIC")
-ESTIMATES = ("parameter", "value", "95 % low", "95 % high", "unit")
-ROUNDS, EXCLUDED = ("round", "added and removed", "left [mm]"), ("effect", "smallest size that would have been found")
-ANSWERS = {True: "yes", False: "no", None: "too few rows"}
-
 
 def html(found: Diagnosis) -> str:
     """The whole diagnosis as HTML."""
     candidates = [c for c in found.candidates or (found.named,) if c.effects]
+    sets = ("effects", "probability", "F", "adjusted p", "ΔBIC")
     said = [found.likely, *(f"scatter: {finding}" for finding in found.scatter), *map(str, found.replication)]
     if found.outlier_rows:
         said.append(f"left out as outliers: rows {', '.join(map(str, found.outlier_rows))}")
@@ -31,9 +26,9 @@ def html(found: Diagnosis) -> str:
         [
             html_lines(map(in_symbols, [summary.headline(found), *found.warnings]), strong=True),
             html_lines(map(in_symbols, summary.findings(found))),
-            html_table(GAP, gap_rows(found.to_json())),
+            html_table(*gap_rows(found.to_json())),
             html_lines([f"expected: {found.gap.floor} on the data; elsewhere what the model predicts"]),
-            html_table(SETS, [_figures(found, c) for c in candidates]) if candidates else "",
+            html_table(sets, [_figures(found, c) for c in candidates]) if candidates else "",
             *(_estimates(c, several=len(candidates) > 1) for c in candidates if c.parameters),
             html_lines(map(in_symbols, said)),
             *_folded(found),
@@ -41,17 +36,18 @@ def html(found: Diagnosis) -> str:
     )
 
 
-def gap_rows(data: Mapping[str, Any]) -> list[list[str]]:
-    """Of the JSON object of a diagnosis: RMS distances before and after, on the data and on rows that no fit has seen,
-    and whether the model holds there, under the headings `GAP`."""
+def gap_rows(data: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows, by the JSON object of a diagnosis: RMS distances before and after, on the data and on rows
+    that no fit has seen, and whether the model holds there."""
     gap, rows = data["gap"], data.get("rows")
+    answers = {True: "yes", False: "no", None: "too few rows"}
     own = (number(gap[key]) for key in ("rms_before_mm", "rms_after_mm", "noise_floor_mm"))
     shown = [["the data", "" if rows is None else str(rows), *own, ""]]
     for test in tests_of(data):
         kind = "held out" if test["by"] == "holdout" else "cross-validated"
         figures = (number(test[key]) for key in ("before_mm", "after_mm", "predicted_mm"))
-        shown.append([f"{kind}: {test['transfer']}", str(test["rows"]), *figures, ANSWERS[test["confirmed"]]])
-    return shown
+        shown.append([f"{kind}: {test['transfer']}", str(test["rows"]), *figures, answers[test["confirmed"]]])
+    return ["RMS distance [mm]", "rows", "before", "after", "expected", "holds"], shown
 
 
 def tests_of(data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -73,8 +69,9 @@ def _estimates(candidate: Candidate, several: bool) -> str:
         for label, estimates in candidate.estimates.items()
         for p in estimates
     ]
+    headings = ("parameter", "value", "95 % low", "95 % high", "unit")
     title = html_lines([f"Estimates of {candidate.title}:"]) if several else ""
-    return title + html_table(ESTIMATES, rows) + html_lines([f"95 % intervals: {candidate.reliance}"])
+    return title + html_table(headings, rows) + html_lines([f"95 % intervals: {candidate.reliance}"])
 
 
 def _folded(found: Diagnosis) -> list[str]:
@@ -84,7 +81,13 @@ def _folded(found: Diagnosis) -> list[str]:
     ]
     sizes = [] if found.effects else [[name, str(size)] for name, size in found.excluded.items()]
     return [
-        html_folded(f"{len(rounds)} rounds", html_table(ROUNDS, rounds)) if len(rounds) > 1 else "",
-        html_folded("Sizes that are excluded", html_table(EXCLUDED, sizes)) if sizes else "",
+        html_folded(f"{len(rounds)} rounds", html_table(("round", "added and removed", "left [mm]"), rounds))
+        if len(rounds) > 1
+        else "",
+        html_folded(
+            "Sizes that are excluded", html_table(("effect", "smallest size that would have been found"), sizes)
+        )
+        if sizes
+        else "",
         html_folded("Notes", html_lines(found.notes)),
     ]
