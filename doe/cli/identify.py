@@ -54,6 +54,9 @@ if TYPE_CHECKING:
 @click.option(
     "--without-outliers", is_flag=True, help="Leave rows out that nothing of the model explains, and say which."
 )
+@click.option(
+    "--full", is_flag=True, help="Print every corrected value of a spatial arm, also those hardly determined."
+)
 @click.option("--urdf", type=FILE, metavar="FILE", help="Write the corrected URDF file of a spatial arm.")
 @output_options(out="Write a calibrated arm file (TOML).")
 def command(
@@ -67,6 +70,7 @@ def command(
     only: tuple[str, ...],
     parameters: str | None,
     without_outliers: bool,
+    full: bool,
     urdf: Path | None,
     output: Output,
 ) -> Answer:
@@ -75,8 +79,12 @@ def command(
     Where a column session distinguishes sessions, each gets a base of its own; the file has that of the first. With
     --only all other parameters stay at the values of ARM.
     """
+    from doe.report.identification_tables import identification_tables
+    from doe.report.verdict import identification_actions, next_steps
+    from identification.estimation.left_out import left_out_rms
     from identification.files.arm import load_arm
     from identification.reuse import at_reference, with_place_doubted, words_of
+    from identification.row_groups import diagnosed
     from identification.servo import following_errors, with_servo_errors
     from identification.sessions import with_sessions
 
@@ -95,10 +103,18 @@ def command(
     if words:
         found = with_place_doubted(found, with_sessions(loaded, measurements), words, measurements)
     before, nominal = loaded.calibration if words else None, drawing_left(loaded, measurements, words)
-    answered = fit_answer(found, arm, output, urdf, library, before, nominal, None if old is None else old.calibration)
-    answered.data |= said
+    complete = full or found.machining_factor is None or old is not None
+    left = left_out_rms(found, measurements)
+    shown = identification_tables(found, hidden_by(library), nominal, left, full=complete)
+    answered = fit_answer(found, shown, arm, output, urdf, library, before, None if old is None else old.calibration)
+    answered.data |= {"cross_validated_mm": left} | ({} if nominal is None else {"rms_nominal_mm": nominal}) | said
     answered.shown += wanted.sentences(said)
-    return with_commands(answered, errors)
+    answered = with_commands(answered, errors)
+    if answered.exit_code == 0:
+        answered.shown += next_steps(
+            identification_actions(str(arm), str(data), output.out, diagnosed=diagnosed(loaded))
+        )
+    return answered
 
 
 @dataclass(frozen=True)
@@ -239,27 +255,28 @@ def minimal_model(model: Model, measurements: Measurements) -> Model:
     return kept
 
 
+def hidden_by(library: LibraryPrior | None) -> frozenset[str]:
+    """Parameters of the library's effects, which are not shown."""
+    return frozenset(library.prior.deviations if library else ())
+
+
 def fit_answer(
     found: Identification,
+    shown: list[Any],
     path: Path,
     output: Output,
     urdf: Path | None,
     library: LibraryPrior | None = None,
     before: Calibration | None = None,
-    nominal: float | None = None,
     prior: Calibration | None = None,
 ) -> Answer:
     """The answer for a fit; writes the requested files unless the fit is not good enough (`calibrated.no_file`).
 
+    shown : the tables;  prior : the earlier calibration that was the prior
     before : the earlier calibration; parameters that were not estimated keep its covariance and its data
-    nominal : as of `drawing_left`;  prior : the earlier calibration that was the prior
     """
-    from doe.report.identification_tables import identification_tables
-
     warn_beside_json(found.warnings)
-    hidden, data = frozenset(library.prior.deviations if library else ()), found.to_json()
-    data |= {} if nominal is None else {"rms_nominal_mm": nominal}
-    shown = identification_tables(found, hidden, nominal)
+    hidden, data = hidden_by(library), found.to_json()
     if library is not None:
         data |= {"prior": library.to_json()}
         data["parameters"] = [row for row in data["parameters"] if row["name"] not in hidden]

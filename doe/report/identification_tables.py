@@ -9,51 +9,121 @@ from rich.table import Table
 from rich.text import Text
 
 from doe.report.page import Sheet
-from doe.report.terminal import estimate_text, facts, number, table, unit_or_dash
+from doe.report.terminal import estimate_text, facts, in_a_sentence, number, table, unit_or_dash
 from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
 from identification.estimation.shown import p_value_in_words
 from identification.servo import FollowingError
 from identification.sessions import placing
 
+ALL_OF_THEM = (
+    "All values belong together: do not enter a part of them. --full prints the complete table, --json and --out have "
+    "it; --urdf writes it as a URDF file.",
+    "--parameters minimal gives a complete set of as few values as will do, with all others as drawn: the one to type "
+    "in by hand.",
+)
 MOVED = 1e-3  # of the RMS: where a file lacks the place it has been fitted before
 
 
 def identification_tables(
-    found: Identification, hidden: frozenset[str] = frozenset(), nominal: float | None = None
+    found: Identification,
+    hidden: frozenset[str] = frozenset(),
+    nominal: float | None = None,
+    left_out: float | None = None,
+    *,
+    full: bool = True,
 ) -> list[Any]:
-    """Everything about a fit: what must be read first, the summary, the corrected values but for those `hidden`.
+    """Everything about a fit: warnings, verdict, summary, the corrected values but for those `hidden`.
 
     nominal : RMS distance [mm] that the drawing leaves, where only the place of the arm was estimated
+    left_out : [mm] of `left_out_rms`;  full : False: of a spatial arm the values that the measurements determine
     """
-    data = found.to_json()
-    of_what = compared_with(found, nominal is not None)
-    given = "given" if found.sigma_known else "from the residuals"
-    summary = [
-        ("method", f"{data['method']}: {found.outcome}"),
-        ("RMS error", f"{number(data['rms_before_mm'])} -> {number(data['rms_after_mm'])} mm ({of_what})"),
-        *([("drawing", f"{number(nominal)} mm RMS, placed anew as well")] if nominal is not None else []),
-        ("largest error", f"{number(data['max_before_mm'])} -> {number(data['max_after_mm'])} mm"),
-        *(
-            [("expected error", f"{tip_in_words(data)}, if the model is right")]
-            if found.expected_tip is not None
-            else []
-        ),
-        ("sigma", f"{number(data['sigma_mm'], 5)} mm per axis ({given}), {data['dof']} degrees of freedom"),
-    ]
-    if data["p_value"] is not None:
-        scatter = f"the residuals scatter {number(data['scatter_mm'], 5)} mm"
-        summary.append(("chi2", f"{data['chi2']:.2f}, {p_value_in_words(data['p_value'])}: {scatter}"))
-    summary.append(("95 % intervals", found.uncertainty.sentence))
-    warned = [Text(warning, style="bold") for warning in found.warnings]
     rows = [row for row in found.corrected_values if row.parameter not in hidden]
-    shown: list[Any] = [*warned, facts(summary), corrected_table(rows), *conventions(rows, found.geometry is not None)]
-    if found.geometry is not None:
+    warned = [Text(warning, style="bold") for warning in found.warnings]
+    shown: list[Any] = [
+        *warned,
+        Text(fit_verdict(found, nominal), style="bold"),
+        facts(fit_figures(found, nominal, left_out)),
+    ]
+    shown += [corrected_table(rows), *conventions(rows, found.geometry is not None)] if full else in_short(rows)
+    if found.geometry is not None and full:
         shown += [Text(sentence) for sentence in found.geometry.strict_table]
-    if data["not_identifiable"]:
+    if found.not_identifiable:
         shown.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
-        shown.extend(Text(f"  {combination}") for combination in data["not_identifiable"])
+        shown.extend(Text(f"  {combination}") for combination in found.not_identifiable)
     return shown
+
+
+def fit_verdict(found: Identification, nominal: float | None = None) -> str:
+    """Error before and after, in a sentence."""
+    was, _, _ = compared_with(found, nominal is not None).partition(" -> ")
+    before, after = in_a_sentence(found.rms_before), in_a_sentence(found.rms_after)
+    largest = f"the largest from {in_a_sentence(found.max_before)} to {in_a_sentence(found.max_after)} mm"
+    return f"The fit takes the RMS error from {before} mm ({was}) to {after} mm, {largest}."
+
+
+def fit_figures(found: Identification, nominal: float | None, left_out: float | None) -> list[tuple[str, str]]:
+    """Figures of a fit by name."""
+    data = found.to_json()
+    given = "given" if found.sigma_known else "from the residuals"
+    rows = [
+        ("method", f"{data['method']}: {found.outcome}"),
+    ]
+    if nominal is not None:
+        rows.append(("drawing", f"{number(nominal)} mm RMS, placed anew as well"))
+    if found.expected_tip is not None:
+        wrong = "; but chi2 says that it is not" if found.misfit else ""
+        rows.append(("expected error", f"{tip_in_words(data)}, if the model is right{wrong}"))
+    if left_out is not None:
+        said = "mm RMS: each posture predicted by a fit to the others, noise included"
+        rows.append(("cross-validated", f"{number(left_out)} {said}"))
+    rows.append(("sigma", f"{number(found.sigma, 5)} mm per axis ({given}), {found.dof} degrees of freedom"))
+    if data["p_value"] is not None:
+        scatter = f"the residuals scatter {number(found.scatter, 5)} mm"
+        rows.append(("chi2", f"{data['chi2']:.2f}, {p_value_in_words(data['p_value'])}: {scatter}"))
+    return [*rows, ("95 % intervals", found.uncertainty.sentence)]
+
+
+def in_short(rows: Sequence[CorrectedValue]) -> list[Any]:
+    """Of a spatial arm the values that the measurements determine, the others counted, and where all of them are."""
+    frames = [row for row in rows if row.nominal is not None]
+    sure = [row for row in frames if not row.weak and not negligible(row)]
+    weak = [row.name for row in frames if row.weak]
+    title = f"Well determined: {len(sure)} of {len(frames)} corrected values"
+    shown: list[Any] = [corrected_table(sure, title)]
+    if weak:
+        shown.append(Text(f"Weakly determined, mostly the prior of [machining]: {by_place(weak)}."))
+    if same := len(frames) - len(sure) - len(weak):
+        shown.append(Text(f"As drawn to three decimals: {same} more."))
+    shown += [Text(line) for line in places_in_words(rows)]
+    return [*shown, *map(Text, ALL_OF_THEM)]
+
+
+def negligible(row: CorrectedValue) -> bool:
+    """Whether a length or an angle and its interval are the drawing's to three decimals."""
+    figures = (row.nominal, row.corrected, row.low_95, row.high_95)
+    return row.unit in ("mm", "deg") and None not in figures and len({f"{figure:z.3f}" for figure in figures}) == 1
+
+
+def by_place(names: Sequence[str]) -> str:
+    """`joint 2 x, y, yaw; joint 3 z`; zeros of joints as `zero of joint 5`."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        place, _, axis = name.rpartition(" ")
+        found.setdefault("zero of joint" if place == "zero of joint" else place, []).append(axis)
+    return "; ".join(f"{place} {', '.join(axes)}" for place, axes in found.items())
+
+
+def places_in_words(rows: Sequence[CorrectedValue]) -> list[str]:
+    """Where base and measured points are, a line each: nothing for a controller."""
+    found: dict[str, list[str]] = {}
+    for row in rows:
+        if row.nominal is None and row.corrected is not None:
+            place, _, axis = row.name.rpartition(" ")
+            found.setdefault(place, []).append(
+                f"{axis} {row.corrected:z.3f}{'' if row.unit == 'mm' else f' {row.unit}'}"
+            )
+    return [f"{place} [mm]: {', '.join(figures)}" for place, figures in found.items()]
 
 
 def tip_in_words(data: Mapping[str, Any]) -> str:
@@ -66,15 +136,15 @@ def compared_with(found: Identification, place: bool = False) -> str:
     """What the errors before and after the fit are those of;  place : nothing but where a calibrated arm stands."""
     if place and found.rms_before > (1.0 + MOVED) * found.rms_after:
         return "where the arm file has it -> found anew"
-    known, places = found.geometry is None or found.model.arm.calibration is not None, placing(found.model.parameters)
-    fitted = bool(places) and len(places) < len(found.names)
+    arm, places = getattr(found.model, "arm", None), placing(found.model.parameters)
+    known, fitted = arm is None or arm.calibration is not None, bool(places) and len(places) < len(found.names)
     return f"{'arm file' if known else 'drawing'}{', its place fitted' if fitted else ''} -> identified"
 
 
 def corrected_sheet(rows: Sequence[CorrectedValue]) -> Sheet:
     """The values to enter in the controller: nominal and corrected, with intervals."""
     keys, rows = ("nominal", "corrected", "std", "low_95", "high_95"), [row for row in rows if not equals_drawing(row)]
-    names = [f"{row.name} *" if row.held_by_prior else row.name for row in rows]
+    names = [f"{row.name} *" if row.weak else row.name for row in rows]
     figures = ([estimate_text(getattr(row, key), row.std, row.unit) for key in keys] for row in rows)
     cells = [[name, *values, unit_or_dash(row.unit)] for name, values, row in zip(names, figures, rows, strict=True)]
     return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells)
@@ -86,11 +156,11 @@ def equals_drawing(row: CorrectedValue) -> bool:
     return row.unit in ("mm", "deg") and None not in figures and len({f"{figure:z.5f}" for figure in figures}) == 1
 
 
-def corrected_table(rows: Sequence[CorrectedValue]) -> Table:
+def corrected_table(rows: Sequence[CorrectedValue], title: str = "Corrected values") -> Table:
     """The same for a terminal, at most 80 columns wide."""
     sheet = corrected_sheet(rows)
     left, figures = ("", "unit"), sheet.headings[1:]
-    return table(sheet.headings, sheet.rows, "Corrected values", left=left, no_wrap=figures, padding=0)
+    return table(sheet.headings, sheet.rows, title, left=left, no_wrap=figures, padding=0)
 
 
 def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
@@ -105,8 +175,11 @@ def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
             "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.",
             "These values belong together: enter all of them.",
         ]
-    if held := sum(row.held_by_prior for row in rows):
-        said.append(f"* {held} of {len(rows)} are held by the prior: the measurements say next to nothing of them.")
+    if weak := sum(row.weak for row in rows):
+        said.append(
+            f"* {weak} of {len(rows)} are weakly determined: the measurements leave more than half of the standard "
+            "deviation that they had before, and the prior holds them."
+        )
     return said
 
 

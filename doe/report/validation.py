@@ -26,7 +26,7 @@ def validation_tables(found: Validation) -> list[Any]:
     """Verdict, drawing and model over all rows, then block by block."""
     figures_of = ("RMS", "mean", "95 %\nbelow", "largest")
     rows = ((name, *_cells(figures)) for name, figures in (("drawing", found.nominal), ("model", found.model)))
-    shown: list[Any] = [Text(verdict(found), style="bold")]
+    shown: list[Any] = [Text(predicted_in_words(found), style="bold")]
     shown += [Text(note, style="bold") for note in found.notes if HARDLY not in note]
     shown += [refitted_in_words(found), table(("", *figures_of), rows, "Distances in mm", left=("",))]
     if blocks := found.blocks:
@@ -48,7 +48,7 @@ def refitted_in_words(found: Validation) -> str:
     return f"{len(found.residuals)} rows, refitted{sessions}: {what}; everything else as in the file"
 
 
-def verdict(found: Validation) -> str:
+def predicted_in_words(found: Validation) -> str:
     """How well the model predicts, and what the calibration is worth, in a sentence or two."""
     model, drawing = in_a_sentence(found.model.rms), in_a_sentence(found.nominal.rms)
     kind = "positions" if found.measurements.dimension > 1 else "readings"

@@ -204,6 +204,16 @@ def data_actions(arm: str = "arm.toml", rows: str = "data.csv") -> list[Action]:
     ]
 
 
+def identification_actions(arm: str, rows: str, written: Path | None, *, diagnosed: bool) -> list[Action]:
+    """What follows from an identification.
+
+    written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for
+    """
+    names = {"arm": arm, "rows": rows, "calibrated": str(written or "calibrated.toml")}
+    keep = [] if written else [Action("Keep the calibration: add --out calibrated.toml to this command.")]
+    return [*keep, *calibrated_actions(**names)[int(diagnosed) :]]
+
+
 def calibrated_actions(
     arm: str = "arm.toml", rows: str = "data.csv", calibrated: str = "calibrated.toml"
 ) -> list[Action]:

@@ -21,6 +21,7 @@ from identification.kinematics.spatial import SpatialChain
 from identification.model import Model
 
 LITTLE = 0.1  # share of its variance before that the measurements take from a value that the prior holds
+NARROWED = 0.5  # of its standard deviation before, below which the measurements say more than the prior
 STEP = {"mm": 1e-3, "rad": 1e-6}  # of central differences: exact for shifts, to 1e-12 for angles
 UPRIGHT = 89.0  # [deg] of pitch, from which roll and yaw turn about nearly one axis and only their sum is determined
 LINK = "length of the link"
@@ -57,6 +58,11 @@ class CorrectedValue:
     convention: str
     prior_std: float | None = None
     held_by_prior: bool = False
+
+    @property
+    def weak(self) -> bool:
+        """Whether the measurements leave more than `NARROWED` of the standard deviation that it had before."""
+        return self.std is not None and self.prior_std is not None and self.std > NARROWED * self.prior_std
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `corrected_values` (identification/files/README.md, "JSON keys")."""

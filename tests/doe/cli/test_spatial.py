@@ -225,7 +225,7 @@ def test_validate_where_the_arm_stands_elsewhere(spatial: Folder) -> None:
     spatial.write("moved.toml", (ARM + PLACED).replace("x_mm = 2000.0", "x_mm = 2100.0"))
     spatial.armcal("simulate", "arm.toml", "plan.csv", "--truth", "moved.toml", "--out", "tracker.csv", "--seed", "3")
     shown = spatial.armcal("identify", "calibrated.toml", "tracker.csv", "--only", "base,tool").out
-    assert "mm (where the arm file has it -> found anew)" in shown
+    assert "mm (where the arm file has it) to " in " ".join(shown.split())
     assert re.search(r"drawing +\d\.\d+ mm RMS, placed anew as well", shown)
     same = spatial.armcal("validate", "calibrated.toml", "data.csv", "--refit", "none", "--json", "--picture", "x.png")
     assert same.code == 0, same.err
@@ -233,6 +233,25 @@ def test_validate_where_the_arm_stands_elsewhere(spatial: Folder) -> None:
     shown = spatial.armcal("validate", "calibrated.toml", "data.csv").out
     assert shown.startswith("The model predicts these 80 positions to ")
     assert "80 rows, refitted: position and rotation of the base, measured points; everything else" in shown
+
+
+def test_what_the_measurements_determine_is_shown_and_where_the_rest_is(spatial: Folder) -> None:
+    """The two tables differ by what is counted in the short one, and the sentences name the ways to everything."""
+    short, full = (spatial.armcal("identify", "arm.toml", "data.csv", *more).out for more in ((), ("--full",)))
+    data = spatial.armcal("identify", "arm.toml", "data.csv", "--json").data
+    frames = [row for row in data["corrected_values"] if row["nominal"] is not None]
+    weak = [row["name"] for row in frames if row["prior_std"] is not None and row["std"] > 0.5 * row["prior_std"]]
+    assert 0 < len(weak) < len(frames)
+    for name in weak:
+        assert f" {name} * " in full
+        assert f" {name} " not in short.split("Weakly determined")[0]
+    said = " ".join(short.split())
+    assert f" of {len(frames)} corrected values" in said
+    for way in ("--full prints", "--json", "--urdf", "--parameters minimal gives"):
+        assert way in said
+        assert way not in full or way in ("--json", "--urdf")
+    assert data["cross_validated_mm"] > data["rms_after_mm"]
+    assert f"cross-validated {data['cross_validated_mm']:.4f} mm RMS" in said
 
 
 def test_commands_for_the_real_arm(spatial: Folder) -> None:

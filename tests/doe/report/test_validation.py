@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from rich.console import Console
 
-from doe.report.validation import better, validation_figure, validation_tables, verdict
+from doe.report.validation import better, predicted_in_words, validation_figure, validation_tables
 from identification.arm import Arm, Calibration
 from identification.measurements import Measurements
 from identification.validate import HARDLY, validate
@@ -41,9 +41,9 @@ def test_tables_and_picture() -> None:
     )
     assert said in " ".join(text.split())
     swapped = replace(found, residuals=found.nominal_residuals, nominal_residuals=found.residuals)
-    assert verdict(swapped).startswith("The model predicts these 16 positions no better than the drawing: ")
+    assert predicted_in_words(swapped).startswith("The model predicts these 16 positions no better than the drawing: ")
     doubtful = replace(found, notes=(f"{HARDLY} ...",))
-    assert verdict(doubtful).startswith(f"The model predicts these 16 positions {HARDLY} than the drawing: ")
+    assert predicted_in_words(doubtful).startswith(f"The model predicts these 16 positions {HARDLY} than the drawing: ")
     assert [better(one) for one in (found, swapped, doubtful)] == [True, False, False]
     figure = validation_figure(found)
     assert figure.axes[1].get_title().startswith(f"drawing: RMS {found.nominal.rms:.4g} mm")

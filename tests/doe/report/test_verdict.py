@@ -12,6 +12,7 @@ from doe.report.verdict import (
     diagnosis_actions,
     diagnosis_verdict,
     effects_in_words,
+    identification_actions,
     identification_verdict,
     next_steps,
     validation_actions,
@@ -132,3 +133,14 @@ def test_next_steps_name_every_file_that_was_diagnosed(verdict: str) -> None:
     assert reading
     assert all(" arm.toml monday.csv friday.csv " in f"{command} " for command in reading)
     assert not any(command.startswith("armcal identify") for command in reading)  # which takes one file
+
+
+def test_after_an_identification() -> None:
+    first = identification_actions("a.toml", "d.csv", None, diagnosed=False)
+    assert first[0].text.endswith("add --out calibrated.toml to this command.")
+    assert first[1].command.startswith("armcal diagnose a.toml d.csv")
+    kept = identification_actions("a.toml", "d.csv", Path("mine.toml"), diagnosed=True)
+    assert [action.command.split()[:3] for action in kept] == [
+        ["armcal", "validate", "mine.toml"],
+        ["armcal", "compensate", "mine.toml"],
+    ]

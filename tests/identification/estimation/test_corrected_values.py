@@ -122,10 +122,10 @@ def test_the_table_fits_80_columns() -> None:
     assert "encoder_eccentricity:2.a" in "".join(lines)
 
 
-@pytest.mark.parametrize(("deviation", "held"), [(0.104, True), (0.107, False), (1.0, False)])
-def test_values_that_only_the_prior_holds_are_marked(deviation: float, held: bool) -> None:
+@pytest.mark.parametrize("deviation", [0.104, 0.107, 0.547, 0.549, 1.0])
+def test_values_that_only_the_prior_holds_are_marked(deviation: float) -> None:
     """Of one link, m rows measure the length along it: the variance falls from s^2 to 1 / (1 / s^2 + m / sigma^2), by
-    less than a tenth where m s^2 < sigma^2 / 9."""
+    less than a tenth where m s^2 < sigma^2 / 9, to more than a quarter where m s^2 < 3 sigma^2."""
     m, model = 10, Model(Arm([300.0], sigma=1.0))
     q = np.linspace(-3.0, 3.0, m)[:, None]
     noise = np.random.default_rng(3).normal(0.0, 1.0, (m, 2))
@@ -134,11 +134,12 @@ def test_values_that_only_the_prior_holds_are_marked(deviation: float, held: boo
     length = by_name(found.corrected_values)["length of link 1"]
     assert length.prior_std == pytest.approx(deviation)
     assert length.std == pytest.approx((deviation**-2.0 + m) ** -0.5, rel=1e-9)
-    assert length.held_by_prior is held is (m * deviation**2 < 1.0 / 9.0)
+    assert length.held_by_prior is (m * deviation**2 < 1.0 / 9.0)
+    assert length.weak is (weak := m * deviation**2 < 3.0)
     zero = by_name(found.corrected_values)["zero of joint 1"]
     assert (zero.prior_std, zero.held_by_prior) == (None, False)
     shown = corrected_sheet(found.corrected_values).rows[0][0], " ".join(conventions(found.corrected_values, False))
-    assert ("*" in shown[0], "held by the prior" in shown[1]) == (held, held)
+    assert ("*" in shown[0], "* 1 of 2 are weakly determined" in shown[1]) == (weak, weak)
 
 
 def test_frames_have_the_prior_of_what_they_are_made_of() -> None:

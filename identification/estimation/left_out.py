@@ -1,0 +1,60 @@
+"""What a fit leaves of postures that it has not seen: each left out in turn, without a second fit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from identification.arrays import Array
+from identification.measurements import POINT, Measurements, rms_distance
+from identification.threads import single_thread
+
+if TYPE_CHECKING:
+    from identification.estimation.result import Identification
+
+ALONE = 1e-9  # of 1: what is left of a posture that alone determines something
+
+
+@single_thread()
+def left_out_rms(found: Identification, measurements: Measurements) -> float | None:
+    """Root mean square distance [mm] of each posture's positions from where a fit to all other postures puts them.
+
+    With the leverages H_g of the rows of a posture the residuals without them are (I - H_g)^-1 r_g: exact for a model
+    that is linear in its parameters, and to first order for any other (R. D. Cook, S. Weisberg, "Residuals and
+    Influence in Regression", 1982, section 2.2). The noise of one measurement is in it.
+
+    measurements : the rows of the fit. None where something is not identifiable, or a posture alone determines it.
+    """
+    if found.not_identifiable or len(measurements) != len(found.residuals_after):
+        return None
+    weights = np.ones(len(measurements))
+    if (sigma := measurements.sigma) is not None:
+        weights = np.sqrt(np.mean(sigma**2)) / sigma
+    _, jacobian = found.model.linearize(measurements.postures, found.parameters, measurements.conditions)
+    rows = weights[:, None, None] * jacobian
+    m, d, p = rows.shape
+    prior = np.zeros((0, p)) if found.prior is None else found.prior.rows(found.model.parameters, found.scatter or 0.0)
+    leverage = _orthonormal(np.concatenate([rows.reshape(-1, p), prior]))[: m * d].reshape(m, d, -1)
+    residuals = weights[:, None] * found.residuals_after
+    without = np.empty_like(residuals)
+    for group in _groups(measurements):
+        block = leverage[group].reshape(-1, leverage.shape[-1])
+        left = np.eye(len(block)) - block @ block.T
+        if np.linalg.eigvalsh(left)[0] < ALONE:
+            return None
+        without[group] = np.linalg.solve(left, residuals[group].ravel()).reshape(-1, d)
+    return rms_distance((without / weights[:, None])[:, POINT])
+
+
+def _orthonormal(rows: Array) -> Array:
+    """(N, p) columns of the same span, orthonormal."""
+    sizes = np.maximum(np.linalg.norm(rows, axis=0), np.finfo(float).tiny)
+    return np.asarray(np.linalg.qr(rows / sizes)[0])
+
+
+def _groups(measurements: Measurements) -> list[Array]:
+    """Row numbers of each posture, its repeats together."""
+    numbers = measurements.posture_numbers
+    order = np.argsort(numbers, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1)
