@@ -1,16 +1,18 @@
-"""The files that `armcal identify` writes: the calibrated arm and the corrected URDF file, or why they are not."""
+"""The answer of `armcal identify`, and the files it writes: calibrated arm and corrected URDF, or why they are not."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from doe.cli.common import Answer, warn_beside_json
 from doe.cli.options import Output
 from identification.status import Status
 
 if TYPE_CHECKING:
     from identification.arm import Calibration
     from identification.estimation import Identification
+    from identification.gap.library_prior import LibraryPrior
 
 
 def write_calibrated(
@@ -53,7 +55,7 @@ def arm_file(
 ) -> str:
     """Text of the arm file with the calibration added, and with effects of the fit that the file lacks.
 
-    hidden : parameters whose covariance is left out;  before, prior : see `identify.answer`
+    hidden : parameters whose covariance is left out;  before, prior : see `fit_answer`
     """
     from identification.files.arm_text import with_calibration, with_effects
     from identification.files.io import read_text
@@ -78,3 +80,37 @@ def no_file(found: Identification, force: bool) -> str | None:
     if lengths and min(lengths) <= 0.0:
         return f"link {lengths.index(min(lengths)) + 1} would have no positive length"
     return None if force else "the fit is implausible; --force writes it all the same"
+
+
+def hidden_by(library: LibraryPrior | None) -> frozenset[str]:
+    """Parameters of the library's effects, which are not shown."""
+    return frozenset(library.prior.deviations if library else ())
+
+
+def fit_answer(
+    found: Identification,
+    shown: list[Any],
+    path: Path,
+    output: Output,
+    urdf: Path | None,
+    library: LibraryPrior | None = None,
+    before: Calibration | None = None,
+    prior: Calibration | None = None,
+) -> Answer:
+    """The answer for a fit; writes the requested files unless the fit is not good enough (`no_file`).
+
+    shown : the tables;  prior : the earlier calibration that was the prior
+    before : the earlier calibration; parameters that were not estimated keep its covariance and its data
+    """
+    warn_beside_json(found.warnings)
+    hidden, data = hidden_by(library), found.to_json()
+    if library is not None:
+        data |= {"prior": library.to_json()}
+        data["parameters"] = [row for row in data["parameters"] if row["name"] not in hidden]
+        shown.append(library.sentence)
+    wanted = [name for name in (output.out, urdf) if name is not None]
+    if not wanted:
+        return Answer(data, shown, exit_code=1 if found.not_identifiable else 0)
+    if (reason := no_file(found, output.force)) is not None:
+        return Answer(data, [*shown, *(f"{name} was not written: {reason}" for name in wanted)], exit_code=1)
+    return Answer(data, shown + write_calibrated(found, path, output, urdf, hidden, before, prior))

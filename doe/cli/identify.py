@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from doe.cli import calibrated
-from doe.cli.common import Answer, CommonOptions, read_measurements, verb, warn_beside_json
+from doe.cli.common import Answer, CommonOptions, read_measurements, verb
 from doe.cli.options import FILE, LibraryEffects, Output, PriorOrFile, only_option, output_options, prior_options
 from identification.errors import InputError
 
 if TYPE_CHECKING:
-    from identification.arm import Arm, Calibration
+    from identification.arm import Arm
     from identification.estimation import Identification
     from identification.estimation.prior import Earlier, Prior
     from identification.gap.library_prior import LibraryPrior
@@ -79,9 +79,7 @@ def command(
     Where a column session distinguishes sessions, each gets a base of its own; the file has that of the first. With
     --only all other parameters stay at the values of ARM.
     """
-    from doe.report.identification_tables import identification_tables
     from doe.report.verdict import identification_actions, next_steps
-    from identification.estimation.left_out import left_out_rms
     from identification.files.arm import load_arm
     from identification.reuse import at_reference, with_place_doubted, words_of
     from identification.row_groups import diagnosed
@@ -102,19 +100,37 @@ def command(
     found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
     if words:
         found = with_place_doubted(found, with_sessions(loaded, measurements), words, measurements)
-    before, nominal = loaded.calibration if words else None, drawing_left(loaded, measurements, words)
-    complete = full or found.machining_factor is None or old is not None
-    left = left_out_rms(found, measurements)
-    shown = identification_tables(found, hidden_by(library), nominal, left, full=complete)
-    answered = fit_answer(found, shown, arm, output, urdf, library, before, None if old is None else old.calibration)
-    answered.data |= {"cross_validated_mm": left} | ({} if nominal is None else {"rms_nominal_mm": nominal}) | said
+    before = loaded.calibration if words else None
+    extra, shown = fit_shown(found, loaded, measurements, words, library, full=full or old is not None)
+    answered = calibrated.fit_answer(
+        found, shown, arm, output, urdf, library, before, None if old is None else old.calibration
+    )
+    answered.data |= extra | said
     answered.shown += wanted.sentences(said)
     answered = with_commands(answered, errors)
     if answered.exit_code == 0:
-        answered.shown += next_steps(
-            identification_actions(str(arm), str(data), output.out, diagnosed=diagnosed(loaded))
-        )
+        actions = identification_actions(str(arm), str(data), output.out, diagnosed=diagnosed(loaded))
+        answered.shown += next_steps(actions)
     return answered
+
+
+def fit_shown(
+    found: Identification,
+    arm: Arm,
+    data: Measurements,
+    words: Sequence[str],
+    library: LibraryPrior | None,
+    *,
+    full: bool,
+) -> tuple[dict[str, Any], list[Any]]:
+    """JSON keys beside those of a fit, and its tables;  full : every value, as where [machining] holds none."""
+    from doe.report.identification_tables import identification_tables
+    from identification.estimation.left_out import left_out_rms
+
+    nominal, left = drawing_left(arm, data, words), left_out_rms(found, data)
+    complete = full or found.machining_factor is None
+    shown = identification_tables(found, calibrated.hidden_by(library), nominal, left, full=complete)
+    return {"cross_validated_mm": left} | ({} if nominal is None else {"rms_nominal_mm": nominal}), shown
 
 
 @dataclass(frozen=True)
@@ -253,37 +269,3 @@ def minimal_model(model: Model, measurements: Measurements) -> Model:
         left = f"{', '.join(hardly)} would move no coordinate by {PRACTICAL:g} mm RMS"
         warnings.warn(f"left as drawn, {len(kept.names)} parameters stay: {left}", UserWarning, stacklevel=2)
     return kept
-
-
-def hidden_by(library: LibraryPrior | None) -> frozenset[str]:
-    """Parameters of the library's effects, which are not shown."""
-    return frozenset(library.prior.deviations if library else ())
-
-
-def fit_answer(
-    found: Identification,
-    shown: list[Any],
-    path: Path,
-    output: Output,
-    urdf: Path | None,
-    library: LibraryPrior | None = None,
-    before: Calibration | None = None,
-    prior: Calibration | None = None,
-) -> Answer:
-    """The answer for a fit; writes the requested files unless the fit is not good enough (`calibrated.no_file`).
-
-    shown : the tables;  prior : the earlier calibration that was the prior
-    before : the earlier calibration; parameters that were not estimated keep its covariance and its data
-    """
-    warn_beside_json(found.warnings)
-    hidden, data = hidden_by(library), found.to_json()
-    if library is not None:
-        data |= {"prior": library.to_json()}
-        data["parameters"] = [row for row in data["parameters"] if row["name"] not in hidden]
-        shown.append(library.sentence)
-    wanted = [name for name in (output.out, urdf) if name is not None]
-    if not wanted:
-        return Answer(data, shown, exit_code=1 if found.not_identifiable else 0)
-    if (reason := calibrated.no_file(found, output.force)) is not None:
-        return Answer(data, [*shown, *(f"{name} was not written: {reason}" for name in wanted)], exit_code=1)
-    return Answer(data, shown + calibrated.write_calibrated(found, path, output, urdf, hidden, before, prior))
