@@ -79,35 +79,52 @@ def command(
     Where a column session distinguishes sessions, each gets a base of its own; the file has that of the first. With
     --only all other parameters stay at the values of ARM.
     """
-    from doe.report.verdict import identification_actions, next_steps
     from identification.files.arm import load_arm
-    from identification.reuse import at_reference, with_place_doubted, words_of
-    from identification.row_groups import diagnosed
-    from identification.servo import following_errors, with_servo_errors
+    from identification.reuse import with_place_doubted, words_of
+    from identification.servo import following_errors
     from identification.sessions import with_sessions
 
     loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
         if value is not None and loaded.chain is None:
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
-    measurements = read_measurements(data, loaded)
-    loaded, errors = with_servo_errors(loaded, measurements), following_errors(measurements, loaded.joint_types)
     old = None if prior_from is None else load_arm(prior_from)
-    if old or words or any(effect.values for effect in loaded.effects):  # what is held counts from the old temperature
-        measurements = at_reference(measurements, old or loaded)
+    loaded, measurements = read_rows(loaded, data, old, words)
     wanted = Wanted(words, prior, prior_from, method, sigma, parameters == "minimal")
     common.report(0, None, f"fitting {len(measurements)} rows")
     found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
     if words:
         found = with_place_doubted(found, with_sessions(loaded, measurements), words, measurements)
-    before = loaded.calibration if words else None
     extra, shown = fit_shown(found, loaded, measurements, words, library, full=full or old is not None)
-    answered = calibrated.fit_answer(
-        found, shown, arm, output, urdf, library, before, None if old is None else old.calibration
-    )
+    kept = loaded.calibration if words else None, None if old is None else old.calibration
+    answered = calibrated.fit_answer(found, shown, arm, output, urdf, library, *kept)
     answered.data |= extra | said
     answered.shown += wanted.sentences(said)
-    answered = with_commands(answered, errors)
+    return with_next(
+        with_commands(answered, following_errors(measurements, loaded.joint_types)), arm, data, output, loaded
+    )
+
+
+def read_rows(arm: Arm, path: Path, old: Arm | None, words: Sequence[str]) -> tuple[Arm, Measurements]:
+    """The arm, with the servo errors that the data show, and its measurements.
+
+    Where something is held, temperatures count from those that it was found at;  old : that is the prior
+    """
+    from identification.reuse import at_reference
+    from identification.servo import with_servo_errors
+
+    measurements = read_measurements(path, arm)
+    arm = with_servo_errors(arm, measurements)
+    if old or words or any(effect.values for effect in arm.effects):
+        measurements = at_reference(measurements, old or arm)
+    return arm, measurements
+
+
+def with_next(answered: Answer, arm: Path, data: Path, output: Output, loaded: Arm) -> Answer:
+    """The answer with the next steps, if there is a calibration."""
+    from doe.report.verdict import identification_actions, next_steps
+    from identification.row_groups import diagnosed
+
     if answered.exit_code == 0:
         actions = identification_actions(str(arm), str(data), output.out, diagnosed=diagnosed(loaded))
         answered.shown += next_steps(actions)
