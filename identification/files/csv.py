@@ -23,6 +23,11 @@ FINITE = "a finite number"
 PARQUET = b"PAR1"  # first bytes of every such file
 SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # of .xlsx and .ods, and of .xls
 QUOTED = "cells without quotation marks, or in a pair of them"
+WITH_COMMA, WITH_POINT = r"^[+-]?\d+,\d+([eE][+-]?\d+)?$", r"^[+-]?\d*\.\d*([eE][+-]?\d+)?$"
+THOUSANDS = r"^[+-]?[1-9]\d{0,2},\d{3}$"
+WHOLE = re.compile(r"\s*[+-]?\d+\s*")
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
+NAMES = ("session", "marker", "surface")  # columns of texts
 # columns that mean something by themselves: none of them is a misspelling of another
 KNOWN = re.compile(
     r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma|distance)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
@@ -35,7 +40,7 @@ Test = Callable[[Array], NDArray[np.bool_]]
 class Table:
     """A table of text, blank lines left out: a CSV file, its columns separated by commas, semicolons or tabs.
 
-    With semicolons or tabs a number may have a decimal comma.
+    With semicolons or tabs a number may have a decimal comma; with commas if it is in quotation marks, as all are then.
 
     frame : the columns, all of them strings; an empty cell is null
     lines : (m,) line number of every row in the file, from 1; the header is line 1; empty: a table without lines
@@ -124,10 +129,10 @@ def read_table(path: PathLike) -> Table:
     """Reads a Parquet file, or a text file of columns with one header line.
 
     Columns are separated by commas, or as European spreadsheets write them by semicolons or tabs, then with decimal
-    points or commas.
+    points or commas. Between commas numbers with decimal commas are in quotation marks.
 
     Raises `InputError` for a missing or empty file, no data rows, a header that is missing, repeats a name or does not
-    fit the rows (ragged rows), and bytes that are not UTF-8.
+    fit the rows (ragged rows), bytes that are not UTF-8, and quoted numbers whose commas may separate thousands.
     """
     content = read_bytes(path)
     if content.startswith(PARQUET):
@@ -143,7 +148,22 @@ def read_table(path: PathLike) -> Table:
         raise InputError(f"{path}: there are no rows below the header, allowed: at least 1 row")
     frame = _without_unnamed(path, frame)
     sha256 = hashlib.sha256(content).hexdigest()
-    return Table(str(path), frame, lines.to_numpy(), sha256, decimal_commas=separator != ",")
+    commas = separator != "," or (b'"' in content and _decimal_commas(path, frame))
+    return Table(str(path), frame, lines.to_numpy(), sha256, decimal_commas=commas)
+
+
+def _decimal_commas(path: PathLike, frame: pl.DataFrame) -> bool:
+    """Whether numbers in quotation marks have decimal commas: none has a point, and not each three digits behind the
+    comma, which may be thousands (`InputError`)."""
+    texts = (frame[name].drop_nulls() for name in frame.columns if KNOWN.fullmatch(name) and name not in NAMES)
+    cells = pl.concat([pl.Series("", [], dtype=pl.String), *(text.alias("") for text in texts)]).str.strip_chars()
+    commas = cells.filter(cells.str.contains(WITH_COMMA))
+    if commas.is_empty() or cells.str.contains(WITH_POINT).any():
+        return False
+    if commas.str.contains(THOUSANDS).all():
+        allowed = "decimal points, or semicolons between the columns"
+        raise InputError(f"{path}: found {commas[0]!r}, a decimal comma or one of thousands, allowed: {allowed}")
+    return True
 
 
 def _of_parquet(path: PathLike, content: bytes) -> Table:
@@ -234,10 +254,22 @@ def _raise_for_ragged_row(path: PathLike, content: bytes, columns: int, separato
                 continue
             row, line = row + 1, reader.line_num
             if len(cells) != columns:
-                place = f"{path}: row {row} (line {line})"
-                raise InputError(f"{place}: found {len(cells)} cells, allowed: {columns}, as in the header")
+                allowed = f"{columns}, as in the header{_hint(cells, columns, separator)}"
+                raise InputError(f"{path}: row {row} (line {line}): found {len(cells)} cells, allowed: {allowed}")
     except csv.Error as error:
         raise InputError(f"{path}: row {row + 1} (from line {line + 1}): {error}, allowed: {QUOTED}") from None
+
+
+def _hint(cells: list[str], columns: int, separator: str) -> str:
+    """What is wrong with a row that is too long, or cut at other places than its header."""
+    if separator == "," and len(cells) > columns and all(WHOLE.fullmatch(cell) for cell in cells):
+        return "; with decimal commas separate the columns by semicolons"
+    others = [
+        other for other in SEPARATORS if other != separator and sum(cell.count(other) for cell in cells) >= columns - 1
+    ]
+    if others and columns > 1:
+        return f"; the header is separated by {SEPARATORS[separator]}, this row by {SEPARATORS[others[0]]}"
+    return ""
 
 
 def _without_unnamed(path: PathLike, frame: pl.DataFrame) -> pl.DataFrame:

@@ -203,6 +203,41 @@ def test_european_columns_have_decimal_commas(tmp_path: Path, content: str) -> N
     names(message_of(table(tmp_path, "a;b\n1;2\n3;4,5,6\n").floats, "b"), "row 2 (line 3), column b", "found '4,5,6'")
 
 
+def test_quoted_decimal_commas_between_commas(tmp_path: Path) -> None:
+    """Texts may have commas and points; numbers all have one kind of decimal mark."""
+    content = 'x_mm,y_mm,session,note\n"1,5","-22,123","a.1, b",0.5\n0,"4,25e1",c,"1,5"\n'
+    read = table(tmp_path, content)
+    np.testing.assert_array_equal([read.floats("x_mm"), read.floats("y_mm")], [[1.5, 0.0], [-22.123, 42.5]])
+    assert read.texts("session").tolist() == ["a.1, b", "c"]
+    mixed = table(tmp_path, 'x_mm,y_mm\n1.5,2\n3,"4,25"\n')
+    names(message_of(mixed.floats, "y_mm"), "row 2 (line 3), column y_mm: found '4,25', allowed: a finite number")
+    plain = table(tmp_path, 'x_mm,note\n1.5,"1,5"\n')
+    assert plain.floats("x_mm").tolist() == [1.5]
+
+
+def test_commas_that_may_be_of_thousands(tmp_path: Path) -> None:
+    said = message_of(table, tmp_path, 'x_mm,y_mm\n"1,500","-22,125"\n')
+    names(
+        said, "data.csv: found '1,500', a decimal comma or one of thousands", "allowed: decimal points, or semicolons"
+    )
+    for sure in ("0,500", "1234,500"):  # no thousands are written like that
+        read = table(tmp_path, f'x_mm,y_mm\n"1,500","{sure}"\n')
+        assert read.floats("y_mm").tolist() == [float(sure.replace(",", "."))]
+
+
+@pytest.mark.parametrize(
+    ("content", "hint"),
+    [
+        ("a,b\n1,5,2,5\n3,0,4,5\n", "found 4 cells, allowed: 2, as in the header; with decimal commas separate the"),
+        ("a,b\n1;2\n3;4\n", "the header is separated by commas, this row by semicolons"),
+        ("a;b\n1,2\n3,4\n", "the header is separated by semicolons, this row by commas"),
+        ("a\tb\tc\n1;2;3\n", "the header is separated by tabs, this row by semicolons"),
+    ],
+)
+def test_rows_that_are_cut_at_other_places(tmp_path: Path, content: str, hint: str) -> None:
+    assert hint in message_of(table, tmp_path, content)
+
+
 def test_commas_separate_where_the_header_has_them(tmp_path: Path) -> None:
     names(message_of(table(tmp_path, 'a,b\n1,"1,5"\n').floats, "b"), "found '1,5'", "allowed: a finite number")
 
