@@ -36,6 +36,7 @@ from identification.gap.fit import Fit
 SIZES: Array = 6.0 * np.exp2(np.arange(14))  # lambda
 ALIKE = 0.3  # relative scatter of one family's parameters over the joints
 TINY = 1e-300  # sums of squares below it count as equal
+ROUNDING = 1e-9  # of a log factor
 RANK = 1e-9  # eigenvalues below this share of the largest are directions that the data do not determine
 
 
@@ -117,10 +118,10 @@ def amplitude_prior(information: Array, lengths: Array | None) -> Array:
 
 @dataclass(frozen=True)
 class _Posterior:
-    """A set of M effects for each of C combinations of their sizes, in units of sigma.
+    """A set of M effects for combinations (...) of their sizes, in units of sigma.
 
-    volume : (C,) log |I + S V|;  missed : (C,) sum of squares that the prior keeps the amplitudes from explaining
-    spread, moved : (C, M) of the mean of b^T S b / lambda^2 the part due to the covariance, and that due to the mean
+    volume : (...) log |I + S V|;  missed : (...) sum of squares that the prior keeps the amplitudes from explaining
+    spread, moved : (..., M) of the mean of b^T S b / lambda^2 the part due to the covariance, and that due to the mean
     """
 
     volume: Array
@@ -129,26 +130,36 @@ class _Posterior:
     moved: Array
 
     @classmethod
-    def of(cls, found: Decomposition, sizes: Array) -> _Posterior:
-        """sizes : (C, M) lambda of each effect."""
-        scales = sizes[:, found.effect]
-        inner = np.eye(scales.shape[1]) + scales[:, :, None] * found.information * scales[:, None, :]
-        inverse = np.linalg.inv(inner)
-        estimates = found.amplitudes / scales
-        kept = estimates - (inverse @ estimates[:, :, None])[:, :, 0]
-        mean, each = scales * kept, found.by_effect
-        spread = scales * np.einsum("cij,ij,cj->ci", inverse, each, scales)
-        moved = mean * (mean @ each)
-        own = found.members / np.square(sizes)[:, None, :]
-        volume = np.linalg.slogdet(inner)[1]
-        return cls(
-            volume, np.sum(estimates * kept, axis=1), *(np.einsum("ci,cij->cj", x, own) for x in (spread, moved))
-        )
+    def around(cls, found: Decomposition, sizes: Array) -> _Posterior:
+        """(M, len(SIZES)) combinations: one effect with each of the sizes, the others with theirs.
+
+        sizes : (M,) lambda of each effect
+
+        Another size of one effect takes as many dyads from the covariance of the amplitudes as it has amplitudes
+        (Woodbury's identity), so that all combinations need one inverse.
+        """
+        amplitudes, own, precision = found.amplitudes, found.members.T, np.square(sizes[found.effect]) ** -1.0
+        volume, covariance = _covariance(found.information, sizes[found.effect])
+        values, vectors = _eigen_by_effect(covariance, own)
+        dyads, change = covariance @ vectors, SIZES**-2.0 - precision[:, None]
+        ratio = 1.0 + change * values[:, None]  # (p, sizes)
+        taken = own[:, None, :] * (change / ratio).T  # (M, sizes, p) of each dyad
+        mean = covariance @ (found.information @ amplitudes)
+        means = mean - taken * (mean @ vectors) @ dyads.T
+        precisions = np.where(own[:, None, :], SIZES[:, None] ** -2.0, precision)
+        traces = (found.by_effect @ covariance).diagonal() - taken @ ((found.by_effect @ dyads) * dyads).T
+        spread, moved = (x * precisions @ own.T for x in (traces, means * (means @ found.by_effect)))
+        volumes = volume + own @ np.log(ratio * np.square(SIZES) * precision[:, None])
+        return cls(volumes, np.sum(amplitudes * means * precisions, axis=-1), spread, moved)
+
+    def at(self, *index: int) -> _Posterior:
+        """One combination."""
+        return _Posterior(self.volume[index], self.missed[index], self.spread[index], self.moved[index])
 
     def log_factors(self, left: Array, squares: float, freedom: int) -> Array:
         """Natural logarithm of the Bayes factors against the base model, in the shape of `left`.
 
-        left : (..., C) residual sum of squares of the fit and `missed`
+        left : (...) residual sum of squares of the fit and `missed`
         squares, freedom : residual sum of squares and degrees of freedom of the base model
         """
         left = np.maximum(left, TINY)
@@ -157,16 +168,33 @@ class _Posterior:
         return np.asarray(-0.5 * self.volume - 0.5 * freedom * np.log(left / squares) + np.sum(moments, axis=-1))
 
 
+def _covariance(information: Array, scales: Array) -> tuple[Array, Array]:
+    """log |I + S V|, and (p, p) posterior covariance of the amplitudes for unit sigma.
+
+    scales : (p,) lambda of each amplitude
+    """
+    inner = np.eye(len(scales)) + scales[:, None] * information * scales
+    return np.linalg.slogdet(inner)[1], scales[:, None] * np.linalg.inv(inner) * scales
+
+
+def _eigen_by_effect(covariance: Array, own: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """(p,) eigenvalues and (p, p) eigenvectors of the covariance of each effect's own amplitudes (M, p)."""
+    values, vectors = np.zeros(len(covariance)), np.zeros_like(covariance)
+    for of_one in own:
+        block = np.ix_(of_one, of_one)
+        values[of_one], vectors[block] = np.linalg.eigh(covariance[block])
+    return values, vectors
+
+
 def log_bayes_factor(found: Decomposition, left: float, squares: float, freedom: int) -> Array:
     """Natural logarithm of the Bayes factor against the base model; (H,) with H further effects, one at a time.
 
     left : residual sum of squares with the set
     squares, freedom : residual sum of squares and degrees of freedom of the base model
     """
-    sizes, around = likeliest_sizes(found, left, squares, freedom)
-    there = _Posterior.of(found, sizes[None])
+    there, around = _likeliest(found, left, squares, freedom)
     if found.further is None:
-        return np.asarray(there.log_factors(left + there.missed, squares, freedom)[0] + around)
+        return np.asarray(there.log_factors(left + there.missed, squares, freedom) + around)
     count, explains = found.further
     gain = np.square(SIZES) / count  # (H, sizes)
     kept = gain / (1.0 + gain)
@@ -176,25 +204,22 @@ def log_bayes_factor(found: Decomposition, left: float, squares: float, freedom:
     return np.asarray(logsumexp(factors, axis=1) - np.log(len(SIZES)) + around)
 
 
-def likeliest_sizes(found: Decomposition, left: float, squares: float, freedom: int) -> tuple[Array, float]:
-    """(M,) likeliest sizes of the effects, and the log of the average over all sizes relative to the factor there.
+def _likeliest(found: Decomposition, left: float, squares: float, freedom: int) -> tuple[_Posterior, float]:
+    """The likeliest sizes of the effects, and the log of the average over all sizes relative to the factor there.
 
     left, squares, freedom : as for `log_bayes_factor`
     """
-    count, steps = found.members.shape[1], len(SIZES)
-    every = np.arange(count)
-    at = np.zeros(count, dtype=np.int64)
-    if not count:
-        return SIZES[at], 0.0
+    at = np.zeros(found.members.shape[1], dtype=np.int64)
+    if not len(at):
+        return _Posterior(*np.zeros((2, 1)), *np.zeros((2, 1, 0))).at(0), 0.0
     while True:  # one effect at a time, as long as the factor rises
-        options = np.tile(at, (count, steps, 1))
-        options[every, :, every] = np.arange(steps)
-        posterior = _Posterior.of(found, SIZES[options.reshape(-1, count)])
-        factors = posterior.log_factors(left + posterior.missed, squares, freedom).reshape(count, steps)
+        posterior = _Posterior.around(found, SIZES[at])
+        factors = posterior.log_factors(left + posterior.missed, squares, freedom)
         best, now = np.unravel_index(np.argmax(factors), factors.shape), factors[0, at[0]]
-        if not factors[best] > now:
+        if not factors[best] > now + ROUNDING:
             break
-        at = options[best]
+        at[best[0]] = best[1]
+    there = posterior.at(0, at[0])
     if not np.isfinite(now):
-        return SIZES[at], -np.inf
-    return SIZES[at], float(np.sum(logsumexp(factors, axis=1) - now - np.log(steps)))
+        return there, -np.inf
+    return there, float(np.sum(logsumexp(factors, axis=1) - now - np.log(len(SIZES))))
