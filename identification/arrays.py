@@ -5,6 +5,7 @@ from __future__ import annotations
 import copyreg
 from collections.abc import Mapping
 from dataclasses import fields
+from numbers import Real
 from types import MappingProxyType
 from typing import Any
 
@@ -59,10 +60,10 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _hashable(value: Any) -> Any:
-    """Equal for equal values: of a mapping its keys, of an array its shape, which distinguish most things."""
-    if isinstance(value, np.ndarray | Mapping):
-        return np.shape(value) if isinstance(value, np.ndarray) else frozenset(value)
-    return value
+    """Equal for equal values: of a mapping its keys and numbers, of an array its shape, which distinguish most things."""
+    if isinstance(value, Mapping):
+        return frozenset((key, item if isinstance(item, Real) else None) for key, item in value.items())
+    return np.shape(value) if isinstance(value, np.ndarray) else value
 
 
 def eigen_of_pairs(matrices: Array) -> tuple[Array, Array]:

@@ -147,6 +147,8 @@ def fit(
 
     def with_prior(values: Array, index: Index) -> tuple[Array, Array]:
         residual, jacobian = linearize(values, index)
+        if prior is None:
+            return residual, jacobian
         more = plain.prior_rows
         return np.hstack([residual, -values @ more.T]), np.concatenate([jacobian, more[None]], axis=1)
 

@@ -180,9 +180,11 @@ def _covariance(information: Array, scales: Array) -> tuple[Array, Array]:
 def _eigen_by_effect(covariance: Array, own: NDArray[np.bool_]) -> tuple[Array, Array]:
     """(p,) eigenvalues and (p, p) eigenvectors of the covariance of each effect's own amplitudes (M, p)."""
     values, vectors = np.zeros(len(covariance)), np.zeros_like(covariance)
-    for of_one in own:
-        block = np.ix_(of_one, of_one)
-        values[of_one], vectors[block] = np.linalg.eigh(covariance[block])
+    counts = np.sum(own, axis=1)
+    for size in np.unique(counts).tolist():
+        at = np.nonzero(own[counts == size])[1].reshape(-1, size)
+        block = at[:, :, None], at[:, None, :]
+        values[at], vectors[block] = np.linalg.eigh(covariance[block])
     return values, vectors
 
 

@@ -8,7 +8,7 @@ correction for all shapes at all places.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 
@@ -21,13 +21,14 @@ from identification.gap.whitening import Rows
 
 # reasons: identification/README.md, "Constants"
 FREE_ORDERS = np.arange(0.25, 256.25, 0.25)  # periods per turn: every wave between has a likeness of 0.97 with one
+TOGETHER = 32  # effort: waves that differ from these by one wave are computed together
 WAVES = {f"wave of {k:g} per turn": float(k) for k in FREE_ORDERS}  # shape -> periods per turn
 SMOOTH_ORDERS = np.arange(1, 6)  # of a smooth curve
 CENTRES, WIDTHS = 24, (0.2, 0.3, 0.45, 0.7, 1.0)  # of bumps [rad]: a likeness of 0.9 with every bump between
 PERIODS = (2.0, 1.5, 1.0, 0.75, 0.5, 0.35)  # of waves over the workspace, in units of the reach; a sketch
 DENTS = (-1.5, -0.75, 0.0, 0.75, 1.5)  # centres along each axis, in root mean square coordinates; a sketch
 STEPS = 100  # effort: steps in time at every row up to this many
-NamedColumns = tuple[str, Array]  # a shape over one joint: for people, and (m, k)
+NamedColumns = tuple[Sequence[str], Array]  # S shapes over one joint: for people, and (m, S k) with k columns of each
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,9 @@ class PlaceShapes:
     def at_joint(cls, place: str, listed: list[NamedColumns], lever: Array) -> PlaceShapes:
         """Stack functions of a joint's angle, acting through the joint's lever (m, d) [mm/rad]."""
         values = np.concatenate([v for _, v in listed], axis=1)
-        sizes = np.array([v.shape[1] for _, v in listed])
-        return cls(place, tuple(name for name, _ in listed), sizes, lever[:, :, None] * values[:, None, :])
+        sizes = np.concatenate([np.full(len(names), v.shape[1] // len(names)) for names, v in listed])
+        every = tuple(name for names, _ in listed for name in names)
+        return cls(place, every, sizes, lever[:, :, None] * values[:, None, :])
 
 
 def general_shapes(found: Fit, rows: Rows) -> Iterator[PlaceShapes]:
@@ -81,41 +83,40 @@ def general_shapes(found: Fit, rows: Rows) -> Iterator[PlaceShapes]:
 
 def _joint_shapes(postures: Array, j: int) -> list[NamedColumns]:
     q = postures[:, j]
-    angle = np.multiply.outer(FREE_ORDERS, q)
-    waves = np.stack([np.cos(angle), np.sin(angle)], axis=-1)  # (K, m, 2)
-    named = list(zip(WAVES, waves, strict=True))
-    return [*named, *_local_shapes(q), *_smooth_shapes(q), *_shared_shapes(postures, j)]
+    return [(tuple(WAVES), _free_waves(q)), *_local_shapes(q), *_smooth_shapes(q), *_shared_shapes(postures, j)]
+
+
+def _free_waves(q: Array) -> Array:
+    """(m, 2 K) cosine and sine of each of `FREE_ORDERS`, from products of few: exp(i a q) exp(i b q) = exp(i (a + b) q)."""
+    slow, fast = FREE_ORDERS[:TOGETHER], FREE_ORDERS[TOGETHER - 1 :: TOGETHER] - FREE_ORDERS[TOGETHER - 1]
+    slow, fast = (np.exp(1j * np.multiply.outer(q, orders)) for orders in (slow, fast))
+    return (fast[:, :, None] * slow[:, None, :]).reshape(len(q), -1).view(float)
 
 
 def _local_shapes(q: Array) -> list[NamedColumns]:
-    found = []
+    found: list[NamedColumns] = []
     for centre in np.quantile(q, (np.arange(CENTRES) + 0.5) / CENTRES):
         gap = np.angle(np.exp(1j * (q - centre)))
-        degrees = np.degrees(centre)
-        found += [(f"bump at {degrees:.0f} deg", np.exp(-0.5 * (gap / width) ** 2)[:, None]) for width in WIDTHS]
-        found.append((f"step at {degrees:.0f} deg", np.sign(q - centre)[:, None]))
-        found.append((f"bend at {degrees:.0f} deg", np.maximum(q - centre, 0.0)[:, None]))
+        at = f"at {np.degrees(centre):.0f} deg"
+        bumps = [np.exp(-0.5 * (gap / width) ** 2) for width in WIDTHS]
+        names = [*(f"bump {at}" for _ in WIDTHS), f"step {at}", f"bend {at}"]
+        found.append((names, np.column_stack([*bumps, np.sign(q - centre), np.maximum(q - centre, 0.0)])))
     return found
 
 
 def _smooth_shapes(q: Array) -> list[NamedColumns]:
     waves = np.concatenate([[np.cos(k * q), np.sin(k * q)] for k in SMOOTH_ORDERS]).T
     powers = q[:, None] ** np.array([1, 2, 3])
-    return [
-        ("square", powers[:, 1:2]),
-        ("cube", powers[:, 2:]),
-        ("powers 1 to 3", powers),
-        ("smooth function", waves),
-    ]
+    return [(["square", "cube"], powers[:, 1:]), (["powers 1 to 3"], powers), (["smooth function"], waves)]
 
 
 def _shared_shapes(postures: Array, j: int) -> list[NamedColumns]:
-    found = []
+    found: list[NamedColumns] = []
     for k in range(postures.shape[1]):
         if k != j:
             other = postures[:, k]
-            found.append((f"product with joint {k + 1}", (postures[:, j] * other)[:, None]))
-            found.append((f"wave over joint {k + 1}", np.column_stack([np.cos(other), np.sin(other)])))
+            found.append(([f"product with joint {k + 1}"], (postures[:, j] * other)[:, None]))
+            found.append(([f"wave over joint {k + 1}"], np.column_stack([np.cos(other), np.sin(other)])))
     return found
 
 

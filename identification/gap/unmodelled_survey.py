@@ -34,6 +34,7 @@ class Survey:
     fit : of the set;  listed : (place, shape) of each;  sizes : number of columns of each
     reductions, changes : of the sum of squares and of BIC by each;  p : p-value of each by itself
     counts : place -> number of shapes tried, which determines the prior weights; `changes` and `p` are without them
+    tried : for each listed shape that of its place
     """
 
     fit: Fit
@@ -43,6 +44,7 @@ class Survey:
     changes: list[float] = field(default_factory=list)
     p: list[float] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
+    tried: list[int] = field(default_factory=list)
 
     def add(self, place: PlaceShapes, columns: Columns, basis: Array, inside: Array, raw: Array) -> None:
         """Test the shapes at one place.
@@ -60,11 +62,12 @@ class Survey:
         self.p += against.p_values(reductions, np.array([squares]))[:, 0].tolist()
         self.listed += [(place.place, place.shapes[k]) for k in kept]
         self.counts[place.place] = len(columns.sizes)
+        self.tried += [len(columns.sizes)] * len(kept)
 
     @property
     def weights(self) -> Array:
         """(S,) prior weights: equal for all places, and divided equally among the shapes of a place."""
-        return np.array([1.0 / (self.counts[place] * len(self.counts)) for place, _ in self.listed])
+        return np.asarray(1.0 / (np.array(self.tried) * len(self.counts)))
 
     @property
     def bic_changes(self) -> Array:
