@@ -60,7 +60,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _hashable(value: Any) -> Any:
-    """Equal for equal values: of a mapping its keys and numbers, of an array its shape, which distinguish most things."""
+    """Equal for equal values: of a mapping its keys and numbers, of an array its shape; that distinguishes most."""
     if isinstance(value, Mapping):
         return frozenset((key, item if isinstance(item, Real) else None) for key, item in value.items())
     return np.shape(value) if isinstance(value, np.ndarray) else value

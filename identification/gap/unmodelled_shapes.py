@@ -87,7 +87,7 @@ def _joint_shapes(postures: Array, j: int) -> list[NamedColumns]:
 
 
 def _free_waves(q: Array) -> Array:
-    """(m, 2 K) cosine and sine of each of `FREE_ORDERS`, from products of few: exp(i a q) exp(i b q) = exp(i (a + b) q)."""
+    """(m, 2 K) cosine and sine of each of `FREE_ORDERS`, from few: exp(i (a + b) q) = exp(i a q) exp(i b q)."""
     slow, fast = FREE_ORDERS[:TOGETHER], FREE_ORDERS[TOGETHER - 1 :: TOGETHER] - FREE_ORDERS[TOGETHER - 1]
     slow, fast = (np.exp(1j * np.multiply.outer(q, orders)) for orders in (slow, fast))
     return (fast[:, :, None] * slow[:, None, :]).reshape(len(q), -1).view(float)
