@@ -23,6 +23,7 @@ from identification.information import RANK_TOLERANCE
 # reasons: identification/README.md, "Constants"
 LEVEL_FACTOR = 0.5  # tuned: factor on the levels where the noise model was estimated from the same data
 SAME_COLUMNS = 250  # effort: rows from which all columns are those at the base fit
+TIES = 6  # decimals of a BIC: rounding must not choose between effects that are the same in other words
 WAVES = 3  # of one joint: encoder, its second harmonic, a gear; more are the series of an unknown function
 INDEPENDENT = 1e-4  # smallest eigenvalue from which products of unit columns alone give a basis to twelve digits
 Choice = tuple[Hypothesis, ...]
@@ -92,7 +93,7 @@ def bic_change(reductions: Array, against: Dictionary, n: int, squares: float) -
     reductions : (H,) of the sum of squares in the linearized fit;  n : number of coordinates;  squares : without any
     """
     left = np.maximum(1.0 - reductions / squares, 1e-12)
-    return np.asarray(n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights))
+    return np.round(n * np.log(left) + against.sizes * np.log(n) - 2.0 * np.log(against.weights), TIES)
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,7 @@ class HypothesisSearch:
         equal = {h.key: h for h in self.hypotheses.members if h.tied}
         if any(h.key in equal and not h.tied for h in chosen):
             forms.append(self._bic(tuple(equal.get(h.key, h) for h in chosen)))
-        return min(forms)
+        return round(min(forms), TIES)
 
     def _bic(self, chosen: Choice) -> float:
         """N log(RSS / N) + p log N - 2 log(prior weight), which includes the cost of scanning a setting."""

@@ -53,6 +53,17 @@ def test_a_member_left_out_without_a_fit_of_its_own(monkeypatch: pytest.MonkeyPa
     np.testing.assert_allclose(short.change, own.change, atol=0.1)
 
 
+def test_the_same_effect_in_other_words_is_exactly_as_good() -> None:
+    """Beside a base offset a base that moves after a time or before it: rounding must not choose."""
+    search, _ = searched()
+    state = search.state(())
+    change = {h.label: float(c) for h, c in zip(state.members, state.change, strict=True)}
+    after = [label for label in change if label.startswith("base_step") and "side=1" in label]
+    assert len(after) > 10
+    before = [label.replace("side=1", "side=-1") for label in after]
+    assert [change[label] for label in after] == [change[label] for label in before]
+
+
 def test_what_shows_through_an_effect_of_gravity_is_tested_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """At the base fit a wrong payload moves nothing; beside a compliance it does, also where columns are the base's."""
     monkeypatch.setattr("identification.gap.search.SAME_COLUMNS", 40)
