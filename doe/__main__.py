@@ -1,6 +1,9 @@
 """The command `armcal`, and `python -m doe` where it is not installed as a script."""
 
+import atexit
+import os
 import signal
+import sys
 
 
 def run() -> None:
@@ -11,10 +14,25 @@ def run() -> None:
 
     try:
         main(prog_name="armcal")
+    except SystemExit as ended:
+        if ended.code and isinstance(ended.code, int):
+            _leave(ended.code)
+        raise
     finally:
         # if a signal came while a library ran source text, `python -m` would end by SIGINT instead of with our exit
         # code; Python forgets it once other source text has run
         exec("")
+
+
+def _leave(code: int) -> None:
+    """End the process without tearing down what is loaded: a C library that a signal met half loaded may abort then."""
+    atexit._run_exitfuncs()
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        try:
+            stream.flush()
+        except (OSError, ValueError):  # closed, or nobody reads it: what there was to say is said
+            continue
+    os._exit(code)
 
 
 if __name__ == "__main__":
