@@ -49,7 +49,8 @@ class CompiledEffect:
     """An effect compiled to a function of arrays (q, c, v, s).
 
     rows : (R,) indices of the places where it adds something
-    loads, measures : whether these include loads, and the instrument;  reads : whether it depends on the state
+    loads, measures : whether these include loads, and the instrument
+    reads : whether it depends on loads or the tip; the rest of the state, link lengths, stays the same
     evaluate : gives its contributions (R, 1) and their derivatives by its values (R, size) and by the state (R, S)
     slopes : of postures alone the derivatives (R, size) that, times the values, are the contributions; None: not so
     """
@@ -70,8 +71,10 @@ class CompiledEffect:
         added = every[rows.tolist()]
         outputs = ca.cse([ca.densify(added), ca.jacobian(added, v), ca.jacobian(added, at.state)])
         function = ca.Function("effect", [at.q, at.c, v, at.state], outputs)
-        loads, measures, reads = rows < LOADED.stop, rows >= every.numel() - DIMENSION, outputs[2].nnz() > 0
-        varies = reads or ca.depends_on(outputs[1], ca.vertcat(at.c, v)) or not ca.substitute(added, v, 0 * v).is_zero()
+        loads, measures = rows < LOADED.stop, rows >= every.numel() - DIMENSION
+        reads = outputs[2][:, LOADED].nnz() + outputs[2][:, -DIMENSION:].nnz() > 0
+        given = ca.vertcat(at.c, v, at.state)
+        varies = ca.depends_on(outputs[1], given) or not ca.substitute(added, v, 0 * v).is_zero()
         slopes = None if varies else vectorize(ca.Function("slopes", [at.q], [outputs[1]]))
         return cls(rows, bool(loads.any()), bool(measures.any()), reads, vectorize(function), slopes)
 

@@ -166,7 +166,8 @@ class Composition:
     ) -> tuple[Array, Array]:
         """Derivatives of the position with respect to the geometry's values and to what is added at all places."""
         shared, start = self.shared, 0
-        levers = np.zeros((*by_a.shape[:-1], shared.count))
+        # components first in memory, as what is computed of them
+        levers = np.moveaxis(np.zeros((by_a.shape[-2], shared.count, *by_a.shape[:-2])), (0, 1), (-2, -1))
         for place in used:
             levers[..., shared.places[place]] = by_a[..., start : (start := start + shared.sizes[place])]
         if any(part.reads for part in self._parts):
