@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from identification.gap.summary import findings, headline
 
 MOST_TRIALS = 12
 MOST_ROUNDS = 5  # of naming in a terminal
-LEFT = ("unit", "change")  # columns of words
+LEFT = ("unit", "change", "shape", "joints", "session", "fitted there")  # columns of words
 
 
 Data = Mapping[str, Any]  # what `armcal diagnose --json` says
@@ -108,6 +108,39 @@ def excluded_sheet(data: Data) -> Sheet:
     return Sheet(["effect", "smallest detectable size (90 % power)"], rows)
 
 
+def largest_excluded_sheet(data: Data) -> Sheet:
+    """The same for each kind of effect, those first that may move the tip most without being found."""
+    kinds: dict[str, list[tuple[str, Size]]] = {}
+    for name, size in data["excluded"].items():
+        key, _, setting = name.partition("[")
+        kind, _, joint = key.partition(":")
+        kinds.setdefault(f"{kind}[{setting}" if setting else kind, []).append((joint, Size(**size)))
+    sizes = {kind: sorted((size for _, size in found), key=Size.order) for kind, found in kinds.items()}
+    order = sorted(kinds, key=lambda kind: -max(_at_tip(size) for size in sizes[kind]))
+    rows = [[kind, _joints([joint for joint, _ in kinds[kind]]), *_spans(sizes[kind])] for kind in order]
+    return Sheet(["effect", "joints", "found from (90 % power)", "tip [mm]"], rows)
+
+
+def _at_tip(size: Size) -> float:
+    return np.inf if size.value is None else size.tip_mm or 0.0
+
+
+def _joints(joints: Sequence[str]) -> str:
+    """`1 to 6`, `1, 3`; a dash for an effect of the whole arm."""
+    numbers = sorted(int(joint) for joint in joints if joint)
+    if len(numbers) > 2 and numbers == list(range(numbers[0], numbers[-1] + 1)):
+        return f"{numbers[0]} to {numbers[-1]}"
+    return ", ".join(map(str, numbers)) or "–"
+
+
+def _spans(sizes: Sequence[Size]) -> tuple[str, str]:
+    """Smallest and largest of sizes in order, and what the largest moves the tip by."""
+    least, most = sizes[0], sizes[-1]
+    span = str(most) if str(least) == str(most) else f"{str(least).removesuffix(f' {most.unit}')} to {most}"
+    moved = _at_tip(max(sizes, key=_at_tip))
+    return span, number(moved, 3) if np.isfinite(moved) else "any"
+
+
 def alias_sheet(data: Data) -> Sheet:
     """Effects that are nearly collinear at these postures."""
     rows = [[pair["effect"], pair["like"], f"{pair['likeness']:.3f}"] for pair in data["aliases"]]
@@ -122,6 +155,32 @@ def curve_sheet(data: Data) -> Sheet:
         for c in data["curves"]
     ]
     return Sheet(["curve", "angles [deg]", "RMS [deg]", "std [deg]"], rows)
+
+
+def curve_shape_sheet(data: Data) -> Sheet:
+    """The same with their shapes: waves per turn, strongest first, and their share of the curve."""
+    drawn = curve_sheet(data)
+    rows = [[str(c["joint"]), *row[1:], shape_in_short(c)] for c, row in zip(data["curves"], drawn.rows, strict=True)]
+    return Sheet(["joint", *drawn.headings[1:], "shape"], rows)
+
+
+def shape_in_short(curve: Data) -> str:
+    """`waves 11, 14, 2, 5 (93 %)`; other shapes as they are said, without the angles."""
+    said = str(curve["shape"])
+    kind, found, _ = said.partition(": ")
+    if not found:
+        return said.partition(" over ")[0]
+    orders = ", ".join(f"{wave['order']:g}" for wave in curve["waves"])
+    return f"{kind} {orders} ({100.0 * sum(wave['share'] for wave in curve['waves']):.0f} %)"
+
+
+def order_sheet(data: Data) -> Sheet:
+    """Named waves whose order the angles measured do not determine."""
+    rows = [
+        [one["effect"], f"{one['range_deg'][1] - one['range_deg'][0]:.0f}", "{} to {}".format(*one["orders"])]
+        for one in data["shapes"]
+    ]
+    return Sheet(["wave", "joint moved over [deg]", "orders that fit"], rows)
 
 
 def round_sheet(data: Data) -> Sheet:
@@ -143,7 +202,7 @@ def history(data: Data) -> list[Any]:
 
 def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     """Verdict first, then the gap, candidates, and what else a person should know."""
-    data, lines = diagnosis.to_json(), [*findings(diagnosis), *diagnosis.warnings]
+    data, lines = diagnosis.to_json(), [*findings(diagnosis, orders=False), *diagnosis.warnings]
     shown: list[Any] = [
         Text(headline(diagnosis), style="bold"),
         *map(Text, lines),
@@ -151,15 +210,22 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     ]
     shown.append(Text(f"expected: {diagnosis.gap.floor} on the data; elsewhere what the model predicts"))
     shown += [Text(str(test)) for test in diagnosis.tests if test.confirmed is False]
-    shown += effect_tables(diagnosis, data) if diagnosis.effects else [as_table(excluded_sheet(data))]
+    shown += effect_tables(diagnosis, data) if diagnosis.effects else excluded_tables(data)
     shown.append(Text(diagnosis.likely))
     shown += history(data)
     shown += [Text(f"scatter: {finding}") for finding in diagnosis.scatter]
     if diagnosis.outlier_rows:
         shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
     if diagnosis.replication:
-        shown.append(as_table(replication_sheet(diagnosis), "Sessions"))
+        shown.append(as_table(narrow(replication_sheet(diagnosis)), "Sessions", no_wrap=("fitted there",), padding=0))
     return [*shown, *(Text(f"note: {note}") for note in diagnosis.notes)]
+
+
+def excluded_tables(data: Data) -> list[Any]:
+    """What may be missing without having been found, where nothing is named."""
+    title = "What may be there all the same: smaller effects than these"
+    said = "tip: what the largest of them would move it by, RMS over the rows. Every joint by itself: --json, --report."
+    return [as_table(largest_excluded_sheet(data), title), Text(said)]
 
 
 def effect_tables(diagnosis: Diagnosis, data: Data) -> list[Any]:
@@ -167,9 +233,11 @@ def effect_tables(diagnosis: Diagnosis, data: Data) -> list[Any]:
     shown: list[Any] = [as_table(candidate_sheet(data))]
     shown += [as_table(sheet, title) for title, sheet in estimate_sheets(data)]
     shown.append(Text(f"95 % intervals: {diagnosis.named.reliance}"))
+    if data["shapes"]:
+        shown.append(as_table(order_sheet(data), "Shapes, not causes: waves of other orders fit as well"))
     if diagnosis.curves:
-        shown.append(as_table(curve_sheet(data), "Error curves"))
-        shown += [Text(f"joint {curve.joint}: {curve.shape}") for curve in diagnosis.curves]
+        shown.append(as_table(curve_shape_sheet(data), "Error curves"))
+        shown.append(Text("waves: per turn, strongest first, and their share of the curve; --json has their sizes"))
     return shown
 
 
@@ -182,6 +250,12 @@ def replication_sheet(diagnosis: Diagnosis) -> Sheet:
         for there in effect.sessions
     ]
     return Sheet(("effect", "session", "fitted there", "explained by the others' values", "replicates"), rows)
+
+
+def narrow(sheet: Sheet) -> Sheet:
+    """The sheet of `replication_sheet` for 80 columns: a line for each parameter."""
+    headings = (*sheet.headings[:3], "explained\nby others", sheet.headings[4])
+    return Sheet(headings, [[*row[:2], row[2].replace(", ", ",\n"), *row[3:]] for row in sheet.rows])
 
 
 def as_table(sheet: Sheet, title: str | None = None, **style: Any) -> Table:

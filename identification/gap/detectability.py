@@ -33,10 +33,14 @@ LARGEST = 0.1  # of the reach: an effect that moves the tip farther is seen with
 
 @dataclass(frozen=True)
 class Size:
-    """Size of a parameter in the unit of files and tables; None if no size can be detected."""
+    """Size of a parameter in the unit of files and tables; None if no size can be detected.
+
+    tip_mm : by how much an effect of this size moves the tip, RMS over the rows [mm]
+    """
 
     value: float | None
     unit: str
+    tip_mm: float | None = None
 
     def order(self) -> float:
         """Sort key: the value, infinite where no size can be detected."""
@@ -156,12 +160,12 @@ def assess(
     members = library.members
     tested = projected(model_basis, members, columns)
     threshold = LEVEL / sum(h.weight for h in members) if level is None else level
-    limit = LARGEST * library.base.reach * np.sqrt(len(rows))
+    limit = LARGEST * library.base.reach, len(rows)
     lengths = shown_lengths(tested)
     sizes: dict[str, list[Size]] = {}
     for hypothesis, length in zip(members, lengths, strict=True):
         if not hypothesis.tied and library.acts(hypothesis):
-            size = _detectable(hypothesis, *length, freedom, sigma, threshold * hypothesis.weight, limit)
+            size = _detectable(hypothesis, *length, freedom, sigma, threshold * hypothesis.weight, *limit)
             sizes.setdefault(hypothesis.key, []).append(size)
     plain = [k for k, h in enumerate(members) if not h.scanned and not h.tied and library.acts(h)]
     return Detectability(
@@ -196,17 +200,18 @@ def shown_lengths(tested: Dictionary) -> list[tuple[float, float]]:
 
 
 def _detectable(
-    hypothesis: Hypothesis, whole: float, least: float, freedom: int, sigma: float, level: float, limit: float
+    hypothesis: Hypothesis, whole: float, least: float, freedom: int, sigma: float, level: float, limit: float, m: int
 ) -> Size:
-    """The smallest size seen;  whole, least : as in `shown_lengths`;  limit : of the largest allowed [mm]"""
+    """The smallest size seen in m rows;  whole, least : as in `shown_lengths`;  limit : of what moves the tip [mm]"""
     parameter = hypothesis.effect.parameters[0]
     if whole == 0.0 or least <= 1e-6 * whole or freedom <= hypothesis.size:
         return Size(None, parameter.file_unit)
     needed = detectable_lambda(hypothesis.size, freedom - hypothesis.size, level, hypothesis.one_sided)
     size = needed * sigma / least
-    if size * whole > limit:  # root sum of squares over the rows [mm] of what it would move the tip
+    moved = size * whole / np.sqrt(m)
+    if moved > limit:
         return Size(None, parameter.file_unit)
-    return Size(float(size * parameter.to_file), parameter.file_unit)
+    return Size(float(size * parameter.to_file), parameter.file_unit, float(moved))
 
 
 @lru_cache(4096)  # hundreds of hypotheses share a few cases

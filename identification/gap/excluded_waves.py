@@ -37,7 +37,7 @@ def excluded_waves(search: HypothesisSearch, sigma: float) -> dict[str, Size]:
             needed = detectable_lambda(2, first.freedom - 2, level / len(place.shapes))
             seen = sigma * needed * _largest(first.basis, columns, waves) / np.sqrt(len(search.rows))
             joint = place.place.partition(":")[2]
-            found[f"{EFFECT}:{joint}{ANY}"] = Size(float(seen) if seen < limit else None, "mm")
+            found[f"{EFFECT}:{joint}{ANY}"] = Size(float(seen), "mm", float(seen)) if seen < limit else Size(None, "mm")
     return found
 
 

@@ -79,10 +79,15 @@ def of_joints(joints: Sequence[int]) -> str:
     return f"joints {', '.join(map(str, joints[:-1]))} and {joints[-1]}"
 
 
-def findings(found: Diagnosis) -> list[str]:
-    """Findings that belong to the verdict, one clause each."""
+def findings(found: Diagnosis, *, orders: bool = True) -> list[str]:
+    """Findings that belong to the verdict, one clause each;  orders : those about waves of undetermined order too"""
     shape = [f"its shape: {found.shape}"] if found.shape and not found.curves else waves_clause(found.excluded)
-    return [*shape, *unexplained(found), *replication_clauses(found.replication), *order_clauses(found.shapes)]
+    return [
+        *shape,
+        *unexplained(found),
+        *replication_clauses(found.replication),
+        *(order_clauses(found.shapes) if orders else []),
+    ]
 
 
 def sentence(found: Diagnosis) -> str:

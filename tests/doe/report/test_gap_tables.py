@@ -6,7 +6,13 @@ from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 
-from doe.report.gap_tables import estimate_sheet, p_value
+from doe.report.gap_tables import (
+    curve_shape_sheet,
+    estimate_sheet,
+    largest_excluded_sheet,
+    order_sheet,
+    p_value,
+)
 from doe.report.next_postures import missing_payload
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.gap.candidate import Candidate, Estimate
@@ -58,3 +64,35 @@ def test_rows_without_payload_are_completed_before_others_are_appended() -> None
     assert missing_payload(arm, data, none) == []  # type: ignore[arg-type]
     weighed = Measurements(np.zeros((3, 2)), np.zeros((3, 2)), payload=np.ones(3))
     assert missing_payload(arm, weighed, chosen) == []  # type: ignore[arg-type]
+
+
+def test_sizes_that_are_excluded_are_grouped_by_kind_the_largest_at_the_tip_first() -> None:
+    sizes = {
+        "backlash:1": (0.02, "deg", 0.05),
+        "backlash:2": (0.003, "deg", 0.02),
+        "backlash:4": (0.04, "deg", 0.04),
+        "base_drift": (0.2, "mm/session", 0.06),
+        "gear_ratio:1": (None, "1", None),
+        "gear_ratio:2": (1e-4, "1", 0.01),
+        "transmission_ripple:1[any k]": (0.11, "mm", 0.11),
+        "transmission_ripple:1": (0.01, "deg", 0.03),
+    }
+    keys = ("value", "unit", "tip_mm")
+    excluded = {name: dict(zip(keys, size, strict=True)) for name, size in sizes.items()}
+    assert largest_excluded_sheet({"excluded": excluded}).rows == [
+        ["gear_ratio", "1, 2", "0.0001 to invisible", "any"],
+        ["transmission_ripple[any k]", "1", "0.11 mm", "0.110"],
+        ["base_drift", "–", "0.2 mm/session", "0.060"],
+        ["backlash", "1, 2, 4", "0.003 to 0.04 deg", "0.050"],
+        ["transmission_ripple", "1", "0.01 deg", "0.030"],
+    ]
+
+
+def test_shapes_of_curves_and_orders_of_waves_are_tables() -> None:
+    waves = [{"order": order, "share": share} for order, share in ((11.0, 0.5), (14.0, 0.25), (2.0, 0.125))]
+    curve = {"joint": 2, "angle_deg": [-10.0, 0.0, 10.0], "error_deg": [0.03] * 3, "std_deg": [0.01] * 3}
+    said = "waves: 11 per turn, 0.02 deg; 14 per turn, 0.01 deg; 2 per turn, 0.01 deg (88 %) over -10 to 10 deg"
+    curves = [curve | {"shape": said, "waves": waves}, curve | {"shape": "smooth curve over 1 to 2 deg", "waves": []}]
+    assert [row[-1] for row in curve_shape_sheet({"curves": curves}).rows] == ["waves 11, 14, 2 (88 %)", "smooth curve"]
+    shapes = [{"effect": f"{RIPPLE}[k=6]", "joint": 2, "range_deg": [-10.0, 50.0], "orders": [1, 12]}]
+    assert order_sheet({"shapes": shapes}).rows == [[f"{RIPPLE}[k=6]", "60", "1 to 12"]]

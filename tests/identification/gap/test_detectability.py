@@ -51,6 +51,7 @@ def test_share_and_size_of_one_effect_from_its_own_model() -> None:
     assert size.unit == "1"
     # the size is a length lambda between 3.5 and 6 standard deviations: 90 % power at 0.05 / (about 30 effects)
     assert 3.5 < size.value * np.linalg.norm(left) / 0.1 < 6.0
+    assert size.tip_mm == pytest.approx(size.value * np.sqrt(np.mean(np.sum(added.reshape(30, 2) ** 2, axis=1))))
 
 
 def test_likeness_is_one_for_the_effect_itself_and_for_a_part_of_a_family() -> None:
