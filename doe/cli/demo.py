@@ -59,11 +59,11 @@ def _claimed(directory: Path) -> bool:
 
 def make_directory(directory: Path, force: bool) -> None:
     """Create the directory; one with files in it needs --force."""
-    if directory.is_file():
-        raise InputError(f"{directory}: is a file, allowed: a directory")
-    if directory.exists() and any(directory.iterdir()) and not force:
-        raise InputError(f"{directory}: exists and is not empty, allowed: a new directory, or --force")
     try:
+        if directory.is_file():
+            raise InputError(f"{directory}: is a file, allowed: a directory")
+        if directory.exists() and any(directory.iterdir()) and not force:
+            raise InputError(f"{directory}: exists and is not empty, allowed: a new directory, or --force")
         directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
+    except OSError as error:  # a name that is too long, links that lead in a circle, no right to look or to write
         raise InputError(f"{directory}: cannot be created ({error.strerror}), allowed: a writable place") from None

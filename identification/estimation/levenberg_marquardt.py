@@ -199,7 +199,11 @@ def damped_steps(
     diagonal = np.arange(normal.shape[1])
     normal[:, diagonal, diagonal] += RIDGE if wide else RIDGE + held
     right = (residuals if wide else gradient)[:, :, None]
-    inverse = np.linalg.inv(normal)
+    try:
+        inverse = np.linalg.inv(normal)
+    except np.linalg.LinAlgError:  # one of them has a pivot that is exactly zero
+        steps, gradient = truncated_steps(columns, residuals, damping, tolerance)
+        return np.where(held, 0.0, steps), gradient
     # in the 1-norm, which is never less than the ratio of the eigenvalues
     condition = np.linalg.norm(normal, 1, axis=(1, 2)) * np.linalg.norm(inverse, 1, axis=(1, 2))
     steps = inverse @ right

@@ -44,6 +44,7 @@ def test_an_output_that_is_a_circle_of_links(folder: Folder) -> None:
 def test_an_output_with_too_long_a_name(folder: Folder) -> None:
     refused(folder, ["design", "arm.toml", "--runs", "8", "--out", LONG], "cannot be written", "allowed: another")
     refused(folder, ["design", LONG, "--runs", "8"], "cannot be read")
+    refused(folder, ["demo", "--out", LONG], "cannot be created")
     refused(folder, ["design", "arm.toml", "--runs", "8", "--out", "arm.toml/plan.csv"], "'arm.toml' is no folder")
 
 

@@ -201,6 +201,18 @@ def test_a_step_leaves_out_what_is_below_the_tolerance() -> None:
     np.testing.assert_allclose(found[0], expected, rtol=0, atol=1e-12)
 
 
+def test_an_exactly_singular_problem_has_its_shortest_step() -> None:
+    """Two columns that are equal, and large enough that rounding leaves a pivot of zero; another problem beside it."""
+    generator = np.random.default_rng(9)
+    columns, residuals = generator.standard_normal((2, 3, 2)), generator.standard_normal((2, 3))
+    columns[0] = [[1e4, 1e4], [0.0, 0.0], [0.0, 0.0]]
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.inv(columns[0].T @ columns[0])
+    found, _ = damped_steps(columns, residuals, np.zeros((2, 2), dtype=bool), np.zeros(2), 1e-9)
+    for k in range(2):
+        np.testing.assert_allclose(found[k], np.linalg.pinv(columns[k]) @ residuals[k], rtol=1e-9)
+
+
 def test_statuses_say_how_it_ended() -> None:
     def rosenbrock(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         residual = np.stack([-10.0 * (x[:, 1] - x[:, 0] ** 2), x[:, 0] - 1.0 + 0.0 * x[:, 1]], axis=1)
