@@ -6,7 +6,7 @@ more runs the more is known: each plan is begun from the one of fewer runs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
@@ -22,6 +22,7 @@ from doe.plan.ascent import climbs
 from doe.plan.plan import Plan
 from doe.plan.tip_error import TipError, robust_or_none, tip_error
 from doe.problem.problem import DesignProblem
+from doe.problem.robust import workspace
 from doe.solvers import solve
 from identification.arm import SIGMA_RANGE, Arm
 from identification.arrays import Array
@@ -119,20 +120,25 @@ def advise(
     check_wanted(problem, runs, target)
     began, budget = perf_counter(), np.inf if seconds is None else seconds
     wide = robust_or_none(problem)
+    poses = None if wide is None else workspace(problem)  # once: rare postures take long to find
     bounds = bounds_of_runs(problem, sorted(runs), lambda: perf_counter() > began + SHARE * budget)
     found: dict[int, Design] = {}
+
+    def promise(postures: Array) -> Array:
+        return promised(problem, postures, wide, poses)
+
     try:
         for done, m in enumerate(sorted(set(runs))):
             progress(done, len(runs), f"{m} runs")
             left = max(began + budget - perf_counter(), 0.0) / (len(runs) - done)
             limit = None if seconds is None else left
             fewer = next(reversed(found.values()), None)
-            found[m] = next_design(problem, m, fewer, bounds[m], wide, seed, limit)
+            found[m] = next_design(problem, m, fewer, bounds[m], promise, seed, limit)
     except KeyboardInterrupt:
         if not found:
             raise
     designs = tuple(found[m] for m in runs if m in found)
-    errors = () if wide is None else tuple(tip_error(problem, wide, design.plan.postures) for design in designs)
+    errors = () if wide is None else tuple(tip_error(problem, wide, d.plan.postures, poses) for d in designs)
     return Advice(designs, target, errors)
 
 
@@ -165,19 +171,22 @@ def next_design(
     runs: int,
     fewer: Design | None,
     bound: Bound | None,
-    wide: DesignProblem | None,
+    promise: Callable[[Array], Array],
     seed: int,
     seconds: float | None,
 ) -> Design:
-    """The best plan found of so many runs, begun from that of fewer runs and its best additions."""
+    """The best plan found of so many runs, begun from that of fewer runs and its best additions.
+
+    promise : of a plan (m, n) what must not be more than of fewer runs, see `promised`
+    """
     begin, known = None, None
     if fewer is not None:
         generator = np.random.default_rng([seed, runs])
         begin = with_additions(problem, fewer.plan.postures, runs - len(fewer.plan), generator)
-        known = promised(problem, fewer.plan.postures, wide)
+        known = promise(fewer.plan.postures)
 
     def accepted(postures: Array) -> bool:
-        return known is None or bool(np.all(promised(problem, postures, wide) <= known * (1.0 + ROUNDING)))
+        return known is None or bool(np.all(promise(postures) <= known * (1.0 + ROUNDING)))
 
     design = solve(
         problem,
@@ -192,10 +201,13 @@ def next_design(
     return replace(design, bound=bound_that_holds(problem, bound, design.plan.postures, design.value))
 
 
-def promised(problem: DesignProblem, postures: Array, wide: DesignProblem | None) -> Array:
-    """(k,) what falls with every run added: expected deviations, and errors of the tip if the model is right."""
+def promised(problem: DesignProblem, postures: Array, wide: DesignProblem | None, poses: Array | None) -> Array:
+    """(k,) what falls with every run added: expected deviations, and errors of the tip if the model is right.
+
+    wide, poses : as of `tip_error`
+    """
     design = Design(problem, Plan(postures, joint_types=problem.model.joint_types))
     known = design.deviations
     deviations = [np.inf, np.inf] if known is None else [known.largest_length, known.largest_angle]
-    errors = [] if wide is None else [tip_error(problem, wide, postures)]
+    errors = [] if wide is None else [tip_error(problem, wide, postures, poses)]
     return np.array([*deviations, *(figure for error in errors for figure in (error.right, error.worst))])

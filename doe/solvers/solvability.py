@@ -21,12 +21,18 @@ from identification.status import Status
 NEUTRAL = "under one payload, temperature, time and approach no posture distinguishes"
 
 
-def check_solvable(problem: DesignProblem, runs: int, seed: int, *, every_parameter: bool) -> None:
-    """Raises where no plan is allowed, or none can identify as many parameters, or `every_parameter`."""
+def check_solvable(
+    problem: DesignProblem, runs: int, seed: int, begin: Array | None = None, *, every_parameter: bool
+) -> None:
+    """Raises where no plan is allowed, or none can identify as many parameters, or `every_parameter`.
+
+    begin : (m, n) a plan to begin with; where it has an allowed posture, none is looked for
+    """
     check_runs(problem, runs)
     if every_parameter:
         check_parameters(problem)
-    random_postures(problem, 1, np.random.default_rng(seed))  # raises where the constraints exclude everything
+    if begin is None or not problem.feasible(begin).any():
+        random_postures(problem, 1, np.random.default_rng(seed))  # raises where the constraints exclude everything
 
 
 def check_runs(problem: DesignProblem, runs: int) -> None:

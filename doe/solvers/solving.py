@@ -59,7 +59,7 @@ def solve(
     """
     began = perf_counter()
     chosen = chosen_solver(problem, solver)
-    check_solvable(problem, runs, seed, every_parameter=throw)
+    check_solvable(problem, runs, seed, begin, every_parameter=throw)
     with single_thread():
         whole = Budget.of(starts, chosen.starts_for(problem), time_limit(runs, starts, seconds), began)
         # such a bound takes seconds, which are no part of the search's time; that of a theorem takes none
