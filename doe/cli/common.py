@@ -251,7 +251,8 @@ def _print(answer: Answer, as_json: bool) -> None:
     from rich.console import Console
     from rich.segment import Segment, Segments
 
-    width = None if sys.stdout.isatty() else 110  # a pipe or a file is not 80 characters wide
+    # a pipe or a file is not 80 characters wide, unless COLUMNS says so
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
     console = Console(width=width, highlight=False, markup=False)  # brackets of effects are no markup
     for part in answer.shown:  # names in files may have control characters, which a terminal would obey
         console.print(Segments(Segment(shown(s.text), s.style) for s in console.render(part)), end="")

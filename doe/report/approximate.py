@@ -40,8 +40,8 @@ def support_table(design: ApproximateDesign) -> Table:
 
 def cross_check_table(compared: CrossCheck) -> Table:
     """Independent answers side by side."""
-    digits = {"value": 9, "bound": 9, "table_1_max_residual": 6}
+    digits = {"value": 7, "bound": 7, "table_1_max_residual": 4}
     rows = ([row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared.rows())
-    headings = ("method", "over", "value", "upper bound", "deviation from orthogonality (Table I)")
-    left = ("method", "over")
-    return table(headings, rows, "Cross-check: independent answers", left=left, no_wrap=headings[:4])
+    headings = ("method", "over", "value", "upper bound", "Table I")
+    title = "Cross-check: independent answers (Table I: deviation from orthogonality)"
+    return table(headings, rows, title, left=headings[:2], no_wrap=headings[1:], padding=0)

@@ -18,7 +18,7 @@ from identification.arrays import Array
 
 FLOOR = 1e-9  # losses below this are shown there
 MOST = 10  # failures shown
-TEN = 10.0  # values from which four decimals are enough
+TEN = 10.0  # values from which three decimals are enough
 ACROSS = 3  # panels side by side
 Setting = tuple[str, int]  # solver and starts
 Curve = tuple[Array, Array]  # x and y of a step function
@@ -50,19 +50,18 @@ def _failures(rows: pl.DataFrame) -> list[str]:
 
 
 def _table(title: str, found: pl.DataFrame) -> Table:
-    headings = ("solver", "starts", "best", "median", "efficiency", "hits", "time [s]", "to a hit [s]", "[MB]", "wrong")
+    headings = ("solver", "best", "median", "effi-\nciency", "hits", "time\n[s]", "to hit\n[s]", "MB", "wrong")
     rows = map(_row, found.iter_rows(named=True))
-    return table(headings, rows, title, left=("solver",), no_wrap=("solver",))
+    return table(headings, rows, title, left=("solver",), no_wrap=("solver",), padding=0)
 
 
 def _row(row: dict[str, Any]) -> list[str]:
     return [
-        row["solver"],
-        str(row["starts"] or "own"),
-        *(_figure(row[name], "z.6f" if abs(row[name] or 0.0) < TEN else ".4f") for name in ("best", "median")),
-        _figure(row["efficiency"], ".6f"),
+        label((row["solver"], row["starts"])),
+        *(_figure(row[name], "z.5f" if abs(row[name] or 0.0) < TEN else ".3f") for name in ("best", "median")),
+        _figure(row["efficiency"], ".5f"),
         f"{round(row['hit_rate'] * row['repeats'])}/{row['repeats']}",
-        *(_figure(row[name], ".3g") for name in ("seconds", "seconds_to_hit")),
+        *(_figure(row[name], ".2g") for name in ("seconds", "seconds_to_hit")),
         _figure(row["peak_memory_mb"], ".0f"),
         str(row["not_correct"] or "-"),
     ]

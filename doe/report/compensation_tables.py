@@ -72,7 +72,14 @@ def command_table(found: Compensation, most: int) -> list[Any]:
         for row, (target, command, error, reached) in enumerate(found_rows, start=1)
     )
     joints = (f"q{j}" if kind == REVOLUTE else f"q{j} [mm]" for j, kind in enumerate(types, start=1))
-    headings = ("row", *(f"{axis} [mm]" for axis in axes), *joints, "miss" if len(types) > 6 else "miss [mm]")
+    headings = ("row", *(f"{axis} [mm]" if fine else axis for axis in axes), *joints, "miss")
     caption = f"first {most} of {len(found.targets)} targets; --out writes all"
-    shown = table(headings, rows, "Commands [deg]", most=most, caption=caption, padding=(0, 0, 0, int(fine)))
+    shown = table(
+        headings,
+        rows,
+        "Targets [mm], commands [deg], and by how much they miss [mm]",
+        most=most,
+        caption=caption,
+        padding=(0, 0, 0, int(fine)),
+    )
     return [shown, *([] if fine else [Text("Rounded to 0.01 deg here; --out and --json give every digit.")])]

@@ -16,6 +16,7 @@ from doe.plan.replicate_spacing import distance_to_keep
 from doe.problem.problem import DesignProblem
 from doe.report.terminal import facts, in_a_sentence, number, table
 from identification.arrays import Array
+from identification.estimation.corrected_values import NARROWED
 from identification.kinematics.parameters import EFFECT
 
 
@@ -41,12 +42,30 @@ def accuracy_table(design: Design) -> Table | str:
     headings = [*found[0], *(f"worst {heading}" for columns in found[1:] for heading in columns)]
     values = zip(*(column for columns in found for column in columns.values()), strict=True)
     may_be_missing = set(missing_parameters(design.problem))
-    each_parameter = ("" if p.name in may_be_missing else f"{p.name} [{p.file_unit}]" for p in mean.parameters)
+    hidden = may_be_missing | {*held_by_machining(design.problem, mean)}
+    each_parameter = ("" if p.name in hidden else f"{p.name} [{p.file_unit}]" for p in mean.parameters)
     names = map(str, range(1, mean.length.size + 1)) if mean.planar else each_parameter
     rows = ([name, *(number(v, 5) for v in figures)] for name, figures in zip(names, values, strict=True) if name)
     first = "link" if mean.planar else "parameter"
     given = "if effects of typical size may be missing" if may_be_missing else "if the model lacks nothing"
     return table([first, *headings], rows, f"Expected standard deviations {given} (sigma = {sigma:g} mm{over})")
+
+
+def held_lines(design: Design) -> list[Text]:
+    """How many parameters `accuracy_table` leaves out."""
+    known = design.deviations
+    weak = [] if known is None or known.planar else held_by_machining(design.problem, known)
+    said = "that these postures hardly determine: the prior of [machining] holds them; --json has all"
+    return [Text(f"and {len(weak)} more {said}")] if weak else []
+
+
+def held_by_machining(problem: DesignProblem, deviations: ExpectedDeviations) -> list[str]:
+    """Names of geometric parameters of which the plan leaves more than `NARROWED` of what was known beforehand."""
+    return [
+        p.name
+        for p, std in zip(deviations.parameters, deviations.values.tolist(), strict=True)
+        if p.kind != EFFECT and std > NARROWED * problem.deviations.get(p.name, np.inf)
+    ]
 
 
 def deviation_columns(deviations: ExpectedDeviations) -> dict[str, Array]:
@@ -173,6 +192,7 @@ def design_tables(design: Design) -> list[Any]:
         *repeats_line(design),
         plan_table(design),
         accuracy_table(design),
+        *held_lines(design),
     ]
 
 

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from doe.design import score
 from doe.problem.robust import missing_effects, robust_problem
-from doe.report.design_tables import accuracy_table, expected_error, missing_lines
+from doe.report.design_tables import accuracy_table, expected_error, held_by_machining, held_lines, missing_lines
 from tests.doe.six_axis import six_axis
 
 
@@ -20,7 +20,11 @@ def test_effects_that_may_be_missing_are_counted_not_listed() -> None:
     design = score(wide, np.random.default_rng(3).uniform(-2.0, 2.0, (16, 6)))
     found = accuracy_table(design)
     assert isinstance(found, Table)
-    assert found.row_count == len(plain.model.parameters)
+    weak = held_by_machining(wide, design.deviations)
+    assert found.row_count == len(plain.model.parameters) - len(weak)
+    known = {p.name: std for p, std in zip(design.deviations.parameters, design.deviations.values, strict=True)}
+    assert 0 < len(weak) == sum(known[name] > 0.5 * size for name, size in plain.deviations.items())
+    assert held_lines(design)[0].plain.startswith(f"and {len(weak)} more that these postures hardly determine")
     console = Console(width=100, file=io.StringIO())
     with console.capture() as capture:
         console.print(found)
