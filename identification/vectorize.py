@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -72,7 +73,7 @@ def vectorize(function: ca.Function) -> Evaluate:
     The result takes, per input, an array whose LAST axis runs over the components and whose leading axes broadcast
     against those of the other inputs; it returns, per output, an array of the broadcast shape + (rows, columns).
     """
-    compiled = _compile(function)
+    compiled = _compiled(function.serialize())
     sparsities = [function.sparsity_out(i) for i in range(function.n_out())]
     shapes = [sparsity.shape for sparsity in sparsities]
     places = [tuple(zip(*s.get_triplet(), strict=True)) for s in sparsities]
@@ -117,7 +118,10 @@ def _components(array: np.ndarray) -> list[np.ndarray]:
     return list(array.transpose(-1, *range(array.ndim - 1)))
 
 
-def _compile(function: ca.Function) -> Callable[[list[list[np.ndarray]]], list[list[np.ndarray]]]:
+@lru_cache(maxsize=128)
+def _compiled(serialized: str) -> Callable[[list[list[np.ndarray]]], list[list[np.ndarray]]]:
+    """The function as numpy source; models of equal arms are set up again and again, each with functions of its own."""
+    function = ca.Function.deserialize(serialized)
     lines = ["def tape(x):", f"    y = [[0.0] * k for k in {[function.nnz_out(i) for i in range(function.n_out())]}]"]
     for k in range(function.n_instructions()):
         lines.append("    " + _line(function, k))

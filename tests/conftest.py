@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -44,6 +45,7 @@ FIRST = ("notebooks", "test_house.py", "blind", "test_diagnose.py")  # folders a
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest first: none must be the last that one core works on while the others wait."""
     items.sort(key=lambda item: min(FIRST.index(part) if part in FIRST else len(FIRST) for part in item.path.parts))
+    gc.freeze()  # modules and tests stay to the end: to look through them for garbage takes seconds of the suite
 
 
 def pytest_configure(config: pytest.Config) -> None:

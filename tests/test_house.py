@@ -115,8 +115,7 @@ def imported(source: str, module: str) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             base = ".".join([*module.split(".")[: -node.level], node.module or ""]) if node.level else node.module
             names.add(base.rstrip("."))
-            candidates = {f"{base}.{alias.name}" for alias in node.names}
-            names |= {name for name in candidates if (ROOT / name.replace(".", "/")).with_suffix(".py").exists()}
+            names |= {f"{base}.{alias.name}" for alias in node.names} & files()
     return names
 
 
@@ -127,6 +126,12 @@ def modules() -> list[Path]:
 def name_of(path: Path) -> str:
     """Dotted name of a module or package."""
     return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+@cache
+def files() -> frozenset[str]:
+    """Dotted names of the modules that are no package."""
+    return frozenset(name_of(path) for path in modules() if path.stem != "__init__")
 
 
 def unit(module: str) -> str:
