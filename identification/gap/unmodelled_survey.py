@@ -157,15 +157,17 @@ def adjusted(shapes: Survey, level: float, generator: np.random.Generator) -> fl
     dimension, basis = shapes.fit.rows.dimension, shapes.fit.basis
     rows = np.sort(generator.permutation(len(shapes.fit.rows))[:SAMPLED])
     corrected = leverage_corrected(shapes.fit.residual, basis, dimension)[rows]
-    against = against_at(shapes.fit, basis, (rows[:, None] * dimension + np.arange(dimension)).ravel())
-    found = smallest_drawn(against, wild_draws(corrected, against, DRAWS, generator))
-    scatter = (1.0 + np.sum(found <= shapes.smallest)) / (1.0 + DRAWS)
+    found, state = np.full(DRAWS, np.inf), generator.bit_generator.state
+    for against in against_at(shapes.fit, basis, (rows[:, None] * dimension + np.arange(dimension)).ravel()):
+        generator.bit_generator.state = state  # the same signs for each place
+        found = np.minimum(found, smallest_drawn(against, wild_draws(corrected, against, DRAWS, generator)))
+    scatter = (1.0 + np.sum(found * len(shapes.counts) <= shapes.smallest)) / (1.0 + DRAWS)
     return float(max(shapes.smallest, scatter * level / BOOTSTRAP_LEVEL))
 
 
-def against_at(fit: Fit, basis: Array, index: NDArray[np.int64]) -> Dictionary:
-    """All shapes at some coordinates, projected off a model with this basis (N, r) over all coordinates."""
-    parts = [Columns(c.matrix[index], c.sizes) for _, c in shape_columns(fit)]
-    weights = np.concatenate([np.full(len(c.sizes), 1.0 / (len(c.sizes) * len(parts))) for c in parts])
-    together = Columns(np.hstack([c.matrix for c in parts]), np.concatenate([c.sizes for c in parts]))
-    return visible(np.asarray(np.linalg.qr(basis[index])[0]), together, weights)[0]
+def against_at(fit: Fit, basis: Array, index: NDArray[np.int64]) -> Iterator[Dictionary]:
+    """The shapes at some coordinates, one place at a time, projected off a model with this basis (N, r) over all
+    coordinates; their weights are those within the place."""
+    some = np.asarray(np.linalg.qr(basis[index])[0])
+    for _, c in shape_columns(fit):
+        yield visible(some, Columns(c.matrix[index], c.sizes), np.full(len(c.sizes), 1.0 / len(c.sizes)))[0]

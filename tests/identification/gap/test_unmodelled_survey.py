@@ -43,11 +43,14 @@ def test_white_noise_reaches_the_level_less_often_than_it_says() -> None:
     white noise is below 0.1 (600 draws, within three standard errors of 0.07)."""
     search, _ = searched()
     fit, rng = search.fit(()), np.random.default_rng(9)
-    against = against_at(fit, fit.basis, np.arange(240))
+    places = list(against_at(fit, fit.basis, np.arange(240)))
     noise = rng.normal(size=(240, 600))
     noise -= fit.basis @ (fit.basis.T @ noise)
-    scores = against.scores(against.columns.matrix.T @ noise, fit.basis.T @ noise)
-    reached = np.mean(against.smallest_weighted(scores, np.square(noise).sum(axis=0)) <= 0.1)
+    smallest = np.full(600, np.inf)
+    for against in places:
+        scores = against.scores(against.columns.matrix.T @ noise, fit.basis.T @ noise)
+        smallest = np.minimum(smallest, against.smallest_weighted(scores, np.square(noise).sum(axis=0)))
+    reached = np.mean(smallest * len(places) <= 0.1)
     assert 0.04 < reached < 0.1
 
 
