@@ -179,9 +179,8 @@ def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, 
     figure = Figure(figsize=(10.0, 2.6 + 3.6 * views), layout="constrained")
     top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.3 * views, 1.0]))
     pairs = ((before, BEFORE, "before"), (after, AFTER, "after"))
+    scale = 0.12 * arm.reach / (float(distances(before).max()) or 1.0)  # the largest arrow is an eighth of the reach
     for column, (residuals, color, name) in zip(workspace_axes(top, before.shape[1]), pairs, strict=True):
-        size = float(distances(residuals).max()) or 1.0
-        scale = 0.12 * arm.reach / size  # the largest arrow is an eighth of the reach
         draw_residual_arrows(column, positions, residuals, color, name, scale, base_of(arm))
     draw_against_joints(bottom, postures, before, after)
     return figure

@@ -230,5 +230,7 @@ class Diagnosis:
     def __str__(self) -> str:
         return summary.text(self)
 
+    __repr__ = __str__
+
     def _repr_html_(self) -> str:
         return notebook.html(self)
