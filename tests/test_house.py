@@ -245,6 +245,34 @@ def test_docstrings_are_no_lines_of_a_function() -> None:
     assert lines_of_functions(source) == [(7, "f"), (1, "g")]
 
 
+# names of several modules that mean the same in each
+SAME = {
+    "command": "a verb of the command line",
+    "html text remarks": "a result as it is shown: of a fit, of a diagnosis",
+    "arm_of data_set random_effect true_values": "cells of the blind study, in the plane and in space",
+    "random_truth position base_jacobian column": "its simulators, in the plane and in space",
+    "write_pictures": "the pictures of a study",
+}
+
+
+def public_names(source: str) -> set[str]:
+    """Functions and classes of a module that others may use."""
+    found = {node.name for node in parsed(source).body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    return {name for name in found if not name.startswith("_")}
+
+
+def test_a_name_has_one_meaning() -> None:
+    places: dict[str, list[str]] = {}
+    for path in modules():
+        for name in public_names(path.read_text()):
+            places.setdefault(name, []).append(name_of(path))
+    several = {name: where for name, where in places.items() if len(where) > 1}
+    same = {name for names in SAME for name in names.split()}
+    wrong = {name: where for name, where in several.items() if name not in same}
+    assert not wrong, "name each by what it is; names that mean the same are in SAME"
+    assert same <= set(several), "no longer in several modules"
+
+
 def test_bounds_import_no_solver() -> None:
     """A certificate trusts nothing that searches for plans: not even by way of another module."""
     edges, seen = graph(), set[str]()

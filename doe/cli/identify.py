@@ -89,7 +89,7 @@ def command(
         if value is not None and loaded.chain is None:
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
-    loaded, measurements = read_rows(loaded, data, old, words)
+    loaded, measurements = arm_and_rows(loaded, data, old, words)
     wanted = Wanted(words, prior, prior_from, method, sigma, parameters == "minimal")
     common.report(0, None, f"fitting {len(measurements)} rows")
     found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
@@ -105,7 +105,7 @@ def command(
     )
 
 
-def read_rows(arm: Arm, path: Path, old: Arm | None, words: Sequence[str]) -> tuple[Arm, Measurements]:
+def arm_and_rows(arm: Arm, path: Path, old: Arm | None, words: Sequence[str]) -> tuple[Arm, Measurements]:
     """The arm, with the servo errors that the data show, and its measurements.
 
     Where something is held, temperatures count from those that it was found at;  old : that is the prior

@@ -217,7 +217,9 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     if diagnosis.outlier_rows:
         shown.append(Text(f"left out as outliers: rows {', '.join(map(str, diagnosis.outlier_rows))}"))
     if diagnosis.replication:
-        shown.append(as_table(narrow(replication_sheet(diagnosis)), "Sessions", no_wrap=("fitted there",), padding=0))
+        shown.append(
+            as_table(narrow_sheet(replication_sheet(diagnosis)), "Sessions", no_wrap=("fitted there",), padding=0)
+        )
     return [*shown, *(Text(f"note: {note}") for note in diagnosis.notes)]
 
 
@@ -252,7 +254,7 @@ def replication_sheet(diagnosis: Diagnosis) -> Sheet:
     return Sheet(("effect", "session", "fitted there", "explained by the others' values", "replicates"), rows)
 
 
-def narrow(sheet: Sheet) -> Sheet:
+def narrow_sheet(sheet: Sheet) -> Sheet:
     """The sheet of `replication_sheet` for 80 columns: a line for each parameter."""
     headings = (*sheet.headings[:3], "explained\nby others", sheet.headings[4])
     return Sheet(headings, [[*row[:2], row[2].replace(", ", ",\n"), *row[3:]] for row in sheet.rows])

@@ -92,7 +92,7 @@ def in_short(rows: Sequence[CorrectedValue]) -> list[Any]:
     title = f"Well determined: {len(sure)} of {len(frames)} corrected values"
     shown: list[Any] = [corrected_table(sure, title)]
     if weak:
-        shown.append(Text(f"Weakly determined, mostly the prior of [machining]: {by_place(weak)}."))
+        shown.append(Text(f"Weakly determined, mostly the prior of [machining]: {named_by_place(weak)}."))
     if same := len(frames) - len(sure) - len(weak):
         shown.append(Text(f"As drawn to three decimals: {same} more."))
     shown += [Text(line) for line in places_in_words(rows)]
@@ -105,7 +105,7 @@ def negligible(row: CorrectedValue) -> bool:
     return row.unit in ("mm", "deg") and None not in figures and len({f"{figure:z.3f}" for figure in figures}) == 1
 
 
-def by_place(names: Sequence[str]) -> str:
+def named_by_place(names: Sequence[str]) -> str:
     """`joint 2 x, y, yaw; joint 3 z`; zeros of joints as `zero of joint 5`."""
     found: dict[str, list[str]] = {}
     for name in names:
