@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+
+from identification.spelling import NOTHING, close_names
 
 LONGEST_WORD, LONGEST_LINE = 400, 2000  # characters of a message; what is in the middle of a longer one is left out
 
@@ -48,14 +49,23 @@ def _shortened(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[: most * 2 // 3]} .. {text[-most // 4 :]}"
 
 
-def nearest(word: str, allowed: Iterable[str]) -> str:
-    """The end of a sentence about an unknown name: the nearest valid one, case aside, and all that are valid.
+def nearest(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NOTHING) -> str:
+    """The end of a sentence about an unknown name: which valid ones may be meant, and all that are valid.
+
+    meant : another word -> the name that says the same
 
     >>> nearest("lenghts_mm", ["links_mm", "lengths_mm"])
     "did you mean 'lengths_mm'? allowed: lengths_mm, links_mm"
     """
     options = sorted(set(allowed))
-    lower = {option.lower(): option for option in options}
-    close = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=0.5)
-    hint = f"did you mean '{lower[close[0]]}'? " if close else ""
-    return f"{hint}allowed: {', '.join(options)}"
+    return f"{suggestion(close_names(word, options, meant))}allowed: {', '.join(options)}"
+
+
+def suggestion(names: Sequence[str]) -> str:
+    """`did you mean 'a' or 'b'? `, empty without names.
+
+    >>> suggestion(["a", "b", "c"])
+    "did you mean 'a', 'b' or 'c'? "
+    """
+    *first, last = map(repr, names) if names else [""]
+    return f"did you mean {' or '.join(filter(None, [', '.join(first), last]))}? " if last else ""

@@ -8,6 +8,9 @@ from doe.cli.common import Answer, CommonOptions, verb
 from identification.errors import InputError, nearest
 
 FORMATS = "formats"
+OTHER_TOPICS = dict.fromkeys(
+    ("file", "files", "toml", "csv", "json", "units", "columns", "data", "measurements", "armfile", "keys"), FORMATS
+)
 
 
 @verb("armcal help formats", "The help of a verb, or the file formats.")
@@ -26,7 +29,7 @@ def command(common: CommonOptions, topic: str) -> Answer:
         text = formats()
         return Answer({"topic": topic, "text": text}, [Markdown(text)])
     if topic not in group.commands:
-        raise InputError(f"unknown topic {topic!r}, {nearest(topic, [FORMATS, *group.commands])}")
+        raise InputError(f"unknown topic {topic!r}, {nearest(topic, [FORMATS, *group.commands], OTHER_TOPICS)}")
     found = group.commands[topic]
     text = found.get_help(click.Context(found, info_name=topic, parent=context.parent))
     return Answer({"topic": topic, "text": text}, [text])

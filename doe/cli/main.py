@@ -32,7 +32,31 @@ from doe.cli import (
 from doe.cli.common import no_output
 from doe.cli.jobs import one_thread_each
 from doe.cli.typed import WORDS
-from identification.errors import in_one_line, nearest
+from identification.errors import in_one_line, nearest, suggestion
+from identification.spelling import close_names
+
+OTHER_VERBS = {  # words for the same -> verb
+    **dict.fromkeys(("calibrate", "fit", "estimate", "regress"), "identify"),
+    **dict.fromkeys(("plan", "optimize", "optimise"), "design"),
+    **dict.fromkeys(("inspect", "verify"), "check"),
+    **dict.fromkeys(("new", "start", "create"), "init"),
+    **dict.fromkeys(("correct", "inverse"), "compensate"),
+    **dict.fromkeys(("predict", "test"), "validate"),
+    **dict.fromkeys(("page", "html"), "report"),
+    "recommend": "advise",
+    "library": "effects",
+    "evaluate": "score",
+}
+OTHER_OPTIONS = {
+    **dict.fromkeys(("output", "save"), "out"),
+    **dict.fromkeys(("time", "timeout", "budget"), "seconds"),
+    **dict.fromkeys(("n", "m", "measurements", "postures", "poses"), "runs"),
+    **dict.fromkeys(("dof", "joints", "axes"), "dh"),
+    **dict.fromkeys(("plot", "figure", "image"), "picture"),
+    "overwrite": "force",
+    "silent": "quiet",
+    "threads": "workers",
+}
 
 
 @contextmanager
@@ -42,12 +66,23 @@ def one_line_errors() -> Iterator[None]:
         yield
     except click.exceptions.NoArgsIsHelpError:  # the whole help, on purpose
         raise
+    except click.NoSuchOption as error:
+        raise click.UsageError(in_one_line(unknown_option(error))) from None
     except click.UsageError as error:
         raise click.UsageError(in_one_line(error.format_message())) from None
     except OSError as error:
         if error.errno != ENOSPC or error.filename is not None:
             raise
         no_output(error)
+
+
+def unknown_option(error: click.NoSuchOption) -> str:
+    """What to say of an option that a verb does not have."""
+    parameters = [] if error.ctx is None else error.ctx.command.params
+    options = (option for parameter in parameters for option in (*parameter.opts, *parameter.secondary_opts))
+    names = [option.removeprefix("--") for option in options if option.startswith("--")]
+    close = close_names(error.option_name.removeprefix("--"), names, OTHER_OPTIONS)
+    return f"{error.message.rstrip('.')}, {suggestion([f'--{name}' for name in close])}".rstrip(", ")
 
 
 class Verbs(click.Group):
@@ -77,7 +112,7 @@ class Verbs(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """As in click, with a suggestion."""
         if args and not args[0].startswith("-") and args[0] not in self.commands:
-            ctx.fail(f"unknown verb {args[0]!r}, {nearest(args[0], self.commands)}")
+            ctx.fail(f"unknown verb {args[0]!r}, {nearest(args[0], self.commands, OTHER_VERBS)}")
         return super().resolve_command(ctx, args)
 
 

@@ -39,6 +39,18 @@ __all__ = [
 ]
 
 
+# what people call what the library has another name for
+OTHER_NAMES = {
+    **dict.fromkeys(("play", "lost_motion", "gear_play"), "backlash"),
+    **dict.fromkeys(("elasticity", "stiffness", "flexibility", "sag", "deflection"), "joint_compliance"),
+    **dict.fromkeys(("temperature", "thermal_expansion", "thermal"), "thermal_growth"),
+    **dict.fromkeys(("wire", "bar", "ball_bar", "wire_zero"), "length_offset"),
+    **dict.fromkeys(("waviness", "gear_ripple", "gear_error"), "transmission_ripple"),
+    "friction": "joint_hysteresis",
+    "scale": "measurement_scale",
+}
+
+
 @cache
 def _load_entry_points() -> None:
     for _, where, found in additions("armcal.effects"):
@@ -86,7 +98,7 @@ def build(
     and an effect not defined for arms of this dimension.
     """
     if spec.name not in library():
-        raise InputError(f"effects: unknown name {spec.name!r}, {nearest(spec.name, library())}")
+        raise InputError(f"effects: unknown name {spec.name!r}, {nearest(spec.name, library(), OTHER_NAMES)}")
     cls = library()[spec.name]
     if dimension not in cls.dimensions:
         kind = "planar" if dimension == 3 else "spatial"

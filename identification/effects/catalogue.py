@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from identification.effects import Effect, library
+from identification.effects import OTHER_NAMES, Effect, library
 from identification.effects.base import OWN
 from identification.effects.settings import Setting
 from identification.errors import InputError, nearest
@@ -89,7 +89,7 @@ def entries() -> list[Entry]:
 def entry(name: str) -> Entry:
     """The effect with this name. Raises `InputError` for an unknown name."""
     if name not in library():
-        raise InputError(f"effects: unknown name {name!r}, {nearest(name, library())}")
+        raise InputError(f"effects: unknown name {name!r}, {nearest(name, library(), OTHER_NAMES)}")
     cls = library()[name]
     settings = {key: Setting.of(value) for key, value in cls.settings.items()}
     chosen = {key: int(value.low) if value.whole else value.low for key, value in settings.items()}

@@ -212,7 +212,11 @@ PLANAR = Schema(
         "constraints.workspace_box": BoxTable,
         "constraints.keep_out_circle": CircleTable,
         "constraints.line_of_sight": SightTable,
-    }
+    },
+    dict.fromkeys(
+        ("urdf", "base_link", "tip_link", "dh", "joint_limits_mm", "base", "tool", "machining", "instrument"),
+        'spatial (kind = "spatial")',
+    ),
 )
 
 

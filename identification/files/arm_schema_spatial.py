@@ -255,4 +255,4 @@ _TABLES: dict[str, type[BaseModel]] = {
     "constraints.keep_out_cylinder": CylinderTable,
     "constraints.line_of_sight": SpatialSightTable,
 }
-SPATIAL, TOOLS = Schema(_TABLES), Schema({"": PoseTable})
+SPATIAL, TOOLS = Schema(_TABLES, {"links_mm": "planar"}), Schema({"": PoseTable})

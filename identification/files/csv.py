@@ -16,8 +16,9 @@ import polars as pl
 from numpy.typing import NDArray
 
 from identification.arrays import Array
-from identification.errors import InputError, nearest
+from identification.errors import InputError, suggestion
 from identification.files.io import PathLike, decode, read_bytes
+from identification.spelling import close_names
 
 FINITE = "a finite number"
 PARQUET = b"PAR1"  # first bytes of every such file
@@ -73,8 +74,9 @@ class Table:
         """Raises `InputError` naming the first of `columns` that is missing, and a column that may be meant."""
         for column in columns:
             if column not in self:
-                renamed = nearest(column, [name for name in self.columns if not KNOWN.fullmatch(name)])
-                hint = renamed.partition("allowed:")[0].replace("did you mean", "did you mean to rename")
+                others = [name for name in self.columns if not KNOWN.fullmatch(name)]
+                close = close_names(column, others) or [name for name in others if _of_same_joint(name, column)]
+                hint = suggestion(close[:1]).replace("did you mean", "did you mean to rename")
                 found = ", ".join(self.columns)
                 raise InputError(
                     f"{self.path}: column {column!r} is missing, found: {found}; {hint}allowed: a column of that name"
@@ -115,6 +117,12 @@ class Table:
         if empty.any():
             raise InputError(f"{self.place(int(np.argmax(empty)), column)}: found an empty cell, allowed: a name")
         return np.array(text.to_list(), dtype=np.str_)
+
+
+def _of_same_joint(name: str, column: str) -> bool:
+    """Whether a name such as `theta1_deg` or `J1` has the number of the joint that `q1_deg` is of."""
+    joint = re.match(r"q(\d+)_", column)
+    return joint is not None and re.fullmatch(rf"[A-Za-z_]+0*{joint[1]}([^\d].*)?", name) is not None
 
 
 def _numbers(text: pl.Series) -> Array:

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array
-from identification.errors import InputError, nearest
+from identification.errors import InputError, suggestion
 from identification.files.csv import KNOWN, Table, Test
 from identification.files.length_columns import SURFACE, lengths_of, read_lengths, session_of_rows, unit_of
 from identification.files.order_columns import order_columns, read_gaps, read_order
 from identification.files.orientation import angle_columns, orientation_columns_of, read_orientations
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
+from identification.spelling import close_names
 
 if TYPE_CHECKING:
     from identification.kinematics.spatial import SpatialChain
@@ -200,9 +201,9 @@ def warn_unknown(table: Table, known: Iterable[str], hint: str = "") -> None:
     unknown = []
     for column in table.columns:
         if column not in known:
-            near = nearest(column, [k for k in known if k not in table] or known).partition(" allowed:")[0]
-            near = "" if KNOWN.fullmatch(column) else near
-            unknown.append(f"{column!r} ({near})" if near.startswith("did you mean") else f"{column!r}")
+            free = [k for k in known if k not in table and not k.endswith(("_m", "_rad"))]  # the units to write first
+            near = "" if KNOWN.fullmatch(column) else suggestion(close_names(column, free)).strip()
+            unknown.append(f"{column!r} ({near})" if near else f"{column!r}")
     if unknown:
         columns = "column is" if len(unknown) == 1 else "columns are"
         more = f"; {hint}" if hint else ""

@@ -6,13 +6,14 @@ The description of a field is the end of its error message.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from identification.arm import LARGEST_ACCELERATION, LARGEST_ANGLE, LARGEST_MASS, LENGTH_RANGE, SIGMA_RANGE
 from identification.errors import InputError, nearest
+from identification.spelling import close_names
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -26,6 +27,17 @@ Mass = Annotated[float, Field(ge=0, le=LARGEST_MASS)]
 Acceleration = Annotated[float, Field(ge=-LARGEST_ACCELERATION, le=LARGEST_ACCELERATION)]
 
 
+OTHER_KEYS = {  # what people write for keys of an arm file
+    "lengths_mm": "links_mm",
+    "link_lengths_mm": "links_mm",
+    "min": "lower",
+    "max": "upper",
+    "g": "acceleration_m_s2",
+    "theta_deg": "offset_deg",
+    "theta": "offset_deg",
+}
+
+
 class StrictTable(BaseModel):
     """A table without unknown keys, its numbers finite."""
 
@@ -34,9 +46,13 @@ class StrictTable(BaseModel):
 
 @dataclass(frozen=True)
 class Schema:
-    """A file: the table that each path of keys leads to, `""` the whole file; `constraints.KIND` by their kind."""
+    """A file: the table that each path of keys leads to, `""` the whole file; `constraints.KIND` by their kind.
+
+    elsewhere : key that the file does not have -> kind of arm whose file has it
+    """
 
     tables: Mapping[str, type[BaseModel]]
+    elsewhere: Mapping[str, str] = field(default_factory=dict)
 
     def validated(self, tables: Mapping[str, Any], place: str = "") -> Any:
         """The file's model. Raises `InputError` naming key, what was found and what is allowed.
@@ -55,7 +71,7 @@ class Schema:
         loc, kind = detail["loc"], detail["type"]
         key = _dotted(loc)
         if kind == "extra_forbidden":
-            return f"{key}: unknown key, {nearest(str(loc[-1]), self._model(loc[:-1]).model_fields)}"
+            return f"{key}: {self._unknown(str(loc[-1]), loc[:-1])}"
         if kind.startswith("union_tag"):
             kinds = [path.partition(".")[2] for path in self.tables if path.startswith("constraints.")]
             if kind == "union_tag_not_found":
@@ -66,6 +82,16 @@ class Schema:
             return f"{key}.{detail['ctx']['error']}"
         found = "is missing" if kind == "missing" else f"found {_shown(detail)}"
         return f"{key}: {found}, allowed: {self._allowed(loc)}"
+
+    def _unknown(self, key: str, loc: tuple[int | str, ...]) -> str:
+        """What to do about a key that the table at `loc` does not have."""
+        if not loc and key in self.elsewhere:
+            return f"found in the file of an arm that is not {self.elsewhere[key]}, allowed: in one that is"
+        below = [path for path, table in self.tables.items() if not loc and path and key in table.model_fields]
+        known = self._model(loc).model_fields
+        if len(below) == 1 and "." not in below[0] and not close_names(key, known):
+            return f"found outside of a table, allowed: under [{below[0]}]"
+        return f"unknown key, {nearest(key, known, OTHER_KEYS)}"
 
     def _model(self, loc: tuple[int | str, ...]) -> type[BaseModel]:
         return self.tables[".".join(part for part in loc if isinstance(part, str))]

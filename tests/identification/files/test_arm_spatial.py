@@ -284,7 +284,7 @@ SWAPS = [
     ("lower = [-300.0]", "lower = [900.0]", "joint_limits_mm: joint 1 has lower 900 >= upper 500"),
     ("rx_deg = 10.0", 'rx_deg = "x"', "base.rx_deg: found 'x', allowed: an angle [deg]"),
     ("rx_deg = 10.0", "roll_deg = 10.0", "base.roll_deg: unknown key"),
-    ("x_mm = 60.0", "w_mm = 60.0", "tool.left.w_mm: unknown key, did you mean 'z_mm'?"),
+    ("x_mm = 60.0", "w_mm = 60.0", "tool.left.w_mm: unknown key, did you mean 'x_mm', 'y_mm' or 'z_mm'?"),
     ("rotation_deg = 0.2", "rotation_deg = -1.0", "machining.rotation_deg: found -1.0, allowed: a number > 0 [deg]"),
     ("[0.0, 0.0, -9.81]", "[0.0, -9.81]", "gravity.acceleration_m_s2: found 2 values, allowed: three numbers"),
     ("-20.0, 80.0]", "-20.0]", "gravity.payload_at_mm: found 2 values, allowed: three numbers [mm]"),

@@ -115,5 +115,5 @@ def test_wrong_arm_files(tmp_path: Path, lines: str, said: str) -> None:
 
 
 def test_planar_arms_have_no_instrument(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="instrument: unknown key"):
+    with pytest.raises(InputError, match="instrument: found in the file of an arm that is not spatial"):
         load_arm(saved(tmp_path, 'links_mm = [300.0]\n[instrument]\nkind = "distance"\n', "arm.toml"))

@@ -100,7 +100,7 @@ BAD = [
     ("x_mm,y_mm\n1,2\n", ["'q1_deg' is missing"]),
     ("q1,q2,x_mm,y_mm\n1,2,3,4\n", ["'q1_deg' is missing", "did you mean to rename 'q1'?", "allowed"]),
     ("q1_deg,q3_deg,x_mm,y_mm\n1,2,3,4\n", ["'q2_deg' is missing"]),
-    ("q1_deg,q2_deg,x_mm,y\n1,2,3,4\n", ["'y_mm' is missing", "q2_deg, x_mm, y; allowed: a column"]),
+    ("q1_deg,q2_deg,x_mm,y\n1,2,3,4\n", ["'y_mm' is missing", "q2_deg, x_mm, y; did you mean to rename 'y'? allowed"]),
     ("q1_deg,q1_rad,x_mm,y_mm\n1,2,3,4\n", ["both q1_deg and q1_rad", "allowed: one"]),
     ("q1_deg,x_m,x_mm,y_mm\n1,2,3,4\n", ["both x_mm and x_m", "allowed: one"]),
     (with_columns(sigma_mm=(1, 1), sigma_m=(1, 1)), ["both sigma_mm and sigma_m", "allowed: one"]),

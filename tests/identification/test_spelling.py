@@ -1,0 +1,109 @@
+"""Names that may be meant: mistakes counted by hand, and words that people write."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from identification.effects import OTHER_NAMES, library
+from identification.errors import nearest, suggestion
+from identification.spelling import close_names, mistakes
+
+
+@pytest.mark.parametrize(
+    ("word", "name", "count"),
+    [
+        ("design", "design", 0),
+        ("desing", "design", 1),  # swapped
+        ("desgn", "design", 1),
+        ("deesign", "design", 1),
+        ("dasign", "design", 1),
+        ("lenghts", "links", 4),
+        ("ca", "abc", 3),  # swapped letters are not torn apart again
+        ("", "abc", 3),
+    ],
+)
+def test_mistakes(word: str, name: str, count: int) -> None:
+    assert mistakes(word, name, 5) == mistakes(name, word, 5) == count
+    assert mistakes(word, name, count) == count
+    if count > 1:
+        assert mistakes(word, name, count - 1) == count
+
+
+def test_mistakes_are_no_more_than_were_made() -> None:
+    """Random words with one to three changes, one after the other."""
+    generator = np.random.default_rng(1)
+    letters = list("abcdef_")
+    for _ in range(200):
+        word = "".join(generator.choice(letters, 12))
+        other, made = word, int(generator.integers(1, 4))
+        for _ in range(made):
+            at = int(generator.integers(0, len(other)))
+            other = other[:at] + str(generator.choice(["", other[at] + "z", "z"])) + other[at + 1 :]
+        assert mistakes(word, other, 3) <= made
+
+
+KEYS = ("name", "kind", "links_mm", "joint_limits_deg", "measurement", "gravity", "effects", "calibration", "sigma_mm")
+
+
+@pytest.mark.parametrize(
+    ("word", "names"),
+    [
+        ("link_mm", ["links_mm"]),
+        ("LINKS_MM", ["links_mm"]),
+        ("links", ["links_mm"]),
+        ("limits", ["joint_limits_deg"]),
+        ("joint_limits_rad", ["joint_limits_deg"]),
+        ("jointlimits", ["joint_limits_deg"]),
+        ("measurment", ["measurement"]),
+        ("sigma", ["sigma_mm"]),
+        ("lengths_mm", ["links_mm"]),  # by another word for it
+        ("lenghts_mm", ["links_mm"]),  # which is misspelt
+        ("base", []),  # and not `name`
+        ("instrument", []),  # and not `measurement`
+        ("description", []),  # and not `calibration`
+        ("x", []),
+        ("", []),
+        ("_", []),
+        ("a" * 100_000, []),
+    ],
+)
+def test_keys(word: str, names: list[str]) -> None:
+    assert close_names(word, KEYS, {"lengths_mm": "links_mm", "base": "nowhere"}) == names
+
+
+@pytest.mark.parametrize(
+    ("word", "names"),
+    [
+        ("backlsh", ["backlash"]),
+        ("play", ["backlash"]),
+        ("stiffness", ["joint_compliance"]),
+        ("bending", ["link_bending"]),
+        ("noise", ["joint_noise", "reach_noise", "time_noise"]),
+        ("lengthoffset", ["length_offset"]),
+        ("joint", []),  # too many
+        ("wave", []),
+    ],
+)
+def test_effects(word: str, names: list[str]) -> None:
+    assert close_names(word, library(), OTHER_NAMES) == names
+
+
+def test_other_names_are_of_effects() -> None:
+    assert set(OTHER_NAMES.values()) <= set(library())
+    assert not set(OTHER_NAMES) & set(library())
+
+
+def test_numbers_are_kept() -> None:
+    columns = [f"direction{j}" for j in range(1, 7)]
+    assert close_names("dir2", columns) == ["direction2"]
+    assert close_names("dir7", columns) == []
+    assert close_names("length_error:9", [f"length_error:{j}" for j in range(1, 7)]) == []
+
+
+def test_sentences() -> None:
+    assert suggestion([]) == ""
+    assert suggestion(["a"]) == "did you mean 'a'? "
+    assert suggestion(["a", "b"]) == "did you mean 'a' or 'b'? "
+    assert nearest("desing", ["score", "design"]) == "did you mean 'design'? allowed: design, score"
+    assert nearest("x", ["score", "design"]) == "allowed: design, score"
