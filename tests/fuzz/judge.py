@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,7 +146,9 @@ def read_again(case: Case, outcome: Outcome, folder: Path) -> str | None:
     for name in outcome.written:
         for read in readers(case, name):
             try:
-                read(folder / name)
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # the command has said them
+                    read(folder / name)
             except (InputError, ValueError, OSError) as error:
                 return f"written, not read again: {error}"
     return None
