@@ -28,7 +28,7 @@ def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NO
     others = {other: name for other, name in meant.items() if name in options}
     spelt = {**others, **{option: option for option in options}}
     limit = min(max((len(low) - 1) // PER_MISTAKE, 1), MOST) if len(low) >= FEWEST else 0
-    far = {name: mistakes(low, name.lower(), limit) for name in spelt}
+    far = {name: letters_wrong(low, name.lower(), limit) for name in spelt}
     if (least := min(far.values(), default=limit + 1)) <= limit:
         found = dict.fromkeys(spelt[name] for name, count in far.items() if count == least)
     else:
@@ -36,7 +36,7 @@ def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NO
     return list(found) if len(found) <= SHOWN else []
 
 
-def mistakes(word: str, name: str, most: int) -> int:
+def letters_wrong(word: str, name: str, most: int) -> int:
     """Letters to put in, leave out, change, or swap with the next, to turn one into the other (optimal string
     alignment: L. Boytsov, "Indexing methods for approximate dictionary searching", 2011); most + 1 for any more."""
     if word == name:

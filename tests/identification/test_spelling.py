@@ -7,7 +7,7 @@ import pytest
 
 from identification.effects import OTHER_NAMES, library
 from identification.errors import nearest, suggestion
-from identification.spelling import close_names, mistakes
+from identification.spelling import close_names, letters_wrong
 
 
 @pytest.mark.parametrize(
@@ -24,10 +24,10 @@ from identification.spelling import close_names, mistakes
     ],
 )
 def test_mistakes(word: str, name: str, count: int) -> None:
-    assert mistakes(word, name, 5) == mistakes(name, word, 5) == count
-    assert mistakes(word, name, count) == count
+    assert letters_wrong(word, name, 5) == letters_wrong(name, word, 5) == count
+    assert letters_wrong(word, name, count) == count
     if count > 1:
-        assert mistakes(word, name, count - 1) == count
+        assert letters_wrong(word, name, count - 1) == count
 
 
 def test_mistakes_are_no_more_than_were_made() -> None:
@@ -40,7 +40,7 @@ def test_mistakes_are_no_more_than_were_made() -> None:
         for _ in range(made):
             at = int(generator.integers(0, len(other)))
             other = other[:at] + str(generator.choice(["", other[at] + "z", "z"])) + other[at + 1 :]
-        assert mistakes(word, other, 3) <= made
+        assert letters_wrong(word, other, 3) <= made
 
 
 KEYS = ("name", "kind", "links_mm", "joint_limits_deg", "measurement", "gravity", "effects", "calibration", "sigma_mm")
