@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 from doe.cli.common import Answer, warn_beside_json
 from doe.cli.options import Output
+from identification.errors import InputError
 from identification.status import Status
 
 if TYPE_CHECKING:
     from identification.arm import Calibration
     from identification.estimation import Identification
+    from identification.estimation.corrected_values import CorrectedValue
     from identification.gap.library_prior import LibraryPrior
 
 
@@ -114,3 +116,20 @@ def fit_answer(
     if (reason := no_file(found, output.force)) is not None:
         return Answer(data, [*shown, *(f"{name} was not written: {reason}" for name in wanted)], exit_code=1)
     return Answer(data, shown + write_calibrated(found, path, output, urdf, hidden, before, prior))
+
+
+def dh_of(found: Identification, arm: Path) -> tuple[tuple[CorrectedValue, ...], list[str]]:
+    """The corrected Denavit-Hartenberg table of an arm file that has one, and base and tool beside it; else empty."""
+    from identification.estimation.dh_values import dh_places, dh_values
+    from identification.files.arm_spatial import dh_rows
+    from identification.kinematics.frames import point_table, pose_table
+
+    if found.geometry is None or found.not_identifiable or (table := dh_rows(arm)) is None:
+        return (), []
+    try:
+        rows, places = dh_values(found, *table), dh_places(found, *table)
+    except InputError:  # prismatic joints, or axes that are one
+        return (), []
+    tables = ((name, pose_table(at) if at.ndim == 2 else point_table(at)) for name, at in places)
+    figures = ((name, (f"{key.replace('_', ' [')}] {v:z.3f}" for key, v in one.items())) for name, one in tables)
+    return rows, [f"{name}: {', '.join(said)}" for name, said in figures]

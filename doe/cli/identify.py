@@ -95,7 +95,7 @@ def command(
     found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
     if words:
         found = with_place_doubted(found, with_sessions(loaded, measurements), words, measurements)
-    extra, shown = fit_shown(found, loaded, measurements, words, library, full=full or old is not None)
+    extra, shown = fit_shown(found, (arm, loaded), measurements, words, library, full=full or old is not None)
     kept = loaded.calibration if words else None, None if old is None else old.calibration
     answered = calibrated.fit_answer(found, shown, arm, output, urdf, library, *kept)
     answered.data |= extra | said
@@ -133,7 +133,7 @@ def with_next(answered: Answer, arm: Path, data: Path, output: Output, loaded: A
 
 def fit_shown(
     found: Identification,
-    arm: Arm,
+    arm: tuple[Path, Arm],
     data: Measurements,
     words: Sequence[str],
     library: LibraryPrior | None,
@@ -144,10 +144,11 @@ def fit_shown(
     from doe.report.identification_tables import identification_tables
     from identification.estimation.left_out import left_out_rms
 
-    nominal, left = drawing_left(arm, data, words), left_out_rms(found, data)
+    nominal, left, dh = drawing_left(arm[1], data, words), left_out_rms(found, data), calibrated.dh_of(found, arm[0])
     complete = full or found.machining_factor is None
-    shown = identification_tables(found, calibrated.hidden_by(library), nominal, left, full=complete)
-    return {"cross_validated_mm": left} | ({} if nominal is None else {"rms_nominal_mm": nominal}), shown
+    shown = identification_tables(found, calibrated.hidden_by(library), nominal, left, full=complete, dh=dh)
+    extra = {"cross_validated_mm": left} | ({} if nominal is None else {"rms_nominal_mm": nominal})
+    return extra | ({"dh_table": [row.to_json() for row in dh[0]]} if dh[0] else {}), shown
 
 
 @dataclass(frozen=True)

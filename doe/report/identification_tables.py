@@ -22,6 +22,11 @@ ALL_OF_THEM = (
     "--parameters minimal gives a complete set of as few values as will do, with all others as drawn: the one to type "
     "in by hand.",
 )
+TABLE_NOTES = (
+    "Other numbers of the table stay as drawn. All values belong together, base and tool included: enter all of them.",
+    "beta: turn about the new y axis after alpha, where the next axis is nearly parallel (Hayati). A controller that "
+    "has no beta cannot take that row; --full prints frames of six numbers, --urdf writes them.",
+)
 MOVED = 1e-3  # of the RMS: where a file lacks the place it has been fitted before
 
 
@@ -32,11 +37,13 @@ def identification_tables(
     left_out: float | None = None,
     *,
     full: bool = True,
+    dh: tuple[Sequence[CorrectedValue], Sequence[str]] = ((), ()),
 ) -> list[Any]:
     """Everything about a fit: warnings, verdict, summary, the corrected values but for those `hidden`.
 
     nominal : RMS distance [mm] that the drawing leaves, where only the place of the arm was estimated
     left_out : [mm] of `left_out_rms`;  full : False: of a spatial arm the values that the measurements determine
+    dh : the corrected Denavit-Hartenberg table, where the drawing is one, and lines about base and tool beside it
     """
     rows = [row for row in found.corrected_values if row.parameter not in hidden]
     warned = [Text(warning, style="bold") for warning in found.warnings]
@@ -45,7 +52,13 @@ def identification_tables(
         Text(fit_verdict(found, nominal), style="bold"),
         facts(fit_figures(found, nominal, left_out)),
     ]
-    shown += [corrected_table(rows), *conventions(rows, found.geometry is not None)] if full else in_short(rows)
+    shown += (
+        [corrected_table(rows), *conventions(rows, found.geometry is not None)]
+        if full
+        else dh_tables(*dh)
+        if dh[0]
+        else in_short(rows)
+    )
     if found.geometry is not None and full:
         shown += [Text(sentence) for sentence in found.geometry.strict_table]
     if found.not_identifiable:
@@ -82,6 +95,11 @@ def fit_figures(found: Identification, nominal: float | None, left_out: float | 
         scatter = f"the residuals scatter {number(found.scatter, 5)} mm"
         rows.append(("chi2", f"{data['chi2']:.2f}, {p_value_in_words(data['p_value'])}: {scatter}"))
     return [*rows, ("95 % intervals", found.uncertainty.sentence)]
+
+
+def dh_tables(rows: Sequence[CorrectedValue], lines: Sequence[str]) -> list[Any]:
+    """The corrected Denavit-Hartenberg table, and what belongs to it."""
+    return [corrected_table(rows, "Corrected Denavit-Hartenberg table"), *map(Text, (*lines, *TABLE_NOTES))]
 
 
 def in_short(rows: Sequence[CorrectedValue]) -> list[Any]:

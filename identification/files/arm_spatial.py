@@ -104,6 +104,24 @@ def corrected_urdf(path: PathLike, chain: SpatialChain) -> str:
     return with_origins(*named, [joint.origin for joint in chain.joints])
 
 
+def dh_rows(path: PathLike) -> tuple[list[DHRow], str] | None:
+    """Rows and convention of the `[[dh]]` table of an arm file; None where it has none."""
+    tables = read_toml(path).get("dh")
+    if not isinstance(tables, list):
+        return None
+    rows = [
+        DHRow(
+            float(row.get("a_mm", 0.0)),
+            float(np.radians(row.get("alpha_deg", 0.0))),
+            float(row.get("d_mm", 0.0)),
+            float(np.radians(row.get("offset_deg", 0.0))),
+            row.get("joint", REVOLUTE),
+        )
+        for row in tables
+    ]
+    return rows, next((row["convention"] for row in tables if row.get("convention")), STANDARD)
+
+
 def _chain(file: SpatialArmFile, folder: PathLike) -> SpatialChain:
     """The nominal geometry with its joint limits."""
     if file.dh is None:

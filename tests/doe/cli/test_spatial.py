@@ -254,6 +254,25 @@ def test_what_the_measurements_determine_is_shown_and_where_the_rest_is(spatial:
     assert f"cross-validated {data['cross_validated_mm']:.4f} mm RMS" in said
 
 
+def test_a_drawing_in_denavit_hartenberg_numbers_gets_them_corrected(folder: Folder) -> None:
+    """Of a real robot: 18 numbers beside base and tool, in 80 columns, the same in JSON."""
+    data = Path(__file__).parents[2] / "data" / "ur10"
+    rows = (data / "series_C.csv").read_text().splitlines()
+    folder.write("some.csv", "\n".join([rows[0], *rows[1::4]]) + "\n")
+    folder.write("ur10.toml", (data / "ur10.toml").read_text())
+    shown = folder.armcal("identify", "ur10.toml", "some.csv").out
+    found = folder.armcal("identify", "ur10.toml", "some.csv", "--json").data["dh_table"]
+    names = [row["name"] for row in found]
+    assert len(names) == 18
+    assert {name for name in names if name.endswith("beta")} == {"row 2 beta", "row 3 beta"}
+    assert not {"row 2 d", "row 3 d"} & {*names}
+    table, _, rest = shown.partition("Corrected Denavit-Hartenberg table")[2].partition("base: ")
+    assert all(f" {name} " in table for name in names)
+    assert "tool 1: x [mm]" in rest
+    lengths = {row["name"]: row["corrected"] for row in found}
+    assert lengths["row 2 a"] == pytest.approx(-612.8, abs=0.5)  # of all rows -612.82 with 0.11
+
+
 def test_commands_for_the_real_arm(spatial: Folder) -> None:
     """Commands for the calibrated arm bring the true one where the drawing would be, as far as noise lets it."""
     spatial.armcal("identify", "arm.toml", "data.csv", "--out", "calibrated.toml")
