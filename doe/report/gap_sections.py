@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -138,7 +139,7 @@ def sessions_section(diagnosis: Diagnosis) -> list[Section]:
 def signed_section(diagnosis: Diagnosis) -> Section:
     """Residuals of the data with their sign, against each joint."""
     from doe.report.gap_figures import rows_kept
-    from doe.report.signed_residuals import Compared, caption, signed_figures
+    from doe.report.signed_residuals import READ, Compared, caption, signed_figures
 
     shown, kept, named = diagnosis.residuals, rows_kept(diagnosis), diagnosis.effects
     postures = np.column_stack([values for name, values in shown.against.items() if name.startswith("joint ")])
@@ -147,6 +148,7 @@ def signed_section(diagnosis: Diagnosis) -> Section:
     conditions = shown.conditions.rows(kept)
     figures = signed_figures(Compared(diagnosis.arm, postures, before, after, conditions, model, named))
     lead = caption("the model without what is named", "the model with what is named", named)
+    lead = lead if named else f"{READ} Nothing is named: before and after are one model."
     return Section("Signed error against each joint", lead, figures=figures)
 
 
@@ -169,6 +171,11 @@ def corrected_section(
     return Section(f"Corrected values{f': {name}' if name else ''}", text, [Sheet(headings, lines)])
 
 
+def doubted(corrected: Section) -> Section:
+    """Values that rows speak against which no fit has seen: closed, and said so."""
+    return replace(corrected, title=f"{corrected.title}, not confirmed", folded=True)
+
+
 def gap_sections(diagnosis: Diagnosis, nominal: float | None = None) -> Sequence[Section]:
     """The parts of the page that show a diagnosis.
 
@@ -178,13 +185,13 @@ def gap_sections(diagnosis: Diagnosis, nominal: float | None = None) -> Sequence
     from doe.report.gap_figures import against_figures, alias_figure, curve_figures, workspace_figure
 
     data, arm = diagnosis.to_json(), diagnosis.extended_arm()
-    rows = corrected_values(arm, diagnosis.named.calibration)
+    corrected = corrected_section(corrected_values(arm, diagnosis.named.calibration), arm.chain is not None)
     distances = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
     return [
         missing_section(data),
         *sessions_section(diagnosis),
         gap_section(data, [workspace_figure(diagnosis)], nominal),
-        corrected_section(rows, arm.chain is not None),
+        doubted(corrected) if data["confirmed"] is False else corrected,
         signed_section(diagnosis),
         *curve_sections(data, curve_figures(diagnosis) if diagnosis.curves else ()),
         Section("Against time and torque", distances, figures=against_figures(diagnosis), folded=True),

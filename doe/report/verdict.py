@@ -103,6 +103,8 @@ def place_in_words(data: Data) -> str:
 def gap_in_words(data: Data) -> str:
     """The error before and after, where it was held out if it was."""
     gap, test = data["gap"], data["confirmation"]
+    if not data["effects"] and test is None:
+        return f"The model leaves {in_a_sentence(gap['rms_after_mm'])} mm RMS of the data; no rows were held out."
     if test is None:
         figures = f"from {in_a_sentence(gap['rms_before_mm'])} to {in_a_sentence(gap['rms_after_mm'])} mm"
         return f"On the data the RMS error goes {figures}; no rows were held out to confirm it."

@@ -91,6 +91,7 @@ def test_the_report_of_a_diagnosis_stands_in_the_page_too(campaign: Folder) -> N
     own = campaign.read("gap.html")
     assert "The drawing, placed as well as it can be, leaves" in own
     assert "Signed error against each joint" in own
+    assert "Nothing is named: before and after are one model." in own
     assert hashlib.sha256((campaign.path / "data.csv").read_bytes()).hexdigest() in own
 
 

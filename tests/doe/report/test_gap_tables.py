@@ -6,6 +6,7 @@ from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 
+from doe.report.gap_sections import doubted
 from doe.report.gap_tables import (
     curve_shape_sheet,
     estimate_sheet,
@@ -14,6 +15,7 @@ from doe.report.gap_tables import (
     p_value,
 )
 from doe.report.next_postures import missing_payload
+from doe.report.page import Section, Sheet
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.gap.candidate import Candidate, Estimate
 from identification.measurements import Measurements
@@ -96,3 +98,9 @@ def test_shapes_of_curves_and_orders_of_waves_are_tables() -> None:
     assert [row[-1] for row in curve_shape_sheet({"curves": curves}).rows] == ["waves 11, 14, 2 (88 %)", "smooth curve"]
     shapes = [{"effect": f"{RIPPLE}[k=6]", "joint": 2, "range_deg": [-10.0, 50.0], "orders": [1, 12]}]
     assert order_sheet({"shapes": shapes}).rows == [[f"{RIPPLE}[k=6]", "60", "1 to 12"]]
+
+
+def test_values_that_rows_speak_against_are_closed_and_said_to_be_so() -> None:
+    doubtful = doubted(Section("Corrected values", "Zeros: add.", [Sheet(["", "corrected"], [["zero", "1"]])]))
+    assert (doubtful.title, doubtful.folded) == ("Corrected values, not confirmed", True)
+    assert doubtful.sheets[0].rows == [["zero", "1"]]

@@ -56,6 +56,7 @@ def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: 
     assert " ".join(verdict).startswith(first)
     assert len(verdict[0].split()) <= 15
     figures = "0.500 to 0.125 mm" if data["confirmation"] is None else "0.600 to 0.250 mm; 0.200 mm were predicted"
+    figures = figures if data["effects"] else "leaves 0.125 mm RMS of the data"
     assert figures in gap
     assert command in diagnosis_actions(data)[0].command
     if data["confirmed"] is False:
