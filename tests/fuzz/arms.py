@@ -36,6 +36,7 @@ EFFECTS = (
 OF_GRAVITY = ('name = "joint_compliance"', 'name = "tool_mass"', 'name = "gravity_tilt"', 'name = "payload_error"')
 OF_PLANAR = ('name = "base_offset"', 'name = "axis_tilt"\njoint = 1', 'name = "axes_skew"')
 OF_PAYLOAD = ('name = "payload_place"', 'name = "payload_place"\nx_mm = 50.0\ny_mm = 0.0\nz_mm = -1e9')
+OF_LENGTHS = ('name = "length_offset"', 'name = "length_offset"\nc_mm = 1e6')
 OF_SPATIAL = ('name = "axis_runout"\njoint = 1', 'name = "bearing_compliance"\njoint = 1')
 ODD = (
     'name = "none_such"',
@@ -44,6 +45,7 @@ ODD = (
     *OF_GRAVITY,
     *OF_PAYLOAD,
     *OF_PLANAR,
+    *OF_LENGTHS,
 )
 
 
@@ -217,7 +219,8 @@ def _spatial_tables(draw: st.DrawFn, n: int) -> list[str]:
             st.sampled_from(("", "\npayload_kg = 5.0", "\npayload_at_mm = [0, 0, 80]", LOAD, f"{LOAD}e300"))
         )
     parts += _constraints(draw, 1500.0, 3)
-    parts += _effects(draw, OF_SPATIAL + (OF_GRAVITY + OF_PAYLOAD if gravity else ()))
+    of_gravity = OF_GRAVITY + OF_PAYLOAD if gravity else ()
+    parts += _effects(draw, OF_SPATIAL + of_gravity + (OF_LENGTHS if of_lengths else ()))
     if n > 1 and not one_in(draw, 3):
         name = "base.x" if one_in(draw, 12) else f"translation_x:{n}"  # the base may be known
         parts.append('[calibration]\nvalues = {"' + name + '" = 0.5}')
