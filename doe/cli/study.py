@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -88,7 +89,7 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
     study = load_study(path)
     if replications is not None:
         study = replace(study, replications=replications)
-    new = not folder.exists()
+    new = not os.path.exists(folder)  # False for what cannot be looked at: `run_study` says so
     result = run_study(study, folder, workers, **options)
     try:
         require_some(result)

@@ -45,6 +45,8 @@ def test_an_output_with_too_long_a_name(folder: Folder) -> None:
     refused(folder, ["design", "arm.toml", "--runs", "8", "--out", LONG], "cannot be written", "allowed: another")
     refused(folder, ["design", LONG, "--runs", "8"], "cannot be read")
     refused(folder, ["demo", "--out", LONG], "cannot be created")
+    folder.write("study.toml", 'arms = ["arm.toml"]\nplans = ["random"]\nruns = [6]\nreplications = 2\n')
+    refused(folder, ["study", "study.toml", "--workers", "1", "--out", LONG], "cannot be made")
     refused(folder, ["design", "arm.toml", "--runs", "8", "--out", "arm.toml/plan.csv"], "'arm.toml' is no folder")
 
 
