@@ -25,6 +25,7 @@ from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 
 POSITIONS = {REVOLUTE: "angle [deg]", PRISMATIC: "position [mm]"}
 TICKS = 6  # at most, of a small picture: how many fit depends on the room that their own numbers leave
+MOST = 500  # stick figures of one picture: more only cover each other
 MANY = 500  # rows from which points are drawn smaller, and as pixels in vector formats
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 
@@ -43,17 +44,20 @@ def picture_bytes(figure: Figure, path: Path) -> bytes:
 
 
 def plan_figure(arm: Arm, postures: Array) -> Figure:
-    """The postures of an arm as stick figures, and every joint's angles within its limits."""
+    """The postures of an arm as stick figures, of very many some, and every joint's angles within its limits."""
+    shown = postures[np.linspace(0, len(postures) - 1, min(len(postures), MOST)).round().astype(int)]
+    said = f"{len(postures)} postures" if len(shown) == len(postures) else f"{len(shown)} of {len(postures)} postures"
     if arm.chain is not None:
         figure = Figure(figsize=(10.0, 8.6))
         top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[2.2, 1.0]))
-        draw_spatial_plan(top, arm, postures, run_colors(len(postures)))
+        draw_spatial_plan(top, arm, shown, run_colors(len(shown)), said)
         bottom.subplots_adjust(left=0.06, right=0.97, bottom=0.2)
         draw_joints(bottom.subplots(), arm, postures)
         return figure
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
     plane, joints = figure.subplots(1, 2, width_ratios=[1.0, 1.1])
-    draw_arm(plane, arm, postures)
+    draw_arm(plane, arm, shown)
+    plane.set_title(said, fontsize=9)
     draw_constraints(plane, arm)
     draw_joints(joints, arm, postures)
     return figure
@@ -86,7 +90,6 @@ def draw_arm(axes: Axes, arm: Arm, postures: Array) -> None:
         axes.plot(*line[-1], "o", color=color, ms=4)
     axes.plot(0, 0, "ks", ms=6)
     axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
-    axes.set_title(f"{len(postures)} postures", fontsize=9)
 
 
 def draw_constraints(axes: Axes, arm: Arm) -> None:

@@ -20,13 +20,16 @@ RING = np.linspace(0.0, 2.0 * np.pi, 49)
 FORBIDDEN, SEEN = "#c44e52", "#888888"
 
 
-def draw_spatial_plan(figure: Any, arm: Arm, postures: Array, colors: Array) -> list[Axes]:
-    """The arm's skeletons at postures (m, n), from two sides, in the frame of its base."""
+def draw_spatial_plan(figure: Any, arm: Arm, postures: Array, colors: Array, said: str) -> list[Axes]:
+    """The arm's skeletons at postures (m, n), from two sides, in the frame of its base.
+
+    said : of how many postures, in the title
+    """
     drawn = [figure.add_subplot(1, len(SIDES), k + 1, projection="3d") for k in range(len(SIDES))]
     for axes, side in zip(drawn, SIDES, strict=True):
         draw_side(axes, arm, postures, colors, side)
     figure.subplots_adjust(left=0.03, right=0.93, bottom=0.06, top=0.94, wspace=0.3)
-    figure.suptitle(f"{len(postures)} postures, from two sides; light to dark in order of measurement", fontsize=9)
+    figure.suptitle(f"{said}, from two sides; light to dark in order of measurement", fontsize=9)
     return drawn
 
 

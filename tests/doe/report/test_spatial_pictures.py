@@ -6,6 +6,7 @@ import numpy as np
 
 from doe.report.pictures import plan_figure
 from doe.report.spatial_pictures import outlines
+from identification.arm import Arm
 from tests.doe.problem.test_spatial_constraints import ARM, PILLAR, POSTURES, SIGHT, SPHERE
 
 
@@ -31,3 +32,17 @@ def test_a_plan_is_seen_from_two_sides() -> None:
     assert len(figure.axes) == 3
     skeletons = [line for line in views[0].lines if len(line.get_xdata()) == 8]
     assert len(skeletons) == 5
+
+
+def test_of_very_many_postures_some_are_drawn() -> None:
+    """The first and the last among them, and the title says so; every angle stands beside them."""
+    planar = Arm([300.0, 200.0])
+    postures = np.linspace([-1.0, 0.5], [1.0, 1.5], 4000)
+    plane, joints = plan_figure(planar, postures).axes
+    assert plane.get_title() == "500 of 4000 postures"
+    figures = [line for line in plane.lines if len(line.get_xdata()) == 3]
+    assert len(figures) == 500
+    for line, q in ((figures[0], postures[0]), (figures[-1], postures[-1])):
+        tip = 300.0 * np.exp(1j * q[0]) + 200.0 * np.exp(1j * (q[0] + q[1]))
+        np.testing.assert_allclose([line.get_xdata()[-1], line.get_ydata()[-1]], [tip.real, tip.imag])
+    assert sum(len(shown.get_offsets()) for shown in joints.collections) == 2 * 4000
