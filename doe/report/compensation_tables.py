@@ -77,7 +77,7 @@ def command_table(found: Compensation, most: int) -> list[Any]:
     shown = table(
         headings,
         rows,
-        "Targets [mm], commands [deg], and by how much they miss [mm]",
+        "Targets and miss [mm], commands [deg]",
         most=most,
         caption=caption,
         padding=(0, 0, 0, int(fine)),

@@ -292,7 +292,7 @@ def test_commands_for_the_real_arm(spatial: Folder) -> None:
     )  # a controller is not fed with what misses its target
     shown = spatial.armcal("compensate", "calibrated.toml", "plan.csv").out
     assert "q1 [mm]" in shown
-    assert "Targets [mm], commands [deg]" in shown
+    assert "Targets and miss [mm], commands [deg]" in shown
 
 
 # -- a real robot ------------------------------------------------------------------------------------------------------
