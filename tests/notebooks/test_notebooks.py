@@ -114,9 +114,11 @@ def execute(path: Path, kernel: AsyncKernelManager | None = None, smaller: bool 
         smaller_form(notebook, path.name[0])
     context = {"metadata": {"path": str(path.parent)}}
     client = NotebookClient(notebook, km=kernel, timeout=HANGS, kernel_name="python3", resources=context)
-    client.execute()
-    if kernel:
-        client.kc.stop_channels()
+    try:
+        client.execute()
+    finally:  # sockets that stay open fail a later test
+        if kernel and client.kc:
+            client.kc.stop_channels()
     return notebook
 
 
