@@ -75,7 +75,7 @@ def test_joint_limits_cost_at_most_the_loss_and_effects_become_visible() -> None
     postures, best = found.design.plan.postures, log_det(found.best.plan.postures)
     assert np.all(postures >= np.radians(lower))
     assert np.all(postures <= np.radians(upper))
-    assert bound >= best >= bound + 8.0 * np.log(0.998)
+    assert bound + 1e-12 >= best >= bound + 8.0 * np.log(0.998)  # the factorial reaches it, to rounding
     assert log_det(postures) >= best + 8.0 * np.log(0.95)
     assert visible_share(found.best.plan.postures, 2, 1) < 1e-6  # two levels hide it
     assert visible_share(postures, 2, 1) > 0.3
