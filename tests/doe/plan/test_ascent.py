@@ -80,12 +80,24 @@ def test_plans_that_stand_for_fewer_runs() -> None:
     assert value == pytest.approx(float(case.criterion.value(mixture)), rel=1e-12)
 
 
-def test_singular_plans_and_no_time_leave_plans_as_they_are() -> None:
+def test_without_time_plans_stay_as_they_are() -> None:
     case = problem(FOUR)
-    same = np.tile(FOUR.upper / 3.0, (1, 6, 1))
-    np.testing.assert_allclose(PlanAscent(case)(same), same, rtol=1e-14)
     start = random_plans(case, 1, 6)
     np.testing.assert_allclose(PlanAscent(case)(start, stop=lambda: True), start)
+
+
+def test_singular_plans_have_no_slope_and_do_not_get_worse() -> None:
+    """Stretched out, the arm's four lengths have equal columns, without rounding; at six equal postures the last digit
+    decides whether M is singular, so that the plan may climb."""
+    case = problem(FOUR)
+    values, slopes = PlanAscent(case).rise(np.zeros((1, 6, 4)))
+    assert values[0] == -np.inf
+    np.testing.assert_array_equal(slopes, 0.0)
+    same = np.tile(FOUR.upper / 3.0, (1, 6, 1))
+    ended = PlanAscent(case)(same)
+    assert np.all((ended >= FOUR.lower - 1e-12) & (ended <= FOUR.upper + 1e-12))
+    before, after = (PlanAscent(case).rise(plans)[0][0] for plans in (same, ended))
+    assert after >= before
 
 
 def test_where_gradients_are_the_choice() -> None:
