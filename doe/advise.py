@@ -21,6 +21,7 @@ from doe.plan.addition import with_additions
 from doe.plan.ascent import climbs
 from doe.plan.plan import Plan
 from doe.plan.tip_error import TipError, robust_or_none, tip_error
+from doe.problem.prior import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
 from doe.problem.robust import workspace
 from doe.solvers import solve
@@ -149,8 +150,7 @@ def with_scatter(arm: Arm) -> tuple[Arm, str]:
         return arm, ""
     scatter = identified(arm).get("scatter_mm")
     if not isinstance(scatter, float) or not SIGMA_RANGE[0] <= scatter <= SIGMA_RANGE[1]:
-        add = "add a table [measurement] with sigma_mm, the standard deviation of one coordinate of the instrument"
-        return arm, f"No standard deviations, no tip error: the arm file has no sigma_mm; for these {add}."
+        return arm, f"No standard deviations, no tip error: that {NEEDS_SIGMA}."
     given = f"sigma_mm = {scatter:.3g}, the scatter that its identification left"
     return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {given}, is taken for it."
 
@@ -161,7 +161,7 @@ def check_wanted(problem: DesignProblem, runs: Sequence[int], target: float | No
     if not runs or min(runs) < fewest:
         raise InputError(f"runs: {min(runs, default=None)}, allowed: >= {fewest} ({problem.parameters} unknowns)")
     if target is not None and problem.model.sigma is None:
-        raise InputError("target_mm: the arm file has no sigma_mm, allowed: a [measurement] table with sigma_mm")
+        raise InputError(f"--target-mm {NEEDS_SIGMA}")
     if target is not None and not (np.isfinite(target) and target > 0.0):
         raise InputError(f"target_mm: {target}, allowed: > 0")
 

@@ -88,6 +88,11 @@ class Compensation:
         return np.where(self.reached[:, None], self.commands, np.nan)
 
     @property
+    def left(self) -> Array:
+        """(k,) as `errors`, NaN where a constraint bars the target: nothing is driven to there."""
+        return np.where(self.near & ~self.reached, np.nan, self.errors)
+
+    @property
     def warnings(self) -> list[str]:
         """What must be known of the commands, in sentences."""
         said = extrapolated(self.outside, "targets")
@@ -96,36 +101,36 @@ class Compensation:
     def to_json(self) -> dict[str, Any]:
         """Counts, largest errors over targets reached and over the others, unreached rows, and a row for each target
         (identification/files/README.md, "JSON keys")."""
-        reached = self.reached
+        reached, out = self.reached, ~self.near
         return {
             "targets": len(self.targets),
             "reached": int(np.count_nonzero(reached)),
             "max_error_mm": float(np.max(self.errors[reached])) if reached.any() else None,
             "max_error_over": "targets reached",
             "model_rms_mm": self.model_rms,
-            "max_unreached_mm": None if reached.all() else float(np.max(self.errors[~reached])),
+            "max_unreached_mm": float(np.max(self.errors[out])) if out.any() else None,
             **({} if self.angles is None else {"max_error_deg": self._largest_angle}),
             "unreachable": [int(row) + 1 for row in np.flatnonzero(~reached)],
             "unreachable_count": int(np.count_nonzero(~reached)),
             "outside_identified": self._outside,
             "warnings": self.warnings,
-            "commands_deg": [
-                row if near else None
-                for row, near in zip(self.commands_in_file_units.tolist(), reached.tolist(), strict=True)
-            ],
+            "commands_deg": _where(reached, self.commands_in_file_units),
             "commands": self._rows(),
         }
 
     def _rows(self) -> list[dict[str, Any]]:
-        """One entry for each target, in file units; the command is the nearest found where it is not reached."""
+        """One entry for each target, in file units; None for what it does not have."""
+        reached, commands = self.reached, self.commands_in_file_units
+        driven = reached | ~self.near  # or missed, by what is left
         columns = {
-            "target_mm": self.targets,
-            "command": self.commands_in_file_units,
-            "error_mm": self.errors,
-            **({} if self.angles is None else {"error_deg": np.degrees(self.angles)}),
-            "reachable": self.reached,
+            "target_mm": self.targets.tolist(),
+            "command": _where(reached, commands),
+            "nearest": _where(~reached, commands),
+            "error_mm": _where(driven, self.errors),
+            **({} if self.angles is None else {"error_deg": _where(driven, np.degrees(self.angles))}),
+            "reachable": reached.tolist(),
         }
-        rows = zip(*(column.tolist() for column in columns.values()), self.messages, strict=True)
+        rows = zip(*columns.values(), self.messages, strict=True)
         return [dict(zip(("target", *columns, "message"), (k, *row), strict=True)) for k, row in enumerate(rows, 1)]
 
     @property
@@ -153,8 +158,13 @@ class Compensation:
         """A row for each target: `q1`.. [deg, mm], `x_mm`.., `error_mm`, `reachable`, `message`; polars or pandas."""
         columns = {f"q{j}": values for j, values in enumerate(self.commands_in_file_units.T, start=1)}
         columns |= {f"{axis}_mm": values for axis, values in zip("xyz", self.targets.T, strict=False)}
-        left: dict[str, Any] = {"error_mm": self.errors, "reachable": self.reached, "message": self.messages}
+        left: dict[str, Any] = {"error_mm": self.left, "reachable": self.reached, "message": self.messages}
         return frame_of_columns(columns | left, kind)
 
     def __repr__(self) -> str:
         return f"Compensation({int(np.count_nonzero(self.reached))} of {len(self.targets)} targets reached)"
+
+
+def _where(said: NDArray[np.bool_], rows: Array) -> list[Any]:
+    """(k) rows, None where they are not to be said."""
+    return [row if one else None for one, row in zip(said.tolist(), rows.tolist(), strict=True)]

@@ -22,7 +22,7 @@ from identification.estimation.plausibility import (
     limited,
     outside_limits,
 )
-from identification.gap.repeats import NoiseFloor, noise_floor
+from identification.gap.repeats import NOTHING_KNOWN, NoiseFloor, noise_floor
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
@@ -210,9 +210,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     other_units = bool(wrong_units(measurements, arm))
     fit = None if other_units else _fit(arm, measurements)
     units = data_warnings(measurements, arm)
-    residual = np.zeros_like(measurements.positions) if fit is None else fit.residuals_after
     readings = (as_written if other_units else read_differently)(arm, measurements)
-    floor = noise_floor(residual, measurements, np.ones(len(measurements), dtype=bool), None)
     return Inspection(
         arm=arm,
         rows=len(measurements),
@@ -221,7 +219,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         markers=measurements.marker_names,
         given=tuple(sorted(measurements.given)),
         joints=_ranges(arm, measurements.postures),
-        floor=floor,
+        floor=_floor(fit, measurements),
         readings=readings,
         drawing=_drawing(arm, measurements, readings),
         fit=fit,
@@ -234,6 +232,13 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         rest=(*copied_rows(measurements), *([] if other_units else outside_limits(arm, measurements))),
         gaps=tuple(gap_notes(measurements)),
     )
+
+
+def _floor(fit: Identification | None, measurements: Measurements) -> NoiseFloor:
+    """What repeats scatter by; not known without a fit, which says what small differences of their angles do."""
+    if fit is None:
+        return NOTHING_KNOWN
+    return noise_floor(fit.residuals_after, measurements, np.ones(len(measurements), dtype=bool), None)
 
 
 def _frame(arm: Arm, measurements: Measurements, fit: Identification | None) -> tuple[str, ...]:

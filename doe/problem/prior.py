@@ -22,6 +22,11 @@ from identification.errors import InputError
 from identification.information import information_matrix
 from identification.kinematics.parameters import ParameterSet
 
+NEEDS_SIGMA = (  # the end of a sentence
+    "needs the instrument's scatter: add to the arm file the line [measurement] and below it sigma_mm = 0.05, "
+    "or what the standard deviation of one coordinate is [mm]"
+)
+
 
 @dataclass(frozen=True, eq=False)
 class PriorInformation:
@@ -87,5 +92,5 @@ def precisions(parameters: ParameterSet, deviations: Mapping[str, float], sigma:
             raise InputError(f"deviations: {name} has {deviation:g}, allowed: a finite number > 0")
         known[parameters.index(name)] = deviation
     if deviations and sigma is None:
-        raise InputError("sigma_mm: none, allowed: a number > 0, which sizes known beforehand are weighed against")
+        raise InputError(f"a prior {NEEDS_SIGMA}")
     return readonly(((sigma or 0.0) / (parameters.scales * known)) ** 2)

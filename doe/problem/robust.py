@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from doe.criteria import Criterion, I
 from doe.problem.candidates import listed_candidates
 from doe.problem.feasible import random_postures
+from doe.problem.prior import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
 from doe.problem.spatial import of_one_arm, whole
 from identification.arrays import Array
@@ -37,7 +38,7 @@ def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None) 
     if (model := of_one_arm(problem.model)) is None:
         raise InputError(f"robust: {type(problem.model).__name__}, allowed: the model of one arm")
     if model.sigma is None:
-        raise InputError("robust: the arm file has no sigma_mm, allowed: a [measurement] table with sigma_mm")
+        raise InputError(f"--robust {NEEDS_SIGMA}")
     return library_prior(model.arm, names=names, most_settings=SETTINGS)
 
 

@@ -15,7 +15,10 @@ MOST_ROWS = 8  # row numbers in a sentence
 
 
 def residual_text(error: float) -> str:
-    """Distance of the calibrated model's tip from its target [mm], not to be read as the robot's accuracy."""
+    """Distance of the calibrated model's tip from its target [mm], not to be read as the robot's accuracy; a dash for
+    NaN."""
+    if np.isnan(error):
+        return "-"
     return "< 1e-6" if error < 1e-6 else number(error) if error < 100.0 else f"{error:.0f}"
 
 
@@ -61,7 +64,7 @@ def command_table(found: Compensation, most: int) -> list[Any]:
     types, axes = found.joint_types or (REVOLUTE,) * found.commands.shape[1], "xyz"[: found.targets.shape[1]]
     fine = len(types) + len(axes) <= 6
     commands = np.where(np.isnan(found.safe_commands), np.nan, found.commands_in_file_units)
-    found_rows = zip(found.targets, commands, found.errors, found.reached, strict=True)
+    found_rows = zip(found.targets, commands, found.left, found.reached, strict=True)
     rows = (
         [
             f"{row}{'' if reached else ' !'}",

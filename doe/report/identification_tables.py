@@ -186,8 +186,8 @@ def conventions(rows: Sequence[CorrectedValue], spatial: bool) -> list[str]:
     said = ["Zeros: add to the zero of the joint (real = reading + this), or take off every command."]
     said = said if any(row.name.startswith("zero of") for row in rows) else []
     if any(row.parameter == "base_offset.x0" for row in rows):
-        frame = "where the arm stands in the frame of the measurements"
-        said.append(f"Zero of joint 1 and base_offset: {frame}, for the controller only if it is its own.")
+        typed = "type them into the controller only if the measurements are in the controller's own frame"
+        said.append(f"Zero of joint 1 and base_offset: where the arm stands; {typed}.")
     if spatial:
         said += [
             "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.",

@@ -30,7 +30,7 @@ FRAME = "frame of joint {j} in that of {before}, as a URDF joint's origin: x, y,
 TOGETHER = ("roll_deg", "yaw_deg")
 BASE = "pose of the base for the instrument, turned about its own x, y and z axis"
 TOOL = "measured point in the frame of the tip"
-STANDS = "where the arm stands in the frame of the measurements: for the controller only if that frame is its own"
+STANDS = "where the arm stands: type it into the controller only if the measurements are in the controller's own frame"
 TURNED = f"zero of joint 1 with how the arm is turned, {STANDS}"
 EFFECT = "no value of a controller: armcal compensate takes it off the commands"
 

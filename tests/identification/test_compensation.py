@@ -28,7 +28,7 @@ def test_figures() -> None:
     assert FOUND.reached.tolist() == [True, False, False]
     assert FOUND.messages == [
         "",
-        "out of reach within the joint limits: 0.25 mm are left",
+        "out of reach within the joint limits: the nearest posture misses it by 0.25 mm",
         "constraint 1 (table) is missed by 3 mm",
     ]
     figures = FOUND.to_json()
@@ -40,15 +40,31 @@ def test_figures() -> None:
 
 
 def test_what_misses_a_constraint_is_no_command() -> None:
-    np.testing.assert_array_equal(FOUND.safe_commands[:2], FOUND.commands[:2])
-    assert np.isnan(FOUND.safe_commands[2]).all()
-    np.testing.assert_array_equal(replace(FOUND, violations=None).safe_commands, FOUND.commands)
+    for found, reached in ((FOUND, [0]), (replace(FOUND, violations=None), [0, 2])):
+        np.testing.assert_array_equal(found.safe_commands[reached], found.commands[reached])
+        assert np.isnan(np.delete(found.safe_commands, reached, axis=0)).all()
+
+
+def test_rows_without_a_command_have_none_and_what_is_nearest_beside_it() -> None:
+    """Nothing is left where a constraint bars a target, since nothing is driven there."""
+    rows = FOUND.to_json()["commands"]
+    assert [row["command"] for row in rows] == FOUND.to_json()["commands_deg"]
+    assert rows[0]["nearest"] is None
+    assert [row["nearest"] for row in rows[1:]] == [[0.0, 80.0], pytest.approx([-90.0, 20.0])]
+    assert [row["error_mm"] for row in rows] == [1e-9, 0.25, None]
+    np.testing.assert_array_equal(FOUND.left, [1e-9, 0.25, np.nan])
+    posed = replace(FOUND, angles=np.radians([0.0, 2.0, 0.0]))
+    assert [row["error_deg"] for row in posed.to_json()["commands"]] == [0.0, pytest.approx(2.0), None]
+    barred = replace(FOUND, errors=np.full(3, 1e-9)).to_json()
+    assert (barred["unreachable"], barred["max_unreached_mm"]) == ([3], None)
 
 
 def test_a_pose_is_reached_if_its_angle_is_too() -> None:
     posed = replace(FOUND, angles=np.radians([0.0, 0.0, 2.0]), constraints=(), violations=None)
     assert posed.reached.tolist() == [True, False, False]
-    assert posed.messages[2] == "out of reach within the joint limits: 1e-09 mm and 2 deg are left"
+    assert (
+        posed.messages[2] == "out of reach within the joint limits: the nearest posture misses it by 1e-09 mm and 2 deg"
+    )
     assert posed.to_json()["max_error_deg"] == 0.0
 
 

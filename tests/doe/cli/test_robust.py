@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -112,6 +113,21 @@ def test_what_does_not_fit_is_said(arm: Path, words: list[str], expected: str) -
     result = armcal(words[0], arm, *words[1:])
     assert result.exit_code == 2
     assert expected in result.output
+
+
+@pytest.mark.parametrize("words", [["design", "--runs", "5", "--robust"], ["advise", "--target-mm", "0.1"]])
+def test_without_a_scatter_it_is_said_what_to_add(arm: Path, words: list[str]) -> None:
+    """In one line, and what it says to add is what the command then accepts."""
+    table = "[measurement]\nsigma_mm = 0.1\n"
+    arm.write_text(ARM.replace(table, ""))
+    result = armcal(words[0], arm, *words[1:])
+    (line,) = result.stderr.splitlines()
+    assert result.exit_code == 2
+    assert line.startswith(f"armcal: {words[-1] if words[-1] == '--robust' else '--target-mm'} needs the instrument's")
+    added = re.search(r"the line (\[.*\]) and below it (sigma_mm = [\d.]+)", line)
+    assert added is not None
+    arm.write_text(arm.read_text() + "\n".join(added.groups()))
+    assert armcal(words[0], arm, *words[1:], *("--missing", "gear_ratio")[: 2 * (words[0] == "design")]).exit_code == 0
 
 
 def test_advise_of_some_parameters(arm: Path) -> None:

@@ -23,6 +23,7 @@ def test_counts_of_targets_without_a_command() -> None:
     first, shown, *reasons = compensation_tables(found)
     assert first.plain.startswith("1 of 3 targets reached")
     assert [cell.plain for cell in shown.columns[3].cells] == ["28.648", "-", "-"]
+    assert [cell.plain for cell in shown.columns[4].cells] == ["< 1e-6", "3.0000", "-"]
     assert len(reasons) == 2
 
 

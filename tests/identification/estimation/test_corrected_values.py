@@ -195,4 +195,10 @@ def test_where_the_arm_stands_is_nothing_to_type_in() -> None:
         assert ("where the arm stands" in rows["zero of joint 1"].convention) is said
         assert "where the arm stands" not in rows["zero of joint 2"].convention
         lines = conventions([*rows.values()], False)
-        assert any("for the controller only if it is its own" in line for line in lines) is said
+        assert (
+            any(
+                "into the controller only if the measurements are in the controller's own frame" in line
+                for line in lines
+            )
+            is said
+        )
