@@ -35,8 +35,8 @@ DIAGNOSED = (
 )
 MISSING = (
     "The last two columns: if effects of typical size are missing, and if these are allowed for by identify "
-    "--library-prior. They may rise with the runs: more runs average out noise, not what a model lacks, which wrong "
-    "lengths and zeros take up, by more or less from plan to plan. Where effects may be missing, choose the postures "
+    "--library-prior. They may rise with the runs: more runs do not help against a missing effect; the fit hides it in "
+    "wrong lengths and zeros. Where effects may be missing, choose the postures "
     "with armcal design --robust."
 )
 

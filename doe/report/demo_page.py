@@ -131,7 +131,7 @@ def plan_sections(demo: Demo) -> list[Section]:
     lead = f"Chosen within the joint limits{within}. {design_verdict(demo.design.to_json())}"
     certificate = (
         "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
-        "the largest d found at each angle of a joint; black points are the plan's postures."
+        "the largest d found at each angle of a joint; dots are the plan's postures."
     )
     postures, effort = demo.design.plan.postures, (4096, 61) if demo.arm.chain is None else (128, 25)
     return [

@@ -79,11 +79,13 @@ def gap_text(data: Data) -> list[str]:
 def said(test: Data) -> str:
     """Whether the named model holds in rows that were not used for the fits, in a sentence."""
     how = "" if test["by"] == "holdout" else "cross-validated, "
-    where = f"{test['transfer']} ({how}{test['rows']} rows in {test['groups']} independent groups)"
+    which, rows = test.get("file") or test["transfer"], f"{test['rows']} rows in {test['groups']} independent groups"
+    where = f"{which} ({how}{rows})"
+    if test["confirmed"] and not test["as_predicted"]:
+        unsure = f"{rows} are too few to say whether by the predicted amount"
+        return f"The error shrinks on rows not fitted ({how}{which}); {unsure}."
     if test["confirmed"]:
-        gap = ": the gap shrinks" if test["shrinks"] else ""
-        unsure = "" if test["as_predicted"] else ", but these rows do not tell whether as far as predicted"
-        return f"The model holds for {where}{gap}{unsure}."
+        return f"The model holds for {where}{': the gap shrinks' if test['shrinks'] else ''}."
     if test["shrinks"]:
         return f"For {where} the gap shrinks, but by less than predicted."
     shrinks = ["the gap does not shrink"] if test["shrinks"] is False else []

@@ -38,7 +38,7 @@ SOME = 8  # postures that an effect at a joint is averaged over
 RIDGE, FAR = 0.1, 0.1  # in squared widths; share of the range without rows
 SHOWN = 99.0  # [%] of the points that set the scale
 OTHERWISE = 0.1  # of what an effect does, RMS, that its function of the angle may leave
-READ = "Measured less computed, as the error of that joint which would explain most of a row's residual."
+READ = "Each dot is one row: the error of this joint that would best explain what is left (measured less computed)."
 
 
 def joint_errors(levers: Array, residuals: Array) -> Array:
@@ -216,8 +216,8 @@ def caption(before: str, after: str, named: Collection[str] = ()) -> str:
         return f"{READ} Red: {before}. Blue: {after}. Line: the difference of the two, smoothed."
     return (
         f"{READ} Blue: {after}. Red: {before}; but where effects stand above a picture, the blue model without these. "
-        "Black: what these effects add, as the model has them. A wave in the red points that the black line follows "
-        "and the blue points lack is explained."
+        "Line, or the smallest dots: what these effects add, as the model has them. A wave in the red dots that the "
+        "line follows and the blue dots lack is explained."
     )
 
 

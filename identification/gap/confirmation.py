@@ -105,6 +105,7 @@ class Confirmation:
     p_shrinks, p_exceeds : one-sided p-values of "the gap does not shrink" and of "the gap is as predicted"
     shrinks, as_predicted : conclusions; None where the rows are too few
     named : False if no effect was named, so that no gap has to shrink
+    file : that the rows come from, where only its order numbers tell that they are another session; else None
     """
 
     transfer: str
@@ -119,6 +120,12 @@ class Confirmation:
     shrinks: bool | None
     as_predicted: bool | None
     named: bool = True
+    file: str | None = None
+
+    @property
+    def where(self) -> str:
+        """The rows in words."""
+        return self.file or self.transfer
 
     @property
     def confirmed(self) -> bool | None:
@@ -131,19 +138,15 @@ class Confirmation:
     def answer(self) -> str:
         """The conclusion in words."""
         if self.confirmed is None:
-            return f"too few rows to say whether it holds for {self.transfer}"
+            return f"too few rows to say whether it holds for {self.where}"
         if self.confirmed:
-            limits = (
-                ""
-                if self.as_predicted
-                else " as far as these rows tell: the gap shrinks, but they do not tell whether as far as predicted"
-            )
-            return f"holds for {self.transfer}{limits}"
+            few = f"the error shrinks for {self.where}; too few rows to say whether by the predicted amount"
+            return f"holds for {self.where}" if self.as_predicted else few
         if self.shrinks:
-            return f"for {self.transfer} the gap shrinks, but by less than predicted"
+            return f"for {self.where} the gap shrinks, but by less than predicted"
         grows = ["the gap does not shrink"] if self.shrinks is False else []
         exceeds = ["the gap exceeds the prediction"] if self.as_predicted is False else []
-        return f"does not hold for {self.transfer}, {' and '.join(grows + exceeds)}"
+        return f"does not hold for {self.where}, {' and '.join(grows + exceeds)}"
 
     def __str__(self) -> str:
         kind = "held-out" if self.by == "holdout" else "cross-validated"
@@ -153,7 +156,18 @@ class Confirmation:
     def to_json(self) -> dict[str, object]:
         """An entry of `confirmation.tests` (identification/files/README.md, "JSON keys")."""
         lengths = {f"{name}_mm": getattr(self, name) for name in ("before", "after", "predicted")}
-        names = ("transfer", "by", "rows", "groups", "p_shrinks", "p_exceeds", "shrinks", "as_predicted", "confirmed")
+        names = (
+            "transfer",
+            "file",
+            "by",
+            "rows",
+            "groups",
+            "p_shrinks",
+            "p_exceeds",
+            "shrinks",
+            "as_predicted",
+            "confirmed",
+        )
         return {name: getattr(self, name) for name in names} | lengths
 
 

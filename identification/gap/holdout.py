@@ -93,8 +93,9 @@ def gap_of(before: Array, after: Array, there: HeldOut | None, floor: NoiseFloor
 
 def confirmation_of(measurements: Measurements, holdout: Measurements, there: HeldOut, named: bool) -> Confirmation:
     """Test the named model on the hold-out;  named : False if nothing was named."""
-    every = np.ones(len(holdout), dtype=bool)
-    return confirm(there, groups_of(holdout, every), transfer_of(measurements, holdout), named=named)
+    every, transfer = np.ones(len(holdout), dtype=bool), transfer_of(measurements, holdout)
+    found = confirm(there, groups_of(holdout, every), transfer, named=named)
+    return replace(found, file=holdout.provenance.get("file") if transfer == SESSION else None)
 
 
 def held_out(

@@ -46,7 +46,9 @@ def gap_rows(data: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     for test in tests_of(data):
         kind = "held out" if test["by"] == "holdout" else "cross-validated"
         figures = (number(test[key]) for key in ("before_mm", "after_mm", "predicted_mm"))
-        shown.append([f"{kind}: {test['transfer']}", str(test["rows"]), *figures, answers[test["confirmed"]]])
+        shown.append(
+            [f"{kind}: {test.get('file') or test['transfer']}", str(test["rows"]), *figures, answers[test["confirmed"]]]
+        )
     return ["RMS distance [mm]", "rows", "before", "after", "expected", "holds"], shown
 
 

@@ -36,7 +36,9 @@ def headline(found: Diagnosis) -> str:
         beside=f", beside {named(found)}" if found.effects else "",
     )
     if found.verdict == "unknown" and described(found):
-        verdict = f"unknown: no effect of the library makes the errors of {place(found)}; {named(found)} describe them"
+        verdict = (
+            f"cause unknown ({place(found)} first): no effect in the library fits; {named(found)} describe the errors"
+        )
     return f"not confirmed: {verdict}" if found.confirmed is False else verdict
 
 

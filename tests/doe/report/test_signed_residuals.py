@@ -109,7 +109,9 @@ def test_the_line_is_the_effect_of_the_model_and_the_points_before_lack_it() -> 
     red, _, line = points_and_line(first)  # nothing is named there: the earlier model, no line
     np.testing.assert_allclose(np.radians(red[:, 1]), joint_errors(real.joint_levers(q), before)[:, 0])
     assert len(line) == 0
-    assert "Black: what these effects add" in caption("the drawing", "the model", rows.named)
+    read = caption("the drawing", "the model", rows.named)
+    assert "Line, or the smallest dots: what these effects add" in read
+    assert "black" not in read.lower().split()  # on a dark page the line is white
 
 
 def test_an_effect_that_is_no_function_of_the_angle_is_drawn_at_the_rows() -> None:

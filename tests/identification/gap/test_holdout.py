@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 import pytest
 
 from identification.errors import InputError
-from identification.gap.holdout import held_out_conditions, split, transfer_of
+from identification.gap.confirmation import HeldOut, Mean
+from identification.gap.holdout import confirmation_of, held_out_conditions, split, transfer_of
 from identification.measurements import Measurements
 
 RNG = np.random.default_rng(1)
@@ -52,6 +54,18 @@ def test_the_order_of_measurement_says_what_is_tested() -> None:
     assert transfer_of(first, first) == "another session"  # numbers start again
     assert transfer_of(first, replace(second, order=second.order + 100.0)) == "another session"  # a long pause
     assert transfer_of(first, replace(second, order=None)) == "other rows"
+
+
+def test_a_file_taken_for_another_session_is_called_by_its_name() -> None:
+    """Only its order numbers, which start again, tell that it is one; what follows in the order needs no name."""
+    same, nothing = np.ones(40), np.zeros(40)
+    there = HeldOut(same, same, Mean(1.0, 0.0, np.inf), nothing, 0.7, 2)
+    first, fresh = DATA.rows(np.arange(60)), MappingProxyType({"file": "fresh.csv"})
+    for rows, where in (np.arange(40), "fresh.csv"), (np.arange(60, 100), "a later time"):
+        given = replace(DATA.rows(rows), provenance=fresh)
+        assert confirmation_of(first, given, there, named=False).where == where
+    unnamed = confirmation_of(first, DATA.rows(np.arange(40)), there, named=False)
+    assert (unnamed.where, unnamed.to_json()["file"]) == ("another session", None)
 
 
 def test_time_goes_on_within_a_session_and_starts_again_in_another() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from identification.gap.result import Diagnosis
 from identification.gap.rounds import Round
-from identification.gap.summary import among, of_joints
+from identification.gap.summary import among, headline, of_joints
 
 
 @pytest.mark.parametrize(
@@ -31,6 +31,21 @@ def test_a_round_spells_out_a_few_names() -> None:
     assert str(Round(("gear_ratio:1",), removed, 0.125)) == (
         "+ gear_ratio:1 - backlash:1 - backlash:2 - backlash:3 - backlash:4 - backlash:5 - 3 more: 0.125 mm left"
     )
+
+
+@pytest.mark.parametrize(
+    ("joints", "others", "words"),
+    [
+        ((1, 2, 3), (), "error curves of joints 1 to 3 describe the errors"),
+        ((1,), ("backlash:2",), "error curves of joint 1 + backlash:2 describe the errors"),
+    ],
+)
+def test_curves_describe_what_has_no_name(joints: tuple[int, ...], others: tuple[str, ...], words: str) -> None:
+    curves = [SimpleNamespace(joint=j, key=f"joint_error_curve:{j}") for j in joints]
+    labels = (*(curve.key for curve in curves), *others)
+    given = {"verdict": "unknown", "where": "joint:1", "candidates": (), "confirmed": False}
+    found = cast(Diagnosis, SimpleNamespace(effects=labels, curves=curves, **given))
+    assert headline(found) == f"not confirmed: cause unknown (joint 1 first): no effect in the library fits; {words}"
 
 
 def test_a_probability_says_what_it_is_among() -> None:

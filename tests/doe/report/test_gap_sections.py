@@ -1,0 +1,38 @@
+"""What the page says of rows that no fit has seen."""
+
+from __future__ import annotations
+
+import pytest
+
+from doe.report.gap_sections import said
+
+TEST = {"transfer": "another session", "file": "more.csv", "by": "holdout", "rows": 25, "groups": 8}
+
+
+@pytest.mark.parametrize(
+    ("shrinks", "as_predicted", "confirmed", "sentence"),
+    [
+        (True, True, True, "The model holds for more.csv (25 rows in 8 independent groups): the gap shrinks."),
+        (
+            True,
+            None,
+            True,
+            "The error shrinks on rows not fitted (more.csv); 25 rows in 8 independent groups are too few to say "
+            "whether by the predicted amount.",
+        ),
+        (
+            True,
+            False,
+            False,
+            "For more.csv (25 rows in 8 independent groups) the gap shrinks, but by less than predicted.",
+        ),
+    ],
+)
+def test_rows_that_no_fit_has_seen(
+    shrinks: bool | None, as_predicted: bool | None, confirmed: bool, sentence: str
+) -> None:
+    test = TEST | {"shrinks": shrinks, "as_predicted": as_predicted, "confirmed": confirmed}
+    assert said(test) == sentence
+    other = said(test | {"file": None, "by": "cross-validation"})
+    assert "another session" in other
+    assert "cross-validated" in other
