@@ -13,11 +13,15 @@ def command(common: CommonOptions, name: str | None) -> Answer:
     """List the effects of the library, or say everything about the effect NAME.
 
     Formula, parameters with units and typical sizes, which data or tables it needs and how to give them, and how it
-    stands in an arm file. Effects of installed packages (entry points armcal.effects) are in the list.
+    stands in an arm file. For gravity: the block of the arm file that
+    some of them need. Effects of installed packages (entry points armcal.effects) are in the list.
     """
-    from doe.report.catalogue_tables import entry_tables, library_tables
-    from identification.effects.catalogue import entries, entry
+    from doe.report.catalogue_tables import entry_tables, gravity_tables, library_tables
+    from identification.effects.catalogue import GRAVITY, entries, entry
 
+    if name == "gravity":
+        needed = [found.name for found in entries() if "gravity" in found.needs]
+        return Answer({"name": name, "needed_by": needed, "block": GRAVITY}, gravity_tables(needed))
     if name is not None:
         found = entry(name.partition(":")[0])
         return Answer(found.to_json(), entry_tables(found))

@@ -8,7 +8,7 @@ from typing import Any
 from rich.text import Text
 
 from doe.report.terminal import facts, table, unit_or_dash
-from identification.effects.catalogue import Entry
+from identification.effects.catalogue import GRAVITY, Entry
 
 TITLES = {
     "looked for": "Effects that diagnose looks for",
@@ -35,6 +35,15 @@ def library_tables(entries: Sequence[Entry]) -> list[Any]:
 def _name(entry: Entry) -> str:
     only = f" ({entry.arms[0]})" if len(entry.arms) == 1 else ""
     return entry.name + (":j" if entry.place.startswith("each") else "") + only
+
+
+def gravity_tables(needed: Sequence[str]) -> list[Any]:
+    """What is no effect but what effects follow from;  needed : names of these"""
+    said = (
+        "[gravity] is no effect but a block of the arm file: how gravity pulls, and what the links and the payload "
+        f"weigh. The torques that follow from it are needed by {', '.join(needed)}. To paste, with your masses:"
+    )
+    return [Text(f"{said}\n\n{GRAVITY}\n")]
 
 
 def entry_tables(entry: Entry) -> list[Any]:

@@ -165,12 +165,7 @@ def corrected_section(
     text = " ".join(
         [*([f"As in {name}."] if name else []), *([expected] if expected else []), *conventions(rows, spatial)]
     )
-    whole = corrected_sheet(rows)
-    shown = [
-        k for k, heading in enumerate(whole.headings) if heading != "std"
-    ]  # the interval says it; a phone is narrow
-    headings, *lines = ([line[k] for k in shown] for line in (whole.headings, *whole.rows))
-    return Section(f"Corrected values{f': {name}' if name else ''}", text, [Sheet(headings, lines)])
+    return Section(f"Corrected values{f': {name}' if name else ''}", text, [corrected_sheet(rows)])
 
 
 def doubted(corrected: Section) -> Section:

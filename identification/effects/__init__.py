@@ -20,9 +20,10 @@ from identification.effects.base import _LIBRARY, Effect, register
 from identification.effects.chain import Chain
 from identification.effects.places import measured_position
 from identification.effects.settings import Scope, Setting
-from identification.errors import InputError, nearest
+from identification.errors import InputError, nearest, suggestion
 from identification.installed import additions
 from identification.kinematics.parameters import Parameter
+from identification.spelling import close_names
 
 __all__ = [
     "Chain",
@@ -36,6 +37,7 @@ __all__ = [
     "measured_position",
     "of_dimension",
     "register",
+    "unknown_effect",
 ]
 
 
@@ -63,6 +65,15 @@ def library() -> Mapping[str, type[Effect]]:
     """Name -> class of every registered effect, the user's own included."""
     _load_entry_points()
     return MappingProxyType(_LIBRARY)
+
+
+def unknown_effect(name: str, besides: Sequence[str] = ()) -> InputError:
+    """The error about a name that the library has not; it has too many names to say them all.
+
+    besides : names that may be meant and are no effects
+    """
+    meant = suggestion(close_names(name, [*library(), *besides], OTHER_NAMES))
+    return InputError(f"effects: unknown name {name!r}, {meant}armcal effects lists them")
 
 
 def of_dimension(dimension: int) -> Mapping[str, type[Effect]]:
@@ -98,7 +109,7 @@ def build(
     and an effect not defined for arms of this dimension.
     """
     if spec.name not in library():
-        raise InputError(f"effects: unknown name {spec.name!r}, {nearest(spec.name, library(), OTHER_NAMES)}")
+        raise unknown_effect(spec.name)
     cls = library()[spec.name]
     if dimension not in cls.dimensions:
         kind = "planar" if dimension == 3 else "spatial"

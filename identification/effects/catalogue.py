@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from identification.effects import OTHER_NAMES, Effect, library
+from identification.effects import Effect, library, unknown_effect
 from identification.effects.base import OWN
 from identification.effects.settings import Setting
-from identification.errors import InputError, nearest
 from identification.kinematics.parameters import Parameter
 
 JOINTS = 3  # of the arm that parameters are listed for; one parameter per joint is listed as the first
@@ -30,6 +29,12 @@ SUPPLY = {
     "commands": "columns commanded1_deg, commanded2_deg .. in the measurements, beside the angles that were read",
 }
 SPATIAL, PLANAR = 3, 2
+GRAVITY = """\
+[gravity]
+acceleration_m_s2 = [0.0, -9.81]  # in space: [0.0, 0.0, -9.81]
+link_masses_kg = [10.0, 8.0, 5.0]  # one for each link
+center_of_mass = [0.5, 0.5, 0.5]  # from the joint, in link lengths
+payload_kg = 0.0  # at the tip"""  # block of an arm file, for three links
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,8 @@ class Entry:
             return "written by `armcal diagnose --out`"
         lines = ["[[effects]]", f'name = "{self.name}"']
         lines += ["joint = 2"] if self.place.startswith("each joint") else []
-        return "\n".join([*lines, *(f"{name} = ...  # {allowed}" for name, allowed in self.settings.items())])
+        lines += [f"{name} = ...  # {allowed}" for name, allowed in self.settings.items()]
+        return "\n".join([*lines, *(["", GRAVITY] if "gravity" in self.needs else [])])
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `effects` (identification/files/README.md, "JSON keys")."""
@@ -89,7 +95,7 @@ def entries() -> list[Entry]:
 def entry(name: str) -> Entry:
     """The effect with this name. Raises `InputError` for an unknown name."""
     if name not in library():
-        raise InputError(f"effects: unknown name {name!r}, {nearest(name, library(), OTHER_NAMES)}")
+        raise unknown_effect(name, ("gravity",))
     cls = library()[name]
     settings = {key: Setting.of(value) for key, value in cls.settings.items()}
     chosen = {key: int(value.low) if value.whole else value.low for key, value in settings.items()}

@@ -19,8 +19,8 @@ import numpy as np
 
 from identification.arm import Arm, EffectSpec
 from identification.conditions import BY_ORDER, FOLLOWING
-from identification.effects import Effect, library
-from identification.errors import InputError, nearest
+from identification.effects import Effect, library, unknown_effect
+from identification.errors import InputError
 from identification.estimation.prior import Prior
 from identification.gap.curve_choice import is_function_of
 from identification.gap.hypotheses import Hypothesis, HypothesisSet, hypotheses
@@ -94,7 +94,7 @@ def library_prior(
     """
     for name in names or ():
         if name not in library():
-            raise InputError(f"effects: unknown name {name!r}, {nearest(name, library())}")
+            raise unknown_effect(name)
     known = hypotheses(arm, given)
     left_out = {key: why for key, why in known.skipped.items() if names is None or key.partition(":")[0] in names}
     curved = _curved(known)

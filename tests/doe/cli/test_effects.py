@@ -18,6 +18,15 @@ def test_the_list_and_one_effect(folder: Folder) -> None:
     assert [name for name in by_name if f"  {name}" not in everything] == []
 
 
+def test_gravity_is_a_block_of_the_arm_file(folder: Folder) -> None:
+    """What to paste, for those who ask for it and for those who ask for an effect that needs it."""
+    block = folder.armcal("effects", "gravity", "--json").data
+    assert {"joint_compliance", "link_bending"} <= set(block["needed_by"])
+    for name in ("gravity", *block["needed_by"]):
+        assert block["block"] in folder.armcal("effects", name).out
+    assert "[gravity]\n" not in folder.armcal("effects", "backlash").out
+
+
 def test_an_unknown_effect_is_one_line(folder: Folder) -> None:
     done = folder.armcal("effects", "baclash")
     assert done.code == 2

@@ -11,9 +11,12 @@ import pytest
 from identification.arm import EffectSpec
 from identification.effects import build, library, register
 from identification.effects.base import _LIBRARY
-from identification.effects.catalogue import SUPPLY, entries, entry
+from identification.effects.catalogue import GRAVITY, SUPPLY, entries, entry
 from identification.effects.joint import Backlash
 from identification.errors import InputError
+from identification.files.arm_effects import gravity_of
+from identification.files.arm_schema import GravityTable
+from identification.files.arm_schema_spatial import SpatialGravityTable
 
 README = (Path(__file__).parents[3] / "identification/README.md").read_text()
 
@@ -40,10 +43,24 @@ def test_every_effect_can_be_read_from_the_example_once_its_settings_are_given()
         if found.kind == "table":
             continue
         filled = re.sub(r"= \.\.\.  # a (whole )?number ([-\d.]+) to .*", r"= \2", found.example)
-        (table,) = tomllib.loads(filled)["effects"]
+        example = tomllib.loads(filled)
+        assert ("gravity" in example) is ("gravity" in found.needs)
+        (table,) = example["effects"]
         values = {key: value for key, value in table.items() if key not in ("name", "joint")}
         spec = EffectSpec(table["name"], table.get("joint"), values)
         assert build(spec, 3, dimension=3 if found.arms == ("spatial",) else 2).name == found.name
+
+
+def test_the_block_of_gravity_is_read_as_it_stands_and_as_it_says_for_space() -> None:
+    assert max(map(len, GRAVITY.splitlines())) <= 79  # else a terminal breaks what is to be pasted
+    table = tomllib.loads(GRAVITY)["gravity"]
+    found = gravity_of(GravityTable.model_validate(table), 3)
+    assert found is not None
+    assert (found.acceleration.tolist(), found.link_masses.tolist()) == ([0.0, -9.81], [10.0, 8.0, 5.0])
+    assert (found.center_of_mass.tolist(), found.payload) == ([0.5] * 3, 0.0)
+    (there,) = re.findall(r"in space: (\[.*\])", GRAVITY)
+    in_space = tomllib.loads(f"acceleration_m_s2 = {there}")
+    assert SpatialGravityTable.model_validate(table | in_space).acceleration_m_s2 == [0.0, 0.0, -9.81]
 
 
 def test_what_is_needed_says_how_to_give_it() -> None:
@@ -71,3 +88,9 @@ def test_a_users_own_effect_is_in_the_list() -> None:
 def test_an_unknown_name_is_refused_with_the_nearest() -> None:
     with pytest.raises(InputError, match="unknown name 'baclash', did you mean 'backlash'"):
         entry("baclash")
+    with pytest.raises(InputError) as caught:  # a block of the arm file, where it is asked for; none of many names
+        entry("gravty")
+    assert str(caught.value) == "effects: unknown name 'gravty', did you mean 'gravity'? armcal effects lists them"
+    with pytest.raises(InputError) as caught:
+        build(EffectSpec("zzzz"), 3)
+    assert str(caught.value) == "effects: unknown name 'zzzz', armcal effects lists them"
