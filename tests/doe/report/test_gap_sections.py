@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from doe.report.gap_sections import said
+from doe.report.gap_sections import corrected_section, said
+from identification.estimation.corrected_values import CorrectedValue
 
 TEST = {"transfer": "another session", "file": "more.csv", "by": "holdout", "rows": 25, "groups": 8}
 
@@ -36,3 +37,11 @@ def test_rows_that_no_fit_has_seen(
     other = said(test | {"file": None, "by": "cross-validation"})
     assert "another session" in other
     assert "cross-validated" in other
+
+
+def test_corrected_values_are_said_as_the_terminal_says_them() -> None:
+    """Three significant digits of the standard deviation, which stands beside them."""
+    row = CorrectedValue("length of link 1", None, 500.0, 501.079512, 0.0123, 501.05, 501.11, "mm", "")
+    (sheet,) = corrected_section([row], spatial=False).sheets
+    assert list(sheet.headings) == ["", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"]
+    assert sheet.rows == [["length of link 1", "500.0000", "501.0795", "0.0123", "501.0500", "501.1100", "mm"]]
