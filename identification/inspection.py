@@ -10,6 +10,7 @@ import numpy as np
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.data_checks import data_warnings, gap_notes, wrong_units
+from identification.enough import Sufficiency, sufficiency
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.estimation.expected_tip import FEW, hardly_determined
@@ -22,7 +23,7 @@ from identification.estimation.plausibility import (
     limited,
     outside_limits,
 )
-from identification.gap.repeats import NOTHING_KNOWN, NoiseFloor, noise_floor
+from identification.gap.repeats import MISFIT, NOTHING_KNOWN, NoiseFloor, noise_floor, with_repeats_doubted
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
@@ -75,7 +76,7 @@ class Inspection:
     given : optional columns;  floor : what repeats scatter by
     readings : the columns as they are, and a better way to read them if there is one
     drawing : RMS distance [mm] that the drawing leaves with its place in the instrument's frame fitted, as of
-        `validate`;  fit : the geometry fitted, None with too few rows
+        `validate`;  fit : the geometry fitted, None with too few rows;  enough : what the rows can say of it
     other_units : the numbers are of other units, so that neither a fit nor limits would mean anything
     units : sentences about units, swapped markers and rows that are far off;  frame : about a base elsewhere, or
         distances off by a constant;  turned : about a frame at another angle
@@ -95,6 +96,7 @@ class Inspection:
     readings: Readings
     drawing: float
     fit: Identification | None
+    enough: Sufficiency | None
     other_units: bool
     units: tuple[str, ...]
     frame: tuple[str, ...]
@@ -142,8 +144,8 @@ class Inspection:
         still = [str(j.joint) for j in self.joints if j.kind == REVOLUTE and j.high - j.low < STILL]
         said = [] if self.other_units or not still else [_hardly(still)]
         said += [*self.turned, *(_unseen(j) for j in self.unseen if str(j) not in still)]
-        if self.fit is not None and self.fit.misfit and not self.problems:
-            said.append(self.fit.misfit.partition(". ")[0] + "; armcal diagnose looks for what is missing")
+        if self.fit is not None and not self.problems:
+            said += _misfit(self.fit)
         if self.fit is not None and self.fit.not_identifiable:
             said.append(f"not estimable separately: {'; '.join(self.fit.not_identifiable)}")
         if self.postures == self.rows:
@@ -175,11 +177,19 @@ class Inspection:
             "rms_drawing_mm": self.drawing,
             "better_reading": self.readings.to_json(),
             "rms_fitted_mm": None if fit is None else rms_distance(fit.residuals_after),
+            **({} if self.enough is None else self.enough.to_json()),
             "not_identifiable": () if fit is None else fit.not_identifiable,
             "ok": not self.problems,
             "problems": self.problems,
             "notes": self.notes,
         }
+
+
+def _misfit(fit: Identification) -> list[str]:
+    """That a fit leaves more than noise, by chi2 or by repeats."""
+    if fit.misfit:
+        return [fit.misfit.partition(". ")[0] + "; armcal diagnose looks for what is missing"]
+    return [said for said in fit.doubts if said.startswith(MISFIT)]
 
 
 def _hardly(joints: list[str]) -> str:
@@ -209,6 +219,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         )
     other_units = bool(wrong_units(measurements, arm))
     fit = None if other_units else _fit(arm, measurements)
+    floor = _floor(fit, measurements)
     units = data_warnings(measurements, arm)
     readings = (as_written if other_units else read_differently)(arm, measurements)
     return Inspection(
@@ -219,10 +230,11 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         markers=measurements.marker_names,
         given=tuple(sorted(measurements.given)),
         joints=_ranges(arm, measurements.postures),
-        floor=_floor(fit, measurements),
+        floor=floor,
         readings=readings,
         drawing=_drawing(arm, measurements, readings),
         fit=fit,
+        enough=None if fit is None else sufficiency(fit, measurements, floor),
         other_units=other_units,
         units=tuple(units),
         frame=() if other_units else _frame(arm, measurements, fit),
@@ -250,9 +262,10 @@ def _frame(arm: Arm, measurements: Measurements, fit: Identification | None) -> 
 def _fit(arm: Arm, measurements: Measurements) -> Identification | None:
     """The geometry of the arm fitted, None if the rows are too few for it."""
     try:
-        return estimate(Model(with_sessions(arm, measurements)), measurements)
+        found = estimate(Model(with_sessions(arm, measurements)), measurements)
     except InputError:
         return None
+    return with_repeats_doubted(found, measurements)
 
 
 def _drawing(arm: Arm, measurements: Measurements, readings: Readings) -> float:

@@ -74,6 +74,7 @@ LAYERS = {
     "identification.readings": 5,
     "identification.parallel_axes": 2,
     "identification.set_up": 6,
+    "identification.enough": 7,
     "identification.inspection": 7,
     "doe.criteria": 11,
     "doe.jobs": 11,

@@ -80,6 +80,7 @@ def command(
     --only all other parameters stay at the values of ARM.
     """
     from identification.files.arm import load_arm
+    from identification.gap.repeats import with_repeats_doubted
     from identification.reuse import with_place_doubted, words_of
     from identification.servo import following_errors
     from identification.sessions import with_sessions
@@ -95,6 +96,8 @@ def command(
     found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
     if words:
         found = with_place_doubted(found, with_sessions(loaded, measurements), words, measurements)
+    if not without_outliers:  # of a fit to all of them
+        found = with_repeats_doubted(found, measurements)
     extra, shown = fit_shown(found, (arm, loaded), measurements, words, library, full=full or old is not None)
     kept = loaded.calibration if words else None, None if old is None else old.calibration
     answered = calibrated.fit_answer(found, shown, arm, output, urdf, library, *kept)

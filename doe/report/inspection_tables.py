@@ -13,8 +13,7 @@ from identification.inspection import Inspection
 def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
     """Problems first, then the facts, the range of each joint, what the data cannot say, and the next command."""
     data = found.to_json()
-    head = "Put right first:" if found.problems else "Nothing speaks against these data."
-    shown: list[Any] = [Text(head, style="bold"), *(Text(f"  - {sentence}") for sentence in found.problems)]
+    shown: list[Any] = [Text(_head(found), style="bold"), *(Text(f"  - {sentence}") for sentence in found.problems)]
     lines = [
         ("rows", f"{found.rows} rows, {found.postures} postures"),
         ("columns besides", ", ".join(found.given) or "none"),
@@ -29,6 +28,11 @@ def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
         return [*shown, facts(lines)]
     lines.append(("the drawing leaves", f"{number(found.drawing)} mm (RMS; where it stands is fitted, as by validate)"))
     lines.append(("a fit leaves", f"{number(data['rms_fitted_mm'])} mm"))
+    if found.enough is not None:
+        lines.append(("such a fit", found.enough.count))
+        lines.append(("determines", "; ".join(found.enough.found) or "nothing by itself"))
+        lines += [("does not", "; ".join(found.enough.open))] if found.enough.open else []
+        lines.append(("accuracy", found.enough.accuracy))
     rows = [
         [
             str(j.joint),
@@ -42,6 +46,14 @@ def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
     headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
     shown += [facts(lines), table(headings, rows, "Joints", left=("unit",))]
     return [*shown, *(Text(f"note: {note}") for note in found.notes), *_next(found, f"{arm} {data_file}")]
+
+
+def _head(found: Inspection) -> str:
+    """What the data are like, in a line."""
+    if found.problems:
+        return "Put right first:"
+    few = found.enough is not None and found.enough.few
+    return f"Nothing speaks against these data{', but they are few for a fit' if few else ''}."
 
 
 def _next(found: Inspection, files: str) -> list[str]:

@@ -1,19 +1,23 @@
-"""Repeated postures: the noise floor, known without a model, and the test of lack of fit against pure error."""
+"""Repeated postures: the noise floor, known without a model, and the test of lack of fit against pure error, of a
+diagnosis and of an identification."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from identification.arrays import Array
+from identification.estimation import Identification
+from identification.estimation.plausibility import only_rounding
 from identification.gap.noise import LEVEL, Finding
 from identification.gap.posture_neighbors import FAR
 from identification.measurements import POINT, Measurements
 
 # reasons: identification/README.md, "Constants"
+MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
 FEWEST = 4  # degrees of freedom below which a standard deviation is not reported
 
 Groups = NDArray[np.int64]
@@ -153,3 +157,28 @@ def repeat_finding(
     excess = (float(np.sum(left**2)) - pure.squares) / fit_freedom / (pure.squares / pure.freedom)
     p = float(fdtrc(fit_freedom, pure.freedom, excess))
     return (Finding("repeats", p, excess),) if p <= LEVEL else ()
+
+
+def beyond_repeats(found: Identification, measurements: Measurements) -> str | None:
+    """That residuals of a fit to these rows scatter more than repeats of one posture, in a sentence; None where they do
+    not, where nothing is repeated, and where chi2 says it already or the data have no noise."""
+    left = found.residuals_after
+    if found.misfit is not None or found.dof <= 0 or only_rounding(left, measurements):
+        return None
+    kept = ~np.isin(np.arange(len(left)) + 1, found.outlier_rows)
+    if not repeat_finding(left, left.size - found.dof, measurements, kept):
+        return None
+    floor = noise_floor(left, measurements, kept, None)
+    if floor.value is None or found.scatter is None:
+        return None
+    repeats = floor.value / float(np.sqrt(left[:, POINT].shape[1]))
+    times, figures = found.scatter / repeats, f"{found.scatter:.3g} mm per axis, not {repeats:.3g} mm"
+    scatter = f"{MISFIT} {times:.2g} times as much as repeats of one posture ({figures})"
+    hidden = "what that does to the parameters is not in their intervals"
+    return f"{scatter}: the model misses an effect, and {hidden}; armcal diagnose looks for it"
+
+
+def with_repeats_doubted(found: Identification, measurements: Measurements) -> Identification:
+    """The same fit, `beyond_repeats` the first of its doubts."""
+    said = beyond_repeats(found, measurements)
+    return found if said is None else replace(found, doubts=(said, *found.doubts))

@@ -28,6 +28,20 @@ def test_simulated_data_are_fine(folder: Folder) -> None:
     assert "armcal identify arm.toml data.csv --out" in text
 
 
+def test_few_rows_say_what_they_are_enough_for(folder: Folder) -> None:
+    """Five rows are ten numbers for four lengths and four zeros."""
+    folder.simulated()
+    rows = (folder.path / "data.csv").read_text().splitlines()
+    (folder.path / "five.csv").write_text("\n".join(rows[:6]) + "\n")
+    done = folder.armcal("check", "arm.toml", "five.csv", "--json").data
+    assert (done["numbers"], done["parameters"], done["spare_numbers"]) == (10, 8, 2)
+    assert done["expected_tip_from"] == "sigma"
+    said = " ".join(folder.armcal("check", "arm.toml", "five.csv").out.split())
+    assert "they are few for a fit" in said
+    assert "10 numbers for 8 parameters: 2 left to judge the fit" in said
+    assert "determines length of links 1 to 4; zero of joints 1 to 4" in said
+
+
 def test_a_joint_that_turns_the_other_way(folder: Folder) -> None:
     folder.simulated()
     frame = pl.read_csv(folder.path / "data.csv").with_columns(-pl.col("q3_deg"))

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm
+from identification.estimation import estimate
 from identification.gap.fit import fit
-from identification.gap.repeats import NoiseFloor, noise_floor, repeat_finding
+from identification.gap.repeats import NoiseFloor, noise_floor, repeat_finding, with_repeats_doubted
 from identification.gap.whitening import Rows
 from identification.measurements import Measurements
 from identification.model import Model
@@ -103,3 +104,28 @@ def test_repeats_of_the_real_robot_scatter_as_known_from_elsewhere() -> None:
     found = noise_floor(residual, Measurements(q, xy, table["order"]), np.ones(len(q), dtype=bool), None)
     assert found.value == pytest.approx(0.173, abs=0.0015)
     assert found.close_repeats < found.repeats
+
+
+@pytest.mark.parametrize(("sigma", "ripple"), [(None, 0.0), (None, 0.5), (0.05, 0.5), (0.5, 0.5)])
+def test_an_identification_compares_its_residuals_with_repeats(sigma: float | None, ripple: float) -> None:
+    """30 postures in two rounds; an error that returns with its posture is no noise. A sigma that chi2 rejects is said
+    already, one that is too large hides nothing."""
+    rng = np.random.default_rng(8)
+    q = np.tile(rng.uniform(-3.0, 3.0, (30, 3)), (2, 1))
+    model = Model(replace(ARM, sigma=sigma))
+    shared = np.tile(ripple * rng.standard_normal((30, 2)), (2, 1))
+    measurements = Measurements(q, model.position(q) + shared + 0.05 * rng.standard_normal((60, 2)))
+    plain = estimate(model, measurements)
+    found = with_repeats_doubted(plain, measurements)
+    if ripple == 0.0 or sigma == 0.05:
+        assert found is plain
+        assert any("times sigma_mm" in said for said in found.warnings) is (sigma is not None)
+        return
+    left = plain.residuals_after.reshape(2, 30, 2)
+    repeats = np.sqrt(np.sum((left[0] - left[1]) ** 2 / 2.0) / 60.0)
+    scatter = np.sqrt(np.sum(left**2) / (120.0 - 6.0))
+    expected = (
+        f"scatter {scatter / repeats:.2g} times as much as repeats of one posture ({scatter:.3g} mm per axis, not "
+    )
+    assert found.warnings[0].startswith(f"misfit: the residuals {expected}{repeats:.3g} mm)")
+    np.testing.assert_array_equal(found.covariance, plain.covariance)
