@@ -80,7 +80,6 @@ def command(
     --only all other parameters stay at the values of ARM.
     """
     from identification.files.arm import load_arm
-    from identification.gap.repeats import with_repeats_doubted
     from identification.reuse import with_place_doubted, words_of
     from identification.servo import following_errors
     from identification.sessions import with_sessions
@@ -96,8 +95,6 @@ def command(
     found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
     if words:
         found = with_place_doubted(found, with_sessions(loaded, measurements), words, measurements)
-    if not without_outliers:  # of a fit to all of them
-        found = with_repeats_doubted(found, measurements)
     extra, shown = fit_shown(found, (arm, loaded), measurements, words, library, full=full or old is not None)
     kept = loaded.calibration if words else None, None if old is None else old.calibration
     answered = calibrated.fit_answer(found, shown, arm, output, urdf, library, *kept)
@@ -173,6 +170,7 @@ class Wanted:
         from identification.estimation import estimate, estimate_with_prior
         from identification.estimation.prior import Prior
         from identification.gap.library_prior import given_by, library_prior
+        from identification.gap.repeats import with_repeats_doubted
         from identification.sessions import with_sessions
 
         wide = with_sessions(arm, data)
@@ -180,13 +178,14 @@ class Wanted:
         model = self.model(wide if library is None else library.arm, data, library)
         if library is None and self.prior_from is None:
             model = minimal_model(model, data) if self.minimal else model
-            return estimate(model, data, method=self.method, sigma=self.sigma), None, self.said(model)
+            found = estimate(model, data, method=self.method, sigma=self.sigma)
+            return with_repeats_doubted(found, data), None, self.said(model)
         check_with_prior(self.minimal, self.method)
         prior = Prior({} if library is None else library.prior.deviations, self.earlier(model))
         found, said = estimate_with_prior(model, data, prior, sigma=self.sigma), self.said(model, prior)
         if prior.earlier is not None:
             said["prior_from"]["contradicted"] = [one.to_json() for one in found.contradictions]
-        return found, library, said
+        return with_repeats_doubted(found, data), library, said
 
     def without_outliers(
         self, arm: Arm, data: Measurements
