@@ -23,7 +23,8 @@ from identification.estimation.plausibility import (
     limited,
     outside_limits,
 )
-from identification.gap.repeats import MISFIT, NOTHING_KNOWN, NoiseFloor, noise_floor, with_repeats_doubted
+from identification.estimation.shown import MISFIT
+from identification.gap.repeats import NOTHING_KNOWN, NoiseFloor, noise_floor, with_repeats_doubted
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model

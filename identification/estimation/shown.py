@@ -12,6 +12,7 @@ from identification.numbers_in_text import to_significant_digits
 if TYPE_CHECKING:
     from identification.estimation.result import Identification
 
+MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
 COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
 HEADINGS = ("parameter", "value", "std", "95 % low", "95 % high", "unit")
 
@@ -30,8 +31,8 @@ def misfit_sentence(found: Identification, p_value: float, times: float) -> str:
     follows = "rely on sigma_mm and are too narrow" if relied else "do not rely on sigma_mm"
     do = "settle the prior first" if found.contradictions else "armcal diagnose looks for what is missing"
     shown = f"{times:{'.3g' if times < 1000.0 else '.0f'}}"
-    scatter = f"the residuals scatter {shown} times sigma_mm = {found.sigma:.4g} ({figures})"
-    return f"misfit: {scatter}: {cause}. The intervals {follows}; {do}"
+    scatter = f"{MISFIT} {shown} times sigma_mm = {found.sigma:.4g} ({figures})"
+    return f"{scatter}: {cause}. The intervals {follows}; {do}"
 
 
 def text(found: Identification) -> str:

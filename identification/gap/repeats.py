@@ -12,12 +12,12 @@ from scipy.special import fdtrc
 from identification.arrays import Array
 from identification.estimation import Identification
 from identification.estimation.plausibility import only_rounding
+from identification.estimation.shown import MISFIT
 from identification.gap.noise import LEVEL, Finding
 from identification.gap.posture_neighbors import FAR
 from identification.measurements import POINT, Measurements
 
 # reasons: identification/README.md, "Constants"
-MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
 FEWEST = 4  # degrees of freedom below which a standard deviation is not reported
 
 Groups = NDArray[np.int64]
