@@ -8,12 +8,17 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import click
 
 from identification.progress import Progress, silent
 
+if TYPE_CHECKING:  # deferred: it takes long to load
+    from rich.progress import ProgressColumn
+
 INTERVAL = 10.0  # seconds between lines in a log
+BAR, TIME = 8, len("0:00:00")  # characters
 
 
 @contextmanager
@@ -33,24 +38,32 @@ def shown_progress(title: str, quiet: bool) -> Iterator[Progress]:
 def bar(title: str) -> Iterator[Progress]:
     """A progress bar with the elapsed time and, if the total is known, the remaining time."""
     from rich.console import Console
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Bar(*columns, console=Console(stderr=True), transient=True) as shown:
+    with Bar(*bar_columns(), console=Console(stderr=True), transient=True, expand=True) as shown:
         task = shown.add_task(title, total=None, visible=False)
         started = time.monotonic()
 
         def report(done: float, total: float | None, message: str) -> None:
             visible = time.monotonic() - started > 0.5
-            shown.update(task, completed=done, total=total, description=f"{title}: {message}", visible=visible)
+            shown.update(task, completed=done, total=total, description=message or title, visible=visible)
 
         yield report
+
+
+def bar_columns() -> tuple[ProgressColumn, ...]:
+    """Text, bar, time elapsed and left; a terminal too narrow for all of it cuts the text, never the times."""
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.table import Column
+
+    text = Column(ratio=1, no_wrap=True, overflow="ellipsis")
+    times = (Column(no_wrap=True, min_width=TIME) for _ in range(2))
+    return (
+        TextColumn("{task.description}", markup=False, table_column=text),
+        BarColumn(bar_width=BAR),
+        TimeElapsedColumn(table_column=next(times)),
+        TimeRemainingColumn(table_column=next(times)),
+    )
 
 
 @dataclass

@@ -49,7 +49,7 @@ from identification.gap.workflow import Findings, Workflow
 from identification.measurements import Measurements
 from identification.minimal import practical
 from identification.model import Model
-from identification.progress import Progress, silent
+from identification.progress import Progress, Tell, silent
 from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
 from identification.threads import single_thread
 
@@ -92,9 +92,8 @@ def diagnose(
         library_prior(arm, given_by(measurements), missing)
     generator = np.random.default_rng(seed)
     found = findings_of(arm, measurements, holdout, draws, generator, progress)
-    progress(3, None, "step 3 of 4: comparing explanations and fitting error curves")
-    explained, fits = explained_fits(found, measurements, draws, generator, prior, missing)
-    progress(4, None, "step 4 of 4: assessing the sizes excluded, and testing on other rows")
+    explained, fits = explained_fits(found, measurements, draws, generator, prior, missing, step(3, progress))
+    step(4, progress)("sizes excluded, tests on other rows")
     result = diagnosis_of(measurements, holdout, explained, fits, generator)
     progress(1, 1, result.sentence)
     return result if arm is given else of_first_session(result, given)
@@ -117,12 +116,13 @@ def findings_of(
     require_spare(first.freedom, len(rows))
     if holdout is not None:
         check_same_arm(first, measurements, holdout)
-    progress(1, None, "step 1 of 4: base model fitted")
+    step(1, progress)("base model")
+    return Workflow(library, draws, generator, step(2, progress)).findings(rows)
 
-    def tell(message: str) -> None:
-        progress(2, None, f"step 2 of 4: {message}")
 
-    return Workflow(library, draws, generator, tell).findings(rows)
+def step(number: int, progress: Progress) -> Tell:
+    """What is told of a step; how long the steps to come take depends on what this one finds."""
+    return lambda message: progress(number, None, f"step {number} of 4: {message}")
 
 
 def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:

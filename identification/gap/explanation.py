@@ -20,6 +20,7 @@ from identification.gap.whitening import Rows
 from identification.gap.workflow import Findings
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.progress import Tell, say_nothing
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,22 @@ class Explanation:
     prior: LibraryPrior | None = None
 
 
-def explanation(found: Findings, measurements: Measurements, draws: int, generator: np.random.Generator) -> Explanation:
+def explanation(
+    found: Findings,
+    measurements: Measurements,
+    draws: int,
+    generator: np.random.Generator,
+    tell: Tell = say_nothing,
+) -> Explanation:
     """The ambiguity set and the best set; error curves replace named effects where they explain the data better."""
+    tell("probabilities")
     likely = probabilities(found)
     found = agreeing(found, likely)
     chosen = found.unknown.chosen
+    tell("error curves")
     fitted, smooth = found.fits.fit(chosen), find_curves(found, measurements)
     if smooth is None:
+        tell("candidates")
         candidates = candidate_list(found, draws, generator)
         same = (c for c in candidates if set(c.effects) == {h.label for h in chosen})
         named = next(same, None) or candidate(found.search, found.fits, chosen, 0.0, draws, generator)
@@ -85,12 +95,13 @@ def explained_fits(
     generator: np.random.Generator,
     prior: bool = False,
     names: Sequence[str] | None = None,
+    tell: Tell = say_nothing,
 ) -> tuple[Explanation, Fits]:
     """The explanation of the data, and the fits before and after.
 
     prior : add the rest of the library with its prior;  names : restrict it to these effects, None: all
     """
-    explained = explanation(found, measurements, draws, generator)
+    explained = explanation(found, measurements, draws, generator, tell)
     fits = fits_of(explained, measurements)
     return with_prior(explained, fits, measurements, names) if prior else (explained, fits)
 

@@ -18,6 +18,7 @@ from identification.gap.search import HypothesisSearch, series_joints
 from identification.gap.selection import Selection, select
 from identification.gap.unmodelled import Unknown, find_unmodelled
 from identification.gap.unmodelled_shapes import FREE_ORDERS, WAVES
+from identification.progress import Tell, say_nothing, within
 
 # reasons: identification/README.md, "Constants"
 EFFECT, ORDER = "transmission_ripple", "k"
@@ -37,10 +38,14 @@ class ExtendedSearch:
 
 
 def extended_search(
-    search: HypothesisSearch, selection: Selection, draws: int, generator: np.random.Generator
+    search: HypothesisSearch,
+    selection: Selection,
+    draws: int,
+    generator: np.random.Generator,
+    tell: Tell = say_nothing,
 ) -> ExtendedSearch:
     """Look for an unknown effect beside a selection; where that is a gear ripple, search again with it included."""
-    found = ExtendedSearch(search, selection, find_unmodelled(search, selection.chosen, generator))
+    found = ExtendedSearch(search, selection, find_unmodelled(search, selection.chosen, generator, tell))
     for _ in range(LOOKUPS):
         wave = wave_of(found.unknown)
         if wave is not None and wave[0] in series_joints(found.selection.chosen):
@@ -49,8 +54,8 @@ def extended_search(
         if wider is None or len(wider.members) == len(found.search.hypotheses.members):
             break
         again = HypothesisSearch(wider, search.rows, search.noise_estimated)
-        chosen = select(again, draws, generator, found.selection.path)
-        found = ExtendedSearch(again, chosen, find_unmodelled(again, chosen.chosen, generator))
+        chosen = select(again, draws, generator, found.selection.path, within("further orders, ", tell))
+        found = ExtendedSearch(again, chosen, find_unmodelled(again, chosen.chosen, generator, tell))
     return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import lgamma
 
@@ -14,6 +13,7 @@ from identification.gap.fit import Fit
 from identification.gap.hypotheses import Hypothesis
 from identification.gap.noise import homoscedastic
 from identification.gap.search import Choice, HypothesisSearch, HypothesisTest
+from identification.progress import Tell, say_nothing
 
 # reasons: identification/README.md, "Constants"
 MOST, SWAPS = 40, 8  # effort: effects at once, exchanges in one round
@@ -68,12 +68,17 @@ def best_of(search: HypothesisSearch, chosen: Choice, members: list[Hypothesis],
     return min(((*chosen, members[k].free) for k in near), key=search.bic, default=None)
 
 
+def counted(effects: int) -> str:
+    """`1 effect`, `3 effects`."""
+    return f"{effects} effect{'s' * (effects != 1)}"
+
+
 def select(
     search: HypothesisSearch,
     draws: int,
     generator: np.random.Generator,
     known: tuple[Choice, ...] = ((),),
-    tell: Callable[[int], None] = lambda named: None,
+    tell: Tell = say_nothing,
 ) -> Selection:
     """Add effects while the omnibus test or the test of several effects at once is significant.
 
@@ -82,18 +87,18 @@ def select(
     false, whatever k (a bound on the false discovery rate rather than on any false name at all).
 
     known : path of a search with another noise model, which a `linear` search continues
-    tell : called with the number of effects named so far
+    tell : is told the number of effects named so far
     """
     many = search.linear
     first = search.tested((), draws, generator)
     path: list[Choice] = list(known) if many else [()]
     chosen = path[-1]
-    tell(len(chosen))
+    tell(counted(len(chosen)))
     tested = search.tested(chosen, draws, generator)
     while len(chosen) < MOST and (longer := _next(search, chosen, tested, generator)) is not None:
         chosen = longer if many else swapped(search, longer)
         path.append(chosen)
-        tell(len(chosen))
+        tell(counted(len(chosen)))
         tested = search.tested(chosen, draws, generator)
     shorter = backward(search, swapped(search, chosen) if many else chosen)
     if shorter != chosen:

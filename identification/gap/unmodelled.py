@@ -9,6 +9,7 @@ import numpy as np
 
 from identification.gap.search import Choice, HypothesisSearch
 from identification.gap.unmodelled_survey import LEVEL, LEVEL_FIRST, Survey, adjusted, shapes_beside, survey_all
+from identification.progress import Tell, say_nothing, within
 
 # reasons: identification/README.md, "Constants"
 # BIC that an unknown shape must gain over k effects that it would replace, 6 (2 - k): a single effect is given credit,
@@ -33,10 +34,12 @@ class Unknown:
     bic: float
 
 
-def find_unmodelled(search: HypothesisSearch, chosen: Choice, generator: np.random.Generator) -> Unknown:
+def find_unmodelled(
+    search: HypothesisSearch, chosen: Choice, generator: np.random.Generator, tell: Tell = say_nothing
+) -> Unknown:
     """Test whether any general shape explains the residuals of a set of effects, and locate the best by BIC."""
     sets = [chosen, *_reduced(chosen)]
-    surveys = survey_all(search, sets)
+    surveys = survey_all(search, sets, within("other shapes, ", tell))
     level = (LEVEL if chosen else LEVEL_FIRST) * search.level_factor
     p = adjusted(surveys[0], level, generator) if surveys[0].listed else 1.0
     best = search.bic(chosen)

@@ -17,6 +17,7 @@ from identification.gap.omnibus_test import leverage_corrected, smallest_drawn, 
 from identification.gap.search import Choice, HypothesisSearch, bic_change
 from identification.gap.unmodelled_shapes import PlaceShapes, general_shapes
 from identification.information import column_space
+from identification.progress import Tell, say_nothing, within
 
 # reasons: identification/README.md, "Constants"
 LEVEL = 0.001  # tuned: `unknown` takes names back
@@ -93,10 +94,13 @@ def visible(
     return full.subset(kept), kept
 
 
-def survey_all(search: HypothesisSearch, sets: list[Choice]) -> list[Survey]:
+def survey_all(search: HypothesisSearch, sets: list[Choice], tell: Tell = say_nothing) -> list[Survey]:
     """Test the shapes beside each of several sets, the largest first; a `linear` search shares its columns."""
     groups = [sets] if search.linear else [[chosen] for chosen in sets]
-    found = [one for group in groups for one in surveyed(search, group)]
+    found = []
+    for k, group in enumerate(groups, start=1):
+        part = f"{k} of {len(groups)}, " if len(groups) > 1 else ""
+        found += surveyed(search, group, within(part, tell))
     search.surveys |= {frozenset(h.label for h in chosen): one for chosen, one in zip(sets, found, strict=True)}
     return found
 
@@ -107,7 +111,7 @@ def shapes_beside(search: HypothesisSearch, chosen: Choice) -> Survey:
     return surveyed(search, [chosen])[0] if known is None else known
 
 
-def surveyed(search: HypothesisSearch, sets: list[Choice]) -> list[Survey]:
+def surveyed(search: HypothesisSearch, sets: list[Choice], tell: Tell = say_nothing) -> list[Survey]:
     """Test the shapes beside several sets, of which the first contains all others, with columns and Jacobian at its
     fit."""
     first, found = search.fit(sets[0]), [Survey(search.fit(chosen)) for chosen in sets]
@@ -116,6 +120,7 @@ def surveyed(search: HypothesisSearch, sets: list[Choice]) -> list[Survey]:
     bases = [basis @ turn for turn in turns]
     stacked = np.column_stack([basis, *(one.fit.residual for one in found)])
     for place, columns in shape_columns(first):
+        tell(place.place.replace(":", " "))
         products = stacked.T @ columns.matrix
         inside, raw = products[: -len(found)], products[-len(found) :]
         for one, model, turn, own in zip(found, bases, turns, raw, strict=True):

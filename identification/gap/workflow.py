@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +15,7 @@ from identification.gap.search import Choice, HypothesisSearch
 from identification.gap.selection import Selection, select
 from identification.gap.unmodelled import Unknown
 from identification.gap.whitening import Rows
+from identification.progress import Tell, say_nothing, within
 
 # reasons: identification/README.md, "Constants"
 MOST_ROWS = 1250  # an effect with a gain of `LEAST_GAIN` is then found in 99 of 100 cases
@@ -50,13 +49,14 @@ class Findings:
 class Workflow:
     """The search for missing effects.
 
-    draws : of each bootstrap, from the generator;  tell : called with a message at each step
+    draws : of each bootstrap, from the generator
+    tell : called with a message at each step; how many follow depends on what they find, so there is no time left
     """
 
     hypotheses: HypothesisSet
     draws: int
     generator: np.random.Generator
-    tell: Callable[[str], None] = lambda message: None
+    tell: Tell = say_nothing
 
     def findings(self, rows: Rows) -> Findings:
         """Search these rows for missing effects.
@@ -68,7 +68,7 @@ class Workflow:
             return self._investigated(rows)
         some = np.sort(self.generator.permutation(len(rows))[:MOST_ROWS])
         found = self._investigated(rows.pick(some))
-        self.tell("fitting what was found to all rows")
+        self.tell("fit to all rows")
         chosen = found.unknown.chosen
         outlier = outliers(found.search.fit(chosen), rows)
         outlier[some] = found.outlier
@@ -84,7 +84,7 @@ class Workflow:
         The noise is screened after the selection because a missing effect resembles noise (a drift resembles serial
         correlation), and before the final selection because noise can resemble an effect.
         """
-        self.tell("fitting the base model")
+        self.tell("base model")
         noisy = rows
         scatter: tuple[Finding, ...] = ()
         outlier = outliers(HypothesisSearch(self.hypotheses, rows).fit(()), rows)
@@ -93,7 +93,7 @@ class Workflow:
         for number in range(PASSES):
             used = scatter, outlier
             search = HypothesisSearch(self.hypotheses, noisy.pick(~outlier), noise_estimated=bool(scatter))
-            selection = select(search, self.draws, self.generator, known, partial(self._testing, number + 1))
+            selection = select(search, self.draws, self.generator, known, within(f"pass {number + 1}, ", self.tell))
             known = selection.path
             again = outliers(search.fit(selection.chosen), noisy)
             plain = rows.pick(~again)
@@ -104,32 +104,34 @@ class Workflow:
                 break
             seen.append(state)
             outlier, scatter, noisy = again, new, whitened(rows, named, new)
-        self.tell("looking for what the library does not explain")
-        found = self._extended(search, selection, *used)
-        others = [self._with_noise(found, *other) for other in _other_noise(found, rows, noisy, named)]
+        found = self._extended(search, selection, *used, self.tell)
+        noises = _other_noise(found, rows, noisy, named)
+        parts = (f"scatter {k} of {len(noises)}, " for k in range(1, len(noises) + 1))
+        others = [self._with_noise(found, *noise, part) for noise, part in zip(noises, parts, strict=True)]
         best = min(others, key=lambda f: cost(f, len(rows)), default=found)
         found = best if cost(best, len(rows)) < cost(found, len(rows)) - _credit(found, best) else found
         return min((found, *self._with_memory(found, rows)), key=lambda f: cost(f, len(rows)))
 
-    def _testing(self, number: int, named: int) -> None:
-        """How many passes follow depends on what they find: there is no honest time left to tell."""
-        self.tell(f"testing the effects, pass {number} of at most {PASSES}, {named} named so far")
-
     def _extended(
-        self, search: HypothesisSearch, selection: Selection, scatter: tuple[Finding, ...], outlier: NDArray[np.bool_]
+        self,
+        search: HypothesisSearch,
+        selection: Selection,
+        scatter: tuple[Finding, ...],
+        outlier: NDArray[np.bool_],
+        tell: Tell,
     ) -> Findings:
         """The findings of a search, with the unknown effect beside its selection, if any."""
-        last = extended_search(search, selection, self.draws, self.generator)
+        last = extended_search(search, selection, self.draws, self.generator, tell)
         return Findings(last.search, last.selection, last.unknown, scatter, outlier)
 
     def _with_noise(
-        self, before: Findings, rows: Rows, scatter: tuple[Finding, ...], outlier: NDArray[np.bool_]
+        self, before: Findings, rows: Rows, scatter: tuple[Finding, ...], outlier: NDArray[np.bool_], part: str
     ) -> Findings:
-        """The findings with another explanation of the scatter than before."""
-        self.tell("trying another explanation of the scatter")
+        """The findings with another explanation of the scatter than before;  part : what this is, to be told"""
+        tell = within(part, self.tell)
         search = HypothesisSearch(before.search.hypotheses, rows.pick(~outlier), noise_estimated=bool(scatter))
-        selection = select(search, self.draws, self.generator, before.selection.path)
-        return self._extended(search, selection, scatter, outlier)
+        selection = select(search, self.draws, self.generator, before.selection.path, tell)
+        return self._extended(search, selection, scatter, outlier, tell)
 
     def _with_memory(self, found: Findings, rows: Rows) -> list[Findings]:
         """The findings with serially correlated noise, if the residuals of the base model suggest it; else empty.
@@ -148,7 +150,7 @@ class Workflow:
         if not hint:
             return []
         scatter = (*found.scatter, *hint)
-        return [self._with_noise(found, whitened(rows, base, scatter), scatter, found.outlier)]
+        return [self._with_noise(found, whitened(rows, base, scatter), scatter, found.outlier, "scatter with memory, ")]
 
 
 def _credit(found: Findings, other: Findings) -> float:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import re
 import time
+from io import StringIO
 
 import pytest
+from rich.console import Console
+from rich.progress import Progress as Bar
 
-from doe.cli.progress import Lines, lines, shown_progress
+from doe.cli.progress import Lines, bar_columns, lines, shown_progress
 from identification.progress import silent
 
 
@@ -34,6 +37,22 @@ def test_without_a_total_there_is_no_time_left() -> None:
     assert told.text() == "armcal diagnose: 20 s, testing the effects, pass 1"
     told.tell(0, 10, "")
     assert told.text() == "armcal diagnose: 20 s"
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_the_times_are_whole_in_a_narrow_terminal(width: int) -> None:
+    """The longest that diagnose says: the clock, which is all that tells that it goes on, is never cut."""
+    said = "step 2 of 4: scatter 2 of 3, further orders, other shapes 10 of 12, workspace"
+    console = Console(file=StringIO(), width=width, force_terminal=True, color_system=None)
+    with Bar(*bar_columns(), console=console, expand=True, auto_refresh=False) as shown:
+        task = shown.add_task(said, total=10.0)
+        shown.update(task, completed=5.0)
+        shown.tasks[0].start_time = shown.get_time() - 3725.5
+        (line,) = console.render_lines(shown.get_renderable(), pad=False)
+    text = "".join(segment.text for segment in line)
+    assert re.search(r" 1:02:05 (-:--:--|\d:\d\d:\d\d)$", text), text
+    assert text.startswith(said[: width - 28])
+    assert len(text) == width
 
 
 def test_quiet_says_nothing() -> None:
