@@ -10,6 +10,7 @@ from typing import Any
 
 sys.dont_write_bytecode = False  # some environments ask for it: each worker, kernel and process would compile anew
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+os.environ.pop("COLUMNS", None)  # a library that edits lines sets it for the workers; tests expect the width of a pipe
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):  # before numpy: xdist fills the cores
     os.environ.setdefault(_name, "1")
 

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,8 @@ from tests.doe.cli.conftest import Folder
 from tests.doe.faults import COMMANDS, ROOT, STUDY, Command, Reference, content, prepare, start, verdict
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are counted in /proc")
-STUDY_COMMAND, DESIGN = COMMANDS[0], COMMANDS[2]
+STUDY_COMMAND = COMMANDS[0]
+LONG_DESIGN = replace(COMMANDS[2], words=COMMANDS[2].words.replace("--starts 12", "--starts 3000"))  # many seconds
 SERIAL = Command("study", "study study.toml --workers 1", "--resume", ("study.results",))
 STOPPED = """
 import signal
@@ -43,7 +45,7 @@ def test_a_killed_study_resumes_to_the_same_bits(
 
 
 def test_a_design_that_is_stopped_leaves_no_process_and_no_half_file(tmp_path: Path) -> None:
-    made = Reference(DESIGN, {"plan.csv": None}, 2.0)  # its plan is not compared: it is the best so far
+    made = Reference(LONG_DESIGN, {"plan.csv": None}, 2.0)  # its plan is not compared: it is the best so far
     assert verdict(made, tmp_path / "killed", signal.SIGINT, 1.0, again=False) == []
 
 
