@@ -26,7 +26,13 @@ from identification.model import Model
 from identification.refit import placed_values, refit_model, refit_parameters
 from identification.row_groups import extrapolation, identified, row_groups
 
-REFITS = ("base", "offsets", "none")
+# of the drawing, by `refit`: said wherever its error is, so that figures of commands can be compared
+DRAWN = {
+    "base": "after fitting where the arm stands",
+    "offsets": "after fitting joint offsets and where the arm stands",
+    "none": "as it stands",
+}
+REFITS = (*DRAWN,)
 HARDLY = "hardly better"  # said of a gain within what the rows scatter by
 END = 0.5  # time at the end of a session, -0.5 to 0.5
 

@@ -16,8 +16,8 @@ from doe.cli.options import FILE
 def command(common: CommonOptions, arm: Path, data: Path) -> Answer:
     """Look at the measurements DATA of ARM before anything is fitted in earnest.
 
-    Rows, ranges against limits, units, repeats, what the drawing leaves with its place fitted, joints that turn the
-    other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
+    Rows, ranges against limits, units, repeats, what the drawing leaves after fitting where the arm stands, joints that
+    turn the other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
 
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
     """

@@ -17,6 +17,7 @@ from identification.errors import InputError
 
 if TYPE_CHECKING:
     from identification.arm import Arm
+    from identification.arrays import Array
     from identification.estimation import Identification
     from identification.estimation.prior import Earlier, Prior
     from identification.gap.library_prior import LibraryPrior
@@ -143,11 +144,14 @@ def fit_shown(
     """JSON keys beside those of a fit, and its tables;  full : every value, as where [machining] holds none."""
     from doe.report.identification_tables import identification_tables
     from identification.estimation.left_out import left_out_rms
+    from identification.measurements import rms_distance
 
-    nominal, left, dh = drawing_left(arm[1], data, words), left_out_rms(found, data), calibrated.dh_of(found, arm[0])
-    complete = full or found.machining_factor is None
-    shown = identification_tables(found, calibrated.hidden_by(library), nominal, left, full=complete, dh=dh)
-    extra = {"cross_validated_mm": left} | ({} if nominal is None else {"rms_nominal_mm": nominal})
+    drawing, left, dh = drawing_left(arm[1], data), left_out_rms(found, data), calibrated.dh_of(found, arm[0])
+    rms, known = None if drawing is None else rms_distance(drawing), arm[1].calibration is not None
+    nominal = rms if known and words and set(words) <= {"base", "tool"} else None
+    before, full = None if known or words else drawing, full or found.machining_factor is None
+    shown = identification_tables(found, calibrated.hidden_by(library), nominal, left, drawing=before, full=full, dh=dh)
+    extra = {"cross_validated_mm": left, "rms_drawing_mm": rms} | ({} if nominal is None else {"rms_nominal_mm": rms})
     return extra | ({"dh_table": [row.to_json() for row in dh[0]]} if dh[0] else {}), shown
 
 
@@ -244,17 +248,13 @@ class Wanted:
         return found
 
 
-def drawing_left(arm: Arm, measurements: Measurements, words: Sequence[str]) -> float | None:
-    """RMS distance [mm] that the drawing leaves, placed as well as it can be; None where more than the place is
-    estimated, or nothing was before."""
-    from identification.measurements import rms_distance
+def drawing_left(arm: Arm, measurements: Measurements) -> Array | None:
+    """(m, d) residuals [mm] of the drawing, where it stands fitted; None with too few rows."""
     from identification.validate import drawing_residuals
 
-    if not words or not set(words) <= {"base", "tool"} or arm.calibration is None:
-        return None
     try:
-        return rms_distance(drawing_residuals(arm, measurements))
-    except InputError:  # too few rows
+        return drawing_residuals(arm, measurements)
+    except InputError:
         return None
 
 

@@ -30,6 +30,7 @@ from identification.gap.result import Diagnosis
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.progress import Progress, silent
+from identification.validate import drawing_residuals
 
 FRESH, TARGETS = 200, 50  # postures
 
@@ -84,6 +85,11 @@ class Demo:
     def drawing_gap(self) -> float:
         """RMS distance between the drawing, where the identification lets it stand, and the fresh measurements [mm]."""
         return rms_distance(self.base.model.position(self.fresh.postures) - self.fresh.positions)
+
+    @property
+    def drawing_left(self) -> float:
+        """RMS distance [mm] between the drawing, where it stands fitted, and the measurements."""
+        return rms_distance(drawing_residuals(self.arm, self.data))
 
     def gap(self, found: Identification) -> float:
         """RMS distance [mm] between a fitted model and the fresh measurements."""

@@ -153,6 +153,6 @@ def found_sections(demo: Demo) -> list[Section]:
     compared = Compared(arm, fresh.postures, before, after, fresh.conditions, Model(arm), named)
     return [
         Section("Identification", identified, [gap_steps_sheet(demo)], signed_figures(compared)),
-        *gap_sections(demo.diagnosis, demo.base.rms_before),
+        *gap_sections(demo.diagnosis, demo.drawing_left),
         Section("Against the truth", hidden, [parameter_sheet(demo), truth_sheet(demo)]),
     ]

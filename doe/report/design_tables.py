@@ -19,6 +19,11 @@ from identification.arrays import Array
 from identification.estimation.corrected_values import NARROWED
 from identification.kinematics.parameters import EFFECT
 
+WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name corrects more (identification/README.md)
+    "armcal diagnose names those that the data show; identify --library-prior allows for all of them without names, "
+    "and of such a fit is the error expected here"
+)
+
 
 def plan_table(design: Design, most: int = 24) -> Table:
     """The postures in degrees, one row per run; long plans are cut, the file has them all."""
@@ -140,7 +145,7 @@ def missing_lines(design: Design) -> list[Text]:
     if missing:
         effects = {name.partition(":")[0].partition(".")[0] for name in missing}
         known = f"{len(missing)} parameters of {', '.join(sorted(effects))}"
-        lines.append(Text(f"may be missing, each of its typical size: {known}; identify the arm with --library-prior"))
+        lines.append(Text(f"may be missing, each of its typical size: {known}; {WHAT_TO_FIT}"))
         equations = len(design.plan) * problem.model.dimension
         if equations < problem.parameters:
             found = f"{equations} equations for {problem.parameters} parameters"

@@ -33,7 +33,7 @@ from identification.gap.notebook import tests_of
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
-from identification.validate import drawing_residuals
+from identification.validate import DRAWN, drawing_residuals
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,8 +53,7 @@ def gap_section(data: Data, figures: Sequence[Figure] = (), nominal: float | Non
 
     nominal : RMS distance of the drawing [mm]
     """
-    drawn = f"The drawing, placed as well as it can be, leaves {number(nominal)} mm of the data."
-    lead = [*gap_text(data), *([] if nominal is None else [drawn])]
+    lead = [*gap_text(data), *([] if nominal is None else [f"Drawing: {number(nominal)} mm RMS, {DRAWN['base']}."])]
     return Section("The gap, before and after", lead, [gap_sheet(data)], figures)
 
 

@@ -208,6 +208,7 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
         *map(Text, lines),
         as_table(gap_sheet(data), padding=0),
     ]
+    shown.append(Text("before: the geometry fitted, as armcal identify leaves it"))
     shown.append(Text(f"expected: {diagnosis.gap.floor} on the data; elsewhere what the model predicts"))
     shown += [Text(str(test)) for test in diagnosis.tests if test.confirmed is False]
     shown += effect_tables(diagnosis, data) if diagnosis.effects else excluded_tables(data)

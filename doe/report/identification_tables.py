@@ -10,11 +10,14 @@ from rich.text import Text
 
 from doe.report.page import Sheet
 from doe.report.terminal import estimate_text, facts, in_a_sentence, number, table, unit_or_dash
+from identification.arrays import Array
 from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
 from identification.estimation.shown import p_value_in_words
+from identification.measurements import distances, rms_distance
 from identification.servo import FollowingError
 from identification.sessions import placing
+from identification.validate import DRAWN
 
 ALL_OF_THEM = (
     "All values belong together: do not enter a part of them. --full prints the complete table, --json and --out have "
@@ -36,12 +39,14 @@ def identification_tables(
     nominal: float | None = None,
     left_out: float | None = None,
     *,
+    drawing: Array | None = None,
     full: bool = True,
     dh: tuple[Sequence[CorrectedValue], Sequence[str]] = ((), ()),
 ) -> list[Any]:
     """Everything about a fit: warnings, verdict, summary, the corrected values but for those `hidden`.
 
     nominal : RMS distance [mm] that the drawing leaves, where only the place of the arm was estimated
+    drawing : (m, d) residuals [mm] of `drawing_residuals`, where the fit is to be compared with these
     left_out : [mm] of `left_out_rms`;  full : False: of a spatial arm the values that the measurements determine
     dh : the corrected Denavit-Hartenberg table, where the drawing is one, and lines about base and tool beside it
     """
@@ -49,7 +54,7 @@ def identification_tables(
     warned = [Text(warning, style="bold") for warning in found.warnings]
     shown: list[Any] = [
         *warned,
-        Text(fit_verdict(found, nominal), style="bold"),
+        Text(fit_verdict(found, nominal, drawing), style="bold"),
         facts(fit_figures(found, nominal, left_out)),
     ]
     shown += (
@@ -67,12 +72,13 @@ def identification_tables(
     return shown
 
 
-def fit_verdict(found: Identification, nominal: float | None = None) -> str:
+def fit_verdict(found: Identification, nominal: float | None = None, drawing: Array | None = None) -> str:
     """Error before and after, in a sentence."""
     was, _, _ = compared_with(found, nominal is not None).partition(" -> ")
-    before, after = in_a_sentence(found.rms_before), in_a_sentence(found.rms_after)
-    largest = f"the largest from {in_a_sentence(found.max_before)} to {in_a_sentence(found.max_after)} mm"
-    return f"The fit takes the RMS error from {before} mm ({was}) to {after} mm, {largest}."
+    was, before = (was, found.residuals_before) if drawing is None else (f"drawing, {DRAWN['base']}", drawing)
+    rms, after = in_a_sentence(rms_distance(before)), in_a_sentence(found.rms_after)
+    largest = f"the largest from {in_a_sentence(float(distances(before).max()))} to {in_a_sentence(found.max_after)} mm"
+    return f"The fit takes the RMS error from {rms} mm ({was}) to {after} mm, {largest}."
 
 
 def fit_figures(found: Identification, nominal: float | None, left_out: float | None) -> list[tuple[str, str]]:
@@ -83,7 +89,7 @@ def fit_figures(found: Identification, nominal: float | None, left_out: float | 
         ("method", f"{data['method']}: {found.outcome}"),
     ]
     if nominal is not None:
-        rows.append(("drawing", f"{number(nominal)} mm RMS, placed anew as well"))
+        rows.append(("drawing", f"{number(nominal)} mm RMS, {DRAWN['base']}"))
     if found.expected_tip is not None:
         wrong = "; but chi2 says that it is not" if found.misfit else ""
         rows.append(("expected error", f"{tip_in_words(data)}, if the model is right{wrong}"))
@@ -156,7 +162,7 @@ def compared_with(found: Identification, place: bool = False) -> str:
         return "where the arm file has it -> found anew"
     arm, places = getattr(found.model, "arm", None), placing(found.model.parameters)
     known, fitted = arm is None or arm.calibration is not None, bool(places) and len(places) < len(found.names)
-    return f"{'arm file' if known else 'drawing'}{', its place fitted' if fitted else ''} -> identified"
+    return f"{'arm file' if known else 'drawing'}, {DRAWN['base' if fitted else 'none']} -> identified"
 
 
 def corrected_sheet(rows: Sequence[CorrectedValue]) -> Sheet:

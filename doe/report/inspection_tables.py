@@ -8,6 +8,7 @@ from rich.text import Text
 
 from doe.report.terminal import facts, number, table
 from identification.inspection import Inspection
+from identification.validate import DRAWN
 
 
 def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
@@ -26,8 +27,8 @@ def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
         lines.append(("repeats scatter by", f"{found.floor.value:.4g} mm"))
     if found.other_units:
         return [*shown, facts(lines)]
-    lines.append(("the drawing leaves", f"{number(found.drawing)} mm (RMS; where it stands is fitted, as by validate)"))
-    lines.append(("a fit leaves", f"{number(data['rms_fitted_mm'])} mm"))
+    lines.append(("drawing", f"{number(found.drawing)} mm RMS, {DRAWN['base']}"))
+    lines.append(("a fit leaves", f"{number(data['rms_fitted_mm'])} mm RMS"))
     if found.enough is not None:
         lines.append(("such a fit", found.enough.count))
         lines.append(("determines", "; ".join(found.enough.found) or "nothing by itself"))

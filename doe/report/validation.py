@@ -14,7 +14,7 @@ from doe.report.pictures import AFTER, BEFORE, MANY, base_of, draw_residual_arro
 from doe.report.terminal import in_a_sentence, number, table
 from identification.arrays import Array
 from identification.measurements import distances
-from identification.validate import HARDLY, Figures, Validation
+from identification.validate import DRAWN, HARDLY, Figures, Validation
 
 REFITTED = {
     "base": "position and rotation of the base",
@@ -55,10 +55,10 @@ def predicted_in_words(found: Validation) -> str:
     rows = f"The model predicts these {len(found.residuals)} {kind}"
     if not better(found):
         worse = HARDLY if found.model.rms < found.nominal.rms else "no better"
-        return f"{rows} {worse} than the drawing: {model} mm RMS against {drawing} mm."
+        return f"{rows} {worse} than the drawing: {model} mm RMS against {drawing} mm RMS, {DRAWN[found.refit]}."
     removed = 1.0 - found.model.rms / found.nominal.rms
     gain = f"The calibration removes {100.0 * removed:.0f} % of the error."
-    return f"{rows} to {model} mm RMS; the drawing misses them by {drawing} mm. {gain}"
+    return f"{rows} to {model} mm RMS; drawing: {drawing} mm RMS, {DRAWN[found.refit]}. {gain}"
 
 
 def better(found: Validation) -> bool:

@@ -12,6 +12,7 @@ from doe.report.page import Action
 from doe.report.terminal import in_a_sentence
 from identification.effects import library
 from identification.gap.summary import of_joints
+from identification.validate import DRAWN
 
 Data = Mapping[str, Any]
 CURVE = "joint_error_curve"
@@ -107,7 +108,7 @@ def gap_in_words(data: Data) -> str:
         return f"The model leaves {in_a_sentence(gap['rms_after_mm'])} mm RMS of the data; no rows were held out."
     if test is None:
         figures = f"from {in_a_sentence(gap['rms_before_mm'])} to {in_a_sentence(gap['rms_after_mm'])} mm"
-        return f"On the data the RMS error goes {figures}; no rows were held out to confirm it."
+        return f"On the data, the geometry fitted, the RMS error goes {figures}; no rows were held out to confirm it."
     figures = f"from {in_a_sentence(test['before_mm'])} to {in_a_sentence(test['after_mm'])} mm"
     expected = f"{in_a_sentence(test['predicted_mm'])} mm were predicted"
     return f"On {test['rows']} rows that no fit has seen the RMS error goes {figures}; {expected}."
@@ -157,8 +158,15 @@ def design_verdict(data: Data) -> str:
 
 def identification_verdict(data: Data) -> str:
     """Residuals of a calibration on the data that it was fitted to."""
-    figures = f"{in_a_sentence(data['rms_before_mm'])} to {in_a_sentence(data['rms_after_mm'])} mm"
+    drawn = None if "only" in data else data.get("rms_drawing_mm")
+    before = f"{in_a_sentence(data['rms_before_mm'])}" if drawn is None else drawing_in_words(drawn)
+    figures = f"{before} to {in_a_sentence(data['rms_after_mm'])} mm"
     return f"On its own data the calibration takes the RMS error from {figures}.{expected_elsewhere(data)}"
+
+
+def drawing_in_words(rms: float, refit: str = "base") -> str:
+    """What the drawing leaves [mm], and what was fitted of it;  refit : as for `validate`"""
+    return f"{in_a_sentence(rms)} mm (drawing, {DRAWN[refit]})"
 
 
 def expected_elsewhere(data: Data) -> str:
@@ -173,7 +181,7 @@ def validation_verdict(
 ) -> str:
     """Residuals of a calibrated model on other measurements, compared with the drawing's."""
     which = ", which it was fitted to" if seen else ""
-    figures = f"from {in_a_sentence(data['rms_nominal_mm'])} mm (drawing) to {in_a_sentence(data['rms_mm'])} mm"
+    figures = f"from {drawing_in_words(data['rms_nominal_mm'], data['refit'])} to {in_a_sentence(data['rms_mm'])} mm"
     most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} mm"
     return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}; {most}."
 

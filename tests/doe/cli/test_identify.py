@@ -7,6 +7,7 @@ import re
 import tomllib
 
 import numpy as np
+import polars as pl
 import pytest
 
 from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
@@ -256,3 +257,26 @@ def test_lost_beams_are_named_and_left_out(folder: Folder) -> None:
     assert (
         "Left out as outliers: rows 3, 8." in folder.armcal("identify", "arm.toml", "far.csv", "--without-outliers").out
     )
+
+
+def test_every_command_says_one_figure_of_the_drawing(folder: Folder) -> None:
+    """With its frame fitted by the closed form of complex numbers; the arm file's own error stays beside it."""
+    folder.simulated()
+    rows = pl.read_csv(folder.path / "data.csv")
+    q = np.radians(rows.select(f"q{j}_deg" for j in range(1, 5)).to_numpy())
+    z = rows["x_mm"].to_numpy() + 1j * rows["y_mm"].to_numpy()
+    drawn = np.exp(1j * np.cumsum(q, axis=1)) @ np.array([260.0, 180.0, 120.0, 100.0])
+    left, moved = (a - a.mean() for a in (z, drawn))
+    rms = np.sqrt(np.mean(np.abs(left - moved * np.exp(1j * np.angle(np.vdot(moved, left)))) ** 2))
+    found = folder.armcal("identify", "arm.toml", "data.csv", "--json", "--out", "cal.toml").data
+    assert found["rms_drawing_mm"] == pytest.approx(rms, rel=1e-6)
+    assert found["rms_before_mm"] == pytest.approx(np.sqrt(np.mean(np.abs(z - drawn) ** 2)), rel=1e-6)
+    assert folder.armcal("check", "arm.toml", "data.csv", "--json").data["rms_drawing_mm"] == pytest.approx(rms)
+    assert folder.armcal("validate", "cal.toml", "data.csv", "--json").data["rms_nominal_mm"] == pytest.approx(rms)
+    fitted = "after fitting where the arm stands"
+    for words, said in (
+        (("identify", "arm.toml"), f"from {rms:.2f} mm (drawing, {fitted}) to"),
+        (("check", "arm.toml"), f"drawing {rms:.4f} mm RMS, {fitted}"),
+        (("validate", "cal.toml"), f"drawing: {rms:.2f} mm RMS, {fitted}."),
+    ):
+        assert said in " ".join(folder.armcal(*words, "data.csv").out.split())

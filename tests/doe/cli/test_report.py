@@ -35,7 +35,8 @@ def test_a_page_of_everything(campaign: Folder) -> None:
     assert kinds["valid.json"] == "armcal validate --json"
     said = json.loads(campaign.read("valid.json"))
     unseen, fitted, own, plan = done.data["verdict"]
-    figures = f"from {in_a_sentence(said['rms_nominal_mm'])} mm (drawing) to {in_a_sentence(said['rms_mm'])} mm"
+    drawing = f"{in_a_sentence(said['rms_nominal_mm'])} mm (drawing, after fitting where the arm stands)"
+    figures = f"from {drawing} to {in_a_sentence(said['rms_mm'])} mm"
     assert unseen.startswith(f"On 12 rows of other.csv, cal.toml takes the RMS error {figures}")
     assert "data.csv, which it was fitted to" in fitted
     assert own.startswith("On its own data")
@@ -89,7 +90,7 @@ def test_the_report_of_a_diagnosis_stands_in_the_page_too(campaign: Folder) -> N
         assert "Nothing is missing from the model" in text
         assert f">{done.data['gap']['rms_before_mm']:.4f}</td>" in text
     own = campaign.read("gap.html")
-    assert "The drawing, placed as well as it can be, leaves" in own
+    assert "mm RMS, after fitting where the arm stands" in own
     assert "Signed error against each joint" in own
     assert "Nothing is named: before and after are one model." in own
     assert hashlib.sha256((campaign.path / "data.csv").read_bytes()).hexdigest() in own

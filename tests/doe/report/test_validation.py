@@ -35,10 +35,10 @@ def test_tables_and_picture() -> None:
     assert "monday" in text
     assert "no better than the drawing" not in text
     kept = found.model.rms / found.nominal.rms
-    said = f"mm. The calibration removes {100.0 * (1.0 - kept):.0f} % of the error."
-    assert text.startswith(
-        f"The model predicts these 16 positions to {found.model.rms:.3f} mm RMS; the drawing misses "
-    )
+    said = f"The calibration removes {100.0 * (1.0 - kept):.0f} % of the error."
+    predicted = f"The model predicts these 16 positions to {found.model.rms:.3f} mm RMS; drawing: "
+    assert text.startswith(predicted)
+    assert f"{found.nominal.rms:.2f} mm RMS, after fitting where the arm stands. " in " ".join(text.split())
     assert said in " ".join(text.split())
     swapped = replace(found, residuals=found.nominal_residuals, nominal_residuals=found.residuals)
     assert predicted_in_words(swapped).startswith("The model predicts these 16 positions no better than the drawing: ")

@@ -75,10 +75,13 @@ def test_the_other_commands_in_a_sentence_each() -> None:
     assert design_verdict(design) == "The plan of 20 runs has the efficiency 0.9877 (D)."
     assert "no known bound" in design_verdict(design | {"efficiency": None})
     assert "3.00 to 0.250 mm" in identification_verdict({"rms_before_mm": 3.0, "rms_after_mm": 0.25})
-    figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0}
+    figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0, "refit": "base"}
     assert validation_verdict(figures, "c.toml", "d.csv", seen=True).startswith(
-        "On 7 rows of d.csv, which it was fitted to, c.toml takes the RMS error from 1.00 mm (drawing) to 0.100 mm"
+        "On 7 rows of d.csv, which it was fitted to, c.toml takes the RMS error from 1.00 mm (drawing, after "
+        "fitting where the arm stands) to 0.100 mm"
     )
+    said = identification_verdict({"rms_before_mm": 3.0, "rms_after_mm": 0.25, "rms_drawing_mm": 1.0})
+    assert "from 1.00 mm (drawing, after fitting where the arm stands) to 0.250 mm" in said
 
 
 def test_what_curves_describe_has_a_size_and_no_cause() -> None:
