@@ -85,7 +85,7 @@ def demo_data(demo: Demo, directory: Path) -> dict[str, Any]:
     return {
         "directory": directory,
         "design": demo.design.to_json(),
-        "identify": demo.base.to_json(),
+        "identify": demo.base.to_json() | {"rms_drawing_mm": demo.drawing_left},
         "diagnose": demo.diagnosis.to_json(),
         "fresh_gap_mm": {
             "drawing": demo.drawing_gap,

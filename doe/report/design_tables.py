@@ -21,7 +21,7 @@ from identification.kinematics.parameters import EFFECT
 
 WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name corrects more (identification/README.md)
     "armcal diagnose names those that the data show; identify --library-prior allows for all of them without names, "
-    "and of such a fit is the error expected here"
+    "and the error expected at the tip is that of such a fit"
 )
 
 

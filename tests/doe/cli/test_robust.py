@@ -72,6 +72,20 @@ def test_advice_where_no_effect_is_known(arm: Path) -> None:
     assert "--robust" not in armcal("design", known, "--runs", 8).output
 
 
+def test_what_to_fit_is_said_in_one_way(arm: Path, tmp_path: Path) -> None:
+    """Also by the steps that `init` writes: names first, and the prior where there are too few rows for names."""
+    shown = armcal("design", arm, "--runs", 4, "--robust", "--missing", "gear_ratio").output
+    assert "armcal diagnose names those that the data show; identify --library-prior allows for all" in flat(shown)
+    answer("init", "--links", 2, "--out", tmp_path / "new")
+    steps = (tmp_path / "new" / "README.md").read_text()
+    assert "armcal identify arm.toml measurements.csv --out calibrated.toml" in steps
+    assert "too few to name effects from, `identify --library-prior` allows for all" in flat(steps)
+
+
+def flat(text: str) -> str:
+    return " ".join(text.split())
+
+
 def test_advise_says_what_missing_effects_cost(arm: Path) -> None:
     row = answer("advise", arm, "--runs", "6:6")["rows"][0]["tip_error_mm"]
     assert row["model_right"] < row["effects_missing_prior"] < row["effects_missing"]
