@@ -14,7 +14,7 @@ from doe.plan.observability import Observability
 from doe.plan.order import Ordered
 from doe.plan.replicate_spacing import distance_to_keep
 from doe.problem.problem import DesignProblem
-from doe.report.terminal import facts, in_a_sentence, number, table
+from doe.report.terminal import facts, in_a_sentence, judged_by_mm, number, table
 from identification.arrays import Array
 from identification.estimation.corrected_values import NARROWED
 from identification.kinematics.parameters import EFFECT
@@ -92,13 +92,15 @@ def summary_table(data: dict[str, Any], sentence: str) -> Table:
     table_1 = data["table_1_max_residual"]
     bounded = "upper bound" if kind == "D" else f"upper bound of {kind}"
     cut = ", its search was cut by the time limit" if known and bound.get("cut") else ""
+    length = expected_error(data)  # then the criterion's own scale says nothing more
     rows = {
         "criterion": f"{kind}, {data['runs']} runs, {data['links']} links",
-        "expected error": expected_error(data),
-        f"value of {kind}": None if kind == "D" else number(data["value"], 7),
+        "expected error": length,
+        f"value of {kind}": None if kind == "D" or length else number(data["value"], 7),
         "information (log det M')": None if kind == "I" else number(data["log_det"], 7),
-        bounded: f"{number(bound['value'], 7)} ({bound['source']}{cut})" if known else "-",
-        "efficiency": number(data["efficiency"] if known else None, 6),
+        bounded: None if length else f"{number(bound['value'], 7)} ({bound['source']}{cut})" if known else "-",
+        "efficiency": number(data["efficiency"] if known else None, 6)
+        + (f" of the bound ({bound['source']}{cut}). {judged_by_mm(data['efficiency'])}" if known and length else ""),
         "certified optimal": certified_in_words(data),
         "deviation from orthogonality (Table I)": None if table_1 is None or kind == "I" else number(table_1, 6),
         "solver": f"{data['solver']}, {searched}, {data['seconds']:.2f} s" if data["solver"] else None,
@@ -149,7 +151,7 @@ def missing_lines(design: Design) -> list[Text]:
         equations = len(design.plan) * problem.model.dimension
         if equations < problem.parameters:
             found = f"{equations} equations for {problem.parameters} parameters"
-            lines.append(Text(f"{found}: no plan comes near the bound, which shares a run among many postures"))
+            lines.append(Text(f"{found}: so few runs stay far from the bound"))
         return lines
     if problem.model.sigma is None or any(p.kind == EFFECT for p in problem.model.parameters):
         return lines

@@ -28,7 +28,8 @@ MOST_RUNS = 200  # that a person steps through
 MOST = 150_000  # numbers of the Jacobians in a page, some 12 characters each
 STEPS = (
     "Step through the runs, move them, or strike them out: what is left is computed in this page, and the edited plan "
-    "is a file that armcal score reads."
+    "is a file that armcal score reads. The figures are of criterion D for the model of the arm file alone, also where "
+    "the plan was chosen by another criterion or with missing effects in mind (--robust)."
 )
 NUMBER = re.compile(r"\s*[-+]?[\d.,]+([eE][-+]?\d+)?\s*")
 DIGITS = 12  # of each: log det agrees with that of `armcal score` to 1e-9

@@ -14,6 +14,7 @@ from rich.text import Text
 from identification.numbers_in_text import number, to_significant_digits
 
 FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
+NEAR = 0.9  # of the bound, which a plan of whole runs should reach where it determines every parameter
 STYLE: dict[str, Any] = {"box": SIMPLE_HEAD, "padding": (0, 0, 0, 1)}  # of every table: one line, below the head
 
 
@@ -25,6 +26,12 @@ def in_a_sentence(value: float | None) -> str:
         return "0"
     digits = int(np.clip(2 - np.floor(np.log10(abs(value))), 0, 6))
     return f"{value:z.{digits}f}"
+
+
+def judged_by_mm(efficiency: float | None) -> str:
+    """What the efficiency by criterion I is worth, where the error that it stands for is known in mm."""
+    hope = "Do not expect it near 1: the" if efficiency is not None and efficiency < NEAR else "The"
+    return f"{hope} bound allows fractions of a run. Judge by the mm."
 
 
 def unit_or_dash(unit: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 from doe.report.gap_tables import is_described
 from doe.report.identification_tables import tip_in_words
 from doe.report.page import Action
-from doe.report.terminal import in_a_sentence
+from doe.report.terminal import in_a_sentence, judged_by_mm
 from identification.effects import library
 from identification.gap.summary import of_joints
 from identification.validate import DRAWN
@@ -152,8 +152,20 @@ def correct(arm: str) -> Action:
 def design_verdict(data: Data) -> str:
     """How good a plan is, by `armcal design` or `score`."""
     optimal = ", certified optimal" if data["certified_optimal"] else ""
+    if error := data.get("expected_error_mm"):
+        runs = f"{data['runs']} runs (criterion {data['criterion']}{optimal})"
+        return f"The plan of {runs} lets expect {expected_by_plan(data, error)}"
     known = "" if data["efficiency"] is None else f" has the efficiency {data['efficiency']:.4f}"
     return f"The plan of {data['runs']} runs{known or ' has no known bound'} ({data['criterion']}{optimal})."
+
+
+def expected_by_plan(data: Data, error: Data) -> str:
+    """What a plan by criterion I promises in mm, and what its bound is worth."""
+    promised = f"an error of {in_a_sentence(error['plan'])} mm at the tip, RMS over the workspace"
+    if error["bound"] is None or data["efficiency"] is None:
+        return f"{promised}."
+    least = f"; none is below {in_a_sentence(error['bound'])} mm"
+    return f"{promised}{least}. Efficiency {data['efficiency']:.4f}. {judged_by_mm(data['efficiency'])}"
 
 
 def identification_verdict(data: Data) -> str:

@@ -74,6 +74,13 @@ def test_the_other_commands_in_a_sentence_each() -> None:
     design = {"runs": 20, "criterion": "D", "efficiency": 0.98765, "certified_optimal": False}
     assert design_verdict(design) == "The plan of 20 runs has the efficiency 0.9877 (D)."
     assert "no known bound" in design_verdict(design | {"efficiency": None})
+    error = {"criterion": "I", "efficiency": 0.329, "expected_error_mm": {"plan": 0.158, "bound": 0.0808}}
+    runs = "The plan of 20 runs (criterion I) lets expect an error of 0.158 mm at the tip, RMS over the workspace"
+    bound = "bound allows fractions of a run. Judge by the mm."
+    least = f"{runs}; none is below 0.0808 mm. Efficiency"
+    assert design_verdict(design | error) == f"{least} 0.3290. Do not expect it near 1: the {bound}"
+    assert design_verdict(design | error | {"efficiency": 0.95}) == f"{least} 0.9500. The {bound}"
+    assert design_verdict(design | error | {"efficiency": None}) == f"{runs}."
     assert "3.00 to 0.250 mm" in identification_verdict({"rms_before_mm": 3.0, "rms_after_mm": 0.25})
     figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0, "refit": "base"}
     assert validation_verdict(figures, "c.toml", "d.csv", seen=True).startswith(
