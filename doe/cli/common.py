@@ -5,12 +5,10 @@ from __future__ import annotations
 import json
 import math
 import os
-import signal
 import sys
-import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
@@ -20,6 +18,7 @@ import click
 
 from doe.cli.options import FILE, OUTPUTS, PICTURES
 from doe.cli.progress import shown_progress
+from doe.cli.stopping import stoppable, stopped_by
 from identification.errors import ArmcalError, InputError, JobError, in_one_line
 from identification.files.io import check_writable
 from identification.progress import Progress
@@ -176,36 +175,6 @@ def _guarded(function: Callable[..., Answer], common: CommonOptions, options: di
     except ImportError as error:  # of a library in C: memory, or an installation that is not whole
         say(f"a library cannot be loaded ({error}), allowed: enough memory, and a whole installation")
         sys.exit(1)
-
-
-@contextmanager
-def stoppable() -> Iterator[None]:
-    """SIGTERM ends a verb as Ctrl-C does: finished rows stay, no process and no half-written file does."""
-    came: list[KeyboardInterrupt] = []
-
-    def stop(number: int, _: object) -> NoReturn:
-        came.append(KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name])))
-        raise came[0]
-
-    with ExitStack() as stack:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGTERM, signal.SIGINT):
-                if (before := signal.getsignal(number)) in (signal.SIG_DFL, signal.default_int_handler):
-                    stack.callback(signal.signal, number, before)
-                    signal.signal(number, stop)
-        try:
-            yield
-        except ArmcalError:
-            raise
-        except Exception:  # what a library in C makes of the signal while it is loaded
-            if came:
-                raise came[0] from None
-            raise
-
-
-def stopped_by(error: BaseException) -> str:
-    """What ended the work: the user or a signal."""
-    return f"stopped by {next(iter(error.args), 'Ctrl-C')}"
 
 
 @contextmanager

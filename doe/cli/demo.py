@@ -7,8 +7,9 @@ from pathlib import Path
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, stopped_by, verb
+from doe.cli.common import Answer, CommonOptions, verb
 from doe.cli.options import FOLDER, force_option
+from doe.cli.stopping import stopped_by
 from doe.cli.typed import origin
 from identification.errors import InputError, JobError
 from identification.files.io import write_whole

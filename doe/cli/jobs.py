@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.common import stopped_by
 from doe.cli.options import FOLDER, Decorator, force_option, grouped
+from doe.cli.stopping import stopped_by
 from identification.errors import JobError
 
 if TYPE_CHECKING:

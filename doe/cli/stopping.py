@@ -1,0 +1,56 @@
+"""What ends a verb before its time: Ctrl-C and SIGTERM, wherever they meet the program."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from typing import Any, NoReturn
+
+from identification.errors import ArmcalError
+
+AGAIN = 0.01  # [s] after which a signal that was lost is sent again
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """SIGTERM ends a verb as Ctrl-C does: finished rows stay, no process and no half-written file does."""
+    came: list[KeyboardInterrupt] = []
+
+    def stop(number: int, _: object) -> NoReturn:
+        came.append(KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name])))
+        raise came[0]
+
+    with ExitStack() as stack:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGTERM, signal.SIGINT):
+                if (before := signal.getsignal(number)) in (signal.SIG_DFL, signal.default_int_handler):
+                    stack.callback(signal.signal, number, before)
+                    signal.signal(number, stop)
+            stack.callback(setattr, sys, "unraisablehook", sys.unraisablehook)
+            sys.unraisablehook = partial(_lost_no_signal, sys.unraisablehook)
+        try:
+            yield
+        except ArmcalError:
+            raise
+        except Exception:  # what a library in C makes of the signal while it is loaded
+            if came:
+                raise came[0] from None
+            raise
+
+
+def _lost_no_signal(otherwise: Callable[[Any], object], unraisable: Any) -> None:
+    """A signal that met the end of an object, where nothing can be raised, comes again a little later."""
+    if isinstance(unraisable.exc_value, KeyboardInterrupt):
+        number = signal.Signals[next(iter(unraisable.exc_value.args), "SIGINT")]
+        threading.Timer(AGAIN, signal.raise_signal, (number,)).start()
+    else:
+        otherwise(unraisable)
+
+
+def stopped_by(error: BaseException) -> str:
+    """What ended the work: the user or a signal."""
+    return f"stopped by {next(iter(error.args), 'Ctrl-C')}"
