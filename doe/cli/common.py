@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from identification.measurements import Measurements
 
 # the arm file with a table added to it; --force may overwrite the old one
+PIPE = 110  # characters of a line where no terminal says how many it has
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))
 
 
@@ -220,11 +221,17 @@ def _print(answer: Answer, as_json: bool) -> None:
     from rich.console import Console
     from rich.segment import Segment, Segments
 
-    # a pipe or a file is not 80 characters wide, unless COLUMNS says so
-    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
-    console = Console(width=width, highlight=False, markup=False)  # brackets of effects are no markup
+    console = Console(width=width_of_output(), highlight=False, markup=False)  # brackets of effects are no markup
     for part in answer.shown:  # names in files may have control characters, which a terminal would obey
         console.print(Segments(Segment(shown(s.text), s.style) for s in console.render(part)), end="")
+
+
+def width_of_output() -> int | None:
+    """Characters of a line: what COLUMNS says; else None, the terminal's own, or those of a pipe or a file."""
+    said = os.environ.get("COLUMNS", "")
+    if said.isdecimal() and int(said):
+        return int(said)
+    return None if sys.stdout.isatty() else PIPE
 
 
 def shown(text: str) -> str:

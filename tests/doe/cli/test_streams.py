@@ -24,6 +24,18 @@ def shell(folder: Folder, words: str, redirection: str) -> subprocess.CompletedP
     return subprocess.run(line, cwd=folder.path, env=environment, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.parametrize(
+    ("said", "width"), [("60", 60), ("80", 80), ("100", 100), ("0", 110), ("wide", 110), ("", 110)]
+)
+def test_a_pipe_is_as_wide_as_columns_says(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch, said: str, width: int
+) -> None:
+    """A long sentence fills the lines; what is no width is as nothing said."""
+    monkeypatch.setenv("COLUMNS", said)
+    lines = folder.armcal("effects", "gravity").out.splitlines()
+    assert width - 20 < max(len(line.rstrip()) for line in lines) <= width  # 20: the next word, which did not fit
+
+
 def test_the_command_is_a_module_too(folder: Folder) -> None:
     assert shell(folder, "--help", "").stdout.startswith("Usage: armcal")
 
