@@ -29,11 +29,7 @@ def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
         return [*shown, facts(lines)]
     lines.append(("drawing", f"{number(found.drawing)} mm RMS, {DRAWN['base']}"))
     lines.append(("a fit leaves", f"{number(data['rms_fitted_mm'])} mm RMS"))
-    if found.enough is not None:
-        lines.append(("such a fit", found.enough.count))
-        lines.append(("determines", "; ".join(found.enough.found) or "nothing by itself"))
-        lines += [("does not", "; ".join(found.enough.open))] if found.enough.open else []
-        lines.append(("accuracy", found.enough.accuracy))
+    lines += _enough(found)
     rows = [
         [
             str(j.joint),
@@ -47,6 +43,18 @@ def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
     headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
     shown += [facts(lines), table(headings, rows, "Joints", left=("unit",))]
     return [*shown, *(Text(f"note: {note}") for note in found.notes), *_next(found, f"{arm} {data_file}")]
+
+
+def _enough(found: Inspection) -> list[tuple[str, str]]:
+    """What a fit determines, and how well; of data that are to be put right only how many numbers there are."""
+    if (enough := found.enough) is None:
+        return []
+    lines = [("such a fit", enough.count)]
+    if found.problems:
+        return lines
+    lines.append(("determines", "; ".join(enough.found) or "nothing by itself"))
+    lines += [("does not", "; ".join(enough.open))] if enough.open else []
+    return [*lines, ("accuracy", enough.accuracy)]
 
 
 def _head(found: Inspection) -> str:

@@ -50,6 +50,8 @@ def test_a_joint_that_turns_the_other_way(folder: Folder) -> None:
     assert done.code == 0  # the check itself is done
     assert folder.armcal("check", "arm.toml", "flipped.csv", "--json").data["ok"] is False
     assert "joint 3 turns the other way" in " ".join(done.out.split())
+    assert "numbers for 8 parameters" in done.out
+    assert "accuracy" not in done.out  # of a fit to wrong columns
 
 
 def test_six_axes(folder: Folder) -> None:
