@@ -93,6 +93,11 @@ class Compensation:
         return np.where(self.near & ~self.reached, np.nan, self.errors)
 
     @property
+    def left_angles(self) -> Array | None:
+        """(k,) as `angles` [rad], NaN as in `left`."""
+        return None if self.angles is None else np.where(np.isnan(self.left), np.nan, self.angles)
+
+    @property
     def warnings(self) -> list[str]:
         """What must be known of the commands, in sentences."""
         said = extrapolated(self.outside, "targets")

@@ -40,6 +40,6 @@ def command(common: CommonOptions, calibrated: Path, targets: Path, output: Outp
     allowed = constraints_of(Model(arm)) if arm.constraints else ()
     found = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
     warn_beside_json(found.warnings)
-    columns = found.targets, found.left, arm.joint_types, found.orientations, found.angles, found.reached
+    columns = found.targets, found.left, arm.joint_types, found.orientations, found.left_angles, found.reached
     written = output.write(commands_text(found.safe_commands, *columns, found.messages), "commands")
     return Answer(found.to_json(), [*compensation_tables(found), *written])

@@ -55,6 +55,7 @@ def test_rows_without_a_command_have_none_and_what_is_nearest_beside_it() -> Non
     np.testing.assert_array_equal(FOUND.left, [1e-9, 0.25, np.nan])
     posed = replace(FOUND, angles=np.radians([0.0, 2.0, 0.0]))
     assert [row["error_deg"] for row in posed.to_json()["commands"]] == [0.0, pytest.approx(2.0), None]
+    np.testing.assert_array_equal(posed.left_angles, [0.0, np.radians(2.0), np.nan])
     barred = replace(FOUND, errors=np.full(3, 1e-9)).to_json()
     assert (barred["unreachable"], barred["max_unreached_mm"]) == ([3], None)
 

@@ -226,7 +226,7 @@ def test_validate_where_the_arm_stands_elsewhere(spatial: Folder) -> None:
     spatial.armcal("simulate", "arm.toml", "plan.csv", "--truth", "moved.toml", "--out", "tracker.csv", "--seed", "3")
     shown = spatial.armcal("identify", "calibrated.toml", "tracker.csv", "--only", "base,tool").out
     assert "mm (where the arm file has it) to " in " ".join(shown.split())
-    assert re.search(r"drawing +\d\.\d+ mm RMS, placed anew as well", shown)
+    assert re.search(r"drawing +\d\.\d+ mm RMS, after fitting where the arm stands", shown)
     same = spatial.armcal("validate", "calibrated.toml", "data.csv", "--refit", "none", "--json", "--picture", "x.png")
     assert same.code == 0, same.err
     assert same.data["rms_mm"] < 0.05
