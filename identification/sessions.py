@@ -19,7 +19,7 @@ from identification.kinematics.spatial import BASE as STAND
 from identification.kinematics.spatial import TOOL
 from identification.measurements import POINT, Measurements
 from identification.model import Model
-from identification.placed import placed_model, session_bases
+from identification.model.placed import placed_model, session_bases
 
 BASE = ("base_offset.x0", "base_offset.y0", f"{JOINT_OFFSET}:1")  # position and rotation of the base
 SESSIONS = "session_base"

@@ -22,7 +22,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 SEED = 0
 ESTIMATION = "tests/identification/estimation"
-MODEL = ["tests/identification/kinematics", "tests/identification/test_model.py"]
+MODEL = ["tests/identification/kinematics", "tests/identification/model/test_arm_model.py"]
 TESTED = {  # module -> tests that must notice
     "identification/information.py": ["tests/identification/test_information.py"],
     "identification/kinematics/planar.py": MODEL,
@@ -30,11 +30,11 @@ TESTED = {  # module -> tests that must notice
         *(f"{ESTIMATION}/test_{name}.py" for name in ("estimate", "batch", "estimate_each")),
         "tests/identification/kinematics/test_planar_linear.py",
     ],
-    "identification/kinematics/spatial.py": [*MODEL, "tests/identification/test_minimal.py"],
+    "identification/kinematics/spatial.py": [*MODEL, "tests/identification/model/test_minimal.py"],
     "identification/estimation/levenberg_marquardt.py": [f"{ESTIMATION}/test_levenberg_marquardt.py"],
     "identification/estimation/sandwich.py": [f"{ESTIMATION}/test_sandwich.py"],
     "identification/estimation/with_prior.py": [f"{ESTIMATION}/test_with_prior.py"],
-    "identification/gap/f_tests.py": ["tests/identification/gap/test_f_tests.py"],
+    "identification/gap/hypotheses/f_tests.py": ["tests/identification/gap/hypotheses/test_f_tests.py"],
     "doe/bounds/planar_theorem.py": ["tests/doe/bounds/test_planar_theorem.py"],
     "doe/bounds/equivalence.py": ["tests/doe/bounds/test_equivalence.py"],
     "doe/criteria/log_determinants.py": ["tests/doe/criteria"],

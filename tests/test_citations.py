@@ -122,7 +122,7 @@ def _is_constant(node: ast.AST) -> bool:
 @pytest.mark.parametrize(
     ("modules", "page"),
     [
-        (("identification/gap/*.py", "identification/estimation/outlying.py"), "identification/README.md"),
+        (("identification/gap/**/*.py", "identification/estimation/outlying.py"), "identification/README.md"),
         (("doe/discrimination/*.py",), "doe/README.md"),
     ],
 )

@@ -48,8 +48,8 @@ def command(
     from doe.report.advice import advice_figure, advice_tables
     from identification.files.arm import load_arm
     from identification.model import Model
-    from identification.reuse import only as only_these
-    from identification.reuse import words_of
+    from identification.validate.reuse import only as only_these
+    from identification.validate.reuse import words_of
 
     (loaded, given_sigma), words = with_scatter(load_arm(arm)), words_of(only)
     problem = DesignProblem.of(only_these(loaded, words) if words else Model(loaded))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from identification.arm import Calibration
     from identification.estimation import Identification
     from identification.estimation.corrected_values import CorrectedValue
-    from identification.gap.library_prior import LibraryPrior
+    from identification.gap.library.library_prior import LibraryPrior
 
 
 def write_calibrated(
@@ -61,8 +61,8 @@ def arm_file(
     """
     from identification.files.arm_text import with_calibration, with_effects
     from identification.files.io import read_text
-    from identification.reuse import with_data_of, with_held
     from identification.sessions import SESSIONS, without_sessions
+    from identification.validate.reuse import with_data_of, with_held
 
     effects = [spec for spec in found.model.arm.effects if spec.name != SESSIONS]
     own = found.calibration().about(set(found.names) - hidden)

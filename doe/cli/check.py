@@ -24,7 +24,7 @@ def command(common: CommonOptions, arm: Path, data: Path) -> Answer:
     from doe.report.inspection_tables import inspection_tables
     from identification.files.arm import load_arm
     from identification.files.measurement import load_measurements
-    from identification.inspection import inspect
+    from identification.inspection.inspection import inspect
 
     loaded = load_arm(arm)
     measurements = load_measurements(data, loaded)

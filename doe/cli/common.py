@@ -64,8 +64,8 @@ def warn_beside_json(sentences: Iterable[str]) -> None:
 
 def read_measurements(path: Path, arm: Arm) -> Measurements:
     """The measurements of an arm; warns where the units look wrong."""
-    from identification.data_checks import data_warnings
     from identification.files.measurement import load_measurements
+    from identification.inspection.data_checks import data_warnings
 
     measurements = load_measurements(path, arm)
     for sentence in data_warnings(measurements, arm):

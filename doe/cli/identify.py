@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from identification.arrays import Array
     from identification.estimation import Identification
     from identification.estimation.prior import Earlier, Prior
-    from identification.gap.library_prior import LibraryPrior
+    from identification.gap.library.library_prior import LibraryPrior
     from identification.measurements import Measurements
     from identification.model import Model
     from identification.servo import FollowingError
@@ -81,9 +81,9 @@ def command(
     --only all other parameters stay at the values of ARM.
     """
     from identification.files.arm import load_arm
-    from identification.reuse import with_place_doubted, words_of
     from identification.servo import following_errors
     from identification.sessions import with_sessions
+    from identification.validate.reuse import with_place_doubted, words_of
 
     loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
@@ -111,8 +111,8 @@ def arm_and_rows(arm: Arm, path: Path, old: Arm | None, words: Sequence[str]) ->
 
     Where something is held, temperatures count from those that it was found at;  old : that is the prior
     """
-    from identification.reuse import at_reference
     from identification.servo import with_servo_errors
+    from identification.validate.reuse import at_reference
 
     measurements = read_measurements(path, arm)
     arm = with_servo_errors(arm, measurements)
@@ -124,7 +124,7 @@ def arm_and_rows(arm: Arm, path: Path, old: Arm | None, words: Sequence[str]) ->
 def with_next(answered: Answer, arm: Path, data: Path, output: Output, loaded: Arm) -> Answer:
     """The answer with the next steps, if there is a calibration."""
     from doe.report.verdict import identification_actions, next_steps
-    from identification.row_groups import diagnosed
+    from identification.validate.row_groups import diagnosed
 
     if answered.exit_code == 0:
         actions = identification_actions(str(arm), str(data), output.out, diagnosed=diagnosed(loaded))
@@ -173,8 +173,8 @@ class Wanted:
         """The fit, the library's effects in it, and what more is said in JSON."""
         from identification.estimation import estimate, estimate_with_prior
         from identification.estimation.prior import Prior
-        from identification.gap.library_prior import given_by, library_prior
-        from identification.gap.repeats import with_repeats_doubted
+        from identification.gap.library.library_prior import given_by, library_prior
+        from identification.gap.noise.repeats import with_repeats_doubted
         from identification.sessions import with_sessions
 
         wide = with_sessions(arm, data)
@@ -209,7 +209,7 @@ class Wanted:
     def model(self, arm: Arm, data: Measurements, library: LibraryPrior | None) -> Model:
         """The model of all parameters, or of those that --only names; the library's effects are always estimated."""
         from identification.model import Model
-        from identification.reuse import only
+        from identification.validate.reuse import only
 
         added = [] if library is None else list(library.prior.deviations)
         return only(arm, [*self.words, *added], data) if self.words else Model(arm)
@@ -217,7 +217,7 @@ class Wanted:
     def earlier(self, model: Model) -> Earlier | None:
         """The prior of the model's parameters from the calibration that --prior-from names."""
         from identification.files.arm import load_arm
-        from identification.reuse import earlier
+        from identification.validate.reuse import earlier
 
         if self.prior_from is None:
             return None
@@ -279,7 +279,7 @@ def with_commands(said: Answer, errors: tuple[FollowingError, ...]) -> Answer:
 def minimal_model(model: Model, measurements: Measurements) -> Model:
     """The model reduced to parameters that the measurements determine; warns of those that are hardly determined."""
     from identification.kinematics.instrument import PLANE
-    from identification.minimal import PRACTICAL, minimal_of
+    from identification.model.minimal import PRACTICAL, minimal_of
 
     if model.arm.chain is not None and model.arm.chain.instrument.kind == PLANE:
         found = "minimal for contacts with planes, which leave the size of the arm open"

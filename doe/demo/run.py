@@ -18,7 +18,7 @@ from doe.solvers import solve
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.compensate import compensate
-from identification.compensation import Compensation
+from identification.compensate.compensation import Compensation
 from identification.estimation import Identification, estimate
 from identification.files.arm import load_arm
 from identification.files.arm_text import with_calibration, with_effects

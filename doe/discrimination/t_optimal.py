@@ -32,7 +32,7 @@ from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.gap.candidate import Candidate
 from identification.gap.result import Diagnosis
-from identification.gap.selection import WINDOW
+from identification.gap.selection.selection import WINDOW
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.status import Status

@@ -15,7 +15,7 @@ from identification.arrays import Array, readonly
 from identification.information import Spectrum, spectrum
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, ParameterSet
 from identification.kinematics.planar import orientation_transform
-from identification.positions import of_positions
+from identification.model.positions import of_positions
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from doe.problem.robust import robust_problem, tip_jacobians, workspace
 from doe.problem.spatial import of_one_arm
 from identification.arrays import Array
 from identification.estimation.prior import Prior
-from identification.gap.library_prior import LibraryPrior
+from identification.gap.library.library_prior import LibraryPrior
 from identification.kinematics.parameters import EFFECT
-from identification.positions import of_positions
-from identification.row_groups import diagnosed
+from identification.model.positions import of_positions
+from identification.validate.row_groups import diagnosed
 
 SPACE = 3  # coordinates of a point
 

@@ -1,8 +1,8 @@
 """Designs for an arm whose model may lack effects: those of the library enter with a prior of typical sizes.
 
 The parameters are those of the model and of all effects of the library; the latter have a normal prior of zero mean
-(`identification.gap.library_prior`). With K its information the posterior of a plan is (sum B^T B + K)^-1 sigma^2, and
-every criterion of it is concave as before (doe/README.md, "Prior information").
+(`identification.gap.library.library_prior`). With K its information the posterior of a plan is (sum B^T B + K)^-1
+sigma^2, and every criterion of it is concave as before (doe/README.md, "Prior information").
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from doe.problem.problem import DesignProblem
 from doe.problem.spatial import of_one_arm, whole
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.gap.library_prior import LibraryPrior, library_prior
-from identification.positions import of_positions, tip_jacobian
+from identification.gap.library.library_prior import LibraryPrior, library_prior
+from identification.model.positions import of_positions, tip_jacobian
 
 # reasons: doe/README.md, "Robust designs"
 SETTINGS = 4  # orders that stand for all orders of a ripple

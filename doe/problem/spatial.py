@@ -26,8 +26,8 @@ from identification.errors import InputError
 from identification.kinematics.frames import pose
 from identification.kinematics.parameters import ParameterSet
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
-from identification.minimal import PRACTICAL, minimal
 from identification.model import Model
+from identification.model.minimal import PRACTICAL, minimal
 
 if TYPE_CHECKING:
     from doe.problem.problem import InformationModel

@@ -30,8 +30,8 @@ from identification.errors import InputError
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
 from identification.measurements import distances
 from identification.model import Model
-from identification.row_groups import diagnosed, outside
 from identification.validate import Validation, validate
+from identification.validate.row_groups import diagnosed, outside
 
 MOSTLY = 0.5  # of the rows
 FIGURES = ("rms_mm", "mean_mm", "p95_mm", "max_mm")

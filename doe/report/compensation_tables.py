@@ -8,7 +8,7 @@ import numpy as np
 from rich.text import Text
 
 from doe.report.terminal import number, table
-from identification.compensation import Compensation
+from identification.compensate.compensation import Compensation
 from identification.kinematics.parameters import REVOLUTE
 
 MOST_ROWS = 8  # row numbers in a sentence

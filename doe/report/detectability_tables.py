@@ -9,7 +9,7 @@ from rich.text import Text
 from doe.discrimination.design import DiscriminationDesign
 from doe.discrimination.misidentification import LAMBDA
 from doe.report.terminal import table
-from identification.gap.detectability import Detectability
+from identification.gap.hypotheses.detectability import Detectability
 from identification.gap.notes import untested
 
 HIDDEN = 0.01

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from doe.report.page import Sheet
 from doe.report.terminal import estimate_text, number, table, unit_or_dash
-from identification.gap.detectability import Size
+from identification.gap.hypotheses.detectability import Size
 from identification.gap.notebook import gap_rows
 from identification.gap.result import Diagnosis
 from identification.gap.summary import findings, headline

@@ -17,7 +17,7 @@ from identification.files.csv import Table, read_table
 from identification.files.io import read_text
 from identification.files.measurement import load_measurements
 from identification.measurements import Measurements
-from identification.reuse import same_drawing
+from identification.validate.reuse import same_drawing
 
 # a command -> keys that its JSON object alone has
 KEYS = {

@@ -7,7 +7,7 @@ from typing import Any
 from rich.text import Text
 
 from doe.report.terminal import facts, number, table
-from identification.inspection import Inspection
+from identification.inspection.inspection import Inspection
 from identification.validate import DRAWN
 
 

@@ -22,7 +22,7 @@ from identification.estimation.with_prior import estimate_with_prior
 from identification.information import RANK_TOLERANCE, Spectrum, spectrum
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.placed import placed_model
+from identification.model.placed import placed_model
 
 LARGEST_SHARE = 0.1  # a combination whose standard deviation exceeds this share of the arm's reach is not estimable
 

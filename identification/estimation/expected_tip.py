@@ -12,7 +12,7 @@ from identification.arrays import Array
 from identification.estimation.plausibility import limited
 from identification.measurements import POINT
 from identification.model import Model
-from identification.positions import tip_jacobian
+from identification.model.positions import tip_jacobian
 from identification.sessions import placing
 from identification.threads import single_thread
 

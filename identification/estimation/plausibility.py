@@ -12,13 +12,13 @@ from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
 from identification.estimation.uncertainty import LEVEL
 from identification.information import RANK_TOLERANCE
+from identification.inspection.readings import DRAWN, read_differently
 from identification.kinematics.parameters import FILE_UNITS, JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE
 from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR
 from identification.kinematics.turns import turned_into
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.readings import DRAWN, read_differently
 
 # reasons: identification/README.md, "Doubtful fits"
 FLIPPED = 0.5  # of a link's nominal length: no drawing and no machining is that wrong

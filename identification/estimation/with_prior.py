@@ -28,10 +28,10 @@ from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import Uncertainty
 from identification.information import spectrum
+from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.parameters import JOINT_OFFSET
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.readings import placed_with_zeros
 from identification.status import Status
 from identification.threads import single_thread
 

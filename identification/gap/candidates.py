@@ -10,14 +10,14 @@ from identification.arm import Calibration
 from identification.estimation.intervals import freedom_kept, limits_95
 from identification.estimation.uncertainty import Uncertainty
 from identification.gap.candidate import Candidate, Estimate
-from identification.gap.certainty import certainty
-from identification.gap.fit import Fit
+from identification.gap.fits.fit import Fit
 from identification.gap.result import Trial
-from identification.gap.search import Choice, HypothesisSearch
-from identification.gap.selection import trial_of
+from identification.gap.selection.certainty import certainty
+from identification.gap.selection.search import Choice, HypothesisSearch
+from identification.gap.selection.selection import trial_of
 from identification.gap.workflow import Findings
 from identification.measurements import joint_range
-from identification.row_groups import DIAGNOSED
+from identification.validate.row_groups import DIAGNOSED
 
 
 def candidate_list(found: Findings, draws: int, generator: np.random.Generator) -> tuple[Candidate, ...]:

@@ -12,18 +12,11 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.estimation.checks import check_measurements
-from identification.gap.agreement import overruled
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import trial_list
-from identification.gap.certainty import fit_doubts
-from identification.gap.choice_validation import ChoiceValidation, disagreement, validate_choice
-from identification.gap.confirmation import HeldOut
-from identification.gap.cross_validation import cross_validation
-from identification.gap.detectability import Detectability, assess, require_spare
-from identification.gap.excluded_waves import excluded_waves
-from identification.gap.explanation import Explanation, Fits, explained_fits
-from identification.gap.fit import Fit
-from identification.gap.holdout import (
+from identification.gap.confirmation.confirmation import HeldOut
+from identification.gap.confirmation.cross_validation import cross_validation
+from identification.gap.confirmation.holdout import (
     Gap,
     check_holdout,
     check_same_arm,
@@ -32,23 +25,30 @@ from identification.gap.holdout import (
     held_out,
     held_out_conditions,
 )
-from identification.gap.hypotheses import hypotheses
-from identification.gap.library_prior import given_by, library_prior
-from identification.gap.misfit import misfit
+from identification.gap.explanation import Explanation, Fits, explained_fits
+from identification.gap.fits.fit import Fit
+from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.detectability import Detectability, assess, require_spare
+from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.library.library_prior import given_by, library_prior
+from identification.gap.noise.misfit import misfit
+from identification.gap.noise.repeats import noise_floor, repeat_finding
 from identification.gap.notes import alias_list, curve_notes, hidden_orders, notes, order_notes, prior_note
-from identification.gap.order_range import order_ranges
-from identification.gap.probabilities import Probabilities
-from identification.gap.repeats import noise_floor, repeat_finding
-from identification.gap.replicate import replications
+from identification.gap.outside.excluded_waves import excluded_waves
+from identification.gap.probability.agreement import overruled
+from identification.gap.probability.choice_validation import ChoiceValidation, disagreement, validate_choice
+from identification.gap.probability.probabilities import Probabilities
 from identification.gap.result import Diagnosis, Residuals
-from identification.gap.rounds import rounds_of
-from identification.gap.search import LEVEL_FACTOR, HypothesisSearch
-from identification.gap.selection import ALPHA_NEXT
-from identification.gap.whitening import Rows
+from identification.gap.selection.certainty import fit_doubts
+from identification.gap.selection.order_range import order_ranges
+from identification.gap.selection.rounds import rounds_of
+from identification.gap.selection.search import LEVEL_FACTOR, HypothesisSearch
+from identification.gap.selection.selection import ALPHA_NEXT
+from identification.gap.sessions.replicate import replications
 from identification.gap.workflow import Findings, Workflow
 from identification.measurements import Measurements
-from identification.minimal import practical
 from identification.model import Model
+from identification.model.minimal import practical
 from identification.progress import Progress, Tell, silent
 from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
 from identification.threads import single_thread

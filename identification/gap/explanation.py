@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.gap.agreement import agreeing
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import candidate, candidate_list
-from identification.gap.curves import Curves, curve_candidate, find_curves
-from identification.gap.fit import Fit, fit
-from identification.gap.library_prior import LibraryPrior
-from identification.gap.prior_fits import held, held_candidate
-from identification.gap.probabilities import Probabilities, probabilities
-from identification.gap.search import Choice
-from identification.gap.whitening import Rows
+from identification.gap.curves.curves import Curves, curve_candidate, find_curves
+from identification.gap.fits.fit import Fit, fit
+from identification.gap.fits.whitening import Rows
+from identification.gap.library.library_prior import LibraryPrior
+from identification.gap.library.prior_fits import held, held_candidate
+from identification.gap.probability.agreement import agreeing
+from identification.gap.probability.probabilities import Probabilities, probabilities
+from identification.gap.selection.search import Choice
 from identification.gap.workflow import Findings
 from identification.measurements import Measurements
 from identification.model import Model

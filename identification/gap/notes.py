@@ -7,16 +7,16 @@ from collections.abc import Mapping
 import numpy as np
 
 from identification.arm import Arm
-from identification.data_checks import gap_notes
 from identification.gap.candidate import Candidate
-from identification.gap.curve import Curve
-from identification.gap.detectability import EXACT, NEAR, Detectability, likenesses
-from identification.gap.holdout import Gap
-from identification.gap.hypotheses import Hypothesis
-from identification.gap.library_prior import LibraryPrior
-from identification.gap.misfit import Misfit
-from identification.gap.search import HypothesisSearch
+from identification.gap.confirmation.holdout import Gap
+from identification.gap.curves.curve import Curve
+from identification.gap.hypotheses.detectability import EXACT, NEAR, Detectability, likenesses
+from identification.gap.hypotheses.hypotheses import Hypothesis
+from identification.gap.library.library_prior import LibraryPrior
+from identification.gap.noise.misfit import Misfit
+from identification.gap.selection.search import HypothesisSearch
 from identification.gap.workflow import Findings
+from identification.inspection.data_checks import gap_notes
 from identification.measurements import Measurements
 from identification.status import Status
 

@@ -13,19 +13,19 @@ from identification.conditions import Conditions
 from identification.data_frames import frame_of_rows
 from identification.gap import notebook, summary
 from identification.gap.candidate import Candidate
-from identification.gap.choice_validation import ChoiceValidation
-from identification.gap.confirmation import Confirmation
-from identification.gap.curve import Curve
-from identification.gap.detectability import Detectability, Size
-from identification.gap.holdout import Gap
-from identification.gap.library_prior import LibraryPrior
-from identification.gap.misfit import Misfit
-from identification.gap.noise import Finding
-from identification.gap.order_range import OrderRange
-from identification.gap.probabilities import Probabilities
-from identification.gap.replication import Replication
-from identification.gap.rounds import Round
-from identification.minimal import placed_calibration
+from identification.gap.confirmation.confirmation import Confirmation
+from identification.gap.confirmation.holdout import Gap
+from identification.gap.curves.curve import Curve
+from identification.gap.hypotheses.detectability import Detectability, Size
+from identification.gap.library.library_prior import LibraryPrior
+from identification.gap.noise.misfit import Misfit
+from identification.gap.noise.noise import Finding
+from identification.gap.probability.choice_validation import ChoiceValidation
+from identification.gap.probability.probabilities import Probabilities
+from identification.gap.selection.order_range import OrderRange
+from identification.gap.selection.rounds import Round
+from identification.gap.sessions.replication import Replication
+from identification.model.minimal import placed_calibration
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from identification.estimation.shown import p_value_in_words
-from identification.gap.excluded_waves import waves_clause
-from identification.gap.order_range import order_clauses
-from identification.gap.replication import replication_clauses
+from identification.gap.outside.excluded_waves import waves_clause
+from identification.gap.selection.order_range import order_clauses
+from identification.gap.sessions.replication import replication_clauses
 
 if TYPE_CHECKING:
     from identification.gap.candidate import Candidate

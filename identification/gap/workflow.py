@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.gap.fit import Fit
-from identification.gap.further_orders import extended_search
-from identification.gap.hypotheses import HypothesisSet
-from identification.gap.noise import Finding, memory, outliers, screen, whitened
-from identification.gap.search import Choice, HypothesisSearch
-from identification.gap.selection import Selection, select
-from identification.gap.unmodelled import Unknown
-from identification.gap.whitening import Rows
+from identification.gap.fits.fit import Fit
+from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.hypotheses import HypothesisSet
+from identification.gap.noise.noise import Finding, memory, outliers, screen, whitened
+from identification.gap.outside.further_orders import extended_search
+from identification.gap.outside.unmodelled import Unknown
+from identification.gap.selection.search import Choice, HypothesisSearch
+from identification.gap.selection.selection import Selection, select
 from identification.progress import Tell, say_nothing, within
 
 # reasons: identification/README.md, "Constants"

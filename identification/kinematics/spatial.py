@@ -77,7 +77,7 @@ class SpatialChain(ByValue):
     end : (4, 4) pose of the tip's frame in that of the last joint [mm];  base : (4, 4) pose of the base
     tools : name of each measured point -> (3,) its place in the tip's frame [mm]
     known : those of `base` and `tool` that are given, and not to be found from the measurements
-    fixed : names of further parameters that are not estimated (identification/minimal.py)
+    fixed : names of further parameters that are not estimated (identification/model/minimal.py)
     angle_scale : [mm/rad] what a radian of a measured orientation counts as; None: only points are measured
     tool_axes : name -> (3, 3) axes of a measured frame in the tip's frame; those that are not there are the tip's
     instrument : what is measured of a point

@@ -19,15 +19,15 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.estimation import estimate
 from identification.files.arm import load_arm
-from identification.gap.curves import curve_candidate, find_curves
-from identification.gap.hypotheses import hypotheses
-from identification.gap.search import HypothesisSearch
-from identification.gap.unmodelled import Unknown
-from identification.gap.whitening import Rows
+from identification.gap.curves.curves import curve_candidate, find_curves
+from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.outside.unmodelled import Unknown
+from identification.gap.selection.search import HypothesisSearch
 from identification.gap.workflow import Findings
 from identification.measurements import Measurements
-from identification.minimal import placed_calibration, practical
 from identification.model import Model
+from identification.model.minimal import placed_calibration, practical
 from identification.validate import validate
 
 pytestmark = pytest.mark.benchmark

@@ -21,9 +21,9 @@ from doe.bounds.column_generation import continuous_bound
 from doe.problem.problem import DesignProblem
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
-from identification.gap.holdout import split
-from identification.minimal import minimal
+from identification.gap.confirmation.holdout import split
 from identification.model import Model
+from identification.model.minimal import minimal
 from tests.benchmarks.peers.approximate import grid
 from tests.benchmarks.peers.geometry import ARMS, Planar, Screws
 from tests.benchmarks.peers.planar_identification import TRUTH, positions

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from doe.problem.problem import DesignProblem
-from identification.minimal import minimal
 from identification.model import Model
+from identification.model.minimal import minimal
 from tests.benchmarks.peers.approximate import grid
 from tests.benchmarks.peers.exact import symbolic_rows
 from tests.benchmarks.peers.geometry import ARMS, Screws

@@ -21,8 +21,8 @@ from identification.arrays import Array
 from identification.estimation import estimate, estimate_batch
 from identification.kinematics.denavit_hartenberg import DHRow
 from identification.measurements import Measurements
-from identification.minimal import minimal
 from identification.model import Model
+from identification.model.minimal import minimal
 from identification.threads import single_thread
 from identification.workspace import LineOfSight, WorkspaceBox
 from tests.doe.six_axis import REFLECTOR, SIX_AXIS, TABLE, six_axis

@@ -17,8 +17,8 @@ from identification.arm import Arm, EffectSpec
 from identification.estimation import estimate
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
+from identification.gap.confirmation.holdout import split
 from identification.gap.diagnose import diagnose
-from identification.gap.holdout import split
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.validate import validate

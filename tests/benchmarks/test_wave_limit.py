@@ -17,7 +17,7 @@ import pytest
 from scipy.special import ive
 
 from doe.studies.blind import cells, hidden_effects, simulator, spatial_cells, spatial_simulator
-from identification.gap.unmodelled_survey import LEVEL_FIRST
+from identification.gap.outside.unmodelled_survey import LEVEL_FIRST
 
 SETS, NULL, DRAWS, ORDERS = 8, 1000, 200, np.arange(3.0, 256.25, 0.25)
 LEVEL = 0.6 * LEVEL_FIRST

@@ -18,7 +18,7 @@ from doe.report.advice import advice_sentence, advice_tables, shown_runs, spans
 from identification.arm import Arm, Calibration
 from identification.errors import InputError
 from identification.model import Model
-from identification.reuse import only
+from identification.validate.reuse import only
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, problem
 from tests.doe.plan.test_addition import whole_information
 

@@ -12,9 +12,9 @@ from doe.report.compensation_tables import compensation_tables
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.compensate import compensate
+from identification.compensate.inverse_kinematics import TOLERANCE
 from identification.errors import InputError
 from identification.files.target import commands_text, load_targets
-from identification.inverse_kinematics import TOLERANCE
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, rotation_about
 from identification.kinematics.spatial import SpatialChain

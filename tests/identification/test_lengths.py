@@ -24,8 +24,8 @@ from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import pose
 from identification.kinematics.instrument import Instrument
 from identification.measurements import Measurements
-from identification.minimal import PRACTICAL, minimal, minimal_of
 from identification.model import Model
+from identification.model.minimal import PRACTICAL, minimal, minimal_of
 from identification.sessions import with_sessions
 from identification.simulate import simulate
 from identification.status import Status

@@ -10,16 +10,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm, Calibration
-from identification.data_checks import data_warnings
 from identification.estimation import estimate
 from identification.files.arm import load_arm
 from identification.files.arm_text import with_calibration
 from identification.files.measurement import load_measurements, measurement_text
+from identification.inspection.data_checks import data_warnings
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
-from identification.minimal import minimal
 from identification.model import Model
-from identification.placed import placed_model
+from identification.model.minimal import minimal
+from identification.model.placed import placed_model
 from identification.simulate import simulate
 from identification.validate import validate
 from tests.identification.exponentials import TABLE, Exponentials, drawing

@@ -10,15 +10,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm, EffectSpec
-from identification.data_checks import data_warnings
 from identification.errors import InputError
 from identification.estimation import estimate
+from identification.inspection.data_checks import data_warnings
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import pose, rotation_about
 from identification.measurements import Conditions, Measurements
-from identification.minimal import minimal
 from identification.model import Model
-from identification.placed import placed_model
+from identification.model.minimal import minimal
+from identification.model.placed import placed_model
 from identification.sessions import of_these_sessions, pooled_sessions, with_sessions, without_sessions
 
 LENGTHS = np.array([300.0, 200.0, 150.0])

@@ -11,12 +11,12 @@ import numpy as np
 from doe.studies.blind.cells import DataSet
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
-from identification.gap.fit import fit
-from identification.gap.hypotheses import hypotheses
-from identification.gap.whitening import Rows
+from identification.gap.fits.fit import fit
+from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.measurements import rms_distance
-from identification.minimal import practical
 from identification.model import Model
+from identification.model.minimal import practical
 
 LENGTHS = (0.5, 8.0)  # of the process's kernel; two postures are at most 2 sqrt(n) apart
 RATIOS = (1e-6, 1e6)  # of the kernel's parts to the mean square residual

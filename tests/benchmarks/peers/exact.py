@@ -42,7 +42,7 @@ def armcal(arm: Arm, runs: int) -> Iterator[np.ndarray]:
     if isinstance(arm, Planar):
         yield solve(DesignProblem.of(Model(Described(arm.lengths, arm.lower, arm.upper))), runs).plan.postures
         return
-    from identification.minimal import minimal
+    from identification.model.minimal import minimal
     from tests.doe.six_axis import SIX_AXIS
 
     yield solve(DesignProblem.of(minimal(Model(SIX_AXIS))), runs).plan.postures
@@ -223,7 +223,7 @@ def job(plans: Callable[[Arm, int], Iterator[np.ndarray]], *modules: str) -> Too
 
 
 TOOLS = {
-    "armcal": job(armcal, "doe.solvers", "identification.minimal"),
+    "armcal": job(armcal, "doe.solvers", "identification.model.minimal"),
     "CasADi + IPOPT": job(casadi_ipopt, "casadi"),
     "SciPy SLSQP": job(scipy_slsqp, "scipy.optimize", "casadi"),
     "pyoptex": job(pyoptex, "pyoptex.doe.fixed_structure"),

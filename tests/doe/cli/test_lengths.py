@@ -97,7 +97,7 @@ def test_compensated_targets_keep_their_distances(cell: Folder) -> None:
     from identification.compensate import compensate
     from identification.files.arm import load_arm
     from identification.model import Model
-    from identification.positions import in_own_frame
+    from identification.model.positions import in_own_frame
 
     done(cell, "simulate", "arm.toml", "plan.csv", "--truth", "truth.toml", "--out", "data.csv")
     done(cell, "identify", "arm.toml", "data.csv", "--out", "calibrated.toml")

@@ -15,8 +15,8 @@ from doe.cli.progress import lines
 from doe.report.monte_carlo import _cell_table
 from identification.errors import LONGEST_LINE, InputError, in_one_line
 from identification.files.csv import read_table
-from identification.gap.curve_fit import Penalized
-from identification.gap.omnibus_test import BLOCK, _in_parts
+from identification.gap.curves.curve_fit import Penalized
+from identification.gap.hypotheses.omnibus_test import BLOCK, _in_parts
 from tests.doe.cli.conftest import Folder
 from tests.doe.cli.test_bad_input import HEADER, refused
 

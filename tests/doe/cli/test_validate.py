@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from doe.cli.validate import REFITS
-from identification import validate
+from identification.validate import validation
 from tests.doe.cli.conftest import Folder
 
 KEYS = {"rows", "refit", "rms_mm", "mean_mm", "p95_mm", "max_mm", "rms_nominal_mm", "blocks", "refitted", "notes"}
@@ -54,4 +54,4 @@ def test_bad_input(folder: Folder, words: tuple[str, ...], sentence: str) -> Non
 
 
 def test_the_choices_are_those_of_the_library() -> None:
-    assert validate.REFITS == REFITS
+    assert validation.REFITS == REFITS

@@ -13,9 +13,9 @@ from doe.discrimination.t_optimal import discriminate
 from doe.problem.constraints import constraints_of
 from identification.arm import Arm, Gravity
 from identification.errors import InputError
-from identification.gap.choice_validation import ChoiceValidation
 from identification.gap.diagnose import diagnose
-from identification.gap.library_prior import library_prior
+from identification.gap.library.library_prior import library_prior
+from identification.gap.probability.choice_validation import ChoiceValidation
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 from identification.model import Model

@@ -18,8 +18,8 @@ from identification.arm import Arm
 from identification.errors import InputError
 from identification.kinematics.frames import pose
 from identification.kinematics.instrument import Instrument
-from identification.minimal import minimal
 from identification.model import Model
+from identification.model.minimal import minimal
 from tests.doe.arms import FOUR
 from tests.doe.six_axis import CHAIN, REFLECTOR, SIX_AXIS, STEP, difference_information, difference_jacobian, six_axis
 from tests.identification.kinematics.test_spatial import tip_by_exponentials

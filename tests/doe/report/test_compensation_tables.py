@@ -3,7 +3,7 @@
 import numpy as np
 
 from doe.report.compensation_tables import compensation_tables, without_command
-from identification.compensation import Compensation
+from identification.compensate.compensation import Compensation
 
 
 def commands(errors: list[float], missed: list[float]) -> Compensation:

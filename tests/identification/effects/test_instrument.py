@@ -14,9 +14,9 @@ from identification.gap.diagnose import diagnose
 from identification.kinematics.frames import pose
 from identification.kinematics.instrument import Instrument
 from identification.measurements import Measurements
-from identification.minimal import minimal
 from identification.model import Model
-from identification.positions import in_own_frame, tip_jacobian
+from identification.model.minimal import minimal
+from identification.model.positions import in_own_frame, tip_jacobian
 from identification.simulate import simulate
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.exponentials import Exponentials, drawing

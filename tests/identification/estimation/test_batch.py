@@ -11,8 +11,8 @@ from identification.arm import EffectSpec
 from identification.errors import InputError, JobError
 from identification.estimation import estimate, estimate_batch
 from identification.measurements import Measurements
-from identification.minimal import minimal
 from identification.model import Model
+from identification.model.minimal import minimal
 from tests.doe.six_axis import CHAIN, SIX_AXIS
 from tests.identification.estimation.cases import SIGMA, arm, plan, scipy_fit, truth
 

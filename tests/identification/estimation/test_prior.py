@@ -10,8 +10,8 @@ from identification.errors import InputError
 from identification.estimation.methods import gauss_newton
 from identification.estimation.prior import Prior, effective_count
 from identification.estimation.problem import Problem
-from identification.gap.fit import fit
-from identification.gap.whitening import Rows
+from identification.gap.fits.fit import fit
+from identification.gap.fits.whitening import Rows
 from identification.information import covariance
 from identification.measurements import Measurements
 from identification.model import Model

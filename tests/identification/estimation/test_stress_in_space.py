@@ -16,8 +16,8 @@ from identification.estimation.estimate import LARGEST_SHARE
 from identification.kinematics.frames import AXES, pose
 from identification.kinematics.spatial import Joint, SpatialChain
 from identification.measurements import Measurements
-from identification.minimal import practical
 from identification.model import Model
+from identification.model.minimal import practical
 from tests.identification.estimation.test_stress import DIGITS, EPS, SIGMAS, lengths_of
 
 FEW = settings(max_examples=max(settings.default.max_examples // 10, 10))  # type: ignore[union-attr]

@@ -17,7 +17,7 @@ from identification.estimation.checks import weighting
 from identification.estimation.prior import Prior
 from identification.estimation.problem import Problem
 from identification.estimation.with_prior import WIDTHS, ZERO_WIDTHS, LinearizedProblem, Restricted, likeliest
-from identification.gap.library_prior import library_prior
+from identification.gap.library.library_prior import library_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model

@@ -17,8 +17,8 @@ from identification.kinematics.frames import from_roll_pitch_yaw, pose
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.kinematics.spatial import BASE, TOOL, Joint
 from identification.measurements import Conditions
-from identification.minimal import minimal
 from identification.model import Model
+from identification.model.minimal import minimal
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
 ROWS = [DHRow(0.0, np.pi / 2.0, 180.0), DHRow(-600.0, 0.0, 0.0, 0.3), DHRow(20.0, -1.5, 130.0, limits=(-1.0, 2.0))]

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from identification.arm import Arm
-from identification.data_checks import data_warnings
 from identification.errors import InputError
 from identification.files.measurement import load_measurements, measurement_text
+from identification.inspection.data_checks import data_warnings
 from identification.measurements import Measurements
 
 UR10 = Path(__file__).parents[4] / "shared/data/ur10_planar/measurements.csv"

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.data_checks import gap_notes
 from identification.effects.catalogue import entry
 from identification.errors import InputError
 from identification.files.measurement import load_measurements, measurement_text
-from identification.gap.library_prior import given_by
+from identification.gap.library.library_prior import given_by
+from identification.inspection.data_checks import gap_notes
 from identification.measurements import Measurements
 from identification.sessions import pooled_sessions
 

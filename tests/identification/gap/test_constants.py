@@ -7,9 +7,11 @@ import pytest
 from scipy.stats import chi2, ncf
 
 from identification.estimation import outlying
-from identification.gap import noise, search, selection, unmodelled, unmodelled_shapes, unmodelled_survey
-from identification.gap.detectability import EXACT, NEAR, POWER, SPARE
 from identification.gap.diagnose import FEWEST_DRAWS
+from identification.gap.hypotheses.detectability import EXACT, NEAR, POWER, SPARE
+from identification.gap.noise import noise
+from identification.gap.outside import unmodelled, unmodelled_shapes, unmodelled_survey
+from identification.gap.selection import search, selection
 
 
 def power(size: int, freedom: int, length: float, level: float = 0.005) -> float:

@@ -17,10 +17,10 @@ from identification.errors import InputError
 from identification.estimation import estimate as identify
 from identification.gap.candidates import candidate
 from identification.gap.diagnose import diagnose
-from identification.gap.hypotheses import hypotheses
+from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.gap.result import Diagnosis
-from identification.gap.search import HypothesisSearch
-from identification.gap.whitening import Rows
+from identification.gap.selection.search import HypothesisSearch
 from identification.measurements import Measurements
 from identification.model import Model
 

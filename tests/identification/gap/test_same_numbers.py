@@ -12,10 +12,10 @@ from identification.arm import EffectSpec
 from identification.estimation import Identification, estimate
 from identification.estimation.levenberg_marquardt import LeastSquares
 from identification.gap.diagnose import diagnose
-from identification.gap.hypotheses import hypotheses
+from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.gap.result import Diagnosis
-from identification.gap.search import HypothesisSearch
-from identification.gap.whitening import Rows
+from identification.gap.selection.search import HypothesisSearch
 from identification.measurements import Measurements
 from identification.model import Model
 from tests.identification.estimation.cases import arm, data, plan

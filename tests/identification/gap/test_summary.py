@@ -8,7 +8,7 @@ from typing import cast
 import pytest
 
 from identification.gap.result import Diagnosis
-from identification.gap.rounds import Round
+from identification.gap.selection.rounds import Round
 from identification.gap.summary import among, headline, of_joints
 
 

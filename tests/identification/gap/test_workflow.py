@@ -12,11 +12,11 @@ from scipy.stats import ncf
 
 from doe.studies.blind.cells import data_set
 from identification.gap.diagnose import diagnose
-from identification.gap.search import LEVEL_FACTOR
-from identification.gap.selection import ALPHA_NEXT, LEAST_GAIN
-from identification.gap.unmodelled import Unknown
+from identification.gap.outside.unmodelled import Unknown
+from identification.gap.selection.search import LEVEL_FACTOR
+from identification.gap.selection.selection import ALPHA_NEXT, LEAST_GAIN
 from identification.gap.workflow import CREDIT, MOST_ROWS, Workflow, _credit
-from tests.identification.gap.test_search import LIBRARY, NAMES, searched
+from tests.identification.gap.selection.test_search import LIBRARY, NAMES, searched
 
 
 def test_of_very_many_rows_some_are_searched_and_all_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:

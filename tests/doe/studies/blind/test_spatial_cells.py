@@ -12,10 +12,10 @@ from doe.studies.blind.cells import DataSet
 from doe.studies.blind.spatial_cells import CELLS, data_set
 from identification.arm import Arm, EffectSpec
 from identification.effects import build_all
-from identification.gap.fit import fit
-from identification.gap.whitening import Rows
-from identification.minimal import practical
+from identification.gap.fits.fit import fit
+from identification.gap.fits.whitening import Rows
 from identification.model import Model
+from identification.model.minimal import practical
 
 NUMBERS = range(900, 903)
 

@@ -1,0 +1,1 @@
+"""Whether other rows confirm what was found."""

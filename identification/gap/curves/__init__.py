@@ -1,0 +1,1 @@
+"""Error curves: a smooth function of a joint's angle where no name fits."""

@@ -1,0 +1,1 @@
+"""Rows whitened, and fits of models to them."""

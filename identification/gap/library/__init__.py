@@ -1,0 +1,1 @@
+"""The library as a prior over effects that are not named."""

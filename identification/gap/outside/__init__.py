@@ -1,0 +1,1 @@
+"""Outside the library: shapes without a name, waves of other orders, and which are excluded."""

@@ -1,0 +1,1 @@
+"""Which effects are named: search, selection, rounds, and how certain a name is."""

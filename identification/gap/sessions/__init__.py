@@ -1,0 +1,1 @@
+"""What is found in several sessions, and what only in one."""

@@ -1,0 +1,128 @@
+"""Whether measurements are enough: their numbers against the parameters, what these determine, and how sure the arm is.
+
+With few rows the residuals hardly say what the noise is. The accuracy is then that of the sigma that is given, or of
+what repeats scatter by; where neither is known, neither is the accuracy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from identification.estimation import Identification, estimate
+from identification.gap.noise.repeats import NoiseFloor
+from identification.gap.summary import of_joints
+from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR
+from identification.measurements import POINT, Measurements
+
+LENGTH = "length of"
+GEOMETRY = {LENGTH_ERROR: "length", JOINT_OFFSET: "zero"}
+SOURCES = {"sigma": "for the sigma_mm given", "repeats": "for what repeats scatter by", "residuals": "by the residuals"}
+
+
+@dataclass(frozen=True)
+class Sufficiency:
+    """What rows can say of a model.
+
+    numbers, parameters : equations and unknowns;  spare : equations that are left to judge the fit
+    held : how many of the parameters have a prior of their own, as the geometry of an arm in space
+    found : what is determined, in words;  open : combinations that are not
+    tip, tip_measured : expected error of the tip [mm], over the joint limits and within the angles measured; None: not
+        known
+    source : of the noise in it, of `SOURCES`; None: not known
+    """
+
+    numbers: int
+    parameters: int
+    spare: int
+    held: int
+    found: tuple[str, ...]
+    open: tuple[str, ...]
+    tip: float | None
+    tip_measured: float | None
+    source: str | None
+
+    @property
+    def few(self) -> bool:
+        """Whether fewer numbers are left over than there are parameters: a good fit says little then."""
+        return self.spare < self.parameters - self.held
+
+    @property
+    def count(self) -> str:
+        """`10 numbers for 8 parameters: 2 left to judge the fit`."""
+        held = f" ({self.held} held by [machining])" if self.held else ""
+        return f"{self.numbers} numbers for {self.parameters} parameters{held}: {self.spare} left to judge the fit"
+
+    @property
+    def accuracy(self) -> str:
+        """How far the tip may be off, in words."""
+        if self.tip is None or self.tip_measured is None or self.source is None:
+            why = "something is not determined" if self.open else "needs sigma_mm, repeats of a posture or more rows"
+            return f"not known: {why}"
+        inside = f"{self.tip_measured:.3g} mm at the tip within the angles measured"
+        return f"{inside}, {self.tip:.3g} mm over the joint limits (RMS), {SOURCES[self.source]}, if the model is right"
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of `check` (identification/files/README.md, "JSON keys")."""
+        return {
+            "numbers": self.numbers,
+            "parameters": self.parameters,
+            "spare_numbers": self.spare,
+            "identifiable": self.found,
+            "expected_tip_mm": self.tip,
+            "expected_tip_measured_mm": self.tip_measured,
+            "expected_tip_from": self.source,
+        }
+
+
+def sufficiency(found: Identification, measurements: Measurements, floor: NoiseFloor) -> Sufficiency:
+    """What these rows can say of the model that was fitted to them.
+
+    floor : what repeats scatter by
+    """
+    held = len(found.prior.names) if found.prior is not None else 0
+    parameters, spare = len(found.names), max(found.dof, 0)
+    few = spare < parameters - held
+    judged, source = (_of_known_noise(found, measurements, floor)) if few else (found, _source(found))
+    return Sufficiency(
+        numbers=found.residuals_after.size,
+        parameters=parameters,
+        spare=spare,
+        held=held,
+        found=_in_words(found),
+        open=found.not_identifiable,
+        tip=None if judged is None else judged.expected_tip,
+        tip_measured=None if judged is None else judged.expected_tip_measured,
+        source=source,
+    )
+
+
+def _source(found: Identification) -> str | None:
+    return None if found.expected_tip is None else "sigma" if found.uncertainty.kind == "given" else "residuals"
+
+
+def _of_known_noise(
+    found: Identification, measurements: Measurements, floor: NoiseFloor
+) -> tuple[Identification | None, str | None]:
+    """The fit with intervals of noise that is known without it, and from where; None where it is not."""
+    if found.sigma_known:
+        return estimate(found.model, measurements, sigma="given"), "sigma"
+    if floor.value:
+        axes = found.residuals_after[:, POINT].shape[1]
+        return estimate(found.model, measurements, sigma=floor.value / float(np.sqrt(axes))), "repeats"
+    return None, None
+
+
+def _in_words(found: Identification) -> tuple[str, ...]:
+    """`length of links 1 to 3`, `zero of joints 1 to 3`, `base_offset`: what is determined, by kind."""
+    held = () if found.prior is None else found.prior.names
+    kinds: dict[str, list[int]] = {}
+    for parameter, known in zip(found.model.parameters, found.identifiable, strict=True):
+        if known:
+            kind = parameter.name.partition(".")[0].partition(":")[0]
+            kind = GEOMETRY.get(kind, "frame, held by [machining]," if parameter.name in held else kind)
+            kinds.setdefault(kind, []).extend([] if parameter.joint is None else [parameter.joint])
+    listed = (f"{kind} of {of_joints(sorted(set(js)))}" if js else kind for kind, js in kinds.items())
+    return tuple(said.replace("joint", "link") if said.startswith(LENGTH) else said for said in listed)

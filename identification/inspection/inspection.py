@@ -1,0 +1,286 @@
+"""Inspection of measurements before any fit: ranges, repeats, frames, signs, and what can be identified from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.estimation import Identification, estimate
+from identification.estimation.expected_tip import FEW, hardly_determined
+from identification.estimation.plausibility import (
+    another_frame,
+    beyond_limits,
+    copied_rows,
+    far_rows,
+    far_zeros,
+    limited,
+    outside_limits,
+)
+from identification.estimation.shown import MISFIT
+from identification.gap.noise.repeats import NOTHING_KNOWN, NoiseFloor, noise_floor, with_repeats_doubted
+from identification.inspection.data_checks import data_warnings, gap_notes, wrong_units
+from identification.inspection.enough import Sufficiency, sufficiency
+from identification.inspection.reading import Readings
+from identification.inspection.readings import as_written, joints_of_unseen_sign, out_of_step, read_differently
+from identification.inspection.set_up import constant_length, other_base, turned_frame
+from identification.kinematics.parameters import REVOLUTE
+from identification.measurements import Measurements, rms_distance
+from identification.model import Model
+from identification.sessions import with_sessions
+from identification.status import Status
+from identification.validate import drawing_residuals
+
+STILL = np.radians(5.0)  # [rad] of a joint's range, below which its own errors are hardly seen
+ROUGH = 0.02  # of the reach: more than a drawing is off by
+
+
+@dataclass(frozen=True)
+class JointRange:
+    """The positions of one joint [rad or mm]; `outside`: rows beyond its limits;  `limited`: False where it may
+    turn all the way round, and readings of several turns do not matter."""
+
+    joint: int
+    kind: str
+    low: float
+    high: float
+    limit_low: float
+    limit_high: float
+    outside: int
+    limited: bool = True
+
+    @property
+    def unit(self) -> str:
+        """Of files."""
+        return "deg" if self.kind == REVOLUTE else "mm"
+
+    def in_file_units(self, value: float) -> float:
+        """[deg] or [mm]."""
+        return float(np.degrees(value)) if self.kind == REVOLUTE else value
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `joints` (identification/files/README.md, "JSON keys")."""
+        names = ("low", "high", "limit_low", "limit_high")
+        shown = {name: self.in_file_units(getattr(self, name)) for name in names}
+        return {"joint": self.joint, "unit": self.unit, **shown, "rows_outside": self.outside}
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """What was seen in the measurements of an arm.
+
+    rows, postures : how many rows, and how many postures that are not repeats
+    given : optional columns;  floor : what repeats scatter by
+    readings : the columns as they are, and a better way to read them if there is one
+    drawing : RMS distance [mm] that the drawing leaves with its place in the instrument's frame fitted, as of
+        `validate`;  fit : the geometry fitted, None with too few rows;  enough : what the rows can say of it
+    other_units : the numbers are of other units, so that neither a fit nor limits would mean anything
+    units : sentences about units, swapped markers and rows that are far off;  frame : about a base elsewhere, or
+        distances off by a constant;  turned : about a frame at another angle
+    step : about positions beside another posture
+    unseen : joints (from 1) whose sign and zero do not show
+    rest : about copied rows and postures outside the limits;  gaps : about rows that are missing between others
+    """
+
+    arm: Arm
+    rows: int
+    postures: int
+    sessions: tuple[str, ...]
+    markers: tuple[str, ...]
+    given: tuple[str, ...]
+    joints: tuple[JointRange, ...]
+    floor: NoiseFloor
+    readings: Readings
+    drawing: float
+    fit: Identification | None
+    enough: Sufficiency | None
+    other_units: bool
+    units: tuple[str, ...]
+    frame: tuple[str, ...]
+    turned: tuple[str, ...]
+    step: tuple[str, ...]
+    unseen: tuple[int, ...]
+    rest: tuple[str, ...]
+    gaps: tuple[str, ...]
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What should be put right before anything is fitted, in sentences."""
+        # a later one may follow from an earlier one
+        zeros = self._offsets()  # several at once, where another reading has one or two
+        said = [*self.units] or ([] if zeros else self.readings.sentences) or [*self.frame] or zeros
+        if self.drawing > ROUGH * self.arm.reach and not said:
+            off = f"the drawing is {self.drawing:.4g} mm off wherever the arm stands: check lengths and columns"
+            said += self.step or [off]
+        if self.fit is not None and not said:
+            outlier = np.isin(np.arange(self.rows) + 1, self.fit.outlier_rows)
+            said += far_rows(self.fit.residuals_after, outlier)
+        if self.fit is None and not self.other_units:
+            said.append("too few rows for a fit of the geometry")
+        return (*(said or self._few()), *self.rest)
+
+    def _few(self) -> list[str]:
+        """That a fit leaves little whatever the data are, where the rows are too few."""
+        if self.fit is None:
+            return []
+        if self.fit.dof <= 0:
+            numbers, unknowns = self.fit.residuals_after.size, len(self.fit.names)
+            return [f"{FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
+        return [sentence for sentence in hardly_determined(self.fit) if sentence.startswith(FEW)]
+
+    def _offsets(self) -> list[str]:
+        """Joints whose zero is another one than the drawing's, where the fit takes that up."""
+        fit, better = self.fit, self.readings.better
+        if fit is None or fit.status is Status.implausible or not (better is None or better.moved_zeros):
+            return []
+        return far_zeros(fit.model, fit.parameters)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What these data cannot say, in sentences."""
+        still = [str(j.joint) for j in self.joints if j.kind == REVOLUTE and j.high - j.low < STILL]
+        said = [] if self.other_units or not still else [_hardly(still)]
+        said += [*self.turned, *(_unseen(j) for j in self.unseen if str(j) not in still)]
+        if self.fit is not None and not self.problems:
+            said += _misfit(self.fit)
+        if self.fit is not None and self.fit.not_identifiable:
+            said.append(f"not estimable separately: {'; '.join(self.fit.not_identifiable)}")
+        if self.postures == self.rows:
+            said.append("no posture is repeated: what the arm scatters by is not known from these data")
+        said += self.gaps
+        missing = {"temperature": "a column temperature_C", "gravity": "[gravity] in the arm file"}
+        there = {*self.given, *(["gravity"] if self.arm.gravity is not None else [])}
+        lacking = [how for what, how in missing.items() if what not in there]
+        return (
+            *said,
+            *(
+                [f"effects of {_list(missing, there)} are not tested without {' and '.join(lacking)}"]
+                if lacking
+                else []
+            ),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of `check` (identification/files/README.md, "JSON keys")."""
+        fit = self.fit
+        return {
+            "rows": self.rows,
+            "postures": self.postures,
+            "sessions": self.sessions,
+            "markers": self.markers,
+            "given": self.given,
+            "joints": [joint.to_json() for joint in self.joints],
+            **{name: value for name, value in self.floor.to_json().items() if "repeats_mm" in name},
+            "rms_drawing_mm": self.drawing,
+            "better_reading": self.readings.to_json(),
+            "rms_fitted_mm": None if fit is None else rms_distance(fit.residuals_after),
+            **({} if self.enough is None else self.enough.to_json()),
+            "not_identifiable": () if fit is None else fit.not_identifiable,
+            "ok": not self.problems,
+            "problems": self.problems,
+            "notes": self.notes,
+        }
+
+
+def _misfit(fit: Identification) -> list[str]:
+    """That a fit leaves more than noise, by chi2 or by repeats."""
+    if fit.misfit:
+        return [fit.misfit.partition(". ")[0] + "; armcal diagnose looks for what is missing"]
+    return [said for said in fit.doubts if said.startswith(MISFIT)]
+
+
+def _hardly(joints: list[str]) -> str:
+    """Which joints hardly move."""
+    if len(joints) == 1:
+        return f"joint {joints[0]} hardly moves: its own errors cannot be seen"
+    return f"joints {', '.join(joints)} hardly move: their own errors cannot be seen"
+
+
+def _unseen(joint: int) -> str:
+    found = f"which way joint {joint} turns and where its zero is do not show in these data"
+    return f"{found}: the measured point is on its axis, or so near that the drawing's errors hide it"
+
+
+def _list(missing: dict[str, str], there: set[str]) -> str:
+    return " and ".join(what for what in missing if what not in there)
+
+
+def inspect(arm: Arm, measurements: Measurements) -> Inspection:
+    """Look at measurements of an arm: nothing is changed, nothing is believed.
+
+    Raises `InputError` for another number of joints or coordinates than the arm has.
+    """
+    if measurements.links != arm.links:
+        raise InputError(
+            f"measurements: {measurements.links} joints for an arm of {arm.links} links, allowed: {arm.links}"
+        )
+    other_units = bool(wrong_units(measurements, arm))
+    fit = None if other_units else _fit(arm, measurements)
+    floor = _floor(fit, measurements)
+    units = data_warnings(measurements, arm)
+    readings = (as_written if other_units else read_differently)(arm, measurements)
+    return Inspection(
+        arm=arm,
+        rows=len(measurements),
+        postures=len(np.unique(measurements.posture_numbers)),
+        sessions=measurements.sessions,
+        markers=measurements.marker_names,
+        given=tuple(sorted(measurements.given)),
+        joints=_ranges(arm, measurements.postures),
+        floor=floor,
+        readings=readings,
+        drawing=_drawing(arm, measurements, readings),
+        fit=fit,
+        enough=None if fit is None else sufficiency(fit, measurements, floor),
+        other_units=other_units,
+        units=tuple(units),
+        frame=() if other_units else _frame(arm, measurements, fit),
+        turned=() if other_units else tuple(turned_frame(arm, measurements)),
+        unseen=joints_of_unseen_sign(arm, measurements),
+        step=tuple(out_of_step(arm, measurements)),
+        rest=(*copied_rows(measurements), *([] if other_units else outside_limits(arm, measurements))),
+        gaps=tuple(gap_notes(measurements)),
+    )
+
+
+def _floor(fit: Identification | None, measurements: Measurements) -> NoiseFloor:
+    """What repeats scatter by; not known without a fit, which says what small differences of their angles do."""
+    if fit is None:
+        return NOTHING_KNOWN
+    return noise_floor(fit.residuals_after, measurements, np.ones(len(measurements), dtype=bool), None)
+
+
+def _frame(arm: Arm, measurements: Measurements, fit: Identification | None) -> tuple[str, ...]:
+    """How frame and instrument are set up against the arm file, where that is not as it says."""
+    said = [*another_frame(arm, measurements), *other_base(arm, measurements)]
+    return (*said, *constant_length(arm, measurements, fit))
+
+
+def _fit(arm: Arm, measurements: Measurements) -> Identification | None:
+    """The geometry of the arm fitted, None if the rows are too few for it."""
+    try:
+        found = estimate(Model(with_sessions(arm, measurements)), measurements)
+    except InputError:
+        return None
+    return with_repeats_doubted(found, measurements)
+
+
+def _drawing(arm: Arm, measurements: Measurements, readings: Readings) -> float:
+    """[mm] see `Inspection.drawing`; with too few rows for least squares the closed form's."""
+    try:
+        return rms_distance(drawing_residuals(arm, measurements))
+    except InputError:
+        return readings.written.rms
+
+
+def _ranges(arm: Arm, postures: Array) -> tuple[JointRange, ...]:
+    beyond = beyond_limits(arm, postures).sum(axis=0)
+    columns = zip(arm.joint_types, postures.T, arm.lower, arm.upper, beyond, limited(arm), strict=True)
+    return tuple(
+        JointRange(j, kind, float(q.min()), float(q.max()), float(low), float(high), int(outside), bool(has))
+        for j, (kind, q, low, high, outside, has) in enumerate(columns, start=1)
+    )

@@ -1,0 +1,240 @@
+"""A model in CasADi symbols, and the functions of it that run on arrays of postures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.conditions import Conditions
+from identification.effects import Chain, Effect, measured_position
+from identification.effects.chain import ORIENTATION, chain_at, condition_width, orientation_columns
+from identification.effects.places import by_place, position_and_state, widths
+from identification.error_curve import ErrorCurve, all_hold
+from identification.errors import InputError
+from identification.kinematics.base_axes import along, planar_axes
+from identification.kinematics.instrument import WHOLE
+from identification.kinematics.orientations import turned
+from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
+from identification.model.compiled_parts import compiled_arm
+from identification.model.composition import Composition
+from identification.vectorize import Evaluate, vectorize
+
+
+@dataclass(frozen=True)
+class Expressions:
+    """Position of the tip and its derivatives as expressions of posture q, conditions c and parameters p.
+
+    every, estimated : all parameters, and those of the vector p;  fixed : name -> value of the others
+    extra : further columns of the conditions, in order: `marker`, `orientation` that was measured and `errors` that
+        curves say
+    best : name -> best known value of the geometry's parameters
+    """
+
+    arm: Arm
+    effects: tuple[Effect, ...]
+    every: ParameterSet
+    estimated: ParameterSet
+    fixed: Mapping[str, float]
+    remembers: bool
+    extra: tuple[str, ...]
+    best: Mapping[str, float]
+
+    @cached_property
+    def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """SX of postures q (n), conditions c, parameters (p) and position (d): of a pose the point, and the rotation
+        vector by which the computed orientation is turned against the measured one, times `angle_scale` [mm]."""
+        width = condition_width(self.arm.links, self.remembers, self.extra)
+        q, c, p = ca.SX.sym("q", self.arm.links), ca.SX.sym("c", width), ca.SX.sym("p", len(self.estimated))
+        return q, c, p, measured_position(self.chain(q, c), self.effects, self.values(c, p))
+
+    def values(self, c: ca.SX, p: ca.SX) -> ca.SX:
+        """Values of `every` parameter, where p has those of the estimated ones; where error curves do not hold, without
+        the geometry of these."""
+        slot = {name: p[k] for k, name in enumerate(self.estimated.names)}
+        values = {name: slot.get(name, self.fixed.get(name, 0.0)) for name in self.every.names}
+        if not self.tied:
+            return ca.vertcat(*values.values())
+        chain = self.arm.chain
+        axes = planar_axes(values[f"{JOINT_OFFSET}:1"]) if chain is None else ca.DM(chain.base[:3, :3])
+        off = {**self.tied, **along(axes, self.tied)}
+        return ca.vertcat(*(value - c[-1] * off.get(name, 0.0) for name, value in values.items()))
+
+    @cached_property
+    def curves(self) -> list[tuple[int, ErrorCurve]]:
+        """Error curves, each with its joint from 0."""
+        return [(effect.joint_index, effect.curve) for effect in self.effects if effect.curve is not None]
+
+    @cached_property
+    def tied(self) -> dict[str, float]:
+        """Parameter name -> the part of its value that was fitted with error curves."""
+        found = dict.fromkeys((name for _, curve in self.curves for name in curve.geometry), 0.0)
+        for _, curve in self.curves:
+            found |= {name: found[name] + value for name, value in curve.geometry.items()}
+        return found
+
+    def chain(self, q: ca.SX, c: ca.SX) -> Chain:
+        """The nominal chain at the symbols of a posture and its conditions."""
+        chain = chain_at(self.arm, q, c, self.remembers, self.extra)
+        if chain.reference is None or self.arm.chain is None:
+            return chain
+        missing = c[orientation_columns(self.arm.links, self.remembers, self.extra).stop - 1]
+        best = self.arm.chain.orientation(q, self.best, chain.marker)
+        return replace(chain, reference=chain.reference + missing * best)
+
+    @cached_property
+    def composed(self) -> Composition | None:
+        """The same from parts that models share; None in the plane and without effects, where one tape is faster."""
+        chain = self.arm.chain
+        if chain is None or not self.effects:
+            return None
+        pointing = replace(chain, instrument=WHOLE)  # has what this instrument does not show, too: it is zero
+        every = (*pointing.parameters().names, *(p.name for effect in self.effects for p in effect.parameters))
+        values = tuple(None if name in self.estimated.names else float(self.fixed.get(name, 0.0)) for name in every)
+        shared, tied = compiled_arm(pointing, self.arm.gravity, self.remembers, self.extra), dict(self.tied)
+        tied |= {name: float(x) for name, x in along(chain.base[:3, :3], tied).items()}
+        off = tuple(tied.get(name, 0.0) for name in every) if tied else ()
+        return Composition(shared, self.effects, values, off, chain.instrument)
+
+    def table(self, postures: Array, conditions: Conditions) -> Array:
+        """(..., m, 4 + n) values of the symbols for conditions; 12 n columns more where an effect has a memory, one of
+        the marker where there are several, ten of a measured orientation, and n + 1 of error curves."""
+        payload = 0.0 if self.arm.gravity is None else self.arm.gravity.payload
+        shape, past = postures.shape[:-1], postures if self.remembers else None
+        found = [conditions.table(shape, self.arm.links, payload, past)]
+        if "marker" in self.extra:
+            found.append(np.broadcast_to(0.0 if conditions.marker is None else conditions.marker, shape)[..., None])
+        if "orientation" in self.extra:
+            found.append(self._reference(postures, found, conditions.orientation))
+        if "errors" in self.extra:  # tables are looked up here: as formulas they would be thousands of terms
+            found.append(self._curve_errors(postures))
+        return np.concatenate(found, axis=-1)
+
+    def _curve_errors(self, postures: Array) -> Array:
+        """(..., m, n + 1) errors of the joints [rad] by their curves, and the share of their geometry that is off."""
+        found = np.zeros((*postures.shape[:-1], postures.shape[-1] + 1))
+        for joint, curve in self.curves:
+            found[..., joint] = curve.at(postures[..., joint])
+        if self.tied:  # they hold together
+            hold = all_hold(self.curves, postures)
+            found *= hold[..., None]
+            found[..., -1] = 1.0 - hold
+        return found
+
+    @property
+    def neutral(self) -> Array:
+        """(4 + n,) a row of the table where nothing is said."""
+        found = self.table(np.zeros((1, self.arm.links)), Conditions())[0]
+        measured = orientation_columns(self.arm.links, self.remembers, self.extra)
+        found[measured.start :] = 0.0
+        found[measured.start : measured.stop][-1:] = 1.0
+        return found
+
+    @cached_property
+    def position_function(self) -> ca.Function:
+        """CasADi (q, c, p) -> position (d) [mm]."""
+        q, c, p, position = self.symbols
+        return ca.Function("position", [q, c, p], [ca.cse(position)], ["q", "c", "p"], ["position"])
+
+    @cached_property
+    def jacobian_function(self) -> ca.Function:
+        """CasADi (q, c, p) -> position (d) [mm] and its exact derivative with respect to the parameters (d, p)."""
+        q, c, p, position = self.symbols
+        outputs = ca.cse([position, ca.jacobian(position, p)])
+        return ca.Function("jacobian", [q, c, p], outputs, ["q", "c", "p"], ["position", "jacobian"])
+
+    @cached_property
+    def residual_gradient(self) -> Evaluate:
+        """Of arrays (q, c, p, measured y): J^T (y - position) (p) by reverse mode, and |y - position|^2."""
+        q, c, p, position = self.symbols
+        y = ca.SX.sym("y", position.numel())
+        outputs = ca.cse([ca.jtimes(position, p, y - position, True), ca.sumsqr(y - position)])
+        return vectorize(ca.Function("gradient", [q, c, p, y], outputs))
+
+    @cached_property
+    def position(self) -> Evaluate:
+        """Of arrays (q, c, p): the position."""
+        return self.composed.position if self.composed else vectorize(self.position_function)
+
+    @cached_property
+    def jacobian(self) -> Evaluate:
+        """Of arrays (q, c, p): position and Jacobian."""
+        return self.composed.jacobian if self.composed else vectorize(self.jacobian_function)
+
+    @cached_property
+    def posture_jacobian(self) -> Evaluate:
+        """Of arrays (q, c, p): position and its derivative with respect to the posture, (d, n)."""
+        q, c, p, position = self.symbols
+        return vectorize(ca.Function("kinematics", [q, c, p], ca.cse([position, ca.jacobian(position, q)])))
+
+    @cached_property
+    def joint_levers(self) -> Evaluate:
+        """Of arrays (q, c, p): the derivative with respect to an angle added at each joint, (d, n)."""
+        if self.composed:
+            return self.composed.joint_levers
+        added, position, _ = self._with_added
+        turns = by_place(added, self.arm.links, self.arm.dimension)["joint_angles"]
+        return self._at_zero("levers", [ca.jacobian(position, turns)])
+
+    @cached_property
+    def place_levers(self) -> Evaluate:
+        """Of arrays (q, c, p): the derivative with respect to what is added at each place, (d, P), and the state."""
+        if self.composed:
+            return self.composed.place_levers
+        added, position, state = self._with_added
+        return self._at_zero("place_levers", [ca.jacobian(position, added), state])
+
+    @cached_property
+    def _with_added(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """What is added at all places, the position with it, and the state."""
+        q, c, p, _ = self.symbols
+        added = ca.SX.sym("added", sum(widths(self.arm.links, self.arm.dimension).values()))
+        return added, *position_and_state(self.chain(q, c), self.effects, self.values(c, p), added)
+
+    def _at_zero(self, name: str, expressions: list[ca.SX]) -> Evaluate:
+        """The expressions where nothing is added."""
+        added = self._with_added[0]
+        found = ca.substitute(expressions, [added], [ca.SX.zeros(added.numel())])
+        return vectorize(ca.Function(name, list(self.symbols[:3]), ca.cse(found)))
+
+    def orientations(self, q: Array, c: Array, p: Array) -> Array:
+        """(m, 3, 3) orientations of the measured frame for the instrument; raises `InputError` where none is measured.
+
+        c : of conditions without measured orientations
+        """
+        chain = self.arm.chain
+        if chain is None or chain.angle_scale is None:
+            raise InputError("orientations: the arm measures none, allowed: with sigma_mm and sigma_deg in its file")
+        columns = c[..., orientation_columns(len(chain), self.remembers, self.extra)][..., :-1]
+        nominal = np.swapaxes(columns.reshape(*columns.shape[:-1], 3, 3), -1, -2)
+        return turned(self.position(q, c, p)[0][..., 3:, 0] / chain.angle_scale) @ nominal
+
+    def _reference(self, postures: Array, columns: list[Array], orientation: Array | None) -> Array:
+        """(..., m, 10) columns of measured orientations (m, 3, 3), None: those of the arm as best known.
+
+        columns : that come before them, the last the marker's where there are several
+        """
+        found = np.zeros((*postures.shape[:-1], ORIENTATION))
+        if orientation is not None:
+            found[..., :-1] = np.swapaxes(orientation, -1, -2).reshape(*orientation.shape[:-2], 9)
+        else:
+            found[..., :-1] = self._best_orientation(postures, columns[-1][..., -1:])[0][..., 0]
+        return found
+
+    @cached_property
+    def _best_orientation(self) -> Evaluate:
+        """Of arrays (q, marker): the orientation of the arm as best known, (9,) by columns."""
+        assert self.arm.chain is not None
+        q, marker = ca.SX.sym("q", self.arm.links), ca.SX.sym("marker")
+        found = self.arm.chain.orientation(q, self.best, marker if "marker" in self.extra else None)
+        return vectorize(ca.Function("orientation", [q, marker], [ca.cse(ca.densify(found))]))
+
+    def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Evaluate:
+        """Of arrays (q, c): an expression of the nominal chain."""
+        q, c = self.symbols[:2]
+        return vectorize(ca.Function("expression", [q, c], [ca.cse(ca.densify(expression(self.chain(q, c))))]))

@@ -1,0 +1,108 @@
+"""A minimal set of a spatial arm's parameters: as many as measurements can distinguish, the others as drawn.
+
+Every combination of the geometry's errors that moves the measured points is one of the parameters that are kept (the
+continuous and complete set of the literature: L. J. Everett, M. Driels, B. W. Mooring, "Kinematic modelling for robot
+calibration", ICRA 1987): four for each revolute joint and two for each prismatic one, and three for each reflector off
+the last axis or six for a measured frame; of a six-axis arm 27 with one reflector, 33 with three, 30 with a frame.
+Which of several equivalent ones is kept is a choice: those that an engineer looks for first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from identification.arm import Arm, Calibration
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.kinematics.corrected_geometry import CorrectedGeometry
+from identification.kinematics.parameters import JOINT_OFFSET
+from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
+from identification.measurements import Conditions, Measurements
+from identification.model.arm_model import Model
+from identification.model.placed import placed_model
+
+FIRST = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
+POSTURES = 100  # at random: three equations each for some forty parameters
+DISTINCT = 1e-6  # [mm] RMS change of a coordinate by an error of machining size, beside those kept; rounding is 1e-12
+PRACTICAL = 1e-2  # [mm] the same without what measurements hardly determine: below what trackers resolve
+SEED = 0
+
+
+def minimal(model: Model, least: float = DISTINCT, postures: Array | None = None) -> Model:
+    """The model of a spatial arm with a minimal set of geometric parameters, free of any prior; the others are zero, or
+    what a calibration says.
+
+    least : [mm] what the smallest parameter that counts moves a coordinate by, see `DISTINCT`
+    postures : (m, n) that a surface is touched at, which show less than those inside the limits; None: any of these
+    Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
+    """
+    chain = model.arm.chain
+    if chain is None:
+        raise InputError("minimal: a planar arm, allowed: a spatial one; the parameters of a planar arm are minimal")
+    parameters = model.parameters
+    order = [k for kind in FIRST for k in parameters.indices(kind)]
+    sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
+    kept = set(independent(_jacobian(model, postures)[:, order] * sizes, least))
+    fixed = frozenset(parameters[k].name for place, k in enumerate(order) if place not in kept)
+    return replace(model, arm=replace(model.arm, chain=replace(chain, fixed=chain.fixed | fixed)))
+
+
+def practical(arm: Arm, measurements: Measurements) -> Arm:
+    """A spatial arm for fits without a prior: base and measured points where the closed form finds them, and what
+    measurements hardly determine as drawn. A planar arm, and a spatial one whose set was chosen, stays as it is."""
+    if arm.chain is None or arm.chain.fixed:
+        return arm
+    return minimal_of(Model(arm), measurements, PRACTICAL).arm
+
+
+def minimal_of(model: Model, measurements: Measurements, least: float = DISTINCT) -> Model:
+    """`minimal` where the closed form finds base and measured points; of contacts what the surface that is touched most
+    often shows, at the postures measured."""
+    placed, chain = placed_model(model, measurements), model.arm.chain
+    if chain is None or not chain.instrument.contact:
+        return minimal(placed, least)
+    own = measurements.rows(max(measurements.session_rows, key=len))
+    shown = minimal(placed_model(model, own), least, own.postures).arm.chain
+    assert placed.arm.chain is not None
+    assert shown is not None
+    return replace(placed, arm=replace(placed.arm, chain=replace(placed.arm.chain, fixed=shown.fixed)))
+
+
+def placed_calibration(arm: Arm, found: Calibration) -> Calibration:
+    """What a fit of a `practical` spatial arm found, with the values that it took as they were, and where base and
+    measured points are; of a planar arm as it is."""
+    if (chain := arm.chain) is None:
+        return found
+    kept = {} if arm.calibration is None else arm.calibration.values
+    values = {name: kept.get(name, 0.0) for name in chain.fixed} | dict(found.values)
+    geometry = CorrectedGeometry(chain, values)
+    tools, axes = MappingProxyType(geometry.tools), MappingProxyType(geometry.tool_axes)
+    return replace(found, values=values, base=geometry.base, tools=tools, tool_axes=axes)
+
+
+def independent(columns: Array, least: float = DISTINCT) -> list[int]:
+    """Numbers of the columns (N, p) of which those kept before leave an RMS above `least` (Gram and Schmidt, twice for
+    rounding)."""
+    basis = np.zeros((len(columns), 0))
+    kept = []
+    for k, column in enumerate(columns.T):
+        left = column
+        for _ in range(2):
+            left = left - basis @ (basis.T @ left)
+        if (size := float(np.linalg.norm(left))) > least * np.sqrt(len(columns)):
+            basis = np.column_stack([basis, left / size])
+            kept.append(k)
+    return kept
+
+
+def _jacobian(model: Model, postures: Array | None) -> Array:
+    """(N, p) at postures, None: random ones inside the limits, of every measured point."""
+    arm, generator = model.arm, np.random.default_rng(SEED)
+    if postures is None:
+        postures = generator.uniform(arm.lower, arm.upper, (POSTURES, arm.links))
+    markers = 1 if arm.chain is None else len(arm.chain.tools)
+    rows = [model.jacobian(postures, None, Conditions(marker=np.full(len(postures), float(k)))) for k in range(markers)]
+    return np.concatenate(rows).reshape(-1, len(model.parameters))

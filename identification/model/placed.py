@@ -1,0 +1,220 @@
+"""Where a spatial arm stands and where its measured points are, if the arm file does not say: the start of a fit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.errors import InputError, nearest
+from identification.kinematics.corrected import standing_in
+from identification.kinematics.length_placement import placed_by_lengths
+from identification.kinematics.orientations import mean_rotation
+from identification.kinematics.placement import placed, placed_tool, registered
+from identification.kinematics.spatial import BASE, DIMENSION, TOOL, SpatialChain
+from identification.measurements import Measurements
+from identification.model.arm_model import Model
+from identification.vectorize import vectorize
+
+ENOUGH = 500  # rows: a start is good to far less than the errors of the geometry that it leaves out
+
+
+def placed_model(model: Model, measurements: Measurements) -> Model:
+    """The model with base and measured points from a closed form on the geometry as best known, the points named as in
+    the data; planar arms stay as they are. Of several sessions the first says where the arm stands.
+
+    Raises `InputError` for measured points that the arm does not have.
+    """
+    arm = model.arm if isinstance(model, Model) else None
+    if arm is None or arm.chain is None:
+        return model
+    chain = with_markers(arm.chain, measurements)
+    known = chain.known | held_places(model)
+    if known >= {BASE, TOOL}:
+        return model if chain is arm.chain else replace(model, arm=replace(arm, chain=chain))
+    rows = some(measurements, measurements.session_rows[0])
+    values: dict[str, float] = {}
+    if (calibration := arm.calibration) is not None:
+        values = {name: v for name, v in calibration.values.items() if _place(name) not in {BASE, TOOL} - known}
+        calibration = replace(calibration, values=values, base=None, tools={}, tool_axes={})
+    there = replace(standing_in(chain, values), known=known)
+    geometry = {name: value for name, value in values.items() if _place(name) not in (BASE, TOOL)}
+    found = standing_chain(there, rows, geometry)
+    if BASE not in known:
+        chain = replace(chain, base=found.base)
+    if TOOL not in known:
+        chain = replace(chain, tools=found.tools, tool_axes=found.tool_axes)
+    return replace(model, arm=replace(arm, chain=chain, calibration=calibration))
+
+
+def held_places(model: Model) -> frozenset[str]:
+    """Those of base and measured points whose parameters are all known to the model."""
+    if not model.known:
+        return frozenset()
+    free = {p.kind for p in model.geometry_parameters if p.name not in model.known}
+    return frozenset({BASE, TOOL} - free - (frozenset() if model.arm.chain is None else model.arm.chain.known))
+
+
+def _place(name: str) -> str:
+    """`base` of `base.x`, `tool` of `tool[1].x`."""
+    return re.split(r"[.\[]", name)[0]
+
+
+def some(measurements: Measurements, rows: NDArray[np.int64]) -> Measurements:
+    """As many of these rows as a start needs."""
+    return measurements.rows(rows[np.unique(np.linspace(0, len(rows) - 1, ENOUGH).astype(int))])
+
+
+def markers_of(measurements: Measurements) -> NDArray[np.int64]:
+    """(m,) number of each row's measured point, 0 where the data name none."""
+    numbers = measurements.marker_numbers
+    return np.zeros(len(measurements), dtype=np.int64) if numbers is None else numbers
+
+
+def standing_chain(chain: SpatialChain, measurements: Measurements, values: Mapping[str, float]) -> SpatialChain:
+    """The chain where the closed form finds its base and its measured points or frames, as far as they are not known.
+
+    values : best known errors of the geometry
+    """
+    markers = markers_of(measurements)
+    found = placed_chain(chain, measurements.postures, measurements.positions[:, :3], markers, values)
+    if measurements.orientations is None or TOOL in chain.known:
+        return found
+    axes = tool_axes(found, measurements.postures, measurements.orientations, markers, values)
+    return replace(found, tool_axes=axes)
+
+
+def session_bases(arm: Arm, measurements: Measurements) -> tuple[SpatialChain, list[Array]]:
+    """The chain of an arm that stands where the first session finds it, with the points that only later sessions
+    measure, and the pose (4, 4) of the base in each session."""
+    assert arm.chain is not None
+    every = {} if arm.calibration is None else arm.calibration.values
+    values = {name: value for name, value in every.items() if not name.startswith((f"{BASE}.", f"{TOOL}["))}
+    parts = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
+    there, bases = standing_in(arm.chain, every), list[Array]()
+    first = seen = np.full(len(there.tools), TOOL in there.known)
+    for name in measurements.session_names:
+        if name in parts:
+            rows = some(measurements, parts[name])
+            there = _there(there, rows, values, seen) if bases else there
+            seen = seen | np.isin(np.arange(len(seen)), markers_of(rows))
+        first = first if bases else seen
+        bases.append(there.base)
+    later = [name for name, known in zip(there.tools, first.tolist(), strict=True) if not known]
+    tools, axes = ({name: of[name] for name in later if name in of} for of in (there.tools, there.tool_axes))
+    chain = replace(arm.chain, tools={**arm.chain.tools, **tools}, tool_axes={**arm.chain.tool_axes, **axes})
+    return chain, bases
+
+
+def _there(
+    chain: SpatialChain, rows: Measurements, values: Mapping[str, float], seen: NDArray[np.bool_]
+) -> SpatialChain:
+    """The chain where rows of another session find its base, and the points that were not seen before."""
+    old = seen[markers_of(rows)]
+    if not old.any():
+        return standing_chain(replace(chain, known=frozenset()), rows, values)
+    found = standing_chain(replace(chain, known=frozenset({TOOL})), rows.rows(old), values)
+    return found if old.all() else standing_chain(replace(found, known=frozenset({BASE})), rows.rows(~old), values)
+
+
+def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChain:
+    """The chain with the measured points that the data name, in the order of the data; `InputError` for others. Without
+    orientations where the data have none.
+
+    One point that the arm knows is the one that is measured, whatever the data call it.
+    """
+    if chain.angle_scale is not None and measurements.dimension == DIMENSION:
+        chain = replace(chain, angle_scale=None)
+    names, tools = measurements.marker_names, chain.tools
+    if not names:
+        if len(tools) > 1:
+            found = "no column marker, and the arm has several measured points"
+            raise InputError(f"measurements: {found}, allowed: one of {', '.join(tools)} in each row")
+        return chain
+    if tuple(tools)[: len(names)] == names:
+        return chain
+    if len(tools) == 1 == len(names):
+        axes = dict(zip(names, chain.tool_axes.values(), strict=False))
+        return replace(chain, tools=dict(zip(names, tools.values(), strict=True)), tool_axes=axes)
+    if TOOL not in chain.known:
+        return replace(chain, tools={name: tools.get(name, np.zeros(3)) for name in names})
+    for name in names:
+        if name not in tools:
+            raise InputError(f"measurements.marker: unknown name {name!r}, {nearest(name, tools)}")
+    return replace(chain, tools={name: tools[name] for name in dict.fromkeys((*names, *tools))})
+
+
+def placed_chain(
+    chain: SpatialChain,
+    postures: Array,
+    positions: Array,
+    markers: NDArray[np.int64],
+    values: Mapping[str, float] = MappingProxyType({}),
+) -> SpatialChain:
+    """The chain with base and tools that explain (m, 3) positions [mm] at (m, n) postures best.
+
+    markers : (m,) number of each row's measured point;  values : best known errors of the geometry
+    """
+    names, frames, instrument = list(chain.tools), tip_frames(chain, postures, values), chain.instrument
+    base, tools = chain.base, {name: np.array(place) for name, place in chain.tools.items()}
+    first = int(np.bincount(markers).argmax())
+    own = markers == first
+    if not instrument.whole and BASE not in chain.known:
+        tool = tools[names[first]] if TOOL in chain.known else None
+        base = placed_by_lengths(instrument, frames[own], positions[own, 0], chain.reach, tool=tool).base
+    elif BASE not in chain.known and TOOL not in chain.known:
+        found = placed(frames[own], positions[own], chain.reach)
+        base, tools[names[first]] = found.base, found.tool
+    elif BASE not in chain.known:
+        places = np.array([tools[name] for name in names])[markers]
+        base = registered(frames[:, :3, 3] + np.einsum("mij,mj->mi", frames[:, :3, :3], places), positions)
+    for number, name in enumerate(names if TOOL not in chain.known else ()):
+        if (own := markers == number).any():
+            if instrument.whole:
+                tools[name] = placed_tool(frames[own], positions[own], base)
+            else:
+                tools[name] = placed_by_lengths(instrument, frames[own], positions[own, 0], chain.reach, base).tool
+    return replace(chain, base=base, tools=tools)
+
+
+def tool_axes(
+    chain: SpatialChain,
+    postures: Array,
+    orientations: Array,
+    markers: NDArray[np.int64],
+    values: Mapping[str, float] = MappingProxyType({}),
+) -> dict[str, Array]:
+    """Name -> (3, 3) axes of the measured frames in the tip's frame that explain orientations (m, 3, 3) best, where the
+    base stands; other arguments as of `placed_chain`."""
+    tips = chain.base[:3, :3] @ tip_frames(chain, postures, values)[:, :3, :3]
+    own = np.swapaxes(tips, -1, -2) @ orientations
+    there = {number: markers == number for number in range(len(chain.tools))}
+    found = {name: mean_rotation(own[there[k]]) for k, name in enumerate(chain.tools) if there[k].any()}
+    return {**chain.tool_axes, **found}
+
+
+def tip_frames(chain: SpatialChain, postures: Array, values: Mapping[str, float] = MappingProxyType({})) -> Array:
+    """(m, 4, 4) poses of the tip in the base at postures (m, n), with errors of the geometry by name."""
+    return frames_of_tip(chain, values)(postures)
+
+
+def frames_of_tip(chain: SpatialChain, values: Mapping[str, float] = MappingProxyType({})) -> Callable[[Array], Array]:
+    """The function of postures that `tip_frames` evaluates."""
+    q = ca.SX.sym("q", len(chain))
+    tip = replace(chain, base=np.eye(4)).frames(q, values)[-1]
+    compiled = vectorize(ca.Function("tip", [q], [ca.densify(tip.origin), ca.densify(tip.axes)]))
+
+    def evaluate(postures: Array) -> Array:
+        origin, axes = compiled(postures)
+        frames = np.tile(np.eye(4), (len(postures), 1, 1))
+        frames[:, :3, 3], frames[:, :3, :3] = origin[..., 0], axes
+        return frames
+
+    return evaluate

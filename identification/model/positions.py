@@ -1,0 +1,68 @@
+"""What an arm that is measured by lengths says of positions: where its tip is in the frame of its own base."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identification.arm import Arm
+from identification.arrays import Array
+from identification.effects import library
+from identification.errors import InputError
+from identification.kinematics.instrument import DISTANCE, WHOLE
+from identification.kinematics.spatial import BASE
+from identification.model.arm_model import Model
+
+FEWEST = 4  # positions, of which a rigid motion explains half the coordinates
+
+
+def of_positions(model: Model) -> Model:
+    """The model of the measured point's position with the same parameters, without those of the reading of a length; of
+    an instrument that reads positions as it is."""
+    chain = model.arm.chain
+    if chain is None or chain.instrument.whole:
+        return model
+    arm = replace(model.arm, chain=replace(chain, instrument=WHOLE))
+    held = {*Model(arm).geometry_parameters.names} - {*model.geometry_parameters.names}
+    held |= {p.name for effect in model.effects if DISTANCE in effect.needs for p in effect.parameters}
+    return Model(arm, {**(model.known or {}), **dict.fromkeys(held, 0.0)})
+
+
+def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None = None) -> Array:
+    """(m, d, p) derivative of the measured point's position with respect to the parameters, in the frame of the
+    instrument; where this reads lengths, of what no rigid motion of all m positions makes up for: no length says where
+    the arm stands, and the first use of its positions is to find that.
+
+    Raises `InputError` for fewer than `FEWEST` postures then.
+    """
+    whole = of_positions(model)
+    if whole is model:
+        return model.linearize(postures, parameters)[1]
+    free = [model.names.index(name) for name in whole.names]
+    points, moved = whole.linearize(postures, None if parameters is None else np.asarray(parameters)[..., free])
+    jacobian = np.zeros((*moved.shape[:-1], len(model.names)))  # how a length is read moves no point
+    jacobian[..., free] = moved
+    if (m := len(points)) < FEWEST:
+        raise InputError(f"postures: {m} for the error of the tip from lengths, allowed: at least {FEWEST}")
+    around = points - points.mean(axis=0)
+    turns = np.cross(np.eye(3), around[:, None, :])  # (m, 3, 3), a row of each axis
+    rigid = np.concatenate([np.tile(np.eye(3), (m, 1, 1)), np.swapaxes(turns, 1, 2)], axis=2)
+    basis = np.linalg.qr(rigid.reshape(3 * m, 6))[0]
+    flat = jacobian.reshape(3 * m, -1)
+    return np.asarray((flat - basis @ (basis.T @ flat)).reshape(jacobian.shape))
+
+
+def in_own_frame(arm: Arm) -> Arm:
+    """An arm that is measured by lengths as if its positions were measured in the frame of its base; any other as it
+    is."""
+    chain, found = arm.chain, arm.calibration
+    if chain is None or chain.instrument.whole:
+        return arm
+    chain = replace(chain, base=np.eye(4), known=chain.known | {BASE}, instrument=WHOLE)
+    if found is not None:
+        values = {name: value for name, value in found.values.items() if not name.startswith(f"{BASE}.")}
+        found = replace(found, values=values, base=None)
+    effects = [spec for spec in arm.effects if DISTANCE not in library()[spec.name].needs]
+    return replace(arm, chain=chain, calibration=found).with_effects(*effects)

@@ -1,0 +1,5 @@
+"""A calibration used on other measurements: validated, its base refitted, or taken as the prior."""
+
+from identification.validate.validation import DRAWN, HARDLY, Figures, Validation, drawing_residuals, validate
+
+__all__ = ["DRAWN", "HARDLY", "Figures", "Validation", "drawing_residuals", "validate"]

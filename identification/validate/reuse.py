@@ -1,0 +1,212 @@
+"""Reusing a calibration: only some of its parameters are estimated anew, or all of them with it as the prior.
+
+The tracker moved, a motor was changed, a year went by: most of what was found still holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.special import fdtrc
+
+from identification.arm import Arm, Calibration
+from identification.arrays import Array
+from identification.errors import InputError, nearest
+from identification.estimation import Identification, estimate
+from identification.estimation.plausibility import FALL, OTHER_FRAME, SPARE
+from identification.estimation.prior import Earlier
+from identification.estimation.uncertainty import LEVEL
+from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
+from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.model.placed import with_markers
+from identification.sessions import BASE as PLANAR_BASE
+from identification.sessions import SESSIONS, with_base
+from identification.validate.row_groups import identified
+
+HELD_FROM = "held_from"  # key of a calibration's provenance
+# word -> kinds of parameters
+KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "lengths": (LENGTH_ERROR, TRANSLATION_ERROR),
+        "rotations": (ROTATION_ERROR,),
+        "joint_offsets": (JOINT_OFFSET,),
+        "base": (BASE,),
+        "tool": (TOOL,),
+        "effects": (EFFECT,),
+    }
+)
+
+
+def words_of(texts: Iterable[str]) -> list[str]:
+    """The words of `lengths,base`, given once or several times."""
+    return [word.strip() for text in texts for word in text.split(",") if word.strip()]
+
+
+def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = None) -> Model:
+    """The model of an arm of which only these parameters are estimated; the others stay at the arm's best known values.
+
+    words : kinds (`KINDS`), effects (`backlash`, `backlash:2`) or parameters (`joint_offset:2`). `base` of a planar arm
+        is its shift and the offset of joint 1; bases of further sessions are always estimated
+
+    Raises `InputError` for words that name no parameter of the arm, and for a base or a measured point that is to be
+    held and that nothing says.
+    """
+    if "base" in words:
+        arm = with_base(arm)
+    if arm.chain is not None and measurements is not None:
+        arm = replace(arm, chain=with_markers(arm.chain, measurements))
+    model = Model(arm)
+    chosen = {name for word in words for name in _named(word, model)}
+    chosen |= {name for name in model.names if name.startswith(f"{SESSIONS}.")}
+    held = {name: value for name, value in model.best_known.items() if name not in chosen}
+    _check_places(arm, model, set(held) - set(model.fixed), measurements)
+    return replace(model, known=held)
+
+
+def _named(word: str, model: Model) -> set[str]:
+    """Names of the parameters that a word means."""
+    effects = {effect.key: effect for effect in model.effects}
+    if word == "base" and model.arm.chain is None:
+        found = {p.name for p in model.parameters if p.name in PLANAR_BASE}
+    elif word in KINDS:
+        found = {p.name for p in model.parameters if p.kind in KINDS[word]}
+    else:
+        found = {name for name in model.names if name == word or name.rpartition(".")[0].partition(":")[0] == word}
+        found |= {p.name for key, effect in effects.items() if key == word for p in effect.parameters}
+    if found & set(model.names):
+        return found & set(model.names)
+    kinds = {p.kind for p in model.parameters} | {BASE}
+    allowed = [word for word, own in KINDS.items() if kinds & set(own)]
+    names = [*allowed, *effects, *model.names]
+    raise InputError(f"only: {word!r} is no parameter of the model, {nearest(word, names)}")
+
+
+def at_reference(measurements: Measurements, calibrated: Arm) -> Measurements:
+    """Temperatures counted from where the calibration counts them, where it says so: what it says of lengths and of
+    their growth is right there."""
+    reference = identified(calibrated).get("mean_temperature_C")
+    return measurements if reference is None else replace(measurements, reference=float(reference))
+
+
+def with_place_doubted(
+    found: Identification, arm: Arm, words: Sequence[str], measurements: Measurements
+) -> Identification:
+    """A fit of `only` these words, with a doubt where the base is held and the arm stands elsewhere by now: residuals
+    fall as in `plausibility.another_frame` where it is found anew, too."""
+    try:
+        model = only(arm, ["base", *words], measurements)
+        anew = estimate(model, measurements) if "base" not in words else found
+    except InputError:  # the base is given, or too few rows
+        return found
+    more, (held, free) = (
+        len(anew.names) - len(found.names),
+        (float(np.sum(fit.residuals_after**2)) for fit in (found, anew)),
+    )
+    if more <= 0 or anew.dof < SPARE or not held > FALL**2 * free:
+        return found
+    if fdtrc(more, anew.dof, (held - free) / more / max(free / anew.dof, np.finfo(float).tiny)) > LEVEL:
+        return found
+    fall = f"the RMS falls from {found.rms_after:.4g} to {anew.rms_after:.4g} mm where the base is found anew, too"
+    said = f"the arm does not stand where the arm file says: {fall}; add it: --only base,{','.join(words)}"
+    return replace(found, doubts=(said, *(doubt for doubt in found.doubts if not doubt.startswith(OTHER_FRAME))))
+
+
+def _check_places(arm: Arm, model: Model, held: set[str], measurements: Measurements | None) -> None:
+    """Raises `InputError` for base or measured points that are held without being known."""
+    several = measurements is not None and len(measurements.session_names) > 1
+    there = arm.calibration
+    missing = {BASE: there is None or there.base is None, TOOL: there is None or not there.tools}
+    for kind in (BASE, TOOL) if arm.chain is not None else ():
+        if (missing[kind] or several) and any(p.kind == kind and p.name in held for p in model.parameters):
+            found = "the data have several sessions" if several else "the arm file does not say where it is"
+            raise InputError(f"only: {kind} is to be held, but {found}, allowed: --only with {kind} among the words")
+    if several and arm.chain is None and set(PLANAR_BASE) & held:
+        raise InputError("only: base is to be held, but the data have several sessions, allowed: --only with base")
+
+
+def with_held(found: Calibration, before: Calibration | None, kinds: Sequence[str] = ()) -> Calibration:
+    """A calibration with what parameters had before that it does not estimate: their covariance, as independent of its
+    own, the angles that they were found on, and the data that they come from (`held_from` of the provenance).
+
+    kinds : of the joints, none: all turn
+    """
+    if before is None or not (names := set(before.parameter_names) & set(found.values) - set(found.parameter_names)):
+        return found
+    found = with_data_of(found, before, kinds)
+    if before.covariance is None or found.covariance is None:
+        return found
+    held = before.about(names)
+    covariance = block_diag(found.covariance, held.covariance)
+    return replace(found, parameter_names=(*found.parameter_names, *held.parameter_names), covariance=covariance)
+
+
+def with_data_of(found: Calibration, before: Calibration | None, kinds: Sequence[str] = ()) -> Calibration:
+    """A calibration that had an earlier one as its prior: it knows the angles and the data of both."""
+    if before is None:
+        return found
+    return replace(found, provenance=MappingProxyType(_of_both(found.provenance, before.provenance, kinds)))
+
+
+def _of_both(own: Mapping[str, Any], before: Mapping[str, Any], kinds: Sequence[str]) -> dict[str, Any]:
+    """Provenance of a calibration that keeps what an earlier one knew."""
+    data = {key: before[key] for key in ("sha256", "rows") if key in before}
+    both = {**own, HELD_FROM: {**before.get(HELD_FROM, {}), str(before.get("file", "data")): data}}
+    ranges = [np.array(one.get("joint_range_deg", ()), dtype=float) for one in (own, before)]
+    if ranges[0].shape == ranges[1].shape and ranges[0].ndim == 2:
+        turning = [kind == REVOLUTE for kind in kinds] or [True] * len(ranges[0])
+        both["joint_range_deg"] = [_widest(*three) for three in zip(*ranges, turning, strict=True)]
+    return both
+
+
+def _widest(new: Array, old: Array, turns: bool) -> list[float]:
+    """The range [deg] that has two in it, the new one by the whole turns away that leave it the narrowest."""
+    shifts = 360.0 * (round((old.mean() - new.mean()) / 360.0) + np.arange(-1, 2)) if turns else [0.0]
+    hulls = [[min(old[0], new[0] + shift), max(old[1], new[1] + shift)] for shift in shifts]
+    return [float(f"{end:.9g}") for end in min(hulls, key=np.ptp)]
+
+
+# -- an earlier calibration as the prior ------------------------------------------------------------------------------
+def earlier(calibrated: Arm, model: Model) -> Earlier:
+    """What a calibrated arm says of a model's parameters, but for where base and measured points are, which are found
+    anew; given what the model holds.
+
+    Raises `InputError` for another drawing, no covariance, and no parameter in common.
+    """
+    found = calibrated.calibration
+    if found is None or found.covariance is None:
+        raise InputError("prior: found no covariance, allowed: a file written by `armcal identify --out`")
+    if not same_drawing(calibrated, model.arm):
+        raise InputError("prior: a calibration of another drawing, allowed: of the same lengths and frames")
+    values = np.array([found.values[name] for name in found.parameter_names])
+    whole = Earlier(found.parameter_names, values, found.covariance)
+    held = {name: value for name, value in model.fixed.items() if name in found.parameter_names}
+    anew = {p.name for p in model.all_parameters if set_up_anew(p, model)}
+    of_both = whole.about((set(model.names) | set(held)) - anew)
+    if not set(of_both.names) - set(held):
+        raise InputError("prior: no parameter of the model in the calibration, allowed: one of the same arm")
+    return of_both.given({name: value for name, value in held.items() if name not in anew})
+
+
+def set_up_anew(parameter: Parameter, model: Model) -> bool:
+    """Whether a parameter says where arm and instrument stand: base and measured points; of a planar arm with a base
+    offset that and the offset of joint 1."""
+    if model.arm.chain is not None:
+        return parameter.kind in (BASE, TOOL)
+    return parameter.name in PLANAR_BASE and PLANAR_BASE[0] in model.all_parameters.names
+
+
+def same_drawing(calibrated: Arm, arm: Arm) -> bool:
+    """Whether the errors of two arms mean the same things: equal lengths, joints and frames."""
+    same = calibrated.links == arm.links and (calibrated.chain is None) == (arm.chain is None)
+    same = same and calibrated.joint_types == arm.joint_types and np.allclose(calibrated.lengths, arm.lengths)
+    if same and calibrated.chain is not None and arm.chain is not None:
+        pairs = zip(calibrated.chain.joints, arm.chain.joints, strict=True)
+        same = all(np.allclose(a.origin, b.origin) and np.allclose(a.axis, b.axis) for a, b in pairs)
+    return bool(same)

@@ -1,0 +1,295 @@
+"""Validation: how well a calibrated model predicts other measurements, with nothing refitted but where the arm stands.
+
+Everything that was identified stays as it is; the drawing, refitted in the same way, is what it is compared with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arm import Arm
+from identification.arrays import Array, readonly
+from identification.errors import InputError, nearest
+from identification.estimation.levenberg_marquardt import levenberg_marquardt
+from identification.estimation.problem import Problem
+from identification.gap.confirmation.confirmation import LEVEL, mean_of
+from identification.gap.confirmation.holdout import groups_of
+from identification.html_tables import html_lines, html_table
+from identification.information import spectrum
+from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
+from identification.model import Model
+from identification.validate.refit import placed_values, refit_model, refit_parameters
+from identification.validate.row_groups import extrapolation, identified, row_groups
+
+# of the drawing, by `refit`: said wherever its error is, so that figures of commands can be compared
+DRAWN = {
+    "base": "after fitting where the arm stands",
+    "offsets": "after fitting joint offsets and where the arm stands",
+    "none": "as it stands",
+}
+REFITS = (*DRAWN,)
+HARDLY = "hardly better"  # said of a gain within what the rows scatter by
+END = 0.5  # time at the end of a session, -0.5 to 0.5
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Of the distances between model and measurement [mm], over rows."""
+
+    rms: float
+    mean: float
+    p95: float
+    max: float
+
+    @classmethod
+    def of(cls, distances: Array) -> Figures:
+        """Of (m,) distances; `p95` is their 95th percentile."""
+        rms, p95 = np.sqrt(np.mean(distances**2)), np.percentile(distances, 95.0)
+        return cls(float(rms), float(np.mean(distances)), float(p95), float(np.max(distances)))
+
+    def to_json(self) -> dict[str, float]:
+        """`rms_mm, mean_mm, p95_mm, max_mm`."""
+        return {f"{name}_mm": value for name, value in vars(self).items()}
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some of the rows: a session, a quarter of the time, a quadrant of the workspace, or the postures inside or
+    outside the range of angles that the model was identified on.
+
+    kind : `session`, `time`, `workspace` or `range`;  nominal : the drawing, refitted in the same way
+    """
+
+    kind: str
+    name: str
+    rows: int
+    model: Figures
+    nominal: Figures
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `blocks` (identification/files/README.md, "JSON keys")."""
+        figures = self.model.to_json() | {"rms_nominal_mm": self.nominal.rms}
+        return {"kind": self.kind, "name": self.name, "rows": self.rows, **figures}
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """What a calibrated model leaves of other measurements, beside the drawing.
+
+    refit : what was refitted, `base`, `offsets` or `none`, in each session anew
+    refitted : for each session the refitted parameters, name -> value [API unit]
+    residuals, nominal_residuals : (m, d) measured less computed [mm], by the model and by the drawing
+    """
+
+    arm: Arm
+    measurements: Measurements
+    refit: str
+    refitted: tuple[Mapping[str, float], ...]
+    residuals: Array
+    nominal_residuals: Array
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("residuals", "nominal_residuals"):
+            object.__setattr__(self, name, readonly(getattr(self, name)))
+
+    @property
+    def model(self) -> Figures:
+        """Of the calibrated model, over all rows."""
+        return Figures.of(distances(self.residuals))
+
+    @property
+    def nominal(self) -> Figures:
+        """Of the drawing, refitted in the same way, over all rows."""
+        return Figures.of(distances(self.nominal_residuals))
+
+    @property
+    def rms_angles(self) -> tuple[float, ...]:
+        """RMS of the angles between orientations measured and computed [deg], by the model and by the drawing; empty
+        where none are measured."""
+        scale = None if self.arm.chain is None else self.arm.chain.angle_scale
+        angles = [residuals[:, POINT.stop :] for residuals in (self.residuals, self.nominal_residuals)]
+        return tuple(float(np.degrees(rms_distance(a) / scale)) for a in angles if scale and a.size)
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """The rows by session, time, workspace, and range of the identification."""
+        return tuple(self._block(*group) for group in row_groups(self.arm, self.measurements))
+
+    def _block(self, kind: str, name: str, rows: NDArray[np.int64]) -> Block:
+        figures = (Figures.of(distances(r[rows])) for r in (self.residuals, self.nominal_residuals))
+        return Block(kind, name, len(rows), *figures)
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of `validate` (identification/files/README.md, "JSON keys")."""
+        return {
+            "rows": len(self.residuals),
+            "refit": self.refit,
+            **self.model.to_json(),
+            **{f"{name}_nominal_mm": value for name, value in vars(self.nominal).items()},
+            **dict(zip(("rms_deg", "rms_nominal_deg"), self.rms_angles, strict=False)),
+            "blocks": [block.to_json() for block in self.blocks],
+            "refitted": self._refitted_parameters(),
+            "notes": list(self.notes),
+        }
+
+    def _refitted_parameters(self) -> list[dict[str, Any]]:
+        """One entry for each session and parameter, in file units."""
+        parameters = {p.name: p for p in refit_parameters(self.arm, self.measurements)}
+        sessions = self.measurements.sessions or (None,)
+        return [
+            {
+                "session": session,
+                "name": name,
+                "unit": parameters[name].file_unit,
+                "value": v * parameters[name].to_file,
+            }
+            for session, values in zip(sessions, self.refitted, strict=True)
+            for name, v in values.items()
+        ]
+
+    def __str__(self) -> str:
+        lines = [f"{self._heading}; distances [mm]:"]
+        lines.append(f"  {'':<10} {'RMS':>8} {'mean':>8} {'95 %':>8} {'maximum':>8}")
+        for name, figures in self._compared:
+            lines.append(f"  {name:<10} " + " ".join(f"{value:8.4f}" for value in vars(figures).values()))
+        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        figures = [[name, *(f"{value:.4f}" for value in vars(f).values())] for name, f in self._compared]
+        table = html_table(("distance [mm]", "RMS", "mean", "95 % below", "maximum"), figures)
+        return html_lines([self._heading]) + table + html_lines(f"note: {note}" for note in self.notes)
+
+    @property
+    def _heading(self) -> str:
+        refit = "nothing refitted" if self.refit == "none" else f"{self.refit} refitted"
+        return f"{len(self.residuals)} rows, {refit}"
+
+    @property
+    def _compared(self) -> tuple[tuple[str, Figures], ...]:
+        return ("drawing", self.nominal), ("model", self.model)
+
+
+def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Validation:
+    """Compares a calibrated arm with measurements that were not used to identify it.
+
+    arm : with a calibration, or with known effect values; all of it stays as it is but for
+    refit : `base`, position and rotation of the base (three numbers, the arm may not have had a base offset before; of
+        a spatial arm six, and the measured points); `offsets`, that and every joint offset; `none`, nothing. In each
+        session anew
+
+    Raises `InputError` for an arm without calibration, another `refit`, data of another arm, too few rows.
+    """
+    if refit not in REFITS:
+        raise InputError(f"refit: unknown name {refit!r}, {nearest(refit, REFITS)}")
+    if arm.calibration is None and not any(spec.values for spec in arm.effects):
+        raise InputError("calibration: the arm has none, allowed: a file written by `armcal identify --out`")
+    check_validation(Model(arm), measurements)
+    residuals, refitted, free = np.empty_like(measurements.positions), [], 0
+    for rows in measurements.session_rows:
+        session, conditions = measurements.rows(rows), conditions_of(arm, measurements, refit).rows(rows)
+        values, residuals[rows], determined = _refitted(arm, session, conditions, refit)
+        refitted.append(values)
+        free += len(values) - determined
+    nominal = drawing_residuals(arm, measurements, refit)
+    found = Validation(arm, measurements, refit, tuple(refitted), residuals, nominal)
+    angles = found.rms_angles
+    said = _hardly_better(found)
+    said += [f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"] if angles else []
+    return replace(found, notes=(*said, *_notes(arm, measurements, free)))
+
+
+def drawing_residuals(arm: Arm, measurements: Measurements, refit: str = "base") -> Array:
+    """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, `refit` as for `validate`."""
+    drawing, residuals = replace(arm, effects=(), calibration=None), np.empty_like(measurements.positions)
+    for rows in measurements.session_rows:
+        conditions = conditions_of(arm, measurements, refit).rows(rows)
+        residuals[rows] = _refitted(drawing, measurements.rows(rows), conditions, refit)[1]
+    return residuals
+
+
+def check_validation(model: Model, measurements: Measurements) -> None:
+    """Raises `InputError` for measurements of another arm, and for effects without gravity."""
+    for what, found, needed in (
+        ("joints", measurements.links, model.joints),
+        ("coordinates", measurements.dimension, model.dimension),
+    ):
+        if found != needed and (what == "joints" or found not in model.dimensions):
+            raise InputError(f"measurements: found {found} {what}, allowed: {needed}, as the arm has")
+    if "gravity" in model.needs and model.arm.gravity is None:
+        raise InputError("gravity: an effect of the arm needs it, allowed: an arm file with a [gravity] table")
+
+
+# -- refitting where the arm stands ------------------------------------------------------------------------------------
+def _refitted(
+    arm: Arm, measurements: Measurements, conditions: Conditions, refit: str
+) -> tuple[dict[str, float], Array, int]:
+    """Values of the refitted parameters, (m, d) residuals, and how many combinations the data determine."""
+    model, start = refit_model(arm, measurements, conditions, refit)
+    if refit == "none":
+        return {}, measurements.positions - model.position(measurements.postures, None, conditions), 0
+    names = model.names
+    if measurements.positions.size < len(names):
+        allowed = f"allowed: at least {-(-len(names) // measurements.dimension)} rows in each session"
+        raise InputError(
+            f"measurements: too few for {len(names)} refitted parameters, {len(measurements)} in all, {allowed}"
+        )
+    weights = np.ones(len(measurements)) if measurements.sigma is None else measurements.sigma**-2.0
+    problem = Problem(model, measurements.postures, conditions, measurements.positions[None], weights)
+    values = levenberg_marquardt(problem.least_squares, start[None]).parameters[0]
+    residuals, jacobian = problem.residuals(values)[0], problem.jacobian(values)
+    found = model.parameters.mapping(values)
+    found = found if model.arm.chain is None else placed_values(model.arm.chain, found)
+    return found, residuals, spectrum(jacobian, model.scales).rank
+
+
+def conditions_of(arm: Arm, measurements: Measurements, refit: str) -> Conditions:
+    """Conditions with the temperature counted from the mean of the data of the identification, where it is known.
+
+    Where the arm was set up anew (`refit`), what happened once in the session of the identification is over: a drift or
+    a step has come to its end.
+    """
+    conditions, mean = measurements.conditions, identified(arm).get("mean_temperature_C")
+    if refit != "none" and any(effect.once for effect in Model(arm).effects):
+        conditions = replace(conditions, time=np.full(len(measurements), END))
+    if measurements.temperature is None or mean is None:
+        return conditions
+    return replace(conditions, temperature=measurements.temperature - float(mean))
+
+
+def _hardly_better(found: Validation) -> list[str]:
+    """Where the squares saved are no more than groups of rows, by time or by region of posture, scatter by."""
+    after, before = (distances(residuals) ** 2 for residuals in (found.residuals, found.nominal_residuals))
+    gained = mean_of(before - after, groups_of(found.measurements, np.ones(len(after), dtype=bool)))
+    if gained.value <= 0.0 or gained.p_above() <= LEVEL / 2.0:
+        return []
+    share = (
+        f"{100.0 * np.sqrt(after.sum() / before.sum()):.0f} % of the RMS error of the drawing, refitted in the same way"
+    )
+    return [f"the model leaves {share}: {HARDLY}, as far as these rows tell (p = {gained.p_above():.2g})"]
+
+
+def _notes(arm: Arm, measurements: Measurements, undetermined: int) -> Iterator[str]:
+    """What to know before these figures are believed."""
+    own = identified(arm)
+    known = [one.get("sha256") for one in (own, *own.get("held_from", {}).values())]
+    if (sha := measurements.provenance.get("sha256")) is not None and sha in known:
+        yield "these are the measurements that the model was identified from: this says nothing about others"
+    if far := extrapolation(arm, measurements.postures):
+        yield far
+    model = Model(arm)
+    for effect in model.effects:
+        for need, column in (("temperature", "temperature_C"), ("time", "order or time_s")):
+            missing = measurements.temperature is None if need == "temperature" else measurements.order is None
+            if need in effect.needs and missing:
+                instead = "the mean temperature" if need == "temperature" else "the order of the rows"
+                yield f"{effect.key} needs the column {column}, which the measurements lack: {instead} is taken"
+    if undetermined:
+        yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"

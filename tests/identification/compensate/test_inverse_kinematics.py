@@ -1,0 +1,141 @@
+"""Constraints in inverse kinematics: two-link arms have two postures for a target, which can be listed; others are
+checked by points sampled along the links."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from doe.problem.constraints import constraints_of
+from identification.arm import Arm, Calibration
+from identification.compensate import compensate
+from identification.compensate.inverse_kinematics import TOLERANCE, violations
+from identification.model import Model
+from identification.workspace import KeepOutCircle, WorkspaceBox
+
+CENTER, RADIUS = np.array([150.0, 120.0]), 70.0
+CIRCLE = KeepOutCircle((150.0, 120.0), RADIUS)
+TRUE = np.array([301.0, 198.0])
+OFFSETS = np.array([0.01, -0.02])
+
+
+def clearance(joints: np.ndarray, radius: float = RADIUS) -> np.ndarray:
+    """(k,) distance of polylines (k, points) of the complex plane from the circle, by many points on each link."""
+    share = np.linspace(0.0, 1.0, 2001)
+    points = joints[:, :-1, None] + share * np.diff(joints, axis=1)[..., None]
+    return np.min(np.abs(points - complex(*CENTER)), axis=(1, 2)) - radius
+
+
+def chain(q: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """(k, n + 1) base, joints and tip, as complex numbers."""
+    links = lengths * np.exp(1j * np.cumsum(q + offsets, axis=1))
+    return np.concatenate([np.zeros((len(q), 1)), np.cumsum(links, axis=1)], axis=1)
+
+
+def test_the_elbow_that_is_free_is_chosen() -> None:
+    """A target is reached exactly where one of the two postures of trigonometry keeps out of the circle."""
+    two = Arm([300.0, 200.0], constraints=(CIRCLE,), calibration=Calibration.of(TRUE - [300.0, 200.0], OFFSETS))
+    generator = np.random.default_rng(4)
+    targets = generator.uniform(0.0, 300.0, (80, 2))
+    targets = targets[np.hypot(*targets.T) > 110.0]
+    distance, direction = np.hypot(*targets.T), np.arctan2(targets[:, 1], targets[:, 0])
+    elbow = np.arccos((distance**2 - TRUE @ TRUE) / (2.0 * np.prod(TRUE)))
+    free = []
+    for turn in (elbow, -elbow):
+        first = direction - np.arctan2(TRUE[1] * np.sin(turn), TRUE[0] + TRUE[1] * np.cos(turn))
+        free.append(clearance(chain(np.column_stack([first, turn]), TRUE, np.zeros(2))))
+    clear = np.max(free, axis=0)
+    sure = np.abs(clear) > 0.1  # sampling along the links
+    found = compensate(two, targets, constraints=constraints_of(Model(two)))
+    np.testing.assert_array_equal(found.reached[sure], clear[sure] > 0.0)
+    assert 10 < np.count_nonzero(found.reached) < len(targets) - 10
+    assert np.all(found.errors < TOLERANCE)
+    only_one = found.reached & (np.min(free, axis=0) < 0.0)
+    assert np.count_nonzero(only_one) > 5
+    said = json.loads(json.dumps(found.to_json()))
+    for row, reached, command in zip(said["commands"], found.reached, found.commands, strict=True):
+        assert row["reachable"] == reached
+        assert row["message"].startswith("" if reached else "constraint 1 (keep_out_circle) is missed by ")
+        np.testing.assert_allclose(row["command" if reached else "nearest"], np.degrees(command))
+    assert said["unreachable_count"] == len(said["unreachable"]) == np.count_nonzero(~found.reached)
+
+
+def test_a_redundant_arm_bends_around() -> None:
+    """Straight through the circle is nearest; an arm of five links reaches the target on another way."""
+    lengths = np.full(5, 100.0)
+    circle = KeepOutCircle((150.0, 120.0), 50.0)
+    five = Arm(lengths, constraints=(circle,), calibration=Calibration.of(np.ones(5), np.full(5, 0.01)))
+    through = np.array([[np.arctan2(120.0, 150.0) + 0.05, -0.1, 0.0, 0.1, 0.2]])
+    assert clearance(chain(through, lengths, np.zeros(5)), 50.0)[0] < -40.0
+    found = compensate(five, postures=through, constraints=constraints_of(Model(five)))
+    assert found.reached.all()
+    real = chain(found.commands, lengths + 1.0, np.full(5, 0.01))
+    assert clearance(real, 50.0)[0] > -0.01
+    assert abs(real[0, -1] - complex(*found.targets[0])) < TOLERANCE
+
+
+def test_targets_outside_the_workspace_say_so() -> None:
+    box = WorkspaceBox((-200.0, 200.0), (-400.0, 400.0))
+    two = Arm([300.0, 200.0], constraints=(box,), calibration=Calibration.of(np.zeros(2), np.zeros(2)))
+    found = compensate(two, [[230.0, 100.0], [100.0, 200.0], [1000.0, 0.0]], constraints=constraints_of(Model(two)))
+    outside, inside, far = found.messages
+    assert outside == "constraint 1 (workspace_box) is missed by 30 mm"
+    assert inside == ""
+    assert far.startswith("out of reach within the joint limits: the nearest posture misses it by 500 mm; constraint 1")
+    figures = found.to_json()
+    assert (figures["reached"], figures["unreachable"], figures["unreachable_count"]) == (1, [1, 3], 2)
+    assert figures["max_unreached_mm"] > 499.0
+    assert figures["max_error_mm"] < TOLERANCE
+    assert figures["commands_deg"][0] is None
+    nothing = compensate(two, [[1000.0, 0.0]]).to_json()
+    assert (nothing["max_error_mm"], nothing["reached"]) == (None, 0)
+
+
+def test_no_constraints_no_violations() -> None:
+    assert violations((), np.zeros((3, 2))).shape == (3, 0)
+
+
+def test_a_posture_a_turn_beyond_the_limits_is_the_same_posture() -> None:
+    limits, exact = np.radians([170.0, 170.0]), Calibration.of(np.zeros(2), np.zeros(2))
+    arm = Arm([300.0, 200.0], lower=-limits, upper=limits, calibration=exact)
+    model = Model(arm)
+    wanted, read = np.radians([[137.0, -60.0]]), np.radians([[-223.0, 300.0]])
+    goals = model.position(wanted, np.zeros(4))
+    found = compensate(arm, goals, read)
+    assert found.commands == pytest.approx(wanted, abs=1e-6)
+
+
+def test_of_the_postures_of_a_redundant_arm_one_near_the_middle_is_taken() -> None:
+    """Three links reach a target in one posture for each direction of the last one and each elbow: all of them."""
+    lengths = np.array([300.0, 200.0, 150.0])
+    arm = Arm(
+        lengths, lower=(-1.0, -2.0, -2.0), upper=(2.0, 1.0, 2.5), calibration=Calibration.of(np.zeros(3), np.zeros(3))
+    )
+    middle = (arm.lower + arm.upper) / 2.0
+    shape = np.random.default_rng(3).uniform(arm.lower, arm.upper, (40, 3))
+    found = compensate(arm, Model(arm).position(shape))
+    assert found.reached.all()
+    last = np.linspace(-np.pi, np.pi, 4001)
+    for target, nominal in zip(found.targets, found.nominal, strict=True):
+        wrist = complex(*target) - lengths[2] * np.exp(1j * last)
+        cosine = (np.abs(wrist) ** 2 - lengths[:2] @ lengths[:2]) / (2.0 * lengths[0] * lengths[1])
+        every = []
+        for elbow in (np.arccos(np.clip(cosine, -1.0, 1.0)), -np.arccos(np.clip(cosine, -1.0, 1.0))):
+            first = np.angle(wrist / (lengths[0] + lengths[1] * np.exp(1j * elbow)))
+            every.append(np.column_stack([first, elbow, np.angle(np.exp(1j * (last - first - elbow)))]))
+        q = np.concatenate(every)[np.tile(np.abs(cosine) <= 1.0, 2)]
+        q = q[np.all((arm.lower <= q) & (q <= arm.upper), axis=1)]
+        nearest = np.linalg.norm(q - middle, axis=1).min()
+        assert np.linalg.norm(nominal - middle) < nearest + 0.25
+
+
+def test_nominal_postures_thousands_of_turns_away() -> None:
+    """A redundant arm without constraints, asked for the nearest posture to one that its limits forbid by far."""
+    limits, none = np.full(3, 1.7), np.zeros(3)
+    arm = Arm([300.0, 240.0, 192.0], lower=-limits, upper=limits, calibration=Calibration.of(none, none))
+    nominal = np.random.default_rng(5).uniform(-1e6, 1e6, (6, 3))
+    found = compensate(arm, Model(arm).position(np.random.default_rng(6).uniform(-1.7, 1.7, (6, 3))), nominal)
+    assert found.reached.all()
+    assert np.all(np.abs(found.commands) <= 1.7)

@@ -1,0 +1,212 @@
+"""Columns of effects at any place, with settings or not, against differences of models that have the effect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from identification import effects
+from identification.arm import Arm, EffectSpec, Gravity
+from identification.effects import base, build, library
+from identification.effects.places import widths
+from identification.errors import InputError
+from identification.files.arm import load_arm
+from identification.files.arm_text import with_effects
+from identification.gap.diagnose import diagnose
+from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.measurements import Measurements
+from identification.model import Model
+
+SOURCE = '''
+import casadi as ca
+from identification.effects import Effect, Scope, Setting
+
+
+class Breathing(Effect):
+    """All links grow and shrink with a period of the session: a whole-arm effect with a setting that is not whole."""
+
+    name, summary, needs = "breathing", "links breathe", frozenset({"time"})
+    settings = {"rate": Setting(0.1, 40.0, values=(1.5, 3.5, 7.25))}
+
+    def define(self):
+        return tuple(self.parameter(short, "1", scale=self.reach) for short in "ab")
+
+    def extensions(self, chain, values, lengths):
+        angle = self.chosen["rate"] * chain.time
+        return lengths * (values[0] * ca.cos(angle) + values[1] * ca.sin(angle))
+
+
+class LinkJump(Effect):
+    """One link is longer after a time that the data decide."""
+
+    name, summary, per_joint, needs = "link_jump", "a link jumps", "required", frozenset({"time"})
+    settings = {"at": Setting(-0.5, 0.5, values=lambda scope: scope.conditions.time[2:-2:3] + 1e-3)}
+
+    def define(self):
+        return (self.parameter("d", "mm", scale=1.0),)
+
+    def extensions(self, chain, values, lengths):
+        grown = ca.SX.zeros(chain.links)
+        grown[self.joint_index] = values[0] * (chain.time > self.chosen["at"])
+        return grown
+
+
+class Settling(Effect):
+    """The base settles with a time constant that is estimated, which cannot be zero."""
+
+    name, summary, needs = "settling", "base settles", frozenset({"time"})
+
+    def define(self):
+        tau = self.parameter("tau", "1", scale=1.0, lower=0.05, upper=5.0)
+        return (self.parameter("x", "mm", scale=1.0), tau)
+
+    def base_translation(self, chain, values):
+        return ca.vertcat(values[0] * ca.exp(-(chain.time + 0.5) / values[1]), 0)
+
+
+class Series(Effect):
+    """A series whose number of terms is its setting, which is no place for a symbol."""
+
+    name, summary, per_joint = "series", "a series", "required"
+    settings = {"terms": (2, 3)}
+
+    def define(self):
+        return (self.parameter("a", "rad", scale=self.link_length),)
+
+    def joint_angles(self, chain, values):
+        q = chain.q[self.joint_index]
+        return self.at_joint(values[0] * sum(ca.cos(k * q) for k in range(1, self.chosen["terms"] + 1)), chain)
+
+
+class Lag(Effect):
+    """The joint stays behind a part of its last motion: a formula of the posture before."""
+
+    name, summary, per_joint, needs = "lag", "stays behind", "required", frozenset({"past"})
+
+    def define(self):
+        return (self.parameter("c", "1", scale=self.link_length),)
+
+    def joint_angles(self, chain, values):
+        j = self.joint_index
+        return self.at_joint(values[0] * (chain.previous[j] - chain.q[j]), chain)
+'''
+pytestmark = pytest.mark.filterwarnings("ignore:armcal.effects of installed packages")
+NAMES = {"lag": "Lag", "breathing": "Breathing", "link_jump": "LinkJump", "settling": "Settling", "series": "Series"}
+ARM = Arm(
+    [300.0, 200.0, 150.0],
+    gravity=Gravity([0.0, -9.81], [4.0, 3.0, 1.0], [0.5, 0.5, 0.5], 2.0),
+    effects=(EffectSpec("encoder_eccentricity", 1),),
+)
+POSTURES = np.random.default_rng(3).uniform(-2.0, 2.0, (40, 3))
+BASE = {"length_error:2": 1.0, "joint_offset:1": 0.02, "joint_offset:3": -0.01, "encoder_eccentricity:1.a": 0.003}
+
+
+@pytest.fixture(autouse=True)
+def installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    """The user's own effects, found by their entry points and forgotten afterwards."""
+    (tmp_path / "effects_of_a_user.py").write_text(SOURCE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(base, "_LIBRARY", kept := dict(base._LIBRARY))
+    monkeypatch.setattr(effects, "_LIBRARY", kept)
+    points = [EntryPoint(name, f"effects_of_a_user:{cls}", "armcal.effects") for name, cls in NAMES.items()]
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
+    effects._load_entry_points.cache_clear()
+    yield
+    effects._load_entry_points.cache_clear()
+
+
+def rows() -> Rows:
+    return Rows.of(Measurements(POSTURES, np.zeros((40, 2)), temperature=np.linspace(15.0, 25.0, 40)))
+
+
+def test_columns_of_a_users_own_effects_are_derivatives() -> None:
+    """Central differences of models with the effect, at the base model's values and, of a parameter that cannot be
+    zero, at its neutral value; steps that move the tip by a hundredth of a mm err by 1e-9 of the column."""
+    known = hypotheses(ARM, frozenset({"temperature"}), rows())
+    found = known.columns(rows(), BASE)
+    tried = [(h, c) for h, c in zip(known.members, found, strict=True) if h.spec.name in NAMES]
+    assert {h.spec.name for h, _ in tried} == set(NAMES)
+    for hypothesis, columns in tried[:4] + tried[-12:]:
+        model = Model(ARM.with_effects(*ARM.effects, hypothesis.spec))
+        start = model.parameters.vector(BASE)
+        for k, parameter in enumerate(model.effects[-1].parameters):
+            step = 0.01 / parameter.scale * np.eye(len(start))[model.parameters.index(parameter.name)]
+            up, down = (model.position(POSTURES, start + s * step, rows().conditions) for s in (1.0, -1.0))
+            expected = (up - down) / (0.02 / parameter.scale)
+            np.testing.assert_allclose(columns[:, :, k], expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+
+
+def test_values_of_settings_and_their_weights() -> None:
+    known = hypotheses(ARM, frozenset(), rows())
+    of = {name: [h for h in known.members if h.spec.name == name] for name in NAMES}
+    assert [h.spec.values["rate"] for h in of["breathing"]] == [1.5, 3.5, 7.25]
+    assert sum(h.weight for h in of["breathing"]) == pytest.approx(1.0)
+    times = rows().conditions.time
+    assert times is not None
+    np.testing.assert_allclose([h.spec.values["at"] for h in of["link_jump"]][:12], times[2:-2:3] + 1e-3, atol=1e-5)
+    assert sum(h.weight for h in of["link_jump"]) == pytest.approx(np.sqrt(3.0))  # a third of it for each joint
+    assert [h.effect.chosen["terms"] for h in of["series"]] == [2, 3] * 3
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "values"),
+    [
+        ("breathing", None, {"rate": 3.5, "a": 6e-4, "b": -4e-4}),
+        ("link_jump", 2, {"at": 0.1, "d": 0.4}),
+        ("settling", None, {"x": 0.8, "tau": 0.15}),
+        ("lag", 2, {"c": 4e-4}),
+        ("series", 3, {"terms": 3.0, "a": 1.5e-3}),
+    ],
+)
+def test_a_users_own_effect_is_named(name: str, joint: int | None, values: dict[str, float]) -> None:
+    spec, rng = EffectSpec(name, joint, values), np.random.default_rng(5)
+    conditions = Measurements(POSTURES, np.zeros((40, 2))).conditions
+    exact = Model(ARM.with_effects(spec)).position(POSTURES, conditions=conditions)
+    data = Measurements(POSTURES, exact + 0.02 * rng.normal(size=(40, 2)))
+    found = diagnose(ARM.with_effects(), data, draws=399)
+    assert (spec.key,) in {tuple(s.key for s in c.specs) for c in found.candidates}
+    assert "LinAlgError" not in str(found)
+
+
+def test_settings_in_files(tmp_path: Path) -> None:
+    spec = EffectSpec("breathing", None, {"rate": 7.25})
+    text = with_effects("links_mm = [300, 200]\n", [spec, EffectSpec("series", 2, {"terms": 3.0})])
+    assert "rate = 7.25" in text
+    assert "terms = 3\n" in text
+    (tmp_path / "arm.toml").write_text(text)
+    assert load_arm(tmp_path / "arm.toml").effects[0] == spec
+    for value, allowed in ((50.0, "a number 0.1 to 40"), (None, "a number 0.1 to 40")):
+        with pytest.raises(InputError, match=f"breathing: rate .*, allowed: {allowed}"):
+            build(EffectSpec("breathing", None, {} if value is None else {"rate": value}), 2)
+    with pytest.raises(InputError, match=r"series:1: terms = 2.5, allowed: a whole number 2 to 3"):
+        build(EffectSpec("series", 1, {"terms": 2.5}), 2)
+
+
+def test_effects_of_gravity_act_through_the_load_and_its_direction() -> None:
+    """Levers of payload and turn of gravity of a model with compliance, against the same arm loaded or tilted."""
+    arm = ARM.with_effects(EffectSpec("joint_compliance", None, {"c1": 1e-5, "c2": 2e-5, "c3": 3e-5}))
+    levers, _ = Model(arm).place_levers(POSTURES, None, rows().conditions)
+    assert list(widths(3))[:2] == ["payload", "gravity_turn"]
+    assert arm.gravity is not None
+
+    def tip(payload: float, turn: float) -> np.ndarray:
+        acceleration = [9.81 * np.sin(turn), -9.81 * np.cos(turn)]
+        gravity = replace(arm.gravity, acceleration=acceleration, payload=payload)  # type: ignore[type-var]
+        return Model(replace(arm, gravity=gravity)).position(POSTURES)
+
+    h = 1e-3
+    expected = np.stack([tip(2.0 + h, 0.0) - tip(2.0 - h, 0.0), tip(2.0, h) - tip(2.0, -h)], axis=2) / (2.0 * h)
+    np.testing.assert_allclose(levers[:, :, :2], expected, rtol=1e-5, atol=1e-6)
+    assert not Model(ARM).place_levers(POSTURES)[0][:, :, :2].any()  # nothing sags, nothing depends on the load
+
+
+def test_library_holds_the_users_effects() -> None:
+    assert set(NAMES) < set(library())
+    assert isinstance(library()["breathing"]([1.0], None, {"rate": ca.SX.sym("r")}).chosen["rate"], ca.SX)

@@ -1,0 +1,107 @@
+"""The library as a prior: what is in it, under which names, and with which standard deviations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm, Calibration, EffectSpec, Gravity
+from identification.effects import Effect, Parameter, register
+from identification.effects.base import _LIBRARY
+from identification.errors import InputError
+from identification.gap.library.library_prior import library_prior
+from identification.model import Model
+
+ARM = Arm([300.0, 200.0])
+ORDERS = range(3, 65)
+
+
+def ripples(deviations: dict[str, float], joint: int) -> dict[int, float]:
+    """Order -> deviation of the cosine of one joint's ripples."""
+    start = f"transmission_ripple:{joint}[k="
+    return {
+        int(float(name[len(start) :].partition("]")[0])): value
+        for name, value in deviations.items()
+        if name.startswith(start) and name.endswith(".a")
+    }
+
+
+def test_sizes_are_typical_and_shared_by_settings() -> None:
+    """One ripple whose order is drawn at random has the covariance of all orders with a share of its variance each."""
+    deviations = dict(library_prior(ARM).prior.deviations)
+    assert deviations["encoder_eccentricity:2.a"] == 5e-4
+    assert ripples(deviations, 1) == pytest.approx(dict.fromkeys(ORDERS, 1e-4 / np.sqrt(62.0)))
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, 2)
+    drawn = np.mean([1e-8 * np.cos(k * (q[0] - q[1])) for k in ORDERS])  # one of 62 orders, a and b of variance 1e-8
+    all_at_once = sum(size**2 * np.cos(k * (q[0] - q[1])) for k, size in ripples(deviations, 1).items())
+    assert all_at_once == pytest.approx(drawn, rel=1e-12)
+
+
+def test_a_rare_effect_has_its_share_of_the_variance() -> None:
+    """Present in one arm of five with the deviation d, absent else: the mean square is d^2 / 5."""
+    found = library_prior(ARM, names=["axis_tilt"])
+    tilt = found.model.effects[-1]
+    assert found.prior.deviations["axis_tilt:2.a"] == pytest.approx((tilt.parameters[0].typical or 0.0) / np.sqrt(5.0))
+
+
+def test_few_settings_stand_for_all() -> None:
+    found = ripples(dict(library_prior(ARM, most_settings=4).prior.deviations), 2)
+    assert list(found) == [10, 26, 41, 57]  # the middles of four quarters of 3 to 64
+    assert list(found.values()) == pytest.approx([0.5e-4] * 4)
+
+
+def test_what_the_rows_cannot_show_is_left_out_with_its_reason() -> None:
+    found = library_prior(ARM)
+    assert found.left_out["backlash:1"] == "needs directions"
+    assert found.left_out["base_drift"] == "needs time"
+    assert found.left_out["link_bending"] == "needs gravity"
+    assert not any(name.startswith(("backlash", "base_drift")) for name in found.prior.deviations)
+    given = library_prior(ARM, frozenset({"time", "directions", "temperature"}))
+    assert {"backlash:1.b", "base_drift.vx", "thermal_growth.a"} <= set(given.prior.deviations)
+    assert set(given.prior.deviations) < set(given.model.names)
+
+
+def test_an_effect_of_all_joints_stands_for_those_of_each() -> None:
+    heavy = replace(ARM, gravity=Gravity([0.0, -9.81], [5.0, 3.0], [0.5, 0.5]))
+    names = [name for name in library_prior(heavy).prior.deviations if name.startswith("joint_compliance")]
+    assert names == ["joint_compliance.c1", "joint_compliance.c2"]
+
+
+def test_own_effects_have_no_prior_and_keep_their_values() -> None:
+    """A ripple of the arm's own gets a longer name beside others; its calibrated value goes with it."""
+    own = EffectSpec("transmission_ripple", 1, {"k": 17.0})
+    arm = replace(ARM, effects=(EffectSpec("base_offset"), own))
+    name = Model(arm).names[-1]
+    arm = replace(arm, calibration=Calibration.of([1.0, 2.0], [0.0, 0.1], {name: 3e-4}))
+    found = library_prior(arm)
+    longer = next(p for effect in found.model.effects if effect.chosen == {"k": 17} for p in effect.parameters[1:])
+    assert found.model.values[found.model.parameters.index(longer.name)] == 3e-4
+    assert not {longer.name, "base_offset.x0"} & set(found.prior.deviations)
+    assert found.model.values[1] == 2.0
+
+
+def test_names_choose_and_unknown_ones_are_refused() -> None:
+    found = library_prior(ARM, names=["gear_ratio"])
+    assert list(found.prior.deviations) == ["gear_ratio:1.e", "gear_ratio:2.e"]
+    assert dict(found.left_out) == {}
+    with pytest.raises(InputError, match="unknown name 'gear'"):
+        library_prior(ARM, names=["gear"])
+    with pytest.raises(InputError, match="none of the library's is left"):
+        library_prior(ARM, names=["backlash"])
+
+
+def test_an_effect_without_a_typical_size_is_left_out() -> None:
+    class Unsized(Effect):
+        name = "unsized"
+        summary = "a size that nobody knows"
+
+        def define(self) -> tuple[Parameter, ...]:
+            return (self.parameter("x", "mm", scale=1.0),)
+
+    register(Unsized)
+    try:
+        assert library_prior(ARM).left_out["unsized"] == "no typical size"
+    finally:
+        del _LIBRARY["unsized"]

@@ -1,0 +1,124 @@
+"""Units, markers and lost beams of measurements, on small arms with errors of a millimetre."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm
+from identification.errors import InputError
+from identification.inspection.data_checks import data_warnings
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.frames import from_own_axes, pose
+from identification.measurements import Measurements
+from identification.model import Model
+
+QUARTER = np.pi / 2.0
+CHAIN = chain_of([DHRow(0.0, QUARTER, 350.0), DHRow(-400.0, 0.0, 0.0), DHRow(-300.0, QUARTER, 0.0, limits=(-2.0, 2.0))])
+ARM = Arm.of_chain(CHAIN)
+TOOLS = {"left": np.array([90.0, 20.0, 50.0]), "right": np.array([-80.0, 10.0, 40.0])}
+
+
+def measured(rows: int = 60) -> Measurements:
+    """Both points in turn, of an arm that stands elsewhere."""
+    generator = np.random.default_rng(3)
+    chain = replace(CHAIN, base=pose((2000.0, -500.0, 700.0), from_own_axes(0.1, -0.4, 2.0)), tools=TOOLS)
+    postures = generator.uniform(-2.0, 2.0, (rows, 3))
+    data = Measurements(postures, np.zeros((rows, 3)), marker=np.array(list(TOOLS))[np.arange(rows) % 2])
+    model = Model(Arm.of_chain(chain))
+    return replace(data, positions=model.position(postures, generator.normal(0.0, 1.0 / model.scales), data.conditions))
+
+
+def test_good_data_are_not_doubted() -> None:
+    assert data_warnings(measured(), ARM) == []
+    assert data_warnings(measured(8), ARM) == []  # too few to tell
+
+
+def test_radians_and_metres() -> None:
+    data = measured()
+    radians = replace(data, postures=np.radians(data.postures))  # as a file with q1_deg is read
+    assert data_warnings(radians, ARM) == [
+        "the joint angles look like radians: name the columns q1_rad.. instead of q1_deg.."
+    ]
+    metres = replace(data, positions=data.positions / 1000.0)
+    assert data_warnings(metres, ARM) == [
+        "the positions look like metres: name the columns x_m, y_m, z_m instead of x_mm, y_mm, z_mm"
+    ]
+    assert len(data_warnings(replace(radians, positions=metres.positions), ARM)) == 2
+
+
+INCH = 25.4
+
+
+def test_inches() -> None:
+    data = measured()
+    (said,) = data_warnings(replace(data, positions=data.positions / INCH), ARM)
+    assert said == "the positions look like inches: multiply x_mm, y_mm, z_mm by 25.4"
+    (said,) = data_warnings(replace(data, positions=data.positions * INCH), ARM)
+    assert said == "the positions are 25.4 times as large as the arm: the arm file's lengths look like inches"
+    (said,) = data_warnings(simulated(3.0, lengths=1.0 / INCH), PLANAR)
+    assert said == "the positions look like inches: multiply x_mm, y_mm by 25.4"
+    away = simulated(3.0, lengths=INCH)  # and from a base that stands elsewhere
+    (said,) = data_warnings(replace(away, positions=away.positions + 7e3), PLANAR)
+    assert said.endswith("the arm file's lengths look like inches")
+    assert data_warnings(replace(data, positions=data.positions * [1.0, 1.0, 1.001]), ARM) == []
+
+
+def test_swapped_markers_and_lost_beams_are_named() -> None:
+    data = measured()
+    markers = data.marker.copy()
+    markers[[10, 11]] = markers[[11, 10]]
+    positions = data.positions.copy()
+    positions[20] += (0.0, 400.0, 0.0)
+    first, second = data_warnings(replace(data, marker=markers, positions=positions), ARM)
+    assert first.startswith("markers look swapped in rows 11, 12: ")
+    assert second.startswith("a lost beam or another posture in row 21: up to ")
+
+
+# -- units of planar measurements --------------------------------------------------------------------------------------
+PLANAR = Arm(lengths=[260.0, 180.0])
+
+
+def simulated(span: float, *, angles: float = 1.0, lengths: float = 1.0) -> Measurements:
+    """Measurements of `PLANAR` whose numbers were multiplied by factors, as a wrong unit does."""
+    generator = np.random.default_rng(2)
+    q = generator.uniform(-span, span, (30, 2))
+    theta = np.cumsum(q, axis=1)
+    tip = np.column_stack([np.cos(theta) @ PLANAR.lengths, np.sin(theta) @ PLANAR.lengths])
+    return Measurements(q * angles, (tip + generator.normal(0.0, 1.0, tip.shape)) * lengths)
+
+
+def test_right_units_do_not_warn() -> None:
+    for span in (3.0, 0.1):
+        assert data_warnings(simulated(span), PLANAR) == []
+
+
+def test_radians_in_a_column_of_degrees() -> None:
+    (sentence,) = data_warnings(simulated(3.0, angles=np.pi / 180.0), PLANAR)
+    assert "look like radians: name the columns q1_rad" in sentence
+
+
+def test_degrees_in_a_column_of_radians() -> None:
+    (sentence,) = data_warnings(simulated(3.0, angles=180.0 / np.pi), PLANAR)
+    assert sentence == "the joint angles look like degrees: name the columns q1_deg.. instead of q1_rad.."
+    data = measured()
+    (sentence,) = data_warnings(replace(data, postures=np.degrees(data.postures)), ARM)
+    assert sentence.startswith("the joint angles look like degrees")
+    whole_turns = simulated(3.0)  # an axis that counts on
+    assert data_warnings(replace(whole_turns, postures=whole_turns.postures + 20.0 * np.pi), PLANAR) == []
+
+
+def test_metres_in_a_column_of_millimetres() -> None:
+    (sentence,) = data_warnings(simulated(3.0, lengths=1e-3), PLANAR)
+    assert "look like metres: name the columns x_m, y_m" in sentence
+
+
+def test_both_units_wrong() -> None:
+    assert len(data_warnings(simulated(3.0, angles=np.pi / 180.0, lengths=1e-3), PLANAR)) == 2
+
+
+def test_another_number_of_links() -> None:
+    with pytest.raises(InputError, match="found 2 joints, allowed: 3"):
+        data_warnings(simulated(1.0), Arm(lengths=[1.0, 1.0, 1.0]))

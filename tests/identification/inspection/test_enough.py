@@ -1,0 +1,89 @@
+"""What few rows can say: counted by hand, and the error of the tip against the covariance written with matrices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm
+from identification.estimation import estimate
+from identification.gap.noise.repeats import NOTHING_KNOWN, NoiseFloor
+from identification.inspection.enough import sufficiency
+from identification.measurements import Measurements
+from identification.model import Model
+
+LENGTHS = np.array([500.0, 400.0])
+NOISE = 0.05
+# two links, a length and a zero for each: 4 unknowns
+ARM = Arm(LENGTHS, lower=np.full(2, -2.0), upper=np.full(2, 2.0))
+
+
+def rows(m: int) -> Measurements:
+    generator = np.random.default_rng(31)
+    q = generator.uniform(-2.0, 2.0, (m, 2))
+    z = np.exp(1j * np.cumsum(q, axis=1)) @ (LENGTHS + 0.3)
+    z += NOISE * (generator.standard_normal(m) + 1j * generator.standard_normal(m))
+    return Measurements(q, np.column_stack([z.real, z.imag]))
+
+
+def expected(measured: Measurements, sigma: float) -> float:
+    """[mm] RMS over the joint limits: with the links as complex unknowns the tip is linear in them."""
+    columns, poses = (
+        np.exp(1j * np.cumsum(q, axis=1))
+        for q in (measured.postures, np.random.default_rng(2).uniform(-2.0, 2.0, (20000, 2)))
+    )
+    covariance = 2.0 * sigma**2 * np.linalg.inv(columns.conj().T @ columns)  # of the complex unknowns
+    return float(np.sqrt(np.mean(np.einsum("mi,ij,mj->m", poses, covariance, poses.conj()).real)))
+
+
+def test_with_few_rows_the_noise_is_the_one_given_or_that_of_repeats() -> None:
+    """3 rows leave 2 numbers, which say next to nothing of the noise."""
+    measured = rows(3)
+    known, unknown = (estimate(Model(replace(ARM, sigma=sigma)), measured) for sigma in (NOISE, None))
+    given = sufficiency(known, measured, NOTHING_KNOWN)
+    assert (given.numbers, given.parameters, given.spare, given.few) == (6, 4, 2, True)
+    assert given.count == "6 numbers for 4 parameters: 2 left to judge the fit"
+    assert given.found == ("length of links 1 and 2", "zero of joints 1 and 2")
+    assert (given.open, given.source) == ((), "sigma")
+    assert given.tip == pytest.approx(expected(measured, NOISE), rel=0.03)  # by 1000 poses instead of 20000
+    repeats = sufficiency(unknown, measured, NoiseFloor(repeats=0.2 * np.sqrt(2.0)))
+    assert repeats.source == "repeats"
+    assert repeats.tip == pytest.approx(expected(measured, 0.2), rel=0.03)
+    nothing = sufficiency(unknown, measured, NOTHING_KNOWN)
+    assert (nothing.tip, nothing.source) == (None, None)
+    assert nothing.accuracy.startswith("not known: needs sigma_mm")
+
+
+def test_with_many_rows_the_residuals_say_it() -> None:
+    measured = rows(60)
+    found = estimate(Model(ARM), measured)
+    many = sufficiency(found, measured, NOTHING_KNOWN)
+    assert (many.spare, many.few, many.source) == (116, False, "residuals")
+    assert many.tip == pytest.approx(expected(measured, found.scatter or 0.0), rel=0.03)
+
+
+def test_what_is_not_determined_is_listed() -> None:
+    """Joint 2 at rest: both links are one stick, whose parts nothing tells."""
+    measured = rows(6)
+    still = replace(measured, postures=measured.postures * [1.0, 0.0])
+    found = sufficiency(estimate(Model(replace(ARM, sigma=NOISE)), still), still, NOTHING_KNOWN)
+    assert found.found == ()
+    assert len(found.open) == 2
+    assert found.tip is None
+    assert found.accuracy == "not known: something is not determined"
+
+
+def test_what_the_machining_holds_is_no_unknown() -> None:
+    from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+
+    chain = chain_of([DHRow(0.0, 1.5, 300.0), DHRow(400.0, 0.0, 0.0), DHRow(300.0, 0.0, 0.0)])
+    arm = Arm.of_chain(chain, sigma=NOISE)
+    q = np.random.default_rng(3).uniform(-2.0, 2.0, (20, 3))
+    measured = Measurements(q, Model(arm).position(q))
+    found = sufficiency(estimate(Model(arm), measured), measured, NOTHING_KNOWN)
+    held = sum(name.startswith(("translation", "rotation", "joint_offset")) for name in Model(arm).names)
+    assert found.held == held
+    assert f"({held} held by [machining])" in found.count
+    assert not found.few

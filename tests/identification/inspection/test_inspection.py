@@ -1,0 +1,219 @@
+"""What `inspect` says of data: each fault on purpose has its sentence, and good data have none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from identification.arm import Arm, EffectSpec
+from identification.errors import InputError
+from identification.estimation import estimate
+from identification.inspection.inspection import inspect
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.validate import validate
+
+LENGTHS = np.array([500.0, 400.0, 200.0])
+ARM = Arm(LENGTHS, lower=np.full(3, -2.5), upper=np.full(3, 2.5))
+
+
+def data(m: int = 40, base: complex = 0.0, zero: float = 0.0, still: bool = False) -> Measurements:
+    """Measurements of an arm with errors of drawing and noise, written with complex numbers."""
+    generator = np.random.default_rng(21)
+    q = generator.uniform(-2.4, 2.4, (m, 3))
+    q[:, 2] = 0.3 if still else q[:, 2]
+    theta = np.cumsum(q + np.array([0.0, 0.004 + zero, -0.003]), axis=1)
+    z = np.exp(1j * theta) @ (LENGTHS + np.array([0.5, -0.4, 0.3])) + base
+    z += 0.05 * (generator.standard_normal(m) + 1j * generator.standard_normal(m))
+    return Measurements(q, np.column_stack([z.real, z.imag]))
+
+
+def test_a_turned_frame_is_a_note() -> None:
+    """A fit explains it, so that nothing has to be put right, but the controller must not be told."""
+    turned = data()
+    z = turned.positions @ np.array([1.0, 1.0j]) * np.exp(1j * np.radians(40.0))
+    found = inspect(ARM, replace(turned, positions=np.column_stack([z.real, z.imag])))
+    assert found.problems == ()
+    assert any("the frame of the positions is turned by " in note for note in found.notes)
+    assert not any("the frame of the positions" in note for note in inspect(ARM, turned).notes)
+
+
+def test_good_data_have_no_problem() -> None:
+    found = inspect(ARM, data())
+    assert found.problems == ()
+    assert (found.rows, found.postures) == (40, 40)
+    assert 1.0 < found.drawing < 5.0
+    assert found.to_json()["rms_fitted_mm"] == pytest.approx(0.05 * np.sqrt(2.0 * (1.0 - 6.0 / 80.0)), rel=0.3)
+    assert any("no posture is repeated" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("unit", [np.radians(1.0), 1.0])
+def test_repeats_scatter_in_millimetres_or_are_not_said(unit: float) -> None:
+    """Noise of 0.05 mm per coordinate is 0.07 mm at a point; what is in other units, or too few rows, say nothing."""
+    whole = data()
+    rows = whole.rows(np.tile(np.arange(10), 4))
+    z = 0.05 * np.random.default_rng(5).standard_normal(rows.positions.shape)
+    found = inspect(ARM, replace(rows, postures=unit * rows.postures, positions=rows.positions + z)).to_json()
+    assert found["repeats_mm"] == (pytest.approx(0.05 * np.sqrt(2.0), rel=0.25) if unit == 1.0 else None)
+    few = inspect(ARM, rows.rows(np.repeat([0, 1], 5))).to_json()
+    assert few["close_repeats_mm"] is None
+
+
+def test_as_few_numbers_as_unknowns_are_said() -> None:
+    """Three lengths and three zeros: three postures fit whatever they say."""
+    (few,) = inspect(ARM, data(3)).problems
+    assert few == "too few measurements: 6 numbers for 6 unknowns. Measure more postures"
+    assert inspect(ARM, data(12)).problems == ()
+
+
+@pytest.mark.parametrize(("step", "when"), [(1, "late"), (-1, "early")])
+def test_positions_beside_another_posture(step: int, when: str) -> None:
+    good = data()
+    (sentence,) = inspect(ARM, replace(good, positions=np.roll(good.positions, step, axis=0))).problems
+    assert sentence.startswith(f"it looks as if each position stands one row too {when}, beside another posture")
+
+
+def test_each_fault_has_its_sentence() -> None:
+    good = data()
+    flipped = inspect(ARM, replace(good, postures=good.postures * [1.0, 1.0, -1.0]))
+    (sentence,) = flipped.problems
+    assert sentence.startswith("it looks as if joint 3 turns the other way: the drawing then leaves")
+    (zero,) = inspect(ARM, data(zero=0.5)).problems
+    assert zero == "zeros differ from the drawing's: 28.9 deg at joint 2"  # 0.004 and 0.5 rad
+    (limits,) = inspect(replace(ARM, lower=np.array([-2.5, -2.0, -2.5])), good).problems
+    beyond = np.flatnonzero(good.postures[:, 1] < -2.0)
+    assert limits.startswith(
+        f"{len(beyond)} of 40 postures lie outside the joint limits, the first in row {beyond[0] + 1}: "
+    )
+    assert limits.endswith("allowed -114.592 to 143.239")
+    (units,) = inspect(ARM, replace(good, postures=np.radians(good.postures))).problems
+    assert "look like radians" in units
+    (copied,) = inspect(ARM, good.rows([*range(40), 5])).problems
+    assert copied.startswith("1 row is an exact copy of another (of 41 rows): the first row 41 of row 6")
+    (wrong,) = inspect(replace(ARM, lengths=np.array([500.0, 100.0, 200.0])), good).problems
+    assert wrong.startswith("the drawing is")
+
+
+def test_other_units_are_said_and_nothing_that_would_follow_from_them() -> None:
+    """Radians as degrees, and degrees as radians: neither a fit nor limits nor ranges of joints mean anything."""
+    good = data()
+    for change, unit in ((np.radians, "radians"), (np.degrees, "degrees")):
+        found = inspect(ARM, replace(good, postures=change(good.postures)))
+        assert len(found.problems) == 1
+        assert found.problems[0].startswith(f"the joint angles look like {unit}: ")
+        assert found.fit is None
+        assert not any("hardly" in note for note in found.notes)
+
+
+def test_scatter_beyond_sigma_is_a_note() -> None:
+    """The noise is 0.05 mm: a sigma of 0.01 mm is contradicted by it, chi2 about 25 times its degrees of freedom."""
+    notes = {sigma: " ".join(inspect(replace(ARM, sigma=sigma), data()).notes) for sigma in (0.05, 0.01)}
+    assert "times sigma_mm" not in notes[0.05]
+    assert "times sigma_mm = 0.01 " in notes[0.01]
+    assert "armcal diagnose looks for what is missing" in notes[0.01]
+
+
+def test_a_base_away_from_the_origin_asks_for_its_effect() -> None:
+    away = data(base=300.0 - 120.0j)
+    (sentence,) = inspect(ARM, away).problems
+    assert sentence.startswith("the data are in another frame than the arm")
+    assert 'add [[effects]] name = "base_offset"' in sentence
+    assert inspect(replace(ARM, effects=(EffectSpec("base_offset"),)), away).problems == ()
+
+
+def test_whole_turns_beyond_the_limits_are_said() -> None:
+    good = data()
+    turned = good.postures.copy()
+    turned[3:6, 2] += 2.0 * np.pi
+    (sentence,) = inspect(ARM, replace(good, postures=turned)).problems
+    assert sentence.startswith("3 of 40 postures lie outside the joint limits, the first in row 4: joint 3")
+    assert "; joint 3 would be within them whole turns (360 deg) away" in sentence
+
+
+def test_what_the_data_cannot_say() -> None:
+    found = inspect(ARM, data(still=True))
+    assert "joint 3 hardly moves: its own errors cannot be seen" in found.notes
+    still = data()
+    both = inspect(ARM, replace(still, postures=still.postures * [1.0, 0.01, 0.01]))
+    assert "joints 2, 3 hardly move: their own errors cannot be seen" in both.notes
+    assert any(note.startswith("not estimable separately: ") for note in found.notes)
+    few = inspect(ARM, data(m=2))
+    assert few.fit is None
+    assert "too few rows for a fit of the geometry" in few.problems
+
+
+def test_repeats_say_what_the_arm_scatters_by() -> None:
+    ten = data(m=10)
+    generator = np.random.default_rng(22)
+    noise = 0.05 * generator.standard_normal((40, 2))
+    again = Measurements(np.tile(ten.postures, (4, 1)), np.tile(ten.positions, (4, 1)) + noise)
+    found = inspect(ARM, again)
+    assert (found.rows, found.postures) == (40, 10)
+    assert found.floor.value == pytest.approx(0.05 * np.sqrt(2.0), rel=0.35)  # 30 degrees of freedom, 3 deviations
+
+
+def test_data_of_another_arm_are_refused() -> None:
+    with pytest.raises(InputError, match="3 joints for an arm of 2 links"):
+        inspect(Arm(LENGTHS[:2]), data())
+
+
+ROWS = ((0.0, np.pi / 2.0, 350.0), (-400.0, 0.0, 0.0), (-300.0, np.pi / 2.0, 0.0))  # a, alpha, d
+
+
+def points(q: np.ndarray, tool: np.ndarray, rows: Sequence[tuple[float, float, float]] = ROWS) -> np.ndarray:
+    """(m, 3) of a three-axis arm, by 4 x 4 matrices."""
+    found = np.empty((len(q), 3))
+    for row, angles in enumerate(q):
+        pose = np.eye(4)
+        for (a, alpha, d), t in zip(rows, angles, strict=True):
+            ct, st, ca, sa = np.cos(t), np.sin(t), np.cos(alpha), np.sin(alpha)
+            top = [[ct, -st * ca, st * sa, a * ct], [st, ct * ca, -ct * sa, a * st], [0.0, sa, ca, d]]
+            pose = pose @ np.array([*top, [0.0, 0.0, 0.0, 1.0]])
+        found[row] = (pose @ [*tool, 1.0])[:3]
+    return found
+
+
+@pytest.mark.parametrize("second", [False, True])
+def test_a_point_on_the_last_axis_does_not_show_its_sign(second: bool) -> None:
+    """A tenth of a millimetre from axis 3, where the drawing is off by more; a second point away from it shows it."""
+    generator = np.random.default_rng(41)
+    rows = ((0.0, np.pi / 2.0, 350.0), (-400.0, np.pi / 2.0, 0.0), (0.0, 0.0, 300.0))
+    q, marker = generator.uniform(-2.0, 2.0, (80, 3)), np.array(["near", "far"])[np.arange(80) % 2]
+    near, far = (points(q, np.array(tool), rows) for tool in ([0.1, 0.0, 40.0], [60.0, 0.0, 40.0]))
+    seen = np.where((marker == "far")[:, None], far, near) if second else near
+    seen = seen + generator.normal(0.0, 0.5, seen.shape)
+    data = Measurements(q * [1.0, 1.0, -1.0], seen) if not second else Measurements(q, seen, marker=marker)
+    found = inspect(Arm.of_chain(chain_of([DHRow(*row) for row in rows])), data)
+    assert found.problems == ()
+    notes = [note for note in found.notes if "do not show" in note]
+    assert len(notes) == (0 if second else 1)
+    assert all(note.startswith("which way joint 3 turns and where its zero is") for note in notes)
+
+
+def test_the_drawing_leaves_the_same_in_check_identify_and_validate() -> None:
+    """Base and measured point fitted to all rows in least squares, by SciPy on a chain of its own; more rows than the
+    start of a fit looks at."""
+    generator = np.random.default_rng(31)
+    q, tool = generator.uniform(-2.0, 2.0, (900, 3)), np.array([60.0, 20.0, 40.0])
+    turn = Rotation.from_rotvec([0.1, -0.4, 2.0])
+    seen = turn.apply(points(q + np.array([0.0, 0.004, -0.006]), tool)) + np.array([2000.0, -500.0, 700.0])
+    rows = Measurements(q, seen + generator.normal(0.0, 0.3, seen.shape))
+    drawn, along = points(q, np.zeros(3)), [points(q, axis) for axis in np.eye(3)]
+
+    def left(p: np.ndarray) -> np.ndarray:
+        there = drawn + sum(x * (one - drawn) for x, one in zip(p[6:], along, strict=True))
+        return (rows.positions - Rotation.from_rotvec(p[:3]).apply(there) - p[3:6]).ravel()
+
+    best = least_squares(left, [0.1, -0.4, 2.0, 2000.0, -500.0, 700.0, *tool], xtol=1e-14, ftol=1e-14)
+    drawing = pytest.approx(np.sqrt(2.0 * best.cost / len(q)), rel=1e-7)
+    arm = Arm.of_chain(chain_of([DHRow(*row) for row in ROWS]))
+    fitted = estimate(Model(arm), rows)
+    assert inspect(arm, rows).drawing == drawing
+    assert fitted.rms_before == drawing
+    assert validate(fitted.calibrated_arm(), rows).nominal.rms == drawing

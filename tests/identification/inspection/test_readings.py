@@ -1,0 +1,215 @@
+"""Ways to read the columns: what was changed in data on purpose is found, and nothing is said of data as they are."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification import load_arm, load_measurements
+from identification.arm import Arm
+from identification.inspection.inspection import inspect
+from identification.inspection.readings import read_differently
+from identification.measurements import Measurements
+
+DATA = Path(__file__).parents[2] / "data"
+PLANAR = Arm(np.array([612.0, 572.3, 115.7]))
+Change = Callable[[np.ndarray], np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def six_axis() -> tuple[Arm, Measurements]:
+    arm = load_arm(DATA / "ur10/ur10.toml")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return arm, load_measurements(DATA / "ur10/series_A.csv", arm).rows(slice(None, None, 4))
+
+
+@pytest.fixture(scope="module")
+def planar() -> Measurements:
+    return load_measurements(DATA / "ur10_planar/measurements.csv", 3)
+
+
+def words(arm: Arm, data: Measurements, change: Change) -> tuple[str, ...]:
+    better = read_differently(arm, replace(data, postures=change(data.postures))).better
+    return () if better is None else better.words
+
+
+BACK = "is counted from"
+FROM_BASE = f"joint 2 {BACK} the base, not from link 1 (its angle: column - q1)"
+
+
+def added(q: np.ndarray, joint: int, others: list[int]) -> np.ndarray:
+    """Columns of which one has the angles of other joints in it, as of motors in the base."""
+    columns = q.copy()
+    columns[:, joint] += q[:, others].sum(axis=1)
+    return columns
+
+
+CASES: list[tuple[Change, tuple[str, ...]]] = [
+    (lambda q: q, ()),
+    (lambda q: q * [1, -1, 1], ("joint 2 turns the other way",)),
+    (lambda q: -q, ("an axis of the positions points the other way",)),
+    (lambda q: q[:, [1, 0, 2]], ("columns of joints 1 and 2 are swapped",)),
+    (lambda q: q[:, [0, 2, 1]] * [1, 1, -1], ("columns of joints 2 and 3 are swapped", "joint 2 turns the other way")),
+    (lambda q: q - [0, np.pi, 0], ("joint 2 has another zero than the drawing: add 180 deg to it",)),
+    (lambda q: q - [0, 0, np.pi / 2], ("joint 3 has another zero than the drawing: add 90 deg to it",)),
+    (lambda q: q - [0, np.radians(20), 0], ("joint 2 has another zero than the drawing: add 20 deg to it",)),
+    (
+        lambda q: np.cumsum(q, axis=1),
+        (FROM_BASE, f"joint 3 {BACK} the base, not from link 2 (its angle: column - q1 - q2)"),
+    ),
+    (lambda q: np.column_stack([q[:, 0], q[:, 0] + q[:, 1], q[:, 2]]), (FROM_BASE,)),
+    (
+        lambda q: np.column_stack([q[:, :2], q[:, 1] + q[:, 2]]),
+        (f"joint 3 {BACK} link 1, not from link 2 (its angle: column - q2)",),
+    ),
+]
+
+
+@pytest.mark.parametrize(("change", "said"), CASES)
+def test_a_planar_arm(planar: Measurements, change: Change, said: tuple[str, ...]) -> None:
+    assert words(PLANAR, planar, change) == said
+
+
+SPATIAL: list[tuple[Change, tuple[str, ...]]] = [
+    (lambda q: q, ()),
+    (lambda q: q * [1, 1, -1, 1, 1, 1], ("joint 3 turns the other way",)),
+    (lambda q: q * [-1, 1, -1, 1, 1, -1], ("joint 1 turns the other way", "joint 3 turns the other way")),
+    (lambda q: q[:, [0, 1, 2, 4, 3, 5]], ("columns of joints 4 and 5 are swapped",)),
+    (lambda q: added(q, 2, [1]), (f"joint 3 {BACK} link 1, not from link 2 (its angle: column - q2)",)),
+    (lambda q: added(q, 3, [1, 2]), (f"joint 4 {BACK} link 1, not from link 3 (its angle: column - q2 - q3)",)),
+]
+
+
+@pytest.mark.parametrize(("change", "said"), SPATIAL)
+def test_six_axes(six_axis: tuple[Arm, Measurements], change: Change, said: tuple[str, ...]) -> None:
+    """The reflector is on the last axis, so that nothing shows which way joint 6 turns."""
+    assert words(*six_axis, change) == said
+
+
+@pytest.mark.parametrize("degrees", [8.0, 20.0, 63.0])
+def test_a_zero_of_any_angle_is_found_and_no_reversed_joints(
+    six_axis: tuple[Arm, Measurements], degrees: float
+) -> None:
+    """To a tenth of a degree and what the arm itself is off by, 0.3 deg; a fit takes it up, so it is no misreading."""
+    arm, data = six_axis
+    better = read_differently(arm, replace(data, postures=data.postures + np.radians([0, 0, degrees, 0, 0, 0]))).better
+    assert better is not None
+    assert better.moved_zeros
+    assert (better.signs, better.order) == ((1,) * 6, tuple(range(6)))
+    assert 90.0 * better.quarters[2] % 360.0 == pytest.approx(360.0 - degrees, abs=0.4)
+    assert better.words == (f"joint 3 has another zero than the drawing: add {-degrees:.3g} deg to it",)
+
+
+def test_two_reversed_joints_of_a_planar_arm_have_two_explanations(planar: Measurements) -> None:
+    """Joints 1 and 3 reversed are joint 2 reversed in a mirror: conj(exp(i(a + b + c))) = exp(i(-a - b - c))."""
+    found = read_differently(PLANAR, replace(planar, postures=planar.postures * [-1.0, 1.0, -1.0]))
+    assert found.better is not None
+    both = {found.better.words, *(reading.words for reading in found.alike)}
+    mirrored = ("joint 2 turns the other way", "an axis of the positions points the other way")
+    assert both == {mirrored, ("joint 1 turns the other way", "joint 3 turns the other way")}
+    assert ", or, equally well, " in found.sentences[0]
+
+
+def test_a_zero_and_two_signs_at_once(six_axis: tuple[Arm, Measurements]) -> None:
+    change: Change = lambda q: q * [1, -1, -1, 1, 1, 1] + [0, 0, 0, np.pi / 2.0, 0, 0]  # noqa: E731
+    ways = ("joint 2 turns the other way", "joint 3 turns the other way")
+    arm, data = six_axis
+    assert words(arm, data.rows(slice(None, None, 7)), change) == (
+        *ways,
+        "joint 4 has another zero than the drawing: add -90 deg to it",
+    )
+
+
+def test_what_nothing_explains_is_not_said_to_be_found(planar: Measurements) -> None:
+    """Three columns moved round and a sign: no pair of columns and no change of signs undoes that."""
+    moved = replace(planar, postures=planar.postures[:, [2, 0, 1]] * [1, -1, 1] + [0.0, 0.9, 0.0])
+    found = read_differently(PLANAR, moved)
+    assert found.better is not None
+    assert found.better.rms > 0.02 * PLANAR.reach
+    (said,) = found.sentences
+    assert said.startswith("no one or two signs, ")
+    assert " Closest: " in said
+
+
+def test_two_zeros_are_the_fit_s_to_name(six_axis: tuple[Arm, Measurements]) -> None:
+    arm, data = six_axis
+    found = inspect(arm, replace(data, postures=data.postures + np.radians([0, 20, 0, -12, 0, 0])))
+    assert found.problems[0].startswith("zeros differ from the drawing's: -20.")
+    assert found.problems[0].endswith(" at joint 4")
+
+
+def test_a_mirrored_frame_in_space(six_axis: tuple[Arm, Measurements]) -> None:
+    arm, data = six_axis
+    found = read_differently(arm, replace(data, positions=data.positions * [1.0, -1.0, 1.0]))
+    assert found.better is not None
+    said = "two of x_mm, y_mm, z_mm are swapped, or an axis of the positions points the other way"
+    assert found.better.words == (said,)  # with a base that may stand anywhere both are the same
+    assert found.better.rms < 1.0 < 50.0 < found.written.rms
+
+
+@pytest.mark.parametrize("degrees", [0.0, 12.0, -15.0, 180.0])
+def test_swapped_coordinates_are_told_from_a_reversed_axis_in_the_plane(planar: Measurements, degrees: float) -> None:
+    """A base that stands nearly as drawn, or half a turn from it: what has to be undone is then not the same."""
+    z = planar.positions @ np.array([1.0, 1.0j]) * np.exp(1j * np.radians(degrees))
+    for seen, said in (
+        (z.imag + 1j * z.real, "x_mm and y_mm are swapped"),
+        (z.conj(), "an axis of the positions points the other way"),
+        (-z.conj(), "an axis of the positions points the other way"),
+    ):
+        better = read_differently(PLANAR, replace(planar, positions=np.column_stack([seen.real, seen.imag]))).better
+        assert better is not None
+        assert better.words == (said,)
+
+
+def test_a_base_at_any_angle_leaves_both_open(planar: Measurements) -> None:
+    z = planar.positions @ np.array([1.0, 1.0j]) * np.exp(0.8j)
+    better = read_differently(PLANAR, replace(planar, positions=np.column_stack([z.imag, z.real]))).better
+    assert better is not None
+    assert better.words == ("x_mm and y_mm are swapped, or an axis of the positions points the other way",)
+
+
+def test_nothing_is_said_of_arms_with_errors_as_they_are_built() -> None:
+    generator = np.random.default_rng(11)
+    for n in (2, 3, 4, 6):
+        for _ in range(5):
+            lengths = generator.uniform(100.0, 600.0, n)
+            q = generator.uniform(-2.5, 2.5, (30, n))
+            theta = np.cumsum(q + np.radians(generator.normal(0.0, 1.0, n)), axis=1)
+            z = np.exp(1j * theta) @ (lengths + generator.normal(0.0, 2.0, n)) * np.exp(0.7j) + 500.0
+            found = read_differently(Arm(lengths), Measurements(q, np.column_stack([z.real, z.imag])))
+            assert found.better is None
+
+
+def test_few_rows_are_not_read_in_other_ways(planar: Measurements) -> None:
+    five = replace(planar.rows(slice(0, 5)), postures=planar.postures[:5] * [1.0, -1.0, 1.0])
+    assert read_differently(PLANAR, five).better is None
+
+
+ROWS = ((0.0, 90.0, 400.0), (-400.0, 0.0, 0.0), (0.0, 90.0, 0.0), (0.0, -90.0, 500.0), (0.0, 90.0, 0.0), (0.0, 0.0, 90))
+
+
+def test_a_wrist_whose_axes_meet_has_two_explanations(tmp_path: Path) -> None:
+    """Half a turn about axis 4 reverses axis 5, and comes out behind it as half a turn that the reflector takes."""
+    text = "".join(f"[[dh]]\na_mm = {a}\nalpha_deg = {alpha}\nd_mm = {d}\n" for a, alpha, d in ROWS)
+    (tmp_path / "arm.toml").write_text(f'kind = "spatial"\n{text}')
+    q = np.random.default_rng(0).uniform(-2.0, 2.0, (60, 6))
+    measured = []
+    for posture in q:
+        point = np.array([60.0, 20.0, 40.0])
+        for (a, alpha, d), angle in reversed(list(zip(ROWS, posture, strict=True))):
+            cos, sin = np.cos(np.radians(alpha)), np.sin(np.radians(alpha))
+            x, y, z = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]]) @ point + [a, 0.0, d]
+            point = np.array([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y, z])
+        measured.append(point)
+    data = Measurements(q * [1, 1, 1, 1, -1, 1], np.array(measured))
+    (said,) = read_differently(load_arm(tmp_path / "arm.toml"), data).sentences
+    assert (
+        "joint 4 has another zero than the drawing: add 180 deg to it, or, equally well, joint 5 turns the other way"
+        in said
+    )

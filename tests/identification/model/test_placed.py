@@ -1,0 +1,59 @@
+"""Base and measured points of spatial arms from nothing, against those that made the measurements."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from identification.arm import Arm
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.frames import pose
+from identification.kinematics.spatial import SpatialChain
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.model.placed import placed_model
+
+QUARTER = np.pi / 2.0
+ROWS = [(0.0, QUARTER, 350.0), (-400.0, 0.0, 0.0), (-350.0, 0.0, 0.0), (0.0, QUARTER, 110.0), (0.0, -QUARTER, 90.0)]
+CHAIN = chain_of([DHRow(a, alpha, d) for a, alpha, d in [*ROWS, (0.0, 0.0, 80.0)]])
+BASE = pose((1500.0, -700.0, 300.0), Rotation.from_euler("xyz", (0.3, -1.2, 2.5)).as_matrix())
+TOOLS = {"left": np.array([60.0, 20.0, 50.0]), "right": np.array([-70.0, 10.0, 40.0])}
+TRUE = replace(CHAIN, base=BASE, tools=TOOLS)
+
+
+def measured(chain: SpatialChain, rows: int = 60) -> Measurements:
+    """Exact positions of both points in turn."""
+    generator = np.random.default_rng(4)
+    postures = generator.uniform(-2.5, 2.5, (rows, 6))
+    names = np.array(list(TOOLS))[np.arange(rows) % 2]
+    data = Measurements(postures, np.zeros((rows, 3)), marker=names)
+    return replace(data, positions=Model(Arm.of_chain(chain)).position(postures, conditions=data.conditions))
+
+
+@pytest.mark.parametrize("known", [(), ("base",), ("tool",)], ids=" ".join)
+def test_found_from_nothing(known: tuple[str, ...]) -> None:
+    """Without errors of the geometry the closed form is exact to where its rounds end: 1e-6 of the squares."""
+    given = {"base": {"base": BASE}, "tool": {"tools": TOOLS}}
+    start = replace(CHAIN, tools=dict.fromkeys(TOOLS, np.zeros(3)), known=frozenset(known))
+    for name in known:
+        start = replace(start, **given[name])  # type: ignore[arg-type]
+    model = placed_model(Model(Arm.of_chain(start)), measured(TRUE))
+    chain = model.arm.chain
+    assert chain is not None
+    np.testing.assert_allclose(chain.base, BASE, atol=0.5)
+    for name, place in TOOLS.items():
+        np.testing.assert_allclose(chain.tools[name], place, atol=0.5)
+    data = measured(TRUE)
+    left = data.positions - model.position(data.postures, conditions=data.conditions)
+    assert np.linalg.norm(left, axis=1).max() < 0.5
+
+
+def test_what_is_known_stays() -> None:
+    chain = replace(CHAIN, base=BASE, tools=TOOLS, known=frozenset({"base", "tool"}))
+    model = Model(Arm.of_chain(chain))
+    assert placed_model(model, measured(TRUE)) is model
+    planar = Model(Arm([300.0, 200.0]))
+    assert placed_model(planar, Measurements(np.zeros((1, 2)), np.zeros((1, 2)))) is planar

@@ -1,0 +1,192 @@
+"""Some parameters anew against least squares with the other columns deleted; an earlier calibration as the prior
+against the joint fit of both data sets, written with numpy for models that are linear."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.arm import Arm, Calibration, EffectSpec
+from identification.errors import InputError
+from identification.estimation import estimate, estimate_with_prior
+from identification.estimation.prior import Earlier, Prior
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.validate.reuse import earlier, only, with_held, with_place_doubted, words_of
+
+LENGTHS, SIGMA = np.array([260.0, 180.0, 120.0]), 0.1
+OFFSETS = np.array([0.01, -0.02, 0.015])
+FIXED = Calibration.of(np.zeros(3), OFFSETS)
+ARM = Arm(LENGTHS, sigma=SIGMA, calibration=FIXED, effects=(EffectSpec("base_offset"),))
+HALF = np.pi / 2.0
+CHAIN = chain_of([DHRow(0.0, HALF, 300.0), DHRow(-400.0, 0.0, 0.0), DHRow(80.0, -HALF, 90.0), DHRow(60.0, 0.3, 50.0)])
+
+
+def columns(q: np.ndarray) -> np.ndarray:
+    """(2 m, 3) derivatives of the tip by the lengths."""
+    theta = np.cumsum(q + OFFSETS, axis=1)
+    return np.stack([np.cos(theta), np.sin(theta)], axis=1).reshape(-1, 3)
+
+
+def session(seed: int, m: int, shift: tuple[float, float]) -> tuple[Measurements, np.ndarray]:
+    """Measurements of an arm that stands elsewhere, and what they have beyond the drawing (2 m,)."""
+    generator = np.random.default_rng(seed)
+    q = generator.uniform(-2.0, 2.0, (m, 3))
+    beyond = columns(q) @ [0.4, -0.3, 0.2] + np.tile(shift, m) + SIGMA * generator.standard_normal(2 * m)
+    return Measurements(q, (columns(q) @ LENGTHS + beyond).reshape(m, 2)), beyond
+
+
+def test_only_is_least_squares_without_the_other_columns() -> None:
+    data, beyond = session(1, 20, (0.0, 0.0))
+    found = estimate(only(ARM, ["lengths"]), data, sigma="given")
+    design = columns(data.postures)
+    expected = np.linalg.lstsq(design, beyond, rcond=None)[0]
+    assert found.names == ("length_error:1", "length_error:2", "length_error:3")
+    np.testing.assert_allclose(found.parameters, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.covariance, SIGMA**2 * np.linalg.inv(design.T @ design), rtol=1e-6)
+    np.testing.assert_allclose(found.joint_offsets, OFFSETS)
+    two = estimate(only(ARM, words_of(["length_error:1", "base_offset"])), data, sigma="given")
+    design = np.column_stack([design[:, 0], np.tile(np.eye(2), (20, 1))])
+    np.testing.assert_allclose(two.parameters, np.linalg.lstsq(design, beyond, rcond=None)[0], rtol=0, atol=1e-9)
+
+
+def test_an_earlier_calibration_as_prior_is_the_fit_of_both() -> None:
+    """Lengths are shared, each session has a base of its own: numpy's fit of all rows at once."""
+    (first, one), (second, other) = session(2, 12, (0.5, -0.2)), session(3, 4, (-3.0, 2.0))
+    words = ["lengths", "base_offset"]
+    calibrated = estimate(only(ARM, words), first, sigma="given").calibrated_arm()
+    model = only(ARM, words)
+    found = estimate_with_prior(model, second, Prior({}, earlier(calibrated, model)), sigma="given")
+    base_1, base_2 = np.zeros((24 + 8, 2)), np.zeros((24 + 8, 2))
+    base_1[:24], base_2[24:] = np.tile(np.eye(2), (12, 1)), np.tile(np.eye(2), (4, 1))
+    lengths = np.concatenate([columns(first.postures), columns(second.postures)])
+    both = np.column_stack([lengths, base_2, base_1])
+    expected = np.linalg.lstsq(both, np.r_[one, other], rcond=None)[0]
+    covariance = SIGMA**2 * np.linalg.inv(both.T @ both)
+    np.testing.assert_allclose(found.parameters, expected[:5], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(found.covariance, covariance[:5, :5], rtol=1e-6, atol=1e-12)
+    alone = estimate(model, second, sigma="given")
+    assert np.all(found.std[:3] < 0.7 * alone.std[:3])  # the prior is worth something
+
+
+def test_what_is_held_conditions_the_prior() -> None:
+    """With length 1 held, the fit of both data sets without its column."""
+    (first, one), (second, other) = session(4, 12, (0.0, 0.0)), session(5, 5, (0.0, 0.0))
+    calibrated = estimate(only(ARM, ["lengths"]), first, sigma="given").calibrated_arm()
+    known = Calibration({**FIXED.values, "length_error:1": 0.7})
+    model = only(replace(ARM, calibration=known), ["length_error:2", "length_error:3"])
+    found = estimate_with_prior(model, second, Prior({}, earlier(calibrated, model)), sigma="given")
+    both = np.concatenate([columns(first.postures), columns(second.postures)])
+    expected = np.linalg.lstsq(both[:, 1:], np.r_[one, other] - 0.7 * both[:, 0], rcond=None)[0]
+    np.testing.assert_allclose(found.parameters, expected, rtol=0, atol=1e-8)
+
+
+def test_marginal_and_conditional_distributions() -> None:
+    """Against the inverse of the precision matrix."""
+    root = np.random.default_rng(6).standard_normal((4, 4))
+    covariance, mean = root @ root.T, np.array([1.0, -2.0, 0.5, 3.0])
+    found = Earlier(("a", "b", "c", "d"), mean, covariance)
+    some = found.about({"d", "b"})
+    assert some.names == ("b", "d")
+    np.testing.assert_array_equal(some.covariance, covariance[np.ix_([1, 3], [1, 3])])
+    given = found.given({"a": 2.0, "c": 0.0})
+    precision = np.linalg.inv(covariance)
+    free, held = np.ix_([1, 3], [1, 3]), np.ix_([1, 3], [0, 2])
+    np.testing.assert_allclose(given.covariance, np.linalg.inv(precision[free]))
+    expected = mean[[1, 3]] - np.linalg.solve(precision[free], precision[held] @ [1.0, -0.5])
+    np.testing.assert_allclose(given.values, expected)
+    forth, back = found.root
+    np.testing.assert_allclose(forth @ forth.T, covariance)
+    np.testing.assert_allclose(back @ forth, np.eye(4), atol=1e-12)
+    with pytest.raises(InputError, match="prior: a has variance 0, allowed"):
+        Earlier(("a",), np.zeros(1), np.zeros((1, 1)))
+
+
+def in_space(shift: float = 0.0, base: float = 0.0) -> tuple[Measurements, Arm]:
+    """Exact measurements of a spatial arm with errors, joint 3 off by `shift` more and the base moved [mm]."""
+    whole = replace(CHAIN, known=frozenset({"base", "tool"}), tools={"1": np.array([40.0, 20.0, 30.0])})
+    values = {"joint_offset:2": 0.004, "joint_offset:3": -0.003 + shift, "translation_x:3": 0.6}
+    q = np.random.default_rng(7).uniform(-2.0, 2.0, (40, 4))
+    points = Model(Arm.of_chain(whole, calibration=Calibration(values))).position(q)
+    return Measurements(q, points + base * np.array([1.0, 2.0, -1.0])), Arm.of_chain(CHAIN, sigma=1e-4)
+
+
+def test_one_motor_of_a_spatial_arm() -> None:
+    """Everything else stays as it was, the place of the base and of the reflector too."""
+    before, arm = in_space()
+    calibrated = estimate(Model(arm), before).calibrated_arm()
+    after, _ = in_space(shift=0.005)
+    found = estimate(only(calibrated, ["joint_offset:3"], after), after)
+    old = dict(calibrated.calibration.values)  # type: ignore[union-attr]
+    assert found.names == ("joint_offset:3",)
+    assert found.parameters[0] - old["joint_offset:3"] == pytest.approx(0.005, abs=1e-5)
+    assert found.rms_after < 0.01
+    kept = found.calibration()
+    np.testing.assert_allclose(kept.base, calibrated.calibration.base, atol=1e-9)  # type: ignore[union-attr, arg-type]
+    whole = with_held(kept, calibrated.calibration)
+    assert set(whole.parameter_names) == set(calibrated.calibration.parameter_names)  # type: ignore[union-attr]
+
+
+def test_the_tracker_moved() -> None:
+    before, arm = in_space()
+    calibrated = estimate(Model(arm), before).calibrated_arm()
+    after, _ = in_space(base=500.0)
+    for words in (["base"], ["base", "tool"]):
+        found = estimate(only(calibrated, words, after), after)
+        assert found.rms_after < 0.01
+        moved = found.calibration().base[:3, 3] - calibrated.calibration.base[:3, 3]  # type: ignore[index, union-attr]
+        np.testing.assert_allclose(moved, [500.0, 1000.0, -500.0], atol=0.01)
+        # before: what the calibration's own place leaves, all of it the move
+        assert found.rms_before == pytest.approx(np.linalg.norm([500.0, 1000.0, -500.0]), abs=0.02)
+        np.testing.assert_allclose(np.abs(found.residuals_before), [[500.0, 1000.0, 500.0]] * 40, atol=0.05)
+    more = estimate(only(calibrated, ["base", "tool", "joint_offset:3"], after), after)
+    assert more.rms_before < 0.01  # what geometry was off: its place is fitted
+    few, noise = after.rows(slice(0, 4)), np.random.default_rng(9).normal(0.0, 1.0, (4, 3))
+    found = estimate(only(calibrated, ["base", "tool"], few), replace(few, positions=few.positions + noise), sigma=1.0)
+    assert found.rms_before > 1000.0
+    assert any(said.startswith("too few measurements: ") for said in found.warnings)
+
+
+def test_words_that_name_nothing() -> None:
+    with pytest.raises(InputError, match=r"only: 'lenghts' is no parameter of the model, did you mean 'lengths'"):
+        only(ARM, ["lenghts"])
+    with pytest.raises(InputError, match="only: base is to be held, but the arm file does not say where it is"):
+        only(Arm.of_chain(CHAIN), ["joint_offsets", "tool"])
+    assert only(Arm(LENGTHS), ["base"]).names == ("joint_offset:1", "base_offset.x0", "base_offset.y0")
+    assert words_of(["a, b", "c"]) == ["a", "b", "c"]
+
+
+def test_priors_that_do_not_fit() -> None:
+    with pytest.raises(InputError, match="prior: found no covariance"):
+        earlier(ARM, Model(ARM))
+    other = replace(ARM, lengths=LENGTHS + 1.0, calibration=replace(FIXED, covariance=np.eye(1)))
+    with pytest.raises(InputError, match="prior: a calibration of another drawing"):
+        earlier(other, Model(ARM))
+
+
+def test_a_held_base_that_stands_elsewhere_is_said() -> None:
+    """In space and in the plane; nothing is said where the base stands as it did, or is among the words."""
+    before, arm = in_space()
+    calibrated = estimate(Model(arm), before).calibrated_arm()
+    for base, moved in ((0.0, False), (500.0, True)):
+        after, _ = in_space(shift=0.005, base=base)
+        found = estimate(only(calibrated, ["joint_offset:3"], after), after)
+        said = with_place_doubted(found, calibrated, ["joint_offset:3"], after).doubts
+        assert (
+            any(one.startswith("the arm does not stand where the arm file says: the RMS falls") for one in said)
+            is moved
+        )
+        assert any("--only base,joint_offset:3" in one for one in said) is moved
+    words = ["base", "joint_offset:3"]
+    free = estimate(only(calibrated, words, after), after)
+    assert with_place_doubted(free, calibrated, words, after) is free
+    drawn = replace(ARM, effects=())
+    for shift, expected in (((0.0, 0.0), 0), ((10.0, -5.0), 1)):
+        data, _ = session(11, 20, shift)
+        found = estimate(only(drawn, ["lengths"]), data)
+        doubts = with_place_doubted(found, drawn, ["lengths"], data).doubts
+        assert len(doubts) == expected  # once: not also as another frame
+        assert all("--only base,lengths" in one for one in doubts)

@@ -1,0 +1,267 @@
+"""Validation: exact transfer to another set-up, and the closed form of a rigid motion of the drawing as oracle."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from identification.arm import Arm, Calibration, EffectSpec
+from identification.error_curve import ErrorCurve
+from identification.errors import InputError
+from identification.estimation import estimate
+from identification.files.arm import load_arm
+from identification.files.measurement import load_measurements
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+from identification.kinematics.frames import from_own_axes, pose
+from identification.measurements import Measurements
+from identification.model import Model
+from identification.validate import Figures, validate
+from identification.validate.row_groups import extrapolation
+
+UR10 = Path(__file__).parents[2] / "data" / "ur10_planar"
+LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
+ERRORS, OFFSETS = np.array([1.5, -0.6, -0.4, 0.7]), np.radians([0.5, -0.5, 0.7, -0.3])
+A, B = 0.002, -0.001  # [rad] of an eccentric encoder at joint 2
+
+
+def tip(q: np.ndarray, turn: float = 0.0, shift: complex = 0.0) -> np.ndarray:
+    """The real arm, standing turned and shifted in the frame of the measurements."""
+    angles = q + OFFSETS
+    angles[:, 1] += A * np.cos(q[:, 1]) + B * np.sin(q[:, 1])
+    z = ((LENGTHS + ERRORS) * np.exp(1j * np.cumsum(angles, axis=1))).sum(axis=1)
+    z = np.exp(1j * turn) * z + shift
+    return np.column_stack([z.real, z.imag])
+
+
+def postures(m: int, seed: int, width: float = 1.5) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-width, width, (m, 4))
+
+
+def calibrated(*effects: EffectSpec) -> Arm:
+    values = {"encoder_eccentricity:2.a": A, "encoder_eccentricity:2.b": B}
+    calibration = Calibration.of(ERRORS, OFFSETS, values)
+    return Arm(LENGTHS, effects=(EffectSpec("encoder_eccentricity", 2), *effects), calibration=calibration)
+
+
+def rigid(computed: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """(m,) distances left by the best rotation and shift of computed points: the angle has a closed form."""
+    one, two = (values @ [1.0, 1.0j] for values in (computed, measured))
+    one, two = one - one.mean(), two - two.mean()
+    along = np.sum(np.conj(one) * two)
+    return np.abs(two - along / abs(along) * one)
+
+
+@pytest.mark.parametrize("effects", [(), (EffectSpec("base_offset"),)])
+def test_a_right_model_predicts_another_set_up(effects: tuple[EffectSpec, ...]) -> None:
+    """Turned by 150 degrees and a metre away: the file's model needs no base offset of its own for it."""
+    q = postures(40, 0)
+    found = validate(calibrated(*effects), Measurements(q, tip(q, np.radians(150.0), 800.0 - 600.0j)))
+    assert found.model.max < 1e-9
+    values = {entry["name"]: entry["value"] for entry in found.to_json()["refitted"]}
+    assert values["base_offset.x0"] == pytest.approx(800.0, abs=1e-9)
+    assert values["base_offset.y0"] == pytest.approx(-600.0, abs=1e-9)
+    assert values["joint_offset:1"] == pytest.approx(150.5, abs=1e-9)
+
+
+def test_a_gain_within_what_the_rows_scatter_by_is_said() -> None:
+    """Noise far above the errors hides what the model gains; a tenth of them does not."""
+    q = postures(40, 0)
+    for sigma, hardly in ((8.0, True), (0.02, False)):
+        measured = tip(q, 0.0, 0.0) + np.random.default_rng(3).normal(0.0, sigma, (40, 2))
+        found = validate(calibrated(), Measurements(q, measured))
+        after, before = (float(np.sum(r**2)) for r in (found.residuals, found.nominal_residuals))
+        said = [note for note in found.notes if "hardly better" in note]
+        assert bool(said) == hardly
+        assert all(f"{100.0 * (after / before) ** 0.5:.0f} % of the RMS error of the drawing" in note for note in said)
+        assert after < before
+
+
+def test_figures_of_the_drawing_are_those_of_a_rigid_motion() -> None:
+    q = postures(60, 1)
+    measured = tip(q, 0.3, 20.0j) + np.random.default_rng(2).normal(0.0, 0.1, (60, 2))
+    drawn = (LENGTHS * np.exp(1j * np.cumsum(q, axis=1))).sum(axis=1)
+    left = rigid(np.column_stack([drawn.real, drawn.imag]), measured)
+    data = validate(calibrated(), Measurements(q, measured)).to_json()
+    assert data["rows"] == 60
+    assert data["refit"] == "base"
+    assert data["rms_nominal_mm"] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-9)
+    assert data["mean_nominal_mm"] == pytest.approx(np.mean(left), rel=1e-6)  # flat in the parameters to first order
+    after = rigid(tip(q), measured)
+    assert data["rms_mm"] == pytest.approx(np.sqrt(np.mean(after**2)), rel=1e-9)
+    assert data["p95_mm"] == pytest.approx(np.percentile(after, 95), rel=1e-6)
+    assert data["max_mm"] == pytest.approx(np.max(after), rel=1e-6)
+    page = validate(calibrated(), Measurements(q, measured))._repr_html_()
+    figures = [np.sqrt(np.mean(after**2)), np.mean(after), np.percentile(after, 95), np.max(after)]
+    row = re.sub(r" data-heading=\"[^\"]*\"", "", page)
+    assert "<td>model</td>" + "".join(f"<td>{value:.4f}</td>" for value in figures) in row
+
+
+def test_offsets_refit_every_joint_offset() -> None:
+    q = postures(50, 3)
+    measured = tip(q + np.array([0.1, -0.02, 0.03, 0.01]), shift=5.0) + np.random.default_rng(4).normal(
+        0.0, 0.1, (50, 2)
+    )
+
+    def residuals(p: np.ndarray) -> np.ndarray:
+        angles = q + p[:4]
+        angles[:, 1] += A * np.cos(q[:, 1]) + B * np.sin(q[:, 1])
+        z = ((LENGTHS + ERRORS) * np.exp(1j * np.cumsum(angles, axis=1))).sum(axis=1) + p[4] + 1j * p[5]
+        return (measured - np.column_stack([z.real, z.imag])).ravel()
+
+    oracle = least_squares(residuals, np.r_[OFFSETS, 0.0, 0.0], xtol=1e-14, ftol=1e-14)
+    found = validate(calibrated(), Measurements(q, measured), "offsets")
+    assert found.model.rms == pytest.approx(np.sqrt(2.0 * oracle.cost / 50), rel=1e-9)
+
+
+def test_nothing_is_refitted_where_nothing_is_asked_for() -> None:
+    q = postures(30, 5)
+    found = validate(calibrated(), Measurements(q, tip(q) + np.array([0.3, 0.4])), "none")
+    assert found.model == Figures(*[pytest.approx(0.5)] * 4)
+    assert found.to_json()["refitted"] == []
+
+
+def test_each_session_has_its_own_base() -> None:
+    q, session = postures(40, 6), np.array(["first"] * 15 + ["second"] * 25)
+    measured = np.concatenate([tip(q[:15], 0.2, 100.0), tip(q[15:], -1.0, -50.0j)])
+    found = validate(calibrated(), Measurements(q, measured, session=session))
+    assert found.model.max < 1e-9
+    assert validate(calibrated(), Measurements(q, measured)).model.rms > 10.0
+    blocks = {(b.kind, b.name): b.rows for b in found.blocks}
+    assert blocks["session", "first"] == 15
+    assert blocks["session", "second"] == 25
+    entries = found.to_json()["refitted"]
+    assert {(e["session"], e["name"]): e["value"] for e in entries}["second", "base_offset.y0"] == pytest.approx(-50.0)
+
+
+def test_blocks_of_time_and_workspace_hold_every_row_once() -> None:
+    q, order = postures(21, 7), np.random.default_rng(8).permutation(21)
+    blocks = validate(calibrated(), Measurements(q, tip(q), order=order)).blocks
+    for kind in ("time", "workspace"):
+        assert sum(b.rows for b in blocks if b.kind == kind) == 21
+    assert [b.rows for b in blocks if b.kind == "time"] == [6, 5, 5, 5]
+
+
+def test_rows_outside_the_identified_range_are_said() -> None:
+    q = postures(30, 9, 0.5)
+    arm = estimate(Model(Arm(LENGTHS)), Measurements(q, tip(q))).calibrated_arm()
+    other = q.copy()
+    other[4, 2] = 1.5
+    found = validate(arm, Measurements(other, tip(other)))
+    assert any("1 of 30 rows are outside the angles" in note and "joint 3 in 1" in note for note in found.notes)
+    assert {b.name: b.rows for b in found.blocks if b.kind == "range"} == {"inside": 29, "outside": 1}
+    assert not validate(arm, Measurements(q, tip(q))).notes
+    curve = EffectSpec("joint_error_curve", 3, curve=ErrorCurve(-0.5, 0.5, np.zeros(5)))
+    assert "curves are zero there" in (extrapolation(replace(arm, effects=(curve,)), other) or "")
+    assert "curves are zero there" not in (extrapolation(replace(arm, effects=(replace(curve, joint=2),)), other) or "")
+    tied = replace(curve, curve=replace(curve.curve, geometry={"joint_offset:1": 1e-3}))
+    assert "by the geometry that was fitted alone" in (extrapolation(replace(arm, effects=(tied,)), other) or "")
+
+
+def test_missing_columns_and_the_same_file_are_said() -> None:
+    q, growth = postures(30, 10), EffectSpec("thermal_growth")
+    arm = calibrated(growth)
+    known = replace(arm.calibration, values={**arm.calibration.values, "thermal_growth.a": 1e-5})
+    arm = replace(arm, calibration=replace(known, provenance={"sha256": "same"}))
+    notes = validate(arm, Measurements(q, tip(q), provenance={"sha256": "same"})).notes
+    assert any("identified from" in note for note in notes)
+    assert any("thermal_growth needs the column temperature_C" in note for note in notes)
+
+
+def test_temperature_counts_from_the_mean_of_the_identification() -> None:
+    """One file at 20 degrees, another at 25: the arm is longer by 5 K in every row of the second."""
+    q, growth = postures(20, 11), 1e-4
+    arm = calibrated(EffectSpec("thermal_growth"))
+    values = {**arm.calibration.values, "thermal_growth.a": growth}
+    arm = replace(arm, calibration=Calibration(values, provenance={"mean_temperature_C": 20.0}))
+    found = validate(arm, Measurements(q, tip(q) * (1.0 + 5.0 * growth), temperature=np.full(20, 25.0)), "none")
+    assert found.model.max < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("arm", "m", "refit", "sentence"),
+    [
+        (calibrated(), 9, "all", "refit: unknown name 'all'"),
+        (Arm(LENGTHS), 9, "base", "calibration: the arm has none, allowed: a file written by"),
+        (calibrated(), 1, "base", "too few for 3 refitted parameters, 1 in all, allowed: at least 2 rows"),
+        (Arm(LENGTHS[:2], calibration=Calibration.of([1, 1], [0, 0])), 9, "base", "found 4 joints, allowed: 2"),
+    ],
+)
+def test_what_cannot_be_validated(arm: Arm, m: int, refit: str, sentence: str) -> None:
+    q = postures(m, 12)
+    with pytest.raises(InputError, match=sentence):
+        validate(arm, Measurements(q, tip(q)), refit)
+
+
+def test_what_one_session_of_the_real_robot_taught_carries_over_to_another() -> None:
+    """README.md and notebook 5: error curves found in series A, series C predicted; positions in complex numbers."""
+    arm, data = load_arm(UR10 / "ur10_from_A.toml"), load_measurements(UR10 / "measurements.csv")
+    lengths = arm.lengths + arm.calibration.length_errors
+    plain = data.postures + arm.calibration.joint_offsets
+    bent = plain.copy()
+    for spec in arm.effects:
+        if spec.curve is not None:
+            bent[:, spec.joint - 1] += spec.curve.at(data.postures[:, spec.joint - 1])
+    left = []
+    for angles in (plain, bent):
+        z = (lengths * np.exp(1j * np.cumsum(angles, axis=1))).sum(axis=1)
+        left.append(np.sqrt(np.mean(rigid(np.column_stack([z.real, z.imag]), data.positions) ** 2)))
+    found = validate(arm, data)
+    assert found.model.rms == pytest.approx(left[1], rel=1e-6)
+    assert found.model.rms < 0.33 < 0.8 * left[0]
+
+
+def test_what_happened_in_one_session_is_over_in_the_next() -> None:
+    """A zero that jumped in the middle of a session stays where it is: another one sees the arm after the jump."""
+    step = EffectSpec("joint_step", 2, {"at": 0.0, "b": 2e-3})
+    arm = Arm([400.0, 300.0], effects=(EffectSpec("base_offset"), step), calibration=Calibration.of([0, 0], [0, 0]))
+    after = Arm([400.0, 300.0], calibration=Calibration.of([0.0, 0.0], [0.0, 2e-3]))
+    postures = np.random.default_rng(5).uniform(-2.0, 2.0, (40, 2))
+    data = Measurements(postures, Model(after).position(postures))
+    assert validate(arm, data, refit="base").model.rms < 1e-6
+    assert validate(arm, data, refit="none").model.rms > 0.1  # the same session: half of its rows are before the jump
+
+
+# -- curves with the geometry that was fitted with them ---------------------------------------------------------------
+ROWS = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0), DHRow(0.0, 1.0, 60.0)]
+
+
+def test_another_set_up_keeps_the_geometry_of_curves_in_space() -> None:
+    """A chain with an error of the size of a joint zero, seen by a tracker that stands elsewhere and calls the
+    reflector by another name: inside the curve's angles as it is, beyond them without the curve and what belongs to it,
+    by models that have no curve at all. Products of two small errors are left: 1e-3 rad x 1 mm."""
+    rng = np.random.default_rng(6)
+    chain = replace(chain_of(ROWS), tools={"1": np.array([40.0, 30.0, 20.0])})
+    chain = replace(chain, base=pose((900.0, -400.0, 200.0), from_own_axes(0.4, -0.3, 1.1)))
+    names = [p.name for p in chain.parameters()]
+    values = {name: (2e-3 if ":" in name and "transl" not in name else 0.5) * rng.normal() for name in names}
+    values |= {"joint_offset:2": 0.9, "rotation_x:3": 0.02, "base.rx": 1e-3, "base.ry": 2e-3, "base.rz": -1e-3}
+    own = {
+        name: (5e-4 if ".r" in name or "offset" in name or "rotat" in name else 0.3) * rng.normal() for name in names
+    }
+    curve = ErrorCurve(-1.0, 1.0, 5e-4 * rng.normal(size=12), own)
+    effects = (EffectSpec("joint_error_curve", 2, curve=curve),)
+    arm = Arm.of_chain(chain, effects=effects, calibration=Calibration(values))
+    q = rng.uniform(-1.0, 1.0, (80, 4))
+    q[40:, 1] += 2.5  # the curve ends at 1
+    axes = np.array(chain.base[:3, :3]) @ [own[f"base.{axis}"] for axis in "xyz"]
+    without = {name: values[name] - own[name] for name in names} | {
+        f"base.{axis}": values[f"base.{axis}"] - x for axis, x in zip("xyz", axes, strict=True)
+    }
+    bent = q[:40] + curve.at(q[:40, 1])[:, None] * [0.0, 1.0, 0.0, 0.0]
+    drawn = Arm.of_chain(chain)
+    places = [
+        Model(replace(drawn, calibration=Calibration(v))).position(rows)
+        for v, rows in ((values, bent), (without, q[40:]))
+    ]
+    there = np.concatenate(places)
+    np.testing.assert_allclose(Model(arm).position(q), there, atol=1e-9)
+    moved = there @ from_own_axes(-2.0, 0.7, 0.2).T + [300.0, 50.0, -700.0]
+    data = Measurements(q, moved, marker=np.full(80, "ball"))
+    assert validate(arm, data).model.max < 5e-3
+    bare = arm.with_effects(replace(effects[0], curve=replace(curve, geometry={})))
+    assert validate(bare, data).model.rms > 0.1
