@@ -75,9 +75,12 @@ class Lines:
     done: float = 0.0
     total: float | None = None
     message: str = ""
+    advanced: float = field(default_factory=time.monotonic)  # when `done` last grew
 
     def tell(self, done: float, total: float | None, message: str) -> None:
         """Store a report of the job."""
+        if done != self.done:
+            self.advanced = time.monotonic()
         self.done, self.total, self.message = done, total, message
 
     def text(self) -> str:
@@ -85,7 +88,8 @@ class Lines:
         used = time.monotonic() - self.started
         parts = [f"armcal {self.title}: {used:.0f} s", *filter(None, [self.message])]
         if self.total and 0 < self.done < self.total:
-            left = used * (self.total / self.done - 1.0)
+            since = time.monotonic() - self.advanced
+            left = max((used - since) * (self.total / self.done - 1.0) - since, 0.0)
             parts.append(f"{self.done / self.total:.0%} done, about {left:.0f} s left".replace("%", " %"))
         return ", ".join(parts)
 

@@ -55,6 +55,7 @@ from identification.threads import single_thread
 
 # the strictest level must be within reach: p >= 1 / (draws + 1) (identification/README.md, "Constants")
 FEWEST_DRAWS = round(1.0 / (ALPHA_NEXT * LEVEL_FACTOR)) - 1
+BEGINS = (0.0, 0.0, 0.8, 0.95)  # part of the work that is done when each of the four steps begins
 
 
 @single_thread()
@@ -121,8 +122,8 @@ def findings_of(
 
 
 def step(number: int, progress: Progress) -> Tell:
-    """What is told of a step; how long the steps to come take depends on what this one finds."""
-    return lambda message: progress(number, None, f"step {number} of 4: {message}")
+    """What is told of a step, and the part of the work that is usually done when it begins."""
+    return lambda message: progress(BEGINS[number - 1], 1.0, f"step {number} of 4: {message}")
 
 
 def of_first_session(result: Diagnosis, arm: Arm) -> Diagnosis:

@@ -31,6 +31,15 @@ def test_time_left_is_that_of_the_rest_at_the_same_pace() -> None:
     assert told.text() == "armcal study: 20 s, 1 failed, 40 % done, about 30 s left"
 
 
+def test_time_left_counts_down_while_nothing_advances() -> None:
+    """80 s for four fifths leave 20 s, of which 15 have passed."""
+    now = time.monotonic()
+    told = Lines("diagnose", started=now - 95.0, done=0.8, total=1.0, message="step 3 of 4", advanced=now - 15.0)
+    assert told.text() == "armcal diagnose: 95 s, step 3 of 4, 80 % done, about 5 s left"
+    told.tell(0.8, 1.0, "step 3 of 4, curves")
+    assert told.text().endswith("80 % done, about 5 s left")
+
+
 def test_without_a_total_there_is_no_time_left() -> None:
     told = Lines("diagnose", started=time.monotonic() - 20.0)
     told.tell(2, None, "testing the effects, pass 1")
