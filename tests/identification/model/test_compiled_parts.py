@@ -86,7 +86,7 @@ def test_the_geometry_takes_what_is_added_to_angles() -> None:
 
 def test_parts_are_compiled_once() -> None:
     """For equal arms, effects and places."""
-    assert compiled_arm(chain_of(ROWS), None, False, ()) is SHARED
+    assert compiled_arm(chain_of(ROWS), None, False, ()) is compiled_arm(CHAIN, None, False, ())
     eccentric = EffectSpec("encoder_eccentricity", 1)
     assert SHARED.of(effect_of(eccentric)) is SHARED.of(effect_of(eccentric))
     known = (0.0,) * len(Model(Arm.of_chain(CHAIN)).names)
