@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from identification.arm import Arm
     from identification.measurements import Measurements
 
-# the arm file with a table added to it; --force may overwrite the old one
 PIPE = 110  # characters of a line where no terminal says how many it has
+# the arm file with a table added to it; --force may overwrite the old one
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))
 
 
