@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -16,6 +18,37 @@ BY_ORDER = frozenset({"time", "directions", "past"})
 FOLLOWING = frozenset({"directions", "past"})
 LABELS = 0.75  # share of rows behind a gap from which the numbers of order are frames or labels, not counts
 REMEMBERED = 12  # turning points of a past: of 60 random postures in 3,000 one row needs more
+
+
+class Past:
+    """(m, n, 12) what each joint remembers (`past_from_order`), worked out when an effect asks for it: of thousands of
+    rows it takes as long as a fit. An array to numpy; indexed by rows.
+
+    whole : that of all rows, or a function without arguments that gives it;  index : of the rows, any numpy index
+    """
+
+    def __init__(self, whole: Past | Callable[[], Array], index: Any = slice(None)) -> None:
+        self._whole, self._index = whole, index
+
+    def __getitem__(self, index: Any) -> Past:
+        return Past(self, index)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+        return np.array(self._values, dtype=dtype, copy=copy)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or np.array_equal(self._values, np.asarray(other))
+
+    def __hash__(self) -> int:
+        return hash(Past)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return np.asarray, (self._values,)  # to another process as numbers
+
+    @cached_property
+    def _values(self) -> Array:
+        whole = self._whole
+        return whole._values[self._index] if isinstance(whole, Past) else whole()[self._index]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +71,7 @@ class Conditions(ByValue):
     time: Array | None = None
     directions: Array | None = None
     session: Array | None = None
-    past: Array | None = None
+    past: Array | Past | None = None
     marker: Array | None = None
     orientation: Array | None = None
 
@@ -60,7 +93,7 @@ class Conditions(ByValue):
         table[..., 3] = 0.0 if self.session is None else self.session
         table[..., 4 : 4 + n] = 1.0 if self.directions is None else self.directions
         if postures is not None:
-            past = postures[..., None] if self.past is None else self.past
+            past = postures[..., None] if self.past is None else np.asarray(self.past)
             whole = np.broadcast_to(past, (*postures.shape, REMEMBERED))
             table[..., 4 + n :] = whole.reshape(*postures.shape[:-1], n * REMEMBERED)
         return table

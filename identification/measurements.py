@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from identification.arm import MAX_LINKS, Arm
 from identification.arrays import Array, ByValue
-from identification.conditions import REMEMBERED, Conditions, directions_from_order, past_from_order, session_time
+from identification.conditions import REMEMBERED, Conditions, Past, directions_from_order, past_from_order, session_time
 from identification.errors import InputError
 from identification.measurement_values import (
     DIMENSIONS,
@@ -96,7 +96,7 @@ class Measurements(ByValue):
     session_names: tuple[str, ...] = ()
     marker: NDArray[np.str_] | None = None
     marker_names: tuple[str, ...] = ()
-    past: Array | None = None
+    past: Array | Past | None = None
     orientations: Array | None = None
     commanded: Array | None = None
     gaps: Array | None = None
@@ -260,11 +260,11 @@ class Measurements(ByValue):
         return np.where(found == 0.0, np.nan, found)
 
     @cached_property
-    def _past(self) -> Array:
+    def _past(self) -> Array | Past:
         """(m, n, 12) see `past_from_order`."""
         if self.past is not None:
             return self.past
-        return self._by_order(past_from_order, (*self.postures.shape, REMEMBERED))
+        return Past(partial(self._by_order, past_from_order, (*self.postures.shape, REMEMBERED)))
 
     def _by_order(self, function: Callable[..., Array], shape: tuple[int, ...]) -> Array:
         """What follows from the order, in each session."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import product
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -46,6 +45,8 @@ AS_STATED: Widths = (1.0, 1.0)
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
 CREDIBLE = 4.0  # difference of -2 log likelihood from the sizes as stated: chi2 of one degree of freedom, 5 %
 ENOUGH = 3000  # equations: of more, rows show the same misfits again, and widths are chosen as from so many
+GRID = 33  # values of the noise at once, on a logarithmic scale: each pass finds it 16 times as closely
+FINE = 1e-4  # of its logarithm, where the likelihood is a parabola
 LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
 
 
@@ -225,16 +226,23 @@ def likeliest(problem: LinearizedProblem, noise: Noise, given: bool) -> tuple[fl
         effects, spare = (jacobian * sizes) @ problem.factor, max(round(share * problem.spare), 1)
         return Restricted.of(np.sqrt(share) * target, basis[:, :0], np.sqrt(share) * effects, spare)
 
-    def fitted(widths: Widths, share: float = 1.0) -> tuple[float, float]:
-        """-2 log of the likelihood, and the noise, from a share of the rows."""
-        size = widths[0] if alike else 1.0
-        found, least = likelihood(widths[0] / size, widths[1], share), unit if known else unit / LARGEST
-        noise = unit if given else found.likeliest_noise(least, LARGEST * unit, size)
-        return found.minus_log(noise, size) + CREDIBLE * np.count_nonzero(np.not_equal(widths, AS_STATED)), noise
+    def fitted(widths: Array, of_zeros: float, share: float) -> tuple[Array, Array]:
+        """-2 log of the likelihood for each width (w,) of one of zeros, and the noise, from a share of the rows."""
+        least = unit if known else unit / LARGEST
+        if alike:
+            found = [likelihood(1.0, of_zeros, share).likeliest(least, LARGEST * unit, widths, given)]
+        else:
+            each = [(likelihood(width, of_zeros, share), np.ones(1)) for width in widths.tolist()]
+            found = [one.likeliest(least, LARGEST * unit, size, given) for one, size in each]
+        values, noises = np.concatenate(found, axis=1)
+        return values + CREDIBLE * (np.not_equal(widths, 1.0) + float(of_zeros != 1.0)), noises
 
-    tried = product(WIDTHS if problem.machined.any() else (1.0,), ZERO_WIDTHS if problem.zeros.any() else (1.0,))
-    best = min(tried, key=lambda widths: fitted(widths, min(1.0, ENOUGH / problem.equations))[0])
-    return fitted(best)[1], best
+    widths = np.array(WIDTHS if problem.machined.any() else WIDTHS[:1])
+    tried = ZERO_WIDTHS if problem.zeros.any() else ZERO_WIDTHS[:1]
+    values = np.array([fitted(widths, of_zeros, min(1.0, ENOUGH / problem.equations))[0] for of_zeros in tried])
+    row, column = np.unravel_index(np.argmin(values), values.shape)
+    best = float(widths[column]), tried[row]
+    return float(fitted(widths[[column]], best[1], 1.0)[1][0]), best
 
 
 def widened(problem: Problem, widths: Widths) -> Prior | None:
@@ -276,23 +284,32 @@ class Restricted:
         along = (vectors[:, seen][:, -len(values) :].T @ (effects.T @ target)) ** 2 / values if len(values) else values
         return cls(values, along, max(float(target @ target - along.sum()), 0.0), spare - len(values))
 
-    def minus_log(self, noise: float, size: float = 1.0) -> float:
-        """-2 log of the likelihood, up to a constant;  size : factor on the deviations of the effects."""
-        total = size**2 * self.values + noise**2
-        own = float(np.sum(np.log(total) + self.squares / total))
-        return own + self.count * 2.0 * float(np.log(noise)) + self.rest / noise**2
+    def minus_log(self, noise: Array, size: Array) -> Array:
+        """-2 log of the likelihood, up to a constant;  size : factors on the deviations of the effects."""
+        total = size[..., None] ** 2 * self.values + noise[..., None] ** 2
+        own = np.sum(np.log(total) + self.squares / total, axis=-1)
+        return np.asarray(own + self.count * 2.0 * np.log(noise) + self.rest / noise**2)
 
-    def likeliest_noise(self, least: float, largest: float, size: float = 1.0) -> float:
-        """Between two values, for a factor on the deviations of the effects."""
-        from scipy.optimize import minimize_scalar
-
-        limits = (float(np.log(least)), float(np.log(largest)))
-        found = minimize_scalar(lambda log: self.minus_log(float(np.exp(log)), size), bounds=limits, method="bounded")
-        return least if self.minus_log(least, size) <= found.fun else float(np.exp(found.x))
+    def likeliest(self, least: float, largest: float, size: Array, given: bool = False) -> Array:
+        """(2, w) least -2 log of the likelihood for factors (w,) on the deviations of the effects, and the noise there,
+        between two values;  given : the noise is the least."""
+        low, high = (np.full(len(size), np.log(value)) for value in (least, least if given else largest))
+        while np.max(high - low) > FINE:
+            grid = np.linspace(low, high, GRID)
+            lowest = np.argmin(self.minus_log(np.exp(grid), np.broadcast_to(size, grid.shape)), axis=0)
+            low, high = (np.take_along_axis(grid, np.clip(lowest + k, 0, GRID - 1)[None], axis=0)[0] for k in (-1, 1))
+        ends = np.stack([low, 0.5 * (low + high), high])
+        first, middle, last = self.minus_log(np.exp(ends), np.broadcast_to(size, ends.shape))
+        bend = first - 2.0 * middle + last  # the vertex of a parabola: a last digit cannot turn it
+        vertex = (
+            ends[1] + np.where(bend > 0.0, (first - last) / np.where(bend > 0.0, bend, 1.0), 0.0) * (high - low) / 4
+        )
+        noise = np.exp(np.clip(vertex, low, high))
+        return np.stack([self.minus_log(noise, size), noise])
 
     def likeliest_size(self) -> tuple[float, float]:
         """Factor from 0 to 1 on the deviations of all effects, and the noise beside them, both likeliest together."""
         whole = max(float(np.sqrt((self.rest + self.squares.sum()) / (self.count + len(self.values)))), 1e-12)
-        noises = {size: self.likeliest_noise(whole / LARGEST, whole, size) for size in SIZES}
-        best = min(SIZES, key=lambda size: self.minus_log(noises[size], size))
-        return best, noises[best]
+        values, noises = self.likeliest(whole / LARGEST, whole, np.array(SIZES))
+        best = int(np.argmin(values))
+        return SIZES[best], float(noises[best])

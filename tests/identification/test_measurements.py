@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -152,14 +155,28 @@ def test_turning_points_are_all_that_hysteresis_remembers(width: float) -> None:
 def test_the_past_follows_the_order_and_stays_with_its_rows() -> None:
     q = np.array([[0.1], [0.5], [0.2], [0.9]])
     data = Measurements(q, np.zeros((4, 2)), order=np.array([3.0, 1.0, 4.0, 2.0]))  # measured: 0.5, 0.9, 0.1, 0.2
-    past = data.conditions.past
-    assert past is not None
+    past = np.asarray(data.conditions.past)
     np.testing.assert_array_equal(past[:, 0, -1], [0.9, 0.5, 0.1, 0.5])
-    some = data.rows([0, 2]).conditions.past
-    assert some is not None
-    np.testing.assert_array_equal(some, past[[0, 2]])
+    some = data.rows([0, 2])
+    np.testing.assert_array_equal(np.asarray(some.conditions.past), past[[0, 2]])
+    np.testing.assert_array_equal(np.asarray(some.rows([1]).conditions.past), past[[2]])
     both = past_from_order(np.stack([q, 2.0 * q]))  # two sessions at once
     np.testing.assert_array_equal(both[1], 2.0 * past_from_order(q))
+
+
+def test_the_past_is_worked_out_only_where_an_effect_asks_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of thousands of rows it takes as long as a fit; numbers travel to other processes, and equal ones are equal."""
+    data = Measurements(Q, X)
+    monkeypatch.setattr("identification.measurements.past_from_order", asked := Mock(side_effect=past_from_order))
+    conditions = data.rows(slice(None, None, 2)).conditions
+    conditions.table(10, 4, 1.0)
+    assert not asked.called
+    wide = conditions.table(10, 4, 1.0, Q[::2])
+    assert asked.call_count == 1
+    np.testing.assert_array_equal(wide[:, 8:], past_from_order(Q)[::2].reshape(10, -1))
+    assert conditions == data.rows(np.arange(0, 20, 2)).conditions
+    assert conditions != data.rows(np.arange(1, 20, 2)).conditions
+    assert pickle.loads(pickle.dumps(conditions)) == conditions
 
 
 def test_the_table_has_the_past_on_demand() -> None:

@@ -60,8 +60,8 @@ def test_directions_are_unknown_after_a_gap(tmp_path: Path) -> None:
 
 
 def test_what_joints_remember_begins_anew_after_a_gap(tmp_path: Path) -> None:
-    data, past = struck(tmp_path), struck(tmp_path).conditions.past
-    assert past is not None
+    data = struck(tmp_path)
+    past = np.asarray(data.conditions.past)
     later = data.rows(slice(17, None))
     alone = replace(later, directions=None, past=None)
     np.testing.assert_array_equal(past[17:], alone.conditions.past)
