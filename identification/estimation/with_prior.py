@@ -24,6 +24,7 @@ from identification.estimation.methods import starts
 from identification.estimation.outcome import Spread, identification
 from identification.estimation.prior import Prior, effective_count
 from identification.estimation.problem import Problem
+from identification.estimation.restricted_likelihood import LARGEST, Restricted
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import Uncertainty
 from identification.information import spectrum
@@ -37,7 +38,6 @@ from identification.threads import single_thread
 FIRST = 2  # steps before the noise is estimated again: the model is nearly linear
 ROUNDS = 10  # of fit and noise: the model is nearly linear, so that the second changes little
 STEADY = 1e-4  # relative change of the noise, far below its own uncertainty
-SIZES = (0.0, *(2.0 ** (-k / 2.0) for k in range(16, -1, -1)))  # of all effects; the likelihood is flat over a step
 WIDTHS = tuple(2.0**k for k in range(6))  # factors on the machining's sizes; the likelihood is flat over a step
 ZERO_WIDTHS = (1.0, 4.0, 16.0, 64.0)  # of joint zeros besides, which are set by hand: to 32 deg
 Widths = tuple[float, float]  # factors on the machining's sizes, and one more on those of joint zeros
@@ -45,9 +45,6 @@ AS_STATED: Widths = (1.0, 1.0)
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
 CREDIBLE = 4.0  # difference of -2 log likelihood from the sizes as stated: chi2 of one degree of freedom, 5 %
 ENOUGH = 3000  # equations: of more, rows show the same misfits again, and widths are chosen as from so many
-GRID = 33  # values of the noise at once, on a logarithmic scale: each pass finds it 16 times as closely
-FINE = 1e-4  # of its logarithm, where the likelihood is a parabola
-LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
 
 
 @single_thread()
@@ -254,62 +251,3 @@ def widened(problem: Problem, widths: Widths) -> Prior | None:
     }
     own = problem.prior.deviations
     return replace(problem.prior, deviations={name: own[name] * factors.get(name, 1.0) for name in own})
-
-
-@dataclass(frozen=True)
-class Restricted:
-    """Residuals as noise and effects of normal sizes, with the parameters without a prior integrated out.
-
-    values : variances of orthogonal combinations of residuals that effects of deviation one make
-    squares : of these combinations;  rest, count : sum of squares of the others, and their number
-    """
-
-    values: Array
-    squares: Array
-    rest: float
-    count: int
-
-    @classmethod
-    def of(cls, target: Array, free: Array, effects: Array, spare: int | None = None) -> Restricted:
-        """Of (N,) residuals, (N, f) columns without a prior and (N, e) columns times the deviation of their prior.
-
-        spare : equations less f, where the rows stand for more than they are
-        """
-        spare = len(target) - free.shape[1] if spare is None else spare
-        basis = np.linalg.qr(free)[0]
-        target, effects = target - basis @ (basis.T @ target), effects - basis @ (basis.T @ effects)
-        values, vectors = np.linalg.eigh(effects.T @ effects)
-        seen = values > 1e-12 * max(values.max(initial=0.0), 1e-300)
-        values = values[seen][-spare:]
-        along = (vectors[:, seen][:, -len(values) :].T @ (effects.T @ target)) ** 2 / values if len(values) else values
-        return cls(values, along, max(float(target @ target - along.sum()), 0.0), spare - len(values))
-
-    def minus_log(self, noise: Array, size: Array) -> Array:
-        """-2 log of the likelihood, up to a constant;  size : factors on the deviations of the effects."""
-        total = size[..., None] ** 2 * self.values + noise[..., None] ** 2
-        own = np.sum(np.log(total) + self.squares / total, axis=-1)
-        return np.asarray(own + self.count * 2.0 * np.log(noise) + self.rest / noise**2)
-
-    def likeliest(self, least: float, largest: float, size: Array, given: bool = False) -> Array:
-        """(2, w) least -2 log of the likelihood for factors (w,) on the deviations of the effects, and the noise there,
-        between two values;  given : the noise is the least."""
-        low, high = (np.full(len(size), np.log(value)) for value in (least, least if given else largest))
-        while np.max(high - low) > FINE:
-            grid = np.linspace(low, high, GRID)
-            lowest = np.argmin(self.minus_log(np.exp(grid), np.broadcast_to(size, grid.shape)), axis=0)
-            low, high = (np.take_along_axis(grid, np.clip(lowest + k, 0, GRID - 1)[None], axis=0)[0] for k in (-1, 1))
-        ends = np.stack([low, 0.5 * (low + high), high])
-        first, middle, last = self.minus_log(np.exp(ends), np.broadcast_to(size, ends.shape))
-        bend = first - 2.0 * middle + last  # the vertex of a parabola: a last digit cannot turn it
-        vertex = (
-            ends[1] + np.where(bend > 0.0, (first - last) / np.where(bend > 0.0, bend, 1.0), 0.0) * (high - low) / 4
-        )
-        noise = np.exp(np.clip(vertex, low, high))
-        return np.stack([self.minus_log(noise, size), noise])
-
-    def likeliest_size(self) -> tuple[float, float]:
-        """Factor from 0 to 1 on the deviations of all effects, and the noise beside them, both likeliest together."""
-        whole = max(float(np.sqrt((self.rest + self.squares.sum()) / (self.count + len(self.values)))), 1e-12)
-        values, noises = self.likeliest(whole / LARGEST, whole, np.array(SIZES))
-        best = int(np.argmin(values))
-        return SIZES[best], float(noises[best])

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from identification.arm import Calibration
+from identification.estimation.restricted_likelihood import Restricted
 from identification.estimation.uncertainty import Uncertainty
-from identification.estimation.with_prior import Restricted
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import estimates
 from identification.gap.curves.curves import CurveFit

@@ -1,0 +1,75 @@
+"""Marginal likelihood of noise and of the sizes of effects, the parameters without a prior integrated out (restricted
+maximum likelihood, H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are unequal",
+1971)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.arrays import Array
+
+SIZES = (0.0, *(2.0 ** (-k / 2.0) for k in range(16, -1, -1)))  # of all effects; the likelihood is flat over a step
+GRID = 33  # values of the noise at once, on a logarithmic scale: each pass finds it 16 times as closely
+FINE = 1e-4  # of its logarithm, where the likelihood is a parabola
+LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
+
+
+@dataclass(frozen=True)
+class Restricted:
+    """Residuals as noise and effects of normal sizes, with the parameters without a prior integrated out.
+
+    values : variances of orthogonal combinations of residuals that effects of deviation one make
+    squares : of these combinations;  rest, count : sum of squares of the others, and their number
+    """
+
+    values: Array
+    squares: Array
+    rest: float
+    count: int
+
+    @classmethod
+    def of(cls, target: Array, free: Array, effects: Array, spare: int | None = None) -> Restricted:
+        """Of (N,) residuals, (N, f) columns without a prior and (N, e) columns times the deviation of their prior.
+
+        spare : equations less f, where the rows stand for more than they are
+        """
+        spare = len(target) - free.shape[1] if spare is None else spare
+        basis = np.linalg.qr(free)[0]
+        target, effects = target - basis @ (basis.T @ target), effects - basis @ (basis.T @ effects)
+        values, vectors = np.linalg.eigh(effects.T @ effects)
+        seen = values > 1e-12 * max(values.max(initial=0.0), 1e-300)
+        values = values[seen][-spare:]
+        along = (vectors[:, seen][:, -len(values) :].T @ (effects.T @ target)) ** 2 / values if len(values) else values
+        return cls(values, along, max(float(target @ target - along.sum()), 0.0), spare - len(values))
+
+    def minus_log(self, noise: Array, size: Array) -> Array:
+        """-2 log of the likelihood, up to a constant;  size : factors on the deviations of the effects."""
+        total = size[..., None] ** 2 * self.values + noise[..., None] ** 2
+        own = np.sum(np.log(total) + self.squares / total, axis=-1)
+        return np.asarray(own + self.count * 2.0 * np.log(noise) + self.rest / noise**2)
+
+    def likeliest(self, least: float, largest: float, size: Array, given: bool = False) -> Array:
+        """(2, w) least -2 log of the likelihood for factors (w,) on the deviations of the effects, and the noise there,
+        between two values;  given : the noise is the least."""
+        low, high = (np.full(len(size), np.log(value)) for value in (least, least if given else largest))
+        while np.max(high - low) > FINE:
+            grid = np.linspace(low, high, GRID)
+            lowest = np.argmin(self.minus_log(np.exp(grid), np.broadcast_to(size, grid.shape)), axis=0)
+            low, high = (np.take_along_axis(grid, np.clip(lowest + k, 0, GRID - 1)[None], axis=0)[0] for k in (-1, 1))
+        ends = np.stack([low, 0.5 * (low + high), high])
+        first, middle, last = self.minus_log(np.exp(ends), np.broadcast_to(size, ends.shape))
+        bend = first - 2.0 * middle + last  # the vertex of a parabola: a last digit cannot turn it
+        vertex = (
+            ends[1] + np.where(bend > 0.0, (first - last) / np.where(bend > 0.0, bend, 1.0), 0.0) * (high - low) / 4
+        )
+        noise = np.exp(np.clip(vertex, low, high))
+        return np.stack([self.minus_log(noise, size), noise])
+
+    def likeliest_size(self) -> tuple[float, float]:
+        """Factor from 0 to 1 on the deviations of all effects, and the noise beside them, both likeliest together."""
+        whole = max(float(np.sqrt((self.rest + self.squares.sum()) / (self.count + len(self.values)))), 1e-12)
+        values, noises = self.likeliest(whole / LARGEST, whole, np.array(SIZES))
+        best = int(np.argmin(values))
+        return SIZES[best], float(noises[best])
