@@ -62,7 +62,7 @@ def identification_tables(
         if full
         else dh_tables(*dh)
         if dh[0]
-        else in_short(rows)
+        else in_short(rows, minimal=not hidden)
     )
     if found.geometry is not None and full:
         shown += [Text(sentence) for sentence in found.geometry.strict_table]
@@ -108,8 +108,11 @@ def dh_tables(rows: Sequence[CorrectedValue], lines: Sequence[str]) -> list[Any]
     return [corrected_table(rows, "Corrected Denavit-Hartenberg table"), *map(Text, (*lines, *TABLE_NOTES))]
 
 
-def in_short(rows: Sequence[CorrectedValue]) -> list[Any]:
-    """Of a spatial arm the values that the measurements determine, the others counted, and where all of them are."""
+def in_short(rows: Sequence[CorrectedValue], minimal: bool) -> list[Any]:
+    """Of a spatial arm the values that the measurements determine, the others counted, and where all of them are.
+
+    minimal : whether a minimal set can be fitted instead, which has no prior
+    """
     frames = [row for row in rows if row.nominal is not None]
     sure = [row for row in frames if not row.weak and not negligible(row)]
     weak = [row.name for row in frames if row.weak]
@@ -120,7 +123,7 @@ def in_short(rows: Sequence[CorrectedValue]) -> list[Any]:
     if same := len(frames) - len(sure) - len(weak):
         shown.append(Text(f"As drawn to three decimals: {same} more."))
     shown += [Text(line) for line in places_in_words(rows)]
-    return [*shown, *map(Text, ALL_OF_THEM)]
+    return [*shown, *map(Text, ALL_OF_THEM if minimal else ALL_OF_THEM[:1])]
 
 
 def negligible(row: CorrectedValue) -> bool:

@@ -241,6 +241,8 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Hyp
     members: list[Hypothesis] = []
     skipped: dict[str, str] = {}
     for name, cls in shown.items():
+        if "distance" in cls.needs - available:
+            continue  # of another instrument: nothing that these data lack
         if missing := sorted(cls.needs - available):
             skipped[name] = f"needs {', '.join(missing)}"
             continue

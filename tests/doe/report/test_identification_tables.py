@@ -29,7 +29,7 @@ ROWS = (
 
 def test_well_determined_values_are_shown_and_the_others_said() -> None:
     console = Console(width=80, file=io.StringIO())
-    for part in in_short(ROWS):
+    for part in in_short(ROWS, minimal=True):
         console.print(part)
     text = console.file.getvalue()
     assert max(map(len, text.splitlines())) <= 80
@@ -47,3 +47,4 @@ def test_well_determined_values_are_shown_and_the_others_said() -> None:
     assert "As drawn to three decimals: 1 more." in said
     assert "base [mm]: x 2574.140, rz 159.650 deg" in said
     assert "--parameters minimal gives a complete set" in said
+    assert not any("minimal" in str(part) for part in in_short(ROWS, minimal=False))

@@ -78,3 +78,4 @@ def test_effects_without_their_data_are_skipped_with_the_reason() -> None:
     bare = hypotheses(Arm([300.0, 200.0]), frozenset())
     assert bare.skipped["thermal_growth"] == "needs temperature"
     assert bare.skipped["link_bending"] == "needs gravity"
+    assert "length_offset" not in bare.skipped  # nothing that these data lack: they are of another instrument
