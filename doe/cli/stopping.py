@@ -46,7 +46,8 @@ def _lost_no_signal(otherwise: Callable[[Any], object], unraisable: Any) -> None
     """A signal that met the end of an object, where nothing can be raised, comes again a little later."""
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
         number = signal.Signals[next(iter(unraisable.exc_value.args), "SIGINT")]
-        threading.Timer(AGAIN, signal.raise_signal, (number,)).start()
+        main = threading.main_thread().ident  # where it ends a wait, too: sent to the timer's thread it would not
+        threading.Timer(AGAIN, signal.pthread_kill, (main, number)).start()
     else:
         otherwise(unraisable)
 

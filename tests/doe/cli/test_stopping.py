@@ -24,8 +24,10 @@ class Ending:
 def test_a_signal_that_meets_the_end_of_an_object_is_not_lost(
     number: signal.Signals, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    end = time.monotonic() + 20.0
     with pytest.raises(KeyboardInterrupt) as stopped, stoppable():  # noqa: PT012 - two statements are the point
         Ending(number)
         time.sleep(20.0)
+    assert time.monotonic() < end  # the sleep was not slept to its end
     assert stopped_by(stopped.value) == f"stopped by {words}"
     assert capsys.readouterr().err == ""
