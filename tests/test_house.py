@@ -252,7 +252,8 @@ def test_docstrings_are_no_lines_of_a_function() -> None:
 SAME = {
     "command": "a verb of the command line",
     "html text remarks": "a result as it is shown: of a fit, of a diagnosis",
-    "arm_of data_set random_effect true_values": "cells of the blind study, in the plane and in space",
+    "arm_of data_set hidden true_values": "cells of the blind study, in the plane and in space",
+    "outside_effect many_effects sized family": "what they hide, in the plane and in space",
     "random_truth position base_jacobian column": "its simulators, in the plane and in space",
     "write_pictures": "the pictures of a study",
 }

@@ -19,14 +19,14 @@ import pytest
 from doe.studies.blind import spatial_cells
 from doe.studies.blind.hidden_effects import key
 from doe.studies.blind.simulator import RowConditions
-from doe.studies.blind.spatial_cells import ALL_JOINTS, CELLS, OF_ARM, OF_GRAVITY, OF_JOINT, column
-from doe.studies.blind.spatial_simulator import SpatialTruth, base_jacobian, moments, position
+from doe.studies.blind.spatial_cells import CELLS
+from doe.studies.blind.spatial_hidden_effects import ALL_JOINTS, OF_ARM, OF_JOINT, SEEN, column, directions
+from doe.studies.blind.spatial_simulator import OF_GRAVITY, SpatialTruth, base_jacobian, moments, position
 from tests.benchmarks.test_blind_ceiling import CIRCLE, log_mean
 
 CELL = "space, gravity, tilted base"
 COUNT, LEANS = 60, 100
 PAIRS = ("encoder_eccentricity", "encoder_second_harmonic", "transmission_ripple")
-SEEN = spatial_cells.SEEN
 Columns = Iterator[tuple[str, int | None, np.ndarray]]  # type, joint, (3m, S) sampled columns of effects
 
 
@@ -36,7 +36,7 @@ def drawn(seed: int) -> tuple[SpatialTruth, RowConditions, np.ndarray]:
     truth = spatial_cells.leaning(spatial_cells.random_truth(spec, rng), rng)
     run, _ = (spatial_cells._session(spec, truth, count, rng) for count in (spec.m, spatial_cells.FRESH))
     spatial_cells.arm_of(spec, truth, rng)
-    hidden = replace(truth, effects=[spatial_cells.random_effect(spec, truth, run, None, rng)])
+    hidden = replace(truth, effects=spatial_cells.hidden(spec, truth, run, rng))
     data = spatial_cells.measured(hidden, spec, run, rng)
     return hidden, run, (data.positions - position(truth, run)).ravel() / truth.sigma
 
@@ -85,7 +85,7 @@ def others(truth: SpatialTruth, run: RowConditions) -> Columns:
                 each = [column(truth, run, None, (name, j, {short: axis})) for axis in np.eye(3)]
                 yield name, j, np.column_stack(each) @ np.random.default_rng(2).normal(0.0, 1.0, (3, 100))
             else:
-                one = column(truth, run, None, (name, j, spatial_cells.directions(name, np.random.default_rng(0))))
+                one = column(truth, run, None, (name, j, directions(name, np.random.default_rng(0))))
                 yield name, j, np.column_stack([one, -one])
 
 

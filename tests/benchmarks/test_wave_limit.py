@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from scipy.special import ive
 
-from doe.studies.blind import cells, hidden_effects, simulator, spatial_cells, spatial_simulator
+from doe.studies.blind import cells, hidden_effects, simulator, spatial_cells, spatial_hidden_effects, spatial_simulator
 from identification.gap.outside.unmodelled_survey import LEVEL_FIRST
 
 SETS, NULL, DRAWS, ORDERS = 8, 1000, 200, np.arange(3.0, 256.25, 0.25)
@@ -48,11 +48,11 @@ def spatial(cell: str, number: int) -> Problem:
     run, _ = (spatial_cells._session(spec, truth, count, rng) for count in (spec.m, spatial_cells.FRESH))
     spatial_cells.arm_of(spec, truth, rng)
     marker = spatial_cells.markers(spec, run)
-    effect = spatial_cells.random_effect(spec, truth, run, marker, rng)
+    (effect,) = spatial_cells.hidden(spec, truth, run, rng)
     bare = replace(truth, effects=[])
 
     def column(one: tuple) -> np.ndarray:
-        return spatial_cells.column(bare, run, marker, one)
+        return spatial_hidden_effects.column(bare, run, marker, one)
 
     levers = np.array([column((effect[0], j + 1, CONSTANT)) for j in range(truth.n)]).reshape(truth.n, len(run.q), -1)
     left, sizes, _ = np.linalg.svd(spatial_simulator.base_jacobian(bare, run, marker), full_matrices=False)

@@ -117,7 +117,11 @@ def _bars() -> Iterator[Bar]:
         yield Bar(f"space, none, {cell}", "alarm", 0.07, at_most=True)
         yield Bar(f"space, lambda 8, {cell}", "exact", 0.8)
         yield Bar(f"space, lambda 8, {cell}", "in the set", 0.95)
-    for cell in ("many effects", "many effects, harmonics"):
+    for cell in ("two, lambda 8", "two, lambda 8, m=200", "three outliers, lambda 8"):
+        yield Bar(f"space, {cell}", "exact", 0.8)
+    yield Bar("space, three outliers, lambda 8", "outliers listed", 1.0)
+    yield from (Bar(f"space, outside, lambda {lam}", "located", 0.95) for lam in (7, 10))
+    for cell in ("many effects", "many effects, harmonics", "space, many effects"):
         for measure, value in (("error / true", 1.5), ("false names", 0.8), ("false unknown", 0.1)):
             yield Bar(cell, measure, value, at_most=True)
         yield from (Bar(cell, "effects named", 0.8), Bar(cell, "intervals, all", 0.92))

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doe.studies.blind.cells import WAVES, DataSet
-from doe.studies.blind.hidden_effects import directions_of, key, off, scaled_amplitudes, settings_of
+from doe.studies.blind.cells import MANY_SIZES, WAVES, DataSet
+from doe.studies.blind.hidden_effects import key, place_of, settings_of
 from doe.studies.blind.simulator import Drawn, RowConditions, session
-from doe.studies.blind.spatial_simulator import OF_GRAVITY, SpatialTruth, base_jacobian, position, shift, turn
+from doe.studies.blind.spatial_hidden_effects import (
+    ALL_JOINTS,
+    OF_ARM,
+    OF_JOINT,
+    OUTSIDE,
+    drawn_at_random,
+    loaded,
+    many_effects,
+    outside_effect,
+    several_effects,
+    true_values,
+)
+from doe.studies.blind.spatial_simulator import OF_GRAVITY, SpatialTruth, position, shift, turn
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.arrays import Array
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 
-SEEN = 0.02  # of an effect's length that must be left beside the geometry, as in the plane
 FRESH = 200  # rows of the hold-out
-ALL_JOINTS = "joint_compliance*"
-OF_JOINT = (
-    *("joint_compliance", "gravity_backlash", "bearing_compliance", "encoder_eccentricity", "encoder_second_harmonic"),
-    *("transmission_ripple", "gear_ratio", "joint_coupling", "backlash"),
-)
-OF_ARM = (ALL_JOINTS, "thermal_growth", "base_drift", "base_rotation_drift")
+MANY_ROWS = (60, 100, 200)
+WRONG_ROWS, WRONG = 3, 15.0  # outliers of a set, and how far off they are [sigma]
 
 
 @dataclass(frozen=True)
@@ -34,6 +40,9 @@ class SpatialCell:
     gravity : the hidden effect is one of gravity, and the arm file is wrong about `masses` of the links (by up to
         30 %), the mass of the `tool` (missing, a parameter), how the base leans (1 to 3 degrees, `tilt`), or the
         `place` of the payload (see `with_offset_payload`, `loaded`)
+    effects : how many are hidden, of different families;  outside : an effect that the library does not have
+    outliers : three rows are 15 sigma off, in a random direction
+    many : many effects, see `many_effects`, of sizes from 8 to 40, the rows from 60 to 200
     """
 
     m: int
@@ -41,6 +50,10 @@ class SpatialCell:
     reflectors: int = 1
     gravity: str = ""
     order: float = 0.0  # periods per turn of the hidden gear ripple, where the cell is of one
+    effects: int = 1
+    outside: bool = False
+    outliers: bool = False
+    many: bool = False
     reported: bool = True  # in the full study; the others can be asked for by name
 
 
@@ -57,6 +70,12 @@ CELLS = {
     "space, gravity, tilted base": SpatialCell(60, 8.0, gravity="tilt"),
     "space, gravity, load elsewhere": SpatialCell(60, 8.0, gravity="place"),
     **{f"space, wave {k:g}, lambda 8": SpatialCell(60, 8.0, order=k, reported=False) for k in WAVES},
+    "space, two, lambda 8": SpatialCell(60, 8.0, effects=2),
+    "space, two, lambda 8, m=200": SpatialCell(200, 8.0, effects=2),
+    "space, three outliers, lambda 8": SpatialCell(60, 8.0, outliers=True),
+    "space, outside, lambda 7": SpatialCell(60, 7.0, outside=True),
+    "space, outside, lambda 10": SpatialCell(60, 10.0, outside=True),
+    "space, many effects": SpatialCell(MANY_ROWS[0], MANY_SIZES[0], many=True),
 }
 
 
@@ -92,38 +111,6 @@ def _table(rng: np.random.Generator) -> np.ndarray:
     return np.array([*rows, (0.0, -half, 0.0), (0.0, 0.0, wrist[2])])
 
 
-def directions(name: str, rng: np.random.Generator) -> dict:
-    """A random direction in an effect's parameter space; scaled afterwards."""
-    if name in ("base_drift", "base_rotation_drift"):
-        direction = rng.normal(0.0, 1.0, 3)
-        return {"v" if name == "base_drift" else "w": direction / np.linalg.norm(direction)}
-    return {"c": 1.0} if name == "bearing_compliance" else directions_of(name, 6, rng)
-
-
-def column(truth: SpatialTruth, run: RowConditions, marker: np.ndarray | None, effect: Drawn) -> np.ndarray:
-    """(3m,) derivative of the position with respect to the amplitude of an effect."""
-    name, joint, values = effect
-    up, down = (replace(truth, effects=[(name, joint, scaled_amplitudes(values, step))]) for step in (1e-6, -1e-6))
-    return (position(up, run, marker) - position(down, run, marker)).ravel() / 2e-6
-
-
-def random_effect(
-    spec: SpatialCell, truth: SpatialTruth, run: RowConditions, marker: np.ndarray | None, rng: np.random.Generator
-) -> Drawn:
-    """One effect, its type at random, then its joint, so large that off the geometry it is lambda sigma long."""
-    own = ("transmission_ripple",) if spec.order else (*OF_GRAVITY, ALL_JOINTS) if spec.gravity else OF_JOINT + OF_ARM
-    geometry = base_jacobian(truth, run, marker)
-    assert spec.lam is not None
-    while True:
-        pick = str(rng.choice(own))
-        joint = None if pick in OF_ARM else int(rng.integers(2 if pick == "joint_coupling" else 1, truth.n + 1))
-        effect = pick.rstrip("*"), joint, directions(pick, rng) | ({"k": spec.order} if spec.order else {})
-        length = column(truth, run, marker, effect)
-        seen = np.linalg.norm(off(geometry, length))
-        if seen > SEEN * np.linalg.norm(length) > 0.0:
-            return effect[0], joint, scaled_amplitudes(effect[2], float(spec.lam * truth.sigma / seen))
-
-
 def arm_of(spec: SpatialCell, truth: SpatialTruth, rng: np.random.Generator) -> Arm:
     """The arm as its maker describes it, who does not know where base and reflectors are."""
     limits = zip(truth.lower.tolist(), truth.upper.tolist(), strict=True)
@@ -149,20 +136,6 @@ def with_offset_payload(truth: SpatialTruth, rng: np.random.Generator) -> Spatia
     return replace(truth, payload=float(rng.uniform(5.0, 20.0)), load=truth.tools[0] + away)
 
 
-def loaded(spec: SpatialCell, truth: SpatialTruth, run: RowConditions, rng: np.random.Generator) -> list[Drawn]:
-    """Compliance in all joints, such that the payload's place adds lambda sigma off the compliance that would fit best
-    without it; and that place."""
-    c = rng.uniform(0.5, 1.5, truth.n)
-    effects = [("joint_compliance", j, {"c": float(one)}) for j, one in enumerate(c, start=1)]
-    there = np.stack([column(truth, run, None, effect) for effect in effects], axis=1)
-    here = np.stack([column(replace(truth, load=None), run, None, effect) for effect in effects], axis=1)
-    unseen = np.column_stack([base_jacobian(truth, run), here])
-    assert spec.lam is not None and truth.load is not None  # noqa: PT018
-    size = spec.lam * truth.sigma / np.linalg.norm(off(unseen, np.sum(there - here, axis=1)))
-    place = dict(zip("xyz", (truth.load - truth.tools[0]).tolist(), strict=True))
-    return [("joint_compliance", None, {"c": size * c}), ("payload_place", None, place)]
-
-
 def measured(truth: SpatialTruth, spec: SpatialCell, run: RowConditions, rng: np.random.Generator) -> Measurements:
     """What the instrument says, reflectors taking turns."""
     marker = markers(spec, run)
@@ -177,19 +150,20 @@ def markers(spec: SpatialCell, run: RowConditions) -> np.ndarray | None:
     return None if spec.reflectors == 1 else np.arange(len(run.q)) % spec.reflectors
 
 
-def true_values(effects: list[Drawn]) -> Mapping[str, float]:
-    """Parameter name -> true value, named as the library names its parameters [API units]."""
-    found: dict[str, float] = {}
-    for name, joint, values in effects:
-        for short, value in values.items():
-            if short in ("v", "w"):
-                own = {f"{'v' if name == 'base_drift' else 'w'}{axis}": value[k] for k, axis in enumerate("xyz")}
-            elif np.ndim(value):
-                own = {f"{short}{j}": one for j, one in enumerate(value, start=1)}
-            else:
-                own = {short: value}
-            found |= {f"{key((name, joint, values))}.{s}": float(v) for s, v in own.items() if s != "k"}
-    return found
+def hidden(spec: SpatialCell, truth: SpatialTruth, run: RowConditions, rng: np.random.Generator) -> list[Drawn]:
+    """The effects of a data set."""
+    if spec.lam is None:
+        return []
+    if spec.many:
+        return many_effects(truth, run, MANY_SIZES, rng)
+    if spec.outside:
+        return [outside_effect(truth, run, spec.lam, rng)]
+    if spec.effects > 1:
+        return several_effects(spec.effects, truth, run, spec.lam, rng)
+    if spec.gravity == "place":
+        return loaded(truth, run, spec.lam, rng)
+    names = ("transmission_ripple",) if spec.order else (*OF_GRAVITY, ALL_JOINTS) if spec.gravity else OF_JOINT + OF_ARM
+    return [drawn_at_random(names, truth, run, markers(spec, run), spec.lam, rng, order=spec.order)]
 
 
 def data_set(cell: str, seed: int, _: Array | None = None) -> DataSet:
@@ -200,20 +174,34 @@ def data_set(cell: str, seed: int, _: Array | None = None) -> DataSet:
     if spec.gravity == "tilt":
         truth = leaning(truth, rng)
     truth = with_offset_payload(truth, rng) if spec.gravity == "place" else truth
-    run, fresh = (_session(spec, truth, count, rng) for count in (spec.m, FRESH))
+    rows = int(rng.choice(MANY_ROWS)) if spec.many else spec.m
+    run, fresh = (_session(spec, truth, count, rng) for count in (rows, FRESH))
     arm = arm_of(spec, truth, rng)
-    if spec.gravity == "place":
-        truth = replace(truth, effects=loaded(spec, truth, run, rng))
-    elif spec.lam is not None:
-        truth = replace(truth, effects=[random_effect(spec, truth, run, markers(spec, run), rng)])
+    truth = replace(truth, effects=hidden(spec, truth, run, rng))
+    inside = [effect for effect in truth.effects if effect[0] not in OUTSIDE]
+    data = measured(truth, spec, run, rng)
+    holdout = measured(truth, spec, fresh, rng) if spec.lam is not None else None
+    data, wrong = with_outliers(data, truth.sigma, rng) if spec.outliers else (data, ())
     return DataSet(
         arm,
-        measured(truth, spec, run, rng),
-        measured(truth, spec, fresh, rng) if spec.lam is not None else None,
-        tuple(key(e) for e in truth.effects),
-        specs=tuple(EffectSpec(e[0], e[1], settings_of(e)) for e in truth.effects),
-        values={} if spec.gravity not in ("", "known") else true_values(truth.effects),
+        data,
+        holdout,
+        tuple(key(e) for e in inside),
+        place_of(truth.effects[0]) if spec.outside else None,
+        tuple(EffectSpec(e[0], e[1], settings_of(e)) for e in inside),
+        wrong,
+        {} if spec.gravity not in ("", "known") or spec.outside else true_values(truth.effects),
+        exact=position(truth, fresh) if spec.many else None,
     )
+
+
+def with_outliers(data: Measurements, sigma: float, rng: np.random.Generator) -> tuple[Measurements, tuple[int, ...]]:
+    """Rows that are wrong by 15 sigma in a random direction, and their numbers from 1."""
+    worst = rng.choice(len(data), WRONG_ROWS, replace=False)
+    off = rng.standard_normal((WRONG_ROWS, 3))
+    positions = np.array(data.positions)
+    positions[worst] += WRONG * sigma * off / np.linalg.norm(off, axis=1, keepdims=True)
+    return replace(data, positions=positions), tuple(sorted(int(row) + 1 for row in worst))
 
 
 def _session(spec: SpatialCell, truth: SpatialTruth, count: int, rng: np.random.Generator) -> RowConditions:

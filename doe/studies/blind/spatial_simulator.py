@@ -158,6 +158,9 @@ def errors(truth: SpatialTruth, run: RowConditions) -> Errors:
         elif name == "axis_runout":
             circle = (v["a"] + 1j * v["b"]) * np.exp(-1j * run.q[:, j])
             found.shifts[:, j] += circle.real[:, None] * home[j, :3, 0] + circle.imag[:, None] * home[j, :3, 1]
+        elif name == "axis_wobble":  # outside the library: the axis leans, and goes round twice a turn
+            twice = v["c"] * np.exp(2j * run.q[:, j])
+            found.tilts[:, j] += twice.real[:, None] * home[j, :3, 0] + twice.imag[:, None] * home[j, :3, 1]
         elif name == "thermal_growth":
             found.growth += v["a"] * run.warm[:, None] * lengths
         elif joint is not None:

@@ -9,7 +9,12 @@ import pytest
 
 from doe.studies.blind import spatial_cells
 from doe.studies.blind.cells import DataSet
+from doe.studies.blind.hidden_effects import off
+from doe.studies.blind.rivals import true_arm
+from doe.studies.blind.simulator import session
 from doe.studies.blind.spatial_cells import CELLS, data_set
+from doe.studies.blind.spatial_hidden_effects import OUTSIDE, column, library_span, outside_effect
+from doe.studies.blind.spatial_simulator import base_jacobian, position
 from identification.arm import Arm, EffectSpec
 from identification.effects import build_all
 from identification.gap.fits.fit import fit
@@ -47,12 +52,16 @@ def missing(data: DataSet) -> np.ndarray:
 
 
 def test_every_hidden_effect_is_one_of_the_library() -> None:
-    """With the parameters that are said to be true."""
+    """With the parameters that are said to be true; one in each cell, none outside the library, some of each family."""
     for cell, spec in CELLS.items():
         data = data_set(cell, 901)
         effects = build_all(data.specs, data.arm.links, data.arm.lengths, 3)
-        assert tuple(effect.key for effect in effects) == data.effects
-        assert len(effects) == (0 if spec.lam is None else 2 if spec.gravity == "place" else 1)
+        assert sorted(effect.key for effect in effects) == sorted(data.effects)
+        assert len({*data.effects}) == len(effects)
+        expected = 0 if spec.lam is None or spec.outside else 2 if spec.gravity == "place" else spec.effects
+        assert len(effects) == expected if not spec.many else 8 <= len(effects) <= 9
+        assert len({effect.family for effect in effects}) == len(effects) or spec.many or spec.gravity == "place"
+        assert (data.place is not None) == spec.outside
         assert {p.name for effect in effects for p in effect.parameters} >= set(data.values)
 
 
@@ -71,6 +80,39 @@ def test_what_the_arm_file_is_wrong_about() -> None:
     lean = spatial_cells.leaning(truth, rng).gravity
     assert np.linalg.norm(lean) == pytest.approx(9.81)
     assert 1.0 <= np.degrees(np.arccos(-lean[2] / 9.81)) <= 3.0
+
+
+def test_outliers_are_15_sigma_away() -> None:
+    """Beside the same arm without them, which is the true model fitted to the other rows."""
+    data = data_set("space, three outliers, lambda 8", 900)
+    assert data.arm.sigma is not None
+    arm = true_arm(data)
+    rows, model = data.measurements, Model(arm)
+    missed = np.linalg.norm(rows.positions - model.position(rows.postures, model.values, rows.conditions), axis=1)
+    wrong = np.flatnonzero(missed > 10.0 * data.arm.sigma) + 1
+    assert tuple(wrong.tolist()) == data.wrong_rows
+    assert len(wrong) == 3
+    assert missed[wrong - 1] / data.arm.sigma == pytest.approx(15.0, abs=5.0)  # noise of 3 coordinates, and its share
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_what_is_outside_the_library_is_of_the_size_asked_for(number: int) -> None:
+    """Off the geometry and all that the simulator draws from the library lambda sigma long."""
+    spec, rng = CELLS["space, outside, lambda 10"], np.random.default_rng(number)
+    truth = spatial_cells.random_truth(spec, rng)
+    run = session(truth, rng.uniform(truth.lower, truth.upper, (60, truth.n)), rng)  # type: ignore[arg-type]
+    effect = outside_effect(truth, run, 10.0, rng)
+    step = position(replace(truth, effects=[effect]), run) - position(truth, run)
+    left = {
+        name: step.ravel() - span @ np.linalg.lstsq(span, step.ravel(), rcond=1e-10)[0]
+        for name, span in (("geometry", base_jacobian(truth, run)), ("library", library_span(truth, run)))
+    }
+    assert np.linalg.norm(left["library"]) == pytest.approx(10.0 * truth.sigma, rel=1e-2)  # of second order the rest
+    assert np.linalg.norm(left["geometry"]) >= np.linalg.norm(left["library"])
+    assert effect[0] in OUTSIDE
+    one = ("encoder_eccentricity", 3, {"a": 0.3, "b": -0.4})
+    inside = column(truth, run, None, one)
+    assert np.linalg.norm(off(library_span(truth, run), inside)) < 1e-6 * np.linalg.norm(inside)
 
 
 def test_reflectors_take_turns() -> None:

@@ -17,7 +17,7 @@ from identification.conditions import Conditions
 from identification.gap.fits.fit import fit
 from identification.gap.fits.whitening import Rows
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
-from identification.kinematics.frames import from_own_axes, pose
+from identification.kinematics.frames import from_own_axes, pose, rotation_about
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -117,6 +117,38 @@ def test_a_payload_that_hangs_elsewhere() -> None:
         theirs = spatial_simulator.position(away, run, marker)
         assert np.abs(ours.position(run.q, conditions=conditions) - theirs).max() < 1e-5
         assert np.abs(model_of(beside, known).position(run.q, conditions=conditions) - theirs).max() > 1e-3
+
+
+def test_effects_outside_the_library() -> None:
+    """An error of an angle is the arm at that angle; an axis that wobbles turns what lies beyond about the origin of
+    its frame, whose place is that of a chain of Denavit-Hartenberg rows in plain numpy."""
+    truth, run = truth_and_session()
+    here, joint = spatial_simulator.position(truth, run), 3
+    q = run.q[:, joint - 1]
+    errors = {
+        "bump": ({"h": 1e-3, "at": 0.5, "width": 0.4}, 1e-3 * np.exp(-0.5 * ((q - 0.5) / 0.4) ** 2)),
+        "cubic": ({"c": 1e-3}, 1e-3 * q**3),
+        "cable_pull": ({"c": 1e-3}, 1e-3 * q * run.q[:, joint]),
+    }
+    for name, (values, error) in errors.items():
+        moved = run.q.copy()
+        moved[:, joint - 1] += error
+        hidden = replace(truth, effects=[(name, joint, values)])
+        np.testing.assert_allclose(
+            spatial_simulator.position(hidden, run), spatial_simulator.position(truth, replace(run, q=moved)), atol=1e-9
+        )
+    wobbling = replace(truth, effects=[("axis_wobble", joint, {"c": 1e-5})])
+    found = spatial_simulator.position(wobbling, run) - here
+    for row, posture in enumerate(run.q):
+        frame = truth.base
+        for j, (a, alpha, d) in enumerate(TABLE[: joint - 1]):
+            about, link = pose(rotation=rotation_about([0.0, 0.0, 1.0], posture[j])), pose((a, 0.0, d))
+            frame = frame @ about @ link @ pose(rotation=rotation_about([1.0, 0.0, 0.0], alpha))
+        axes = (frame @ pose(rotation=rotation_about([0.0, 0.0, 1.0], posture[joint - 1])))[:3, :3]
+        tilt = 1e-5 * axes[:, :2] @ [np.cos(2.0 * q[row]), np.sin(2.0 * q[row])]
+        expected = np.cross(tilt, here[row] - frame[:3, 3])
+        np.testing.assert_allclose(found[row], expected, atol=1e-6)  # second order: 1e-10 of 1e3 mm
+    assert np.abs(found).max() > 1e-3
 
 
 def test_what_the_geometry_can_be_wrong_about() -> None:
