@@ -119,10 +119,12 @@ def fit_answer(
 
 
 def dh_of(found: Identification, arm: Path) -> tuple[tuple[CorrectedValue, ...], list[str]]:
-    """The corrected Denavit-Hartenberg table of an arm file that has one, and base and tool beside it; else empty."""
+    """The corrected Denavit-Hartenberg table of an arm file that has one, and base, tool and the
+    radius of a sphere beside it; else empty."""
     from identification.estimation.dh_values import dh_places, dh_values
     from identification.files.arm_spatial import dh_rows
     from identification.kinematics.frames import point_table, pose_table
+    from identification.kinematics.instrument import RADIUS
 
     if found.geometry is None or found.not_identifiable or (table := dh_rows(arm)) is None:
         return (), []
@@ -132,4 +134,6 @@ def dh_of(found: Identification, arm: Path) -> tuple[tuple[CorrectedValue, ...],
         return (), []
     tables = ((name, pose_table(at) if at.ndim == 2 else point_table(at)) for name, at in places)
     figures = ((name, (f"{key.replace('_', ' [')}] {v:z.3f}" for key, v in one.items())) for name, one in tables)
-    return rows, [f"{name}: {', '.join(said)}" for name, said in figures]
+    balls = [one for one in found.corrected_values if one.parameter == RADIUS]
+    radius = [f"{one.name} [mm]: {one.corrected:z.3f} +- {one.std:.3f}" for one in balls]
+    return rows, [*(f"{name}: {', '.join(said)}" for name, said in figures), *radius]

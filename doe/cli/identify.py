@@ -278,11 +278,12 @@ def with_commands(said: Answer, errors: tuple[FollowingError, ...]) -> Answer:
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:
     """The model reduced to parameters that the measurements determine; warns of those that are hardly determined."""
-    from identification.kinematics.instrument import PLANE
+    from identification.kinematics.instrument import SPHERE
     from identification.model.minimal import PRACTICAL, minimal_of
 
-    if model.arm.chain is not None and model.arm.chain.instrument.kind == PLANE:
-        found = "minimal for contacts with planes, which leave the size of the arm open"
+    if model.arm.chain is not None and not model.arm.chain.instrument.shows_size:
+        surface = "spheres of unknown radius" if model.arm.chain.instrument.kind == SPHERE else "planes"
+        found = f"minimal for contacts with {surface}, which leave the size of the arm open"
         raise InputError(f"--parameters: found {found}, allowed: all, with the prior of [machining]")
     kept = minimal_of(model, measurements, PRACTICAL)
     if hardly := [name for name in minimal_of(model, measurements).names if name not in kept.names]:

@@ -89,7 +89,7 @@ def position_and_state(
     real = chain.q + more["joint_angles"]
     tip, turned = chain.geometry.tip(real, geometry, more, chain.marker, chain.reference)
     measured = tip + more["instrument"] + sum(e.instrument(tip, v) for e, v in parts)
-    return ca.vertcat(chain.geometry.instrument.symbolic(measured), turned), ca.vertcat(loads, plain, tip)
+    return ca.vertcat(chain.geometry.instrument.symbolic(measured, geometry), turned), ca.vertcat(loads, plain, tip)
 
 
 def _loads(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:

@@ -16,6 +16,7 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.estimation.intervals import freedom_of, quantile_95
 from identification.kinematics.corrected_geometry import CorrectedGeometry
+from identification.kinematics.instrument import RADIUS
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE, Parameter
 from identification.kinematics.spatial import SpatialChain
 from identification.model import Model
@@ -30,6 +31,7 @@ FRAME = "frame of joint {j} in that of {before}, as a URDF joint's origin: x, y,
 TOGETHER = ("roll_deg", "yaw_deg")
 BASE = "pose of the base for the instrument, turned about its own x, y and z axis"
 TOOL = "measured point in the frame of the tip"
+BALL = "of ball and stylus tip together; known as well as the size of the arm"
 STANDS = "where the arm stands: type it into the controller only if the measurements are in the controller's own frame"
 TURNED = f"zero of joint 1 with how the arm is turned, {STANDS}"
 EFFECT = "no value of a controller: armcal compensate takes it off the commands"
@@ -196,6 +198,8 @@ def _spatial(chain: SpatialChain, values: Values, names: Collection[str]) -> Ite
             value = value if nominal is None else _nearest(value, nominal, key)
             determined = not (upright and key in TOGETHER)
             yield _Quantity(f"{place} {axis}", None, nominal, value, slopes, unit, said, determined=determined)
+    if chain.instrument.free_radius:
+        yield _Quantity("sphere radius", RADIUS, None, values.get(RADIUS, 0.0), {RADIUS: 1.0}, "mm", BALL)
 
 
 def _tables(chain: SpatialChain, values: Values) -> dict[str, dict[str, float]]:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.estimation.levenberg_marquardt import Solution, levenberg_marquardt, outcomes
+from identification.estimation.levenberg_marquardt import Index, Solution, levenberg_marquardt, outcomes
 from identification.estimation.paper_steps import paper_steps
 from identification.estimation.problem import Problem
+from identification.kinematics.instrument import RADIUS
 from identification.status import Status
 
 
@@ -43,6 +45,8 @@ def starts(problem: Problem) -> Array:
     The closed form makes any size of joint offset harmless: it is the global minimiser of the model without effects.
     """
     known = np.tile(problem.start, (len(problem.positions), 1))
+    if RADIUS in problem.model.names:
+        return _with_radius(problem, known)
     form = problem.model.closed_form
     if form is None:
         return known
@@ -51,3 +55,21 @@ def starts(problem: Problem) -> Array:
     if not np.any(problem.start):
         return solved  # nothing is known that the closed form does not know
     return np.where((problem.squares(known) < problem.squares(solved))[:, None], known, solved)
+
+
+def _with_radius(problem: Problem, starts: Array) -> Array:
+    """(K, p) of contacts with a sphere of unknown radius: the mean distance from its center at starts (K, p), and all
+    others as they fit best with that.
+
+    An arm that shrinks with its sphere would explain any residual to first order, since heights above the sphere are
+    homogeneous in all lengths; where nothing but noise is left, it explains no more than that.
+    """
+    k, least = problem.model.names.index(RADIUS), problem.least_squares
+    starts[:, k] -= problem.residuals(starts).mean(axis=(1, 2))
+
+    def linearize(parameters: Array, index: Index) -> tuple[Array, Array]:
+        residuals, jacobian = least.linearize(parameters, index)
+        jacobian[..., k] = 0.0
+        return residuals, jacobian
+
+    return levenberg_marquardt(replace(least, linearize=linearize), starts).parameters

@@ -92,9 +92,10 @@ class InstrumentTable(StrictTable):
 
     @model_validator(mode="after")
     def _keys_of_the_kind(self) -> Self:
-        if (self.radius_mm is None) == (self.kind == "sphere"):
-            found = "is missing" if self.radius_mm is None else f"found for kind {self.kind}"
-            raise InputError(f"instrument.radius_mm: {found}, allowed: a number > 0 [mm], of a sphere alone")
+        if self.radius_mm is not None and self.kind != "sphere":
+            raise InputError(
+                f"instrument.radius_mm: found for kind {self.kind}, allowed: for sphere, left out where unknown"
+            )
         if self.center_mm is not None and self.kind != "distance":
             raise InputError(f"instrument.center_mm: found for kind {self.kind}, allowed: for distance")
         return self

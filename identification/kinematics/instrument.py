@@ -7,7 +7,7 @@ The frame of the instrument has its origin at the center, or its z axis normal t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -16,6 +16,7 @@ from identification.arrays import Array
 from identification.kinematics.frames import AXES, from_own_axes, own_axes_angles, pose, rotation_about
 
 POSITION, DISTANCE, SPHERE, PLANE = "position", "distance", "sphere", "plane"
+RADIUS = "sphere.radius"  # [mm] the parameter, where the arm file does not say it
 CONTACTS = (SPHERE, PLANE)  # nothing is read but the joints: a surface is touched
 SPINS = np.arange(0.0, np.pi, np.pi / 6.0)  # [rad] turns about a plane's normal that are tried
 STEP = 1e-5  # [rad] of a difference quotient
@@ -26,16 +27,33 @@ TINY = 1e-9  # [mm] a point this near to the center has no direction from there
 class Instrument:
     """kind : `position` [mm], `distance` from a center, contact with a `sphere` or a `plane`
 
-    radius : [mm] of the sphere on which the measured point then is
+    radius : [mm] of the sphere on which the measured point then is; None: a parameter, `RADIUS`
+    read : whether it reads; if not, positions in its frame are what is asked for
     """
 
     kind: str = POSITION
     radius: float | None = None
+    read: bool = True
 
     @property
     def whole(self) -> bool:
         """Whether it reads positions."""
-        return self.kind == POSITION
+        return self.kind == POSITION or not self.read
+
+    @property
+    def free_radius(self) -> bool:
+        """Whether it touches a sphere whose radius is to be found."""
+        return self.kind == SPHERE and self.radius is None
+
+    @property
+    def shows_size(self) -> bool:
+        """Whether an arm twice as large would read otherwise: not on a plane, nor on a sphere that may be, too."""
+        return self.kind != PLANE and not self.free_radius
+
+    @property
+    def unread(self) -> Instrument:
+        """Positions in its frame, with the same parameters."""
+        return replace(self, read=False) if self.free_radius else WHOLE
 
     @property
     def contact(self) -> bool:
@@ -47,11 +65,15 @@ class Instrument:
         """Whether it reads how far the center is."""
         return self.kind == DISTANCE
 
-    def symbolic(self, point: ca.SX) -> ca.SX:
-        """What it reads [mm] of a point (3,) in its frame, in CasADi."""
+    def symbolic(self, point: ca.SX, values: ca.SX) -> ca.SX:
+        """What it reads [mm] of a point (3,) in its frame, in CasADi; of a sphere of unknown radius the height above.
+
+        values : of the geometry's parameters, the radius last
+        """
         if self.whole:
             return point
-        return point[2] if self.kind == PLANE else ca.sqrt(ca.sumsqr(point) + TINY**2)
+        length = point[2] if self.kind == PLANE else ca.sqrt(ca.sumsqr(point) + TINY**2)
+        return length - values[-1] if self.free_radius else length
 
     def linearized(self, points: Array) -> tuple[Array, Array]:
         """(..., 1) lengths that it reads of points (..., 3) in its frame, and their derivatives (..., 1, 3)."""

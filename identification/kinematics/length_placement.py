@@ -15,7 +15,8 @@ from identification.kinematics.frames import pose
 from identification.kinematics.instrument import PLANE, Instrument
 from identification.kinematics.placement import ENOUGH, Placement, starts_of_tool
 
-ROUNDS = 50  # effort: Gauss-Newton steps of each start
+ROUNDS, SOME = 50, 10  # effort: Gauss-Newton steps of each start, and where a radius is taken that is not right
+RADII = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
 SMALL = 1e-10  # share of the largest eigenvalue of a normal matrix below which a combination stays
 
 
@@ -29,28 +30,37 @@ def placed_by_lengths(
 ) -> Placement:
     """Base and tool that explain lengths (m,) best; what they leave open of the base is along the arm's own axes.
 
+    lengths : of a sphere of unknown radius less that radius, so that they may be any constant
     frames : (m, 4, 4) nominal poses of the tip in the base;  reach : [mm] that gives the starts of the tool their size
     base, tool : (4, 4) and (3,), known; None: to be found
     """
-    fit = _Plane if instrument.kind == PLANE else _Sphere
-    state = fit(frames, lengths, reach, starts_of_tool(reach) if tool is None else tool[None], base)
+    tools = starts_of_tool(reach) if tool is None else tool[None]
+    if instrument.free_radius:
+        state: _Sphere = _FreeSphere.started(frames, reach, tools, base, tool is None)
+    else:
+        state = (_Plane if instrument.kind == PLANE else _Sphere)(frames, lengths, reach, tools, base)
+    best = _settled(state, base is None, tool is None)
+    rms = float(np.sqrt(state.squares()[best] / len(lengths)))
+    return Placement(state.base(best) if base is None else base, state.tools[best], rms)
+
+
+def _settled(state: _Sphere, base: bool, tool: bool, rounds: int = ROUNDS) -> int:
+    """Number of the start that ends with the least squares after Gauss-Newton steps of base and tool, or of one."""
     least, kept = np.full(len(state.tools), np.inf), (state.surface, state.tools)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         squares = state.squares()
         better = squares < least * (1.0 - ENOUGH)
         kept = np.where(better[:, None], state.surface, kept[0]), np.where(better[:, None], state.tools, kept[1])
         least = np.minimum(squares, least)
         if not better.any():
             break
-        state.step(base is None, tool is None)
+        state.step(base, tool)
     state.surface, state.tools = kept
-    best = int(np.argmin(state.squares()))
-    rms = float(np.sqrt(state.squares()[best] / len(lengths)))
-    return Placement(state.base(best) if base is None else base, state.tools[best], rms)
+    return int(np.argmin(state.squares()))
 
 
 class _Sphere:
-    """Centers of spheres (s, 3) for tools (s, 3) in the frame of the base."""
+    """Centers of spheres (s, 3) for tools (s, 3) in the frame of the base; lengths (m,), or (s, 1) of each start."""
 
     def __init__(self, frames: Array, lengths: Array, reach: float, tools: Array, base: Array | None) -> None:
         self.places, self.turns, self.lengths = frames[:, :3, 3], frames[:, :3, :3], lengths
@@ -103,6 +113,34 @@ class _Sphere:
 
     def _move(self, change: Array) -> None:
         self.surface = self.surface + change
+
+
+class _FreeSphere(_Sphere):
+    """Centers of spheres of a radius that is the mean distance at each step (variable projection: G. H. Golub, V.
+    Pereyra, 1973; the radius is linear).
+
+    From far away it would grow without end, with a tool as long: the starts are fits of some known radii.
+    """
+
+    @classmethod
+    def started(cls, frames: Array, reach: float, tools: Array, base: Array | None, tool: bool) -> _FreeSphere:
+        """The best of each of `RADII`; arguments as of the constructor;  tool : whether it is to be found."""
+        radii = np.repeat(RADII * reach, len(tools))[:, None]
+        held = _Sphere(frames, radii, reach, np.tile(tools, (len(RADII), 1)), base)
+        _settled(held, base is None, tool, SOME)
+        of_radius = np.arange(len(radii)).reshape(len(RADII), -1)
+        best = of_radius[np.arange(len(RADII)), np.argmin(held.squares()[of_radius], axis=1)]
+        found = cls(frames, np.zeros(len(frames)), reach, held.tools[best], base)
+        found.surface = held.surface[best]
+        return found
+
+    def _linear(self) -> tuple[Array, Array, Array]:
+        residual, of_surface, of_tool = super()._linear()
+        return (
+            residual - residual.mean(axis=1, keepdims=True),
+            of_surface - of_surface.mean(axis=1, keepdims=True),
+            of_tool - of_tool.mean(axis=1, keepdims=True),
+        )
 
 
 class _Plane(_Sphere):

@@ -22,7 +22,7 @@ import numpy as np
 from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
 from identification.kinematics.frames import AXES, Frame, pose, rotation_to_z
-from identification.kinematics.instrument import WHOLE, Instrument
+from identification.kinematics.instrument import RADIUS, WHOLE, Instrument
 from identification.kinematics.orientations import rotation_vector
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE, Parameter, ParameterSet
 from identification.vectorize import vectorize
@@ -144,13 +144,14 @@ class SpatialChain(ByValue):
         return ParameterSet.of(
             p
             for p in self.every_parameter
-            if p.kind.partition("_")[0] not in self.known and p.name not in hidden and (p.joint != 1 or stands)
+            if (p.kind.partition("_")[0] not in self.known or p.name == RADIUS)
+            and (p.name not in hidden and (p.joint != 1 or stands))
         )
 
     @cached_property
     def every_parameter(self) -> ParameterSet:
-        """All of the geometry: base (6), tools (3 each, 6 where orientations are measured), and for each joint its
-        offset and six errors."""
+        """All of the geometry: base (6), tools (3 each, 6 where orientations are measured), for each joint its offset
+        and six errors, and last the radius of a sphere that is touched, where nobody knows it."""
         found = _six("base.", "base.r", "", self.reach, (BASE, BASE), None)
         for name in self.tools:
             of_tool = _six(f"tool[{name}].", f"tool[{name}].r", "", self.angle_scale or 1.0, (TOOL, TOOL), None)
@@ -160,6 +161,8 @@ class SpatialChain(ByValue):
             unit, scale = ("rad", lever) if joint.type == REVOLUTE else ("mm", 1.0)
             found.append(Parameter(f"joint_offset:{j}", unit, scale=scale, kind=JOINT_OFFSET, joint=j))
             found += _six("translation_", "rotation_", f":{j}", lever, kinds, j)
+        if self.instrument.free_radius:
+            found.append(Parameter(RADIUS, "mm", kind=BASE))
         return ParameterSet.of(found)
 
     def link_lengths(self, values: ca.SX) -> ca.SX:

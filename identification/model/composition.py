@@ -99,6 +99,11 @@ class Composition:
         tied = self.tied[: len(self._geometry_values)] or np.zeros(len(self._geometry_values)).tolist()
         return tuple(None if part else value for value, part in zip(self._geometry_values, tied, strict=True))
 
+    @property
+    def _sphere(self) -> bool:
+        """Whether the last parameter of the geometry is the radius of a sphere that is touched."""
+        return self.instrument.free_radius
+
     @cached_property
     def _own(self) -> list[tuple[float | None, ...]]:
         """For each effect its elements of `values`."""
@@ -141,13 +146,16 @@ class Composition:
         if any(part.measures for part in self._parts):
             added = self._added(q, c, values, state)
             position[..., POINT] += self._total(added, batch)[..., shared.places[INSTRUMENT]]
+        radius = (self._constants[-1] if self._constants[-1] is not None else g[..., -1:]) if self._sphere else 0.0
         if not derivatives:
-            position = position if self.instrument.whole else self.instrument.linearized(position)[0]
+            position = position if self.instrument.whole else self.instrument.linearized(position)[0] - radius
             return At(position, np.zeros(0), np.zeros(0), state, added)
         by_geometry, levers = self._derivatives(found[1], found[2], added, used)
         if not self.instrument.whole:
             position, slopes = self.instrument.linearized(position)
-            by_geometry, levers = slopes @ by_geometry, slopes @ levers
+            position, by_geometry, levers = position - radius, slopes @ by_geometry, slopes @ levers
+            if self._sphere and self._constants[-1] is None:
+                by_geometry[..., -1] = -1.0
         return At(position, by_geometry, levers, state, added)
 
     def _added(self, q: Array, c: Array, values: list[Array], state: Array) -> list[Outputs]:

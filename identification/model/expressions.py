@@ -18,7 +18,6 @@ from identification.effects.places import by_place, position_and_state, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
 from identification.kinematics.base_axes import along, planar_axes
-from identification.kinematics.instrument import WHOLE
 from identification.kinematics.orientations import turned
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.model.compiled_parts import compiled_arm
@@ -93,7 +92,9 @@ class Expressions:
         chain = self.arm.chain
         if chain is None or not self.effects:
             return None
-        pointing = replace(chain, instrument=WHOLE)  # has what this instrument does not show, too: it is zero
+        pointing = replace(
+            chain, instrument=chain.instrument.unread
+        )  # has what this instrument does not show, too: it is zero
         every = (*pointing.parameters().names, *(p.name for effect in self.effects for p in effect.parameters))
         values = tuple(None if name in self.estimated.names else float(self.fixed.get(name, 0.0)) for name in every)
         shared, tied = compiled_arm(pointing, self.arm.gravity, self.remembers, self.extra), dict(self.tied)

@@ -11,7 +11,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.effects import library
 from identification.errors import InputError
-from identification.kinematics.instrument import DISTANCE, WHOLE
+from identification.kinematics.instrument import DISTANCE, RADIUS, WHOLE
 from identification.kinematics.spatial import BASE
 from identification.model.arm_model import Model
 
@@ -27,7 +27,8 @@ def of_positions(model: Model) -> Model:
     arm = replace(model.arm, chain=replace(chain, instrument=WHOLE))
     held = {*Model(arm).geometry_parameters.names} - {*model.geometry_parameters.names}
     held |= {p.name for effect in model.effects if DISTANCE in effect.needs for p in effect.parameters}
-    return Model(arm, {**(model.known or {}), **dict.fromkeys(held, 0.0)})
+    known = {name: value for name, value in (model.known or {}).items() if name != RADIUS}
+    return Model(arm, {**known, **dict.fromkeys(held, 0.0)})
 
 
 def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None = None) -> Array:

@@ -170,6 +170,66 @@ def test_contacts_with_a_sphere() -> None:
     assert rank(found.model, q) == 24
 
 
+BALL = Instrument("sphere")  # of unknown radius
+RADIUS = "sphere.radius"
+
+
+@pytest.mark.parametrize("effect", [False, True], ids=["one tape", "composed of parts"])
+def test_heights_above_a_sphere_of_unknown_radius(effect: bool) -> None:
+    """And their derivatives, against differences of |p| - r with p by products of exponentials."""
+    chain = replace(CHAIN, base=BASE)
+    arm = Arm.of_chain(replace(chain, instrument=BALL))
+    model = Model(arm.with_effects(EffectSpec("encoder_eccentricity", 2)) if effect else arm)
+    q = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 6))
+    values = model.parameters.vector({RADIUS: 30.0})
+    read, jacobian = model.linearize(q, values)
+    for row, posture in enumerate(q):
+        away = np.linalg.norm(tip_by_exponentials(chain, posture, {}, REFLECTOR))
+        assert read[row, 0] == pytest.approx(away - 30.0)
+        assert jacobian[row, 0, model.names.index(RADIUS)] == -1.0
+        for k, name in enumerate(name for name in Model(arm).names if name != RADIUS):
+            ends = [tip_by_exponentials(chain, posture, {name: sign * STEP}, REFLECTOR) for sign in (1.0, -1.0)]
+            slope = (np.linalg.norm(ends[0]) - np.linalg.norm(ends[1])) / (2.0 * STEP)
+            assert jacobian[row, 0, k] == pytest.approx(slope, abs=1e-6 * model.scales[k])
+    np.testing.assert_array_equal(model.position(q, values), read)
+    held = Model(model.arm, {RADIUS: 30.0})
+    np.testing.assert_array_equal(held.position(q), read)
+    assert RADIUS not in held.names
+
+
+def test_what_contacts_with_a_sphere_of_unknown_radius_show() -> None:
+    """An arm twice as large touches a sphere twice as large at the same postures: no contact shows both, and 24
+    numbers are left of 25, the radius among them."""
+    generator = np.random.default_rng(5)
+    truth = Exponentials(generator, np.eye(4))
+    q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), 30.0), 120, generator)
+    arm = Arm.of_chain(replace(drawing(), instrument=BALL), sigma=0.01)
+    found = estimate(Model(arm), Measurements(q, np.zeros((120, 1))))
+    # the postures touch to 1e-8 mm of 1e3 mm, and so does the fit
+    jacobian, scales = found.model.jacobian(q, found.parameters), found.model.scales
+    assert spectrum(jacobian, scales, 1e-7).rank == 24
+    others = [k for k, name in enumerate(found.names) if name != RADIUS]
+    assert spectrum(jacobian[..., others], scales[others], 1e-7).rank == 24  # the size in its place
+
+
+@pytest.mark.parametrize(("radius", "noise"), [(12.7, 0.01), (150.0, 0.01), (30.0, 1e-4)])
+def test_a_sphere_of_unknown_radius(radius: float, noise: float) -> None:
+    """The radius comes out as well as the drawing knows the size of the arm, from nothing, and with next to no noise:
+    an arm that shrank with its sphere would leave less and less."""
+    generator = np.random.default_rng(5)
+    truth = Exponentials(generator)
+    q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), radius), 120, generator)
+    arm = Arm.of_chain(replace(drawing(), instrument=BALL), sigma=0.01)
+    found = fit(arm, q, noise * generator.standard_normal(120))
+    assert found.status in (Status.converged, Status.almost_solved)
+    assert found.rms_after < 1.2 * noise < 0.5 < found.rms_before
+    k = found.names.index(RADIUS)
+    deviation = np.sqrt(found.covariance[k, k])
+    assert found.parameters[k] == pytest.approx(radius, abs=3.0 * deviation)
+    # the size of six axes that add up to 1420 mm, each link known to 1 mm, is known to 1 in some 1000
+    assert 1e-4 < deviation / radius < 3e-3
+
+
 def test_contacts_with_planes() -> None:
     """Three planes of unknown place, one of them level and one upright: what is left is the noise, and the size of the
     arm stays open: 23 parameters of one plane, and 3 more of each other."""

@@ -168,6 +168,34 @@ def test_contacts(cell: Folder) -> None:
         assert refused.err.count("\n") == 1
 
 
+def test_contacts_with_a_ball_that_nobody_measured(cell: Folder) -> None:
+    """The radius is left out of the file, found, written, used, and found anew for another ball."""
+    generator = np.random.default_rng(5)
+    truth, center = Exponentials(generator), np.array([600.0, -200.0, 300.0])
+    for name, radius in (("data", 30.0), ("other", 20.0)):
+        cell.write(f"{name}.csv", table(touching(truth, sphere(center, radius), 80, generator)))
+    cell.write("ball.toml", SIX + 'kind = "sphere"\n')
+    assert done(cell, "check", "ball.toml", "data.csv")["rms_fitted_mm"] < 0.01
+    found = done(cell, "identify", "ball.toml", "data.csv", "--out", "calibrated.toml")
+    (row,) = [row for row in found["parameters"] if row["name"] == "sphere.radius"]
+    assert row["unit"] == "mm"
+    assert row["value"] == pytest.approx(30.0, abs=3.0 * row["std"])
+    (shown,) = [one for one in found["corrected_values"] if one["name"] == "sphere radius"]
+    assert shown["corrected"] == row["value"]
+    assert "sphere radius [mm]: " in cell.armcal("identify", "ball.toml", "data.csv").out
+    assert done(cell, "validate", "calibrated.toml", "data.csv", "--refit", "none")["rms_mm"] < 0.01
+    other = done(cell, "validate", "calibrated.toml", "other.csv")
+    assert other["rms_mm"] < 0.01 < 0.3 < other["rms_nominal_mm"]
+    (radius,) = [one["value"] for one in other["refitted"] if one["name"] == "sphere.radius"]
+    assert radius == pytest.approx(20.0 * row["value"] / 30.0, abs=1e-3)  # the size of the arm is as it was found
+    refused = cell.armcal("identify", "ball.toml", "data.csv", "--parameters", "minimal")
+    assert refused.code == 2
+    assert "minimal for contacts with spheres of unknown radius, which leave the size of the arm open" in refused.err
+    refused = cell.armcal("design", "ball.toml", "--runs", "30")
+    assert refused.code == 2
+    assert refused.err.count("\n") == 1
+
+
 def test_files_that_do_not_fit(cell: Folder) -> None:
     cell.write("data.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,x_mm,y_mm,z_mm\n1,2,3,4,5,6,7,8,9\n")
     refused = cell.armcal("identify", "arm.toml", "data.csv")

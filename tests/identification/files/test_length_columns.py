@@ -87,7 +87,10 @@ def test_arm_files(tmp_path: Path) -> None:
     np.testing.assert_array_equal(arm.chain.base[:3, 3], [-700.0, 200.0, -300.0])
     assert not arm.chain.known
     ball = load_arm(saved(tmp_path, f'{HEAD}[instrument]\nkind = "sphere"\nradius_mm = 12.5\n', "arm.toml"))
-    for given in (arm, ball):
+    unknown = load_arm(saved(tmp_path, f'{HEAD}[instrument]\nkind = "sphere"\n', "arm.toml"))
+    assert unknown.chain is not None
+    assert unknown.chain.instrument == Instrument("sphere", None)
+    for given in (arm, ball, unknown):
         again = load_arm(saved(tmp_path, dump_arm(given), "again.toml"))
         assert again.chain is not None
         assert given.chain is not None
@@ -99,7 +102,7 @@ def test_arm_files(tmp_path: Path) -> None:
     ("lines", "said"),
     [
         ('kind = "tracker"', "instrument.kind: found 'tracker', allowed: distance, sphere or plane"),
-        ('kind = "sphere"', "instrument.radius_mm: is missing"),
+        ('kind = "distance"\nradius_mm = 3.0', "instrument.radius_mm: found for kind distance, allowed: for sphere"),
         ('kind = "plane"\nradius_mm = 3.0', "instrument.radius_mm: found for kind plane"),
         ('kind = "sphere"\nradius_mm = -3.0', "instrument.radius_mm: found -3.0, allowed: a number > 0"),
         ('kind = "plane"\ncenter_mm = [1.0, 2.0, 3.0]', "instrument.center_mm: found for kind plane"),

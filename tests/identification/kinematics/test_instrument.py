@@ -20,11 +20,20 @@ def test_readings_and_derivatives(instrument: Instrument) -> None:
     read, slopes = instrument.linearized(POINTS)
     np.testing.assert_allclose(read[:, 0], expected, rtol=1e-15)
     symbol = ca.SX.sym("p", 3)
-    function = ca.Function("read", [symbol], [instrument.symbolic(symbol)])
+    function = ca.Function("read", [symbol], [instrument.symbolic(symbol, ca.SX(0, 1))])
     assert [float(function(point)) for point in POINTS] == pytest.approx(expected, rel=1e-15)
     for k, step in enumerate(STEP * np.eye(3)):
         up, down = (instrument.linearized(POINTS + sign * step)[0][:, 0] for sign in (1.0, -1.0))
         np.testing.assert_allclose(slopes[:, 0, k], (up - down) / (2.0 * STEP), atol=1e-9)
+
+
+def test_a_sphere_of_unknown_radius_is_read_by_heights_above_it() -> None:
+    ball, symbol, values = Instrument("sphere"), ca.SX.sym("p", 3), ca.SX.sym("v", 2)
+    function = ca.Function("read", [symbol, values], [ball.symbolic(symbol, values)])
+    heights = [float(function(point, [7.0, 25.0])) for point in POINTS]
+    assert heights == pytest.approx(np.linalg.norm(POINTS, axis=1) - 25.0)
+    assert ball.unread.symbolic(symbol, values) is symbol
+    assert [one.shows_size for one in (*KINDS, ball)] == [True, True, False, False]
 
 
 def test_a_center_has_no_direction() -> None:
@@ -36,7 +45,7 @@ def test_a_center_has_no_direction() -> None:
 def test_positions_are_read_as_they_are() -> None:
     assert WHOLE.whole
     assert not WHOLE.contact
-    assert WHOLE.symbolic(point := ca.SX.sym("p", 3)) is point
+    assert WHOLE.symbolic(point := ca.SX.sym("p", 3), point) is point
     assert WHOLE.hidden(np.eye(4)) == frozenset()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from identification.kinematics.instrument import Instrument
 from identification.kinematics.length_placement import placed_by_lengths
@@ -33,6 +34,23 @@ def test_a_center(frames: np.ndarray) -> None:
     assert found.rms < 1e-7
 
 
+@pytest.mark.parametrize("radius", [3.0, 40.0, 300.0])
+def test_a_ball_of_unknown_radius(radius: float) -> None:
+    """Where the point touches it, whatever the readings have in common: the center and the point as for a known one."""
+    generator = np.random.default_rng(2)
+    frames = np.tile(np.eye(4), (40, 1, 1))
+    frames[:, :3, :3] = Rotation.random(40, random_state=3).as_matrix()
+    normals = generator.standard_normal((40, 3))
+    places = CENTER + radius * normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    frames[:, :3, 3] = places - frames[:, :3, :3] @ TOOL
+    found = placed_by_lengths(Instrument("sphere"), frames, np.full(40, 7.0), REACH)
+    np.testing.assert_allclose(found.base[:3, 3], -CENTER, atol=1e-6)
+    np.testing.assert_allclose(found.tool, TOOL, atol=1e-6)
+    assert found.rms < 1e-7
+    by_base = placed_by_lengths(Instrument("sphere"), frames, np.zeros(40), REACH, base=found.base)
+    np.testing.assert_allclose(by_base.tool, TOOL, atol=1e-6)
+
+
 def test_a_plane_stands_below_the_arm(frames: np.ndarray) -> None:
     heights = points(frames) @ NORMAL - HEIGHT  # of an indicator that reads them
     found = placed_by_lengths(Instrument("plane"), frames, heights, REACH)
@@ -60,6 +78,11 @@ def test_few_rows_have_a_start(frames: np.ndarray) -> None:
     """Fewer than unknowns: anything that explains them will do."""
     lengths = np.linalg.norm(points(frames[:4]) - CENTER, axis=1)
     assert placed_by_lengths(Instrument("distance"), frames[:4], lengths, REACH).rms < 1.0
+
+
+@pytest.mark.parametrize("rows", [1, 2, 4])
+def test_a_few_contacts_have_a_ball(rows: int, frames: np.ndarray) -> None:
+    assert placed_by_lengths(Instrument("sphere"), frames[:rows], np.zeros(rows), REACH).rms < 1e-3 * REACH
 
 
 @pytest.mark.parametrize("rows", [1, 2])
