@@ -121,14 +121,21 @@ def _square(rows: Array, p: int) -> Array:
 
 
 def _transformed(rows: Array, root: Array, p: int) -> Array:
-    """Upper triangles of R F R^T: a linear map of the triangles, small enough to apply at once."""
+    """Upper triangles of R F R^T: of many a linear map of the triangles, applied at once."""
     upper = np.triu_indices(p)
+    if len(rows) < rows.shape[1]:
+        return (root @ _square(rows, p) @ root.T)[:, upper[0], upper[1]]
     units = root @ _square(np.eye(rows.shape[1]), p) @ root.T
     return rows @ units[:, upper[0], upper[1]]
 
 
 def _coordinates(rows: Array) -> tuple[Array, Array]:
     """Basis (t, r) of the span of the rows (N, t), and the rows' coordinates (N, r) in it."""
+    if len(rows) < rows.shape[1]:  # by the smaller of the two normal matrices
+        values, vectors = np.linalg.eigh(rows @ rows.T)
+        seen = values > 1e-12 * values[-1]
+        basis = rows.T @ (vectors[:, seen] / np.sqrt(values[seen]))
+        return basis, vectors[:, seen] * np.sqrt(values[seen])
     values, vectors = np.linalg.eigh(rows.T @ rows)
     basis = vectors[:, values > 1e-12 * values[-1]]
     return basis, rows @ basis

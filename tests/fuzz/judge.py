@@ -20,6 +20,7 @@ from tests.fuzz.commands import LOOPS, THERE, Case
 RESULT, BAD_INPUT, FAILED, HELP = "result", "bad input", "job failed", "help"
 PROGRESS = re.compile(r"armcal (warning: |\w+: \d+ s)|armcal: warning: ")
 USAGE = "Error: "
+ALLOWED = ("allowed", "armcal effects lists them", "add to the arm file")  # one of these says what would be right
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,8 @@ def one_line(case: Case, outcome: Outcome, folder: Path) -> str | None:
     sentence = lines[0]
     if sentence.startswith(USAGE):
         return None
-    return None if "allowed" in sentence and ":" in sentence else f"does not say what is allowed: {sentence}"
+    right = ":" in sentence and any(words in sentence for words in ALLOWED)
+    return None if right else f"does not say what is allowed: {sentence}"
 
 
 def reason(case: Case, outcome: Outcome, folder: Path) -> str | None:

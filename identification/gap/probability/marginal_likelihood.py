@@ -150,7 +150,10 @@ class _Posterior:
         traces = (found.by_effect @ covariance).diagonal() - taken @ ((found.by_effect @ dyads) * dyads).T
         spread, moved = (x * precisions @ own.T for x in (traces, means * (means @ found.by_effect)))
         volumes = volume + own @ np.log(ratio * np.square(SIZES) * precision[:, None])
-        return cls(volumes, np.sum(amplitudes * means * precisions, axis=-1), spread, moved)
+        # the same as b^T V^-1 mean, as a sum of squares: it cannot fall below zero, and errors of the mean cancel
+        off = amplitudes - means
+        missed = np.sum(np.square(means) * precisions, axis=-1) + np.sum(off @ found.information * off, axis=-1)
+        return cls(volumes, missed, spread, moved)
 
     def at(self, *index: int) -> _Posterior:
         """One combination."""
@@ -206,6 +209,14 @@ def log_bayes_factor(found: Decomposition, left: float, squares: float, freedom:
     return np.asarray(logsumexp(factors, axis=1) - np.log(len(SIZES)) + around)
 
 
+def _factors(
+    found: Decomposition, at: NDArray[np.int64], left: float, squares: float, freedom: int
+) -> tuple[_Posterior, Array]:
+    """The posterior of sizes (M,), by their numbers, and of all that differ in one; log factors (M, len(SIZES))."""
+    posterior = _Posterior.around(found, SIZES[at])
+    return posterior, posterior.log_factors(left + posterior.missed, squares, freedom)
+
+
 def _likeliest(found: Decomposition, left: float, squares: float, freedom: int) -> tuple[_Posterior, float]:
     """The likeliest sizes of the effects, and the log of the average over all sizes relative to the factor there.
 
@@ -214,13 +225,17 @@ def _likeliest(found: Decomposition, left: float, squares: float, freedom: int) 
     at = np.zeros(found.members.shape[1], dtype=np.int64)
     if not len(at):
         return _Posterior(*np.zeros((2, 1)), *np.zeros((2, 1, 0))).at(0), 0.0
+    posterior, factors = _factors(found, at, left, squares, freedom)
     while True:  # one effect at a time, as long as the factor rises
-        posterior = _Posterior.around(found, SIZES[at])
-        factors = posterior.log_factors(left + posterior.missed, squares, freedom)
         best, now = np.unravel_index(np.argmax(factors), factors.shape), factors[0, at[0]]
         if not factors[best] > now + ROUNDING:
             break
-        at[best[0]] = best[1]
+        trial = np.where(np.arange(len(at)) == best[0], best[1], at)
+        further, its_factors = _factors(found, trial, left, squares, freedom)
+        if its_factors[0, trial[0]] > now:
+            at, posterior, factors = trial, further, its_factors
+        else:  # a rise that rounding made up: without noise a set explains all but the last digits
+            factors[best] = -np.inf
     there = posterior.at(0, at[0])
     if not np.isfinite(now):
         return there, -np.inf

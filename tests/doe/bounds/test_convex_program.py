@@ -46,3 +46,14 @@ def test_dual_of_the_smallest_eigenvalue_is_a_bound() -> None:
 def test_postures_that_do_not_identify() -> None:
     with pytest.raises(JobError, match="identify"):
         solve_program(ROWS[:2], D(), "scs")
+
+
+def test_few_postures_of_many_parameters() -> None:
+    """Postures that each determine two parameters of their own, F_i = s_i^2 I there: E-optimal weights are 1 / s_i^2 by
+    the equal eigenvalues w_i s_i^2 = 1 / sum_i s_i^-2 of the mean."""
+    sizes = np.array([1.0, 2.0, 0.5, 3.0])
+    jacobians = np.kron(np.diag(sizes), np.eye(2)).reshape(4, 2, 8)
+    found = smallest_eigenvalue_weights(jacobians, PriorInformation())
+    np.testing.assert_allclose(found.weights, sizes**-2.0 / np.sum(sizes**-2.0), atol=1e-5)
+    information = np.einsum("k,kda,kdb->ab", found.weights, jacobians, jacobians)
+    assert np.linalg.eigvalsh(information)[0] == pytest.approx(1.0 / np.sum(sizes**-2.0), rel=1e-5)

@@ -173,3 +173,29 @@ def test_an_effect_that_moves_nothing_explains_nothing() -> None:
     """A wrong payload alone, in a model without compliance: its probability is zero, and no warning."""
     unseen = Decomposition(np.zeros((1, 1)), np.zeros(1), np.zeros(1, dtype=int))
     assert float(log_bayes_factor(unseen, 100.0, 100.0, 100)) == -np.inf
+
+
+@pytest.mark.parametrize("seed", [0, 2, 6, 9, 10, 22])
+def test_sizes_are_found_where_rounding_makes_up_a_rise(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two effects of which the data show one combination each, without noise: the search for sizes ends, and nothing is
+    more evident than the best fit: sigma^36 in the likelihood, moments up to the largest amplitude over sigma."""
+    rng, calls = np.random.default_rng(seed), []
+    common = np.eye(2) + 0.3 * rng.standard_normal((2, 2))
+    shown = rng.standard_normal((2, 2))
+    factor = (unit(shown)[:, :, None] * unit(common)[:, None, :]).reshape(4, 2)
+    groups = Decomposition(factor @ factor.T, 1e7 * rng.standard_normal(4), np.array([0, 0, 1, 1]))
+    squares, left = float(groups.amplitudes @ groups.information @ groups.amplitudes), 1e-12
+    around = marginal_likelihood._Posterior.around
+
+    def counted(found: Decomposition, sizes: np.ndarray) -> Any:
+        calls.append(sizes)
+        assert len(calls) < 1000
+        return around(found, sizes)
+
+    monkeypatch.setattr(marginal_likelihood._Posterior, "around", counted)
+    most = 0.5 * 36 * np.log(squares / left) + 2.0 * np.log(36.0 * squares / left)
+    assert 0.0 < float(log_bayes_factor(groups, left, squares, 36)) < most
+
+
+def unit(rows: np.ndarray) -> np.ndarray:
+    return rows / np.linalg.norm(rows, axis=1)[:, None]
