@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 
 @contextmanager
 def single_thread() -> Iterator[None]:
     """`with single_thread():`, or `@single_thread()` of a function: BLAS uses one thread inside, and as many as before
     afterwards."""
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1, user_api="blas"):
+    with _libraries(len(sys.modules)).limit(limits=1, user_api="blas"):
         yield
+
+
+@lru_cache(maxsize=1)
+def _libraries(modules: int) -> ThreadpoolController:
+    """Those that are loaded; to look for them takes 2 ms, so again only after an import (`modules`: their number)."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()

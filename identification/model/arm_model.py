@@ -28,7 +28,7 @@ from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.kinematics.planar import PlanarGeometry
 from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR, SpatialChain
-from identification.model.expressions import Expressions
+from identification.model.expressions import Expressions, shared
 
 
 @dataclass(frozen=True)
@@ -178,12 +178,12 @@ class Model:
     # -- symbols ---------------------------------------------------------------------------------------------------
     @cached_property
     def expressions(self) -> Expressions:
-        """The model in CasADi symbols."""
+        """The model in CasADi symbols, shared with models that have the same."""
         curved = any(effect.curve is not None for effect in self.effects)
         several = self.arm.chain is not None and len(self.arm.chain.tools) > 1  # points of the tool are measured
         extra = ("marker",) * several + ("orientation",) * (self.dimension > 3) + ("errors",) * curved
         parts = (self.effects, self.all_parameters, self.parameters, self.fixed, self.remembers)
-        return Expressions(self.arm, *parts, extra, self.best_known)
+        return shared(Expressions(self.arm, *parts, extra, self.best_known))
 
     @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:

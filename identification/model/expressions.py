@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -24,10 +24,14 @@ from identification.model.compiled_parts import compiled_arm
 from identification.model.composition import Composition
 from identification.vectorize import Evaluate, vectorize
 
+KEPT = 128  # effort: models set up
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Expressions:
     """Position of the tip and its derivatives as expressions of posture q, conditions c and parameters p.
+
+    Equal ones have the same symbols: limits, sigma and the name of an arm, say, are not in them.
 
     every, estimated : all parameters, and those of the vector p;  fixed : name -> value of the others
     extra : further columns of the conditions, in order: `marker`, `orientation` that was measured and `errors` that
@@ -43,6 +47,21 @@ class Expressions:
     remembers: bool
     extra: tuple[str, ...]
     best: Mapping[str, float]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Expressions) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @cached_property
+    def _key(self) -> Hashable:
+        """All that is in the symbols; of effects the class, as users can redefine one, and what it was made with."""
+        arm, oriented = self.arm, "orientation" in self.extra
+        effects = ((type(e), e.joint, e.tagged, e.curve, *e.chosen.items()) for e in self.effects)
+        names = self.every.names, self.estimated.names, *self.fixed.items()
+        best = tuple(self.best.items()) if oriented else ()
+        return arm.lengths.tobytes(), arm.chain, arm.gravity, *effects, names, self.remembers, self.extra, best
 
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -239,3 +258,9 @@ class Expressions:
         """Of arrays (q, c): an expression of the nominal chain."""
         q, c = self.symbols[:2]
         return vectorize(ca.Function("expression", [q, c], [ca.cse(ca.densify(expression(self.chain(q, c))))]))
+
+
+@lru_cache(maxsize=KEPT)
+def shared(expressions: Expressions) -> Expressions:
+    """The first of equal ones, whose functions are compiled already."""
+    return expressions

@@ -130,6 +130,7 @@ def bundles(arm: Arm, effects: Sequence[tuple[int, Effect]]) -> tuple[Bundle, ..
     Effects without scanned settings form two groups, with and without dependence on the state; each scanned effect
     forms one group with all its joints and settings.
     """
+    arm = Arm(arm.lengths, gravity=arm.gravity, chain=arm.chain)  # all that the formulas have in them
     remembers = any("past" in effect.needs for _, effect in effects)
     plain: dict[bool, list[tuple[int, Effect]]] = {}
     scanned: dict[str, dict[int | None, list[tuple[int, Effect]]]] = {}

@@ -3,11 +3,16 @@ torques against the work of the loads."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import casadi as ca
 import numpy as np
 import pytest
 
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.conditions import Conditions
+from identification.effects import Chain, base
+from identification.effects.joint import GearRatio
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import pose
 from identification.kinematics.parameters import PRISMATIC
@@ -89,3 +94,41 @@ def test_gravity_torques_are_the_work_of_the_loads() -> None:
         step = 1e-5 * length * np.eye(4)[j]
         expected = -(energy(q + step) - energy(q - step)) / 2e-5
         assert torques[j] == pytest.approx(expected, abs=1e-6)
+
+
+def test_models_share_what_is_compiled_where_their_symbols_are_equal() -> None:
+    """Limits, sigma and name are in no formula; lengths, loads, effects, their settings and known values are."""
+    ripple = EffectSpec("transmission_ripple", 2, {"k": 5.0})
+    arm = Arm(LENGTHS, effects=(ripple,))
+    first = Model(arm).expressions
+    narrow = replace(arm, lower=np.full(3, -1.0), upper=np.full(3, 1.0), sigma=0.1, name="narrow")
+    assert Model(narrow).expressions is first
+    others = [
+        Model(replace(arm, lengths=1.1 * LENGTHS)),
+        Model(replace(arm, gravity=Gravity(np.array([0.0, -9.81]), np.ones(3), np.full(3, 0.5), 1.0))),
+        Model(arm.with_effects()),
+        Model(arm.with_effects(replace(ripple, joint=1))),
+        Model(arm.with_effects(replace(ripple, values={"k": 6.0}))),
+        Model(arm.with_effects(replace(ripple, values={"k": 5.0, "a": 1e-3}))),
+        Model(arm, {"length_error:1": 0.5}),
+        Model(Arm.of_chain(PARALLEL, effects=(ripple,))),
+    ]
+    assert all(model.expressions is not first for model in others)
+    moved = [model.position(POSTURES, 0.01 * np.ones(len(model.names))) for model in (Model(arm), *others[:-1])]
+    assert all(np.abs(moved[0] - other).max() > 1e-6 for other in (*moved[1:2], *moved[3:]))
+
+
+def test_an_effect_that_is_defined_anew_is_not_the_one_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm, found = Arm(LENGTHS, effects=(EffectSpec("gear_ratio", 2),)), []
+    for factor in (1.0, 2.0):
+
+        class Turned(GearRatio):
+            name = "gear_ratio"
+            by = factor
+
+            def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+                return self.at_joint(self.by * values[0], chain)
+
+        monkeypatch.setitem(base._LIBRARY, "gear_ratio", Turned)
+        found.append(Model(arm).jacobian(POSTURES)[..., -1])
+    np.testing.assert_allclose(found[1], 2.0 * found[0], rtol=1e-12)

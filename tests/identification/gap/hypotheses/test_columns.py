@@ -20,6 +20,7 @@ from identification.files.arm import load_arm
 from identification.files.arm_text import with_effects
 from identification.gap.diagnose import diagnose
 from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.columns import bundles
 from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
@@ -210,3 +211,13 @@ def test_effects_of_gravity_act_through_the_load_and_its_direction() -> None:
 def test_library_holds_the_users_effects() -> None:
     assert set(NAMES) < set(library())
     assert isinstance(library()["breathing"]([1.0], None, {"rate": ca.SX.sym("r")}).chosen["rate"], ca.SX)
+
+
+def test_formulas_are_shared_by_arms_of_one_geometry() -> None:
+    """A calibration, other limits and effects that are known change no slope: it is that of the nominal chain."""
+    numbered = list(enumerate(h.effect for h in hypotheses(ARM, frozenset(), rows()).members if not h.tied))
+    other = replace(ARM, lower=np.full(ARM.links, -1.0), sigma=0.3, effects=(EffectSpec("base_offset"),))
+    for one, two in zip(bundles(ARM, numbered), bundles(other, numbered), strict=True):
+        assert one.formulas is two.formulas
+    heavier = replace(ARM, lengths=1.1 * ARM.lengths)
+    assert bundles(heavier, numbered)[0].formulas is not bundles(ARM, numbered)[0].formulas
