@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 SHOWN = 5  # rows named in a sentence
+HASHED = 50  # effort: numbers of an array that its hash looks at
 
 
 def _read_only_mapping(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
@@ -60,10 +61,10 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _hashable(value: Any) -> Any:
-    """Equal for equal values: of a mapping its keys and numbers, of an array its shape; that distinguishes most."""
+    """Equal for equal values; of an array its shape and first numbers, of a mapping its keys, numbers and arrays."""
     if isinstance(value, Mapping):
-        return frozenset((key, item if isinstance(item, Real) else None) for key, item in value.items())
-    return np.shape(value) if isinstance(value, np.ndarray) else value
+        return frozenset((k, _hashable(v) if isinstance(v, Real | np.ndarray) else None) for k, v in value.items())
+    return (value.shape, *value.flat[:HASHED].tolist()) if isinstance(value, np.ndarray) else value
 
 
 def eigen_of_pairs(matrices: Array) -> tuple[Array, Array]:
