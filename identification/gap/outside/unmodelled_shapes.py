@@ -1,14 +1,15 @@
 """General shapes of effects outside the library: functions of a joint's angle, of time, and of the position.
 
-An unknown effect at a joint is some function of that joint (or of its neighbors), acting through the joint's lever; one
-in time is a step, a power or a wave of the base; one in the workspace is a smooth warp or a local dent of the measured
-positions. Each shape has few columns; an unknown effect is located where the best shape explains the residuals, after
-correction for all shapes at all places.
+An unknown effect at a joint is some function of that joint (or of its neighbors), acting through the joint's lever, or
+in space by tilting or shifting what lies beyond across the joint's axis, as a bearing that wobbles does; one in time is
+a step, a power or a wave of the base; one in the workspace is a smooth warp or a local dent of the measured positions.
+Each shape has few columns; an unknown effect is located where the best shape explains the residuals, after correction
+for all shapes at all places.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 
@@ -16,14 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
+from identification.effects.places import OF_FRAME, widths
 from identification.gap.fits.fit import Fit
 from identification.gap.fits.whitening import Rows
+from identification.kinematics.parameters import REVOLUTE
+from identification.kinematics.spatial import SpatialChain
 
 # reasons: identification/README.md, "Constants"
 FREE_ORDERS = np.arange(0.25, 256.25, 0.25)  # periods per turn: every wave between has a likeness of 0.97 with one
 TOGETHER = 32  # effort: waves that differ from these by one wave are computed together
 WAVES = {f"wave of {k:g} per turn": float(k) for k in FREE_ORDERS}  # shape -> periods per turn
 SMOOTH_ORDERS = np.arange(1, 6)  # of a smooth curve
+WOBBLES = (1, 2, 3, 4)  # periods per turn of an axis that wobbles
 CENTRES, WIDTHS = 24, (0.2, 0.3, 0.45, 0.7, 1.0)  # of bumps [rad]: a likeness of 0.9 with every bump between
 PERIODS = (2.0, 1.5, 1.0, 0.75, 0.5, 0.35)  # of waves over the workspace, in units of the reach; a sketch
 DENTS = (-1.5, -0.75, 0.0, 0.75, 1.5)  # centres along each axis, in root mean square coordinates; a sketch
@@ -59,24 +64,34 @@ class PlaceShapes:
         return cls(place, tuple(a.shape for a in listed), np.array([a.columns.shape[2] for a in listed]), columns)
 
     @classmethod
-    def at_joint(cls, place: str, listed: list[NamedColumns], lever: Array) -> PlaceShapes:
-        """Stack functions of a joint's angle, acting through the joint's lever (m, d) [mm/rad]."""
+    def at_joint(
+        cls, place: str, listed: list[NamedColumns], lever: Array, others: Sequence[GeneralShape] = ()
+    ) -> PlaceShapes:
+        """Stack functions of a joint's angle, acting through the joint's lever (m, d) [mm/rad], and other shapes."""
         values = np.concatenate([v for _, v in listed], axis=1)
-        sizes = np.concatenate([np.full(len(names), v.shape[1] // len(names)) for names, v in listed])
-        every = tuple(name for names, _ in listed for name in names)
-        return cls(place, every, sizes, lever[:, :, None] * values[:, None, :])
+        sizes = [np.full(len(names), v.shape[1] // len(names)) for names, v in listed]
+        sizes.append(np.array([one.columns.shape[2] for one in others], dtype=np.int64))
+        every = *(name for names, _ in listed for name in names), *(one.shape for one in others)
+        columns = np.empty((*lever.shape, sum(int(some.sum()) for some in sizes)))  # once: it may be most of the memory
+        np.multiply(lever[:, :, None], values[:, None, :], out=columns[:, :, : values.shape[1]])
+        if others:
+            columns[:, :, values.shape[1] :] = np.concatenate([one.columns for one in others], axis=2)
+        return cls(place, every, np.concatenate(sizes), columns)
 
 
 def general_shapes(found: Fit, rows: Rows) -> Iterator[PlaceShapes]:
     """The shapes at a fitted model, one place at a time, as together they have thousands of columns."""
     at = (rows.postures, found.values, rows.conditions)
     position, levers = found.model.position(*at), found.model.joint_levers(*at)
+    chain = getattr(getattr(found.model, "arm", None), "chain", None)  # other models have none
+    across = {} if chain is None else _across_levers(chain, *found.model.place_levers(*at))
     for j, lever in enumerate(np.moveaxis(levers, 2, 0)):
-        yield PlaceShapes.at_joint(f"joint:{j + 1}", _joint_shapes(rows.postures, j), lever)
+        place = f"joint:{j + 1}"
+        wobbling = _wobbles(place, rows.postures[:, j], across[j]) if j in across else []
+        yield PlaceShapes.at_joint(place, _joint_shapes(rows.postures, j), lever, wobbling)
     time = rows.conditions.time
     if time is not None and np.ptp(time) > 0.0:
         yield PlaceShapes.of("time", _time_shapes(time, position))
-    chain = getattr(getattr(found.model, "arm", None), "chain", None)  # other models have none
     if chain is None or not chain.instrument.contact:  # whose only place is the surface
         yield PlaceShapes.of("workspace", _workspace_shapes(position))
 
@@ -84,6 +99,34 @@ def general_shapes(found: Fit, rows: Rows) -> Iterator[PlaceShapes]:
 def _joint_shapes(postures: Array, j: int) -> list[NamedColumns]:
     q = postures[:, j]
     return [(tuple(WAVES), _free_waves(q)), *_local_shapes(q), *_smooth_shapes(q), *_shared_shapes(postures, j)]
+
+
+def _across_levers(chain: SpatialChain, levers: Array, _: Array) -> dict[int, dict[str, Array]]:
+    """Of each revolute joint from 0 the (m, d, 2) derivatives by tilts and by shifts of what it moves, along two
+    directions across its axis.
+
+    levers : (m, d, P) by what is added at each place
+    """
+    sizes, n = widths(len(chain), chain.dimension), len(chain)
+    ends = dict(zip(sizes, np.cumsum([*sizes.values()]).tolist(), strict=True))
+    found: dict[int, dict[str, Array]] = {}
+    for j, joint in enumerate(chain.joints):
+        if joint.type == REVOLUTE:
+            plane = np.linalg.svd(joint.axis[None])[2][1:].T
+            first = {kind: ends[kind] - 3 * n + 3 * j for kind in OF_FRAME}
+            found[j] = {kind: levers[:, :, at : at + 3] @ plane for kind, at in first.items()}
+    return found
+
+
+def _wobbles(place: str, q: Array, across: Mapping[str, Array]) -> list[GeneralShape]:
+    """Waves of tilts and of shifts across the axis of a joint, with four columns each."""
+    words, listed = {"joint_turns": "tilt", "joint_shifts": "shift"}, []
+    for kind, levers in across.items():
+        for k in WOBBLES:
+            waves = np.stack([np.cos(k * q), np.sin(k * q)], axis=1)
+            columns = (levers[:, :, :, None] * waves[:, None, None, :]).reshape(*levers.shape[:2], 4)
+            listed.append(GeneralShape(place, f"{words[kind]} across the axis, {k} per turn", columns))
+    return listed
 
 
 def _free_waves(q: Array) -> Array:
