@@ -119,7 +119,7 @@ def _across_levers(chain: SpatialChain, levers: Array, _: Array) -> dict[int, di
 
 
 def _wobbles(place: str, q: Array, across: Mapping[str, Array]) -> list[GeneralShape]:
-    """Waves of tilts and of shifts across the axis of a joint, with four columns each."""
+    """Waves of tilts and of shifts across the axis of a joint, for the frame that it moves, with four columns each."""
     words, listed = {"joint_turns": "tilt", "joint_shifts": "shift"}, []
     for kind, levers in across.items():
         for k in WOBBLES:

@@ -59,6 +59,17 @@ def test_found_again(effect: str, names: tuple[str, ...]) -> None:
     assert found.gap.held_out_after < 0.05 * np.sqrt(3.0) * np.sqrt(1.0 + 28.0 / 180.0) * 1.15
 
 
+def test_an_axis_that_wobbles_is_unknown_at_its_joint() -> None:
+    """No effect of the library: the axis of joint 3 leans by 0.3 mrad and goes round twice a turn, 0.25 mm at the tip
+    against noise of 0.05 mm."""
+    cell, generator = SpatialCell(60), np.random.default_rng(9)
+    truth = replace(random_truth(cell, generator), sigma=0.05, effects=[("axis_wobble", 3, {"c": 3e-4})])
+    run = session(truth, generator.uniform(truth.lower, truth.upper, (60, 6)), generator)  # type: ignore[arg-type]
+    found = diagnose(arm_of(cell, truth, generator), measured(truth, cell, run, generator), draws=399)
+    assert (found.verdict, found.where) == ("unknown", "joint:3")
+    assert found.shape == "tilt across the axis, 2 per turn"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("said", [False, True])
 def test_a_heavy_load_beside_the_reflector(said: bool) -> None:
