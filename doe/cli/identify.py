@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -185,10 +185,11 @@ class Wanted:
             found = estimate(model, data, method=self.method, sigma=self.sigma)
             return with_repeats_doubted(found, data), None, self.said(model)
         check_with_prior(self.minimal, self.method)
-        prior = Prior({} if library is None else library.prior.deviations, self.earlier(model))
+        prior = replace(Prior({}) if library is None else library.prior, earlier=self.earlier(model))
         found, said = estimate_with_prior(model, data, prior, sigma=self.sigma), self.said(model, prior)
         if prior.earlier is not None:
             said["prior_from"]["contradicted"] = [one.to_json() for one in found.contradictions]
+        library = replace(library, together=found.prior.together) if library and found.prior else library
         return with_repeats_doubted(found, data), library, said
 
     def without_outliers(

@@ -36,10 +36,12 @@ def command(common: CommonOptions, model: Path, data: Path, refit: str, output: 
     from doe.report.verdict import next_steps, validation_actions
     from identification.files.arm import load_arm
     from identification.validate import validate
+    from identification.validate.row_groups import mostly_outside
 
     arm = load_arm(model)
     found = validate(arm, read_measurements(data, arm), refit)
-    actions = validation_actions(better(found), refit, str(model), str(data))
+    beyond = mostly_outside(arm, found.measurements.postures)
+    actions = validation_actions(better(found), refit, str(model), str(data), beyond=beyond)
     answer = Answer(found.to_json(), [*validation_tables(found), *next_steps(actions)])
     output.draw(lambda: validation_figure(found))
     warn_beside_json(f"{data}: {note}" for note in found.notes)

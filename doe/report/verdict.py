@@ -198,15 +198,22 @@ def validation_verdict(
     return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}; {most}."
 
 
-def validation_actions(better: bool, refit: str, model: str, rows: str) -> list[Action]:
-    """What to do with a model that predicts other measurements, or does not."""
+def validation_actions(better: bool, refit: str, model: str, rows: str, *, beyond: bool = False) -> list[Action]:
+    """What to do with a model that predicts other measurements, or does not.
+
+    beyond : most rows are at other angles than those of the identification
+    """
+    held = "armcal identify arm.toml data.csv --library-prior --out calibrated.toml"
+    why = "Most rows are at angles that the calibration has not seen. What mostly reaches farther from its data:"
+    far = [Action(why, held)] if beyond else []
     if better:
-        return [correct(model)]
+        return [*far, correct(model)]
     anew = Action("Find the zeros of the joints anew:", f"armcal identify {model} {rows} --only joint_offsets,base")
     if refit == "offsets":
-        return [anew]
+        return [*far, anew]
     asked = f"armcal validate {model} {rows} --refit offsets"
-    return [Action("Have the zeros of the joints moved? See what refitting them gains:", asked), anew]
+    zeros = Action("Have the zeros of the joints moved? See what refitting them gains:", asked)
+    return [*far, zeros, anew]
 
 
 def plan_actions(arm: str = "arm.toml", plan: str = "plan.csv") -> list[Action]:

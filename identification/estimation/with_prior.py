@@ -7,7 +7,7 @@ likelihood, H. D. Patterson, R. Thompson 1971), and no less than a sigma that is
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Literal, NamedTuple
@@ -40,11 +40,25 @@ ROUNDS = 10  # of fit and noise: the model is nearly linear, so that the second 
 STEADY = 1e-4  # relative change of the noise, far below its own uncertainty
 WIDTHS = tuple(2.0**k for k in range(6))  # factors on the machining's sizes; the likelihood is flat over a step
 ZERO_WIDTHS = (1.0, 4.0, 16.0, 64.0)  # of joint zeros besides, which are set by hand: to 32 deg
-Widths = tuple[float, float]  # factors on the machining's sizes, and one more on those of joint zeros
-AS_STATED: Widths = (1.0, 1.0)
+TOGETHER = tuple(2.0**k for k in range(7))  # settings of an effect at once; the likelihood is flat over a step
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
 CREDIBLE = 4.0  # difference of -2 log likelihood from the sizes as stated: chi2 of one degree of freedom, 5 %
 ENOUGH = 3000  # equations: of more, rows show the same misfits again, and widths are chosen as from so many
+
+
+class Widths(NamedTuple):
+    """What the likelihood says of the sizes of a prior.
+
+    machining : factor on those of the machining;  zeros : one more on those of joint zeros
+    together : how many settings of an effect are there at once (`Prior.alternatives`)
+    """
+
+    machining: float = 1.0
+    zeros: float = 1.0
+    together: float = 1.0
+
+
+AS_STATED = Widths()
 
 
 @single_thread()
@@ -79,14 +93,14 @@ def estimate_with_prior(
     made = _uncertainty(problem, decomposed.covariance, float(dof), noise)
     spread = Spread(made, problem.noise * (noise.sigma or 1.0), float(problem.squares(parameters)[0]), dof)
     found = identification(problem, measurements, "gauss_newton", solution, decomposed, noise, spread)
-    found = replace(found, prior=problem.prior, machining_factor=widths[0] if model.prior else None)
+    found = replace(found, prior=problem.prior, machining_factor=widths.machining if model.prior else None)
     found = replace(found, doubts=(*found.doubts, *far_from_drawing(model.arm.machining, widths)))
     if prior.earlier is None:
         return found
 
     def again(known: Mapping[str, float]) -> Identification:
         held = replace(model, known={**model.fixed, **known})
-        return estimate_with_prior(held, measurements, Prior(prior.deviations), sigma, weights)
+        return estimate_with_prior(held, measurements, replace(prior, earlier=None), sigma, weights)
 
     return with_contradictions(found, problem, noise, again)
 
@@ -94,7 +108,7 @@ def estimate_with_prior(
 def far_from_drawing(machining: Machining, widths: Widths) -> list[str]:
     """What is doubtful about an arm whose errors are so many times those of its machining."""
     rotation = f"{np.degrees(machining.rotation):g} deg"
-    (width, zeros), sizes = widths, f"{machining.translation:g} mm and {rotation}"
+    width, zeros, sizes = widths.machining, widths.zeros, f"{machining.translation:g} mm and {rotation}"
     ask = "; are units, order and signs of joints and coordinates right? armcal check tells" if width >= UNUSUAL else ""
     said = f"the arm is farther from its drawing than [machining] says ({sizes}): taken {width:g} times as large{ask}"
     why = f"taken as {width * zeros:g} times as large, as where a motor was changed or a drawing counts from elsewhere"
@@ -169,6 +183,7 @@ class LinearizedProblem(NamedTuple):
     target : (N,) weighted residuals if all parameters with a prior were at its center;  jacobian : (N, p)
     equations : of the data;  factor : (p, r) of the prior's covariance, see `Prior.factor`
     machined : (p,) those with the prior of the machining;  zeros : (p,) joint offsets among them
+    alternatives : (p,) settings that their effect may have, 1 where it has but one
     """
 
     target: Array
@@ -177,6 +192,7 @@ class LinearizedProblem(NamedTuple):
     factor: Array
     machined: NDArray[np.bool_]
     zeros: NDArray[np.bool_]
+    alternatives: Array
 
     @classmethod
     def of(cls, problem: Problem, x: Array, residual: Array, jacobian: Array) -> LinearizedProblem:
@@ -188,7 +204,13 @@ class LinearizedProblem(NamedTuple):
         own = {} if prior is None else problem.model.prior.keys() & prior.deviations.keys()
         machined = np.array([name in own for name in parameters.names])
         zeros = machined & np.array([p.kind == JOINT_OFFSET for p in parameters])
-        return cls(target, jacobian, equations, factor, machined, zeros)
+        alternatives = parameters.vector({} if prior is None else prior.alternatives, default=1.0)
+        return cls(target, jacobian, equations, factor, machined, zeros, alternatives)
+
+    def sizes(self, widths: Widths) -> Array:
+        """(p,) factors on the deviations of the prior."""
+        machined = np.where(self.zeros, widths.zeros, 1.0) * np.where(self.machined, widths.machining, 1.0)
+        return np.asarray(machined * np.sqrt(np.minimum(widths.together, self.alternatives)))
 
     @property
     def spare(self) -> int:
@@ -208,7 +230,7 @@ class LinearizedProblem(NamedTuple):
 
 
 def likeliest(problem: LinearizedProblem, noise: Noise, given: bool) -> tuple[float, Widths]:
-    """Noise, no less than a given one (`given`: that one), and the machining's widths of the largest likelihood."""
+    """Noise, no less than a given one (`given`: that one), and the widths of the prior of the largest likelihood."""
     unit = 1.0 if (known := noise.sigma is not None) or given else problem.scatter
     if problem.spare == 0:
         return unit, AS_STATED
@@ -218,36 +240,37 @@ def likeliest(problem: LinearizedProblem, noise: Noise, given: bool) -> tuple[fl
     alike = bool(problem.machined[problem.factor.any(axis=1)].all())  # their sizes have one factor
 
     @cache
-    def likelihood(width: float, of_zeros: float, share: float) -> Restricted:
-        sizes = np.where(problem.zeros, of_zeros, 1.0) * np.where(problem.machined, width, 1.0)
-        effects, spare = (jacobian * sizes) @ problem.factor, max(round(share * problem.spare), 1)
+    def likelihood(widths: Widths, share: float) -> Restricted:
+        effects, spare = (jacobian * problem.sizes(widths)) @ problem.factor, max(round(share * problem.spare), 1)
         return Restricted.of(np.sqrt(share) * target, basis[:, :0], np.sqrt(share) * effects, spare)
 
-    def fitted(widths: Array, of_zeros: float, share: float) -> tuple[Array, Array]:
-        """-2 log of the likelihood for each width (w,) of one of zeros, and the noise, from a share of the rows."""
+    def fitted(widths: Array, other: Widths, share: float) -> tuple[Array, Array]:
+        """-2 log of the likelihood for each width of the machining (w,), and the noise, from a share of the rows."""
         least = unit if known else unit / LARGEST
         if alike:
-            found = [likelihood(1.0, of_zeros, share).likeliest(least, LARGEST * unit, widths, given)]
+            found = [likelihood(other, share).likeliest(least, LARGEST * unit, widths, given)]
         else:
-            each = [(likelihood(width, of_zeros, share), np.ones(1)) for width in widths.tolist()]
-            found = [one.likeliest(least, LARGEST * unit, size, given) for one, size in each]
+            each = [likelihood(other._replace(machining=width), share) for width in widths.tolist()]
+            found = [one.likeliest(least, LARGEST * unit, np.ones(1), given) for one in each]
         values, noises = np.concatenate(found, axis=1)
-        return values + CREDIBLE * (np.not_equal(widths, 1.0) + float(of_zeros != 1.0)), noises
+        return values + CREDIBLE * (np.not_equal(widths, 1.0) + np.count_nonzero(np.not_equal(other, 1.0))), noises
 
-    widths = np.array(WIDTHS if problem.machined.any() else WIDTHS[:1])
-    tried = ZERO_WIDTHS if problem.zeros.any() else ZERO_WIDTHS[:1]
-    values = np.array([fitted(widths, of_zeros, min(1.0, ENOUGH / problem.equations))[0] for of_zeros in tried])
-    row, column = np.unravel_index(np.argmin(values), values.shape)
-    best = float(widths[column]), tried[row]
-    return float(fitted(widths[[column]], best[1], 1.0)[1][0]), best
+    def best(widths: Array, others: Sequence[Widths]) -> Widths:
+        values = np.array([fitted(widths, other, min(1.0, ENOUGH / problem.equations))[0] for other in others])
+        row, column = divmod(int(np.argmin(values)), len(widths))
+        return others[row]._replace(machining=float(widths[column]))
+
+    several = [n for n in TOGETHER if n < 2.0 * problem.alternatives.max()]
+    own = best(np.ones(1), [Widths(together=n) for n in several])
+    zeros = ZERO_WIDTHS if problem.zeros.any() else ZERO_WIDTHS[:1]
+    own = best(np.array(WIDTHS if problem.machined.any() else WIDTHS[:1]), [own._replace(zeros=z) for z in zeros])
+    return float(fitted(np.array([own.machining]), own._replace(machining=1.0), 1.0)[1][0]), own
 
 
 def widened(problem: Problem, widths: Widths) -> Prior | None:
-    """The problem's prior with the sizes of the machining so many times as large."""
+    """The problem's prior with the sizes of the machining so many times as large, and so many settings at once."""
     if problem.prior is None or widths == AS_STATED:
         return problem.prior
-    factors = {
-        p.name: widths[p.kind == JOINT_OFFSET] for p in problem.model.parameters if p.name in problem.model.prior
-    }
-    own = problem.prior.deviations
-    return replace(problem.prior, deviations={name: own[name] * factors.get(name, 1.0) for name in own})
+    prior, machined = problem.prior.with_together(widths.together), problem.model.prior
+    factors = {p.name: widths[p.kind == JOINT_OFFSET] for p in problem.model.parameters if p.name in machined}
+    return replace(prior, deviations={name: own * factors.get(name, 1.0) for name, own in prior.deviations.items()})

@@ -47,6 +47,23 @@ def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
     return f"{found} ({joints}): there it extrapolates"
 
 
+def seen_in_words(arm: Arm, postures: Array, model: Array, drawing: Array) -> str | None:
+    """What model and drawing leave of rows at angles of the identification, and of the others, in a sentence; None:
+    where all are of one kind, few rows, or angles are not known.
+
+    postures : (m, n);  model, drawing : (m,) distances [mm]
+    """
+    out = outside(arm, postures)
+    if out is None or len(out) < FEWEST or not 0 < np.count_nonzero(beyond := out.any(axis=1)) < len(out):
+        return None
+    there, elsewhere = (
+        f"{np.sqrt(np.mean(model[rows] ** 2)):.3g} mm (drawing {np.sqrt(np.mean(drawing[rows] ** 2)):.3g} mm)"
+        for rows in (~beyond, beyond)
+    )
+    share = f"{100.0 * np.mean(~beyond):.2g} % of these rows lie at joint angles that the calibration has seen"
+    return f"{share}: RMS there {there}, elsewhere {elsewhere}"
+
+
 def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
     """(m, n) True where a joint of postures (m, n) is outside the angles of the identification, whole turns aside; None
     where they are not known."""
@@ -55,6 +72,14 @@ def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
     (lower, upper), types = limits, Model(arm).joint_types
     q = turned_into(postures, lower, upper, types, READ)
     return (q < lower - READ) | (q > upper + READ)
+
+
+def mostly_outside(arm: Arm, postures: Array) -> bool:
+    """Whether more than half of the postures (m, n) are outside the angles of the identification, as far as known, of
+    an arm without several settings of one effect at once, as only the library as a prior has."""
+    several = len({spec.key for spec in arm.effects}) < len(arm.effects)
+    out = outside(arm, postures)
+    return not several and out is not None and 2 * int(out.any(axis=1).sum()) > len(out)
 
 
 def diagnosed(arm: Arm) -> bool:

@@ -24,7 +24,7 @@ from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.validate.refit import placed_values, refit_model, refit_parameters
-from identification.validate.row_groups import extrapolation, identified, row_groups
+from identification.validate.row_groups import extrapolation, identified, row_groups, seen_in_words
 
 # of the drawing, by `refit`: said wherever its error is, so that figures of commands can be compared
 DRAWN = {
@@ -203,6 +203,8 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     angles = found.rms_angles
     said = _hardly_better(found)
     said += [f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"] if angles else []
+    left = (distances(each) for each in (residuals, nominal))
+    said += [seen] if (seen := seen_in_words(arm, measurements.postures, *left)) else []
     return replace(found, notes=(*said, *_notes(arm, measurements, free)))
 
 

@@ -17,11 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.estimation import estimate
+from identification.estimation import estimate, estimate_with_prior
 from identification.files.arm import load_arm
 from identification.gap.curves.curves import curve_candidate, find_curves
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import hypotheses
+from identification.gap.library.library_prior import given_by, library_prior
 from identification.gap.outside.unmodelled import Unknown
 from identification.gap.selection.search import HypothesisSearch
 from identification.gap.workflow import Findings
@@ -132,3 +133,21 @@ def test_another_session(
     print(f"\n{made.__name__}, sag {sags} rad, {len(ratios)} arms with curves: as fitted {mean[0]:.2f}", end="")
     print(f", worst {worst[0]:.2f}; together with their geometry {mean[1]:.2f}, worst {worst[1]:.2f}")
     assert mean[1] < 1.0
+
+
+def test_the_library_as_a_prior() -> None:
+    """Arms in space: what it leaves of another session, as a share of what plain geometry leaves."""
+    ratios = []
+    for seed in range(6):
+        for fast in (False, True):
+            for sag in (0.0, 1.5e-3):
+                rng = np.random.default_rng([41, seed, int(fast), 1])
+                arm, measure, limits = spatial(rng, fast, sag)
+                here, there = (measure(rng.uniform(*pair, (ROWS, 6))) for pair in limits)
+                library = library_prior(arm, given_by(here))
+                fits = estimate(Model(arm), here), estimate_with_prior(library.model, here, library.prior)
+                plain, prior = (validate(fit.calibrated_arm(), there).model.rms for fit in fits)
+                ratios.append(prior / plain)
+                print(f"\n{seed} {fast} {sag:g}: {plain:.3f} mm, library as a prior {prior:.3f} mm", end="")
+    print(f"\n{len(ratios)} arms: geometric mean {np.exp(np.mean(np.log(ratios))):.2f}, worst {max(ratios):.2f}")
+    assert np.mean(np.log(ratios)) < 0.0

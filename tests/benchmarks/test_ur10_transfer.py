@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm, EffectSpec
-from identification.estimation import estimate
+from identification.estimation import Identification, estimate, estimate_with_prior
 from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
 from identification.gap.confirmation.holdout import split
 from identification.gap.diagnose import diagnose
+from identification.gap.library.library_prior import given_by, library_prior
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.validate import validate
@@ -147,3 +148,44 @@ def test_space_held_out_with_diagnose(series: str) -> None:
     arm = load_arm(SPACE)
     parts = halves(load_measurements(SPATIAL[series], arm))
     assert shown_diagnosis(f"space, {series}, halves, diagnose", arm, parts) < 0.2
+
+
+def library_fit(arm: Arm, rows: Measurements) -> Identification:
+    """As `armcal identify --library-prior`."""
+    library = library_prior(arm, given_by(rows))
+    return estimate_with_prior(library.model, rows, library.prior)
+
+
+@ACROSS
+def test_space_with_the_library_as_a_prior(series: str, other: str) -> None:
+    """Held-out halves, and the other session with base and reflector found anew."""
+    arm = load_arm(SPACE)
+    data, there = (load_measurements(SPATIAL[name], arm) for name in (series, other))
+    parts = halves(data)
+    half, whole = library_fit(arm, parts[0]), library_fit(arm, data)
+    assert whole.prior is not None
+    print(f"\nspace, {series}, library as a prior, {whole.prior.together:g} waves at once", end="")
+    print(f": held out {rms(half.model, half.parameters, parts[1]):.3f} mm", end="")
+    found = validate(whole.calibrated_arm(), there)
+    print(f"; {series} -> {other}: {found.model.rms:.3f}, drawing {found.nominal.rms:.3f} mm")
+    assert found.model.rms < found.nominal.rms
+
+
+@BOTH
+def test_space_other_angles_of_one_session(series: str) -> None:
+    """A third of 1,500 rows, where one joint is low, in the middle or high, and the rest predicted: plain geometry and
+    the library as a prior."""
+    arm, ratios = load_arm(SPACE), []
+    data = load_measurements(SPATIAL[series], arm)
+    data = data.rows(np.sort(np.random.default_rng(0).permutation(len(data))[:1500]))
+    for joint in range(5):
+        order = np.argsort(np.mod(data.postures[:, joint] - (0.0 if series == "C" else np.pi), 2.0 * np.pi))
+        for third in np.array_split(order, 3):
+            inside = np.isin(np.arange(len(data)), third)
+            here, there = data.rows(inside), data.rows(~inside)
+            fits = (estimate(Model(arm), here), library_fit(arm, here))
+            plain, prior = (validate(fit.calibrated_arm(), there).model.rms for fit in fits)
+            ratios.append(prior / plain)
+            print(f"\n{series}, joint {joint + 1}: geometry {plain:.3f}, library as a prior {prior:.3f} mm", end="")
+    print(f"\n{series}: geometric mean {np.exp(np.mean(np.log(ratios))):.2f}, worst {max(ratios):.2f}")
+    assert np.mean(np.log(ratios)) < 0.0

@@ -34,6 +34,7 @@ class LibraryPrior:
 
     arm : with all effects, those `added` last;  prior : of the parameters of `added`
     left_out : effect -> why it was not added;  size : factor on the typical sizes
+    together : how many settings of an effect the fit took to be there at once
     """
 
     arm: Arm
@@ -41,6 +42,7 @@ class LibraryPrior:
     prior: Prior
     left_out: Mapping[str, str]
     size: float = 1.0
+    together: float = 1.0
 
     def times(self, size: float) -> LibraryPrior:
         """The same with all standard deviations multiplied by `size`; without the added effects if it is zero."""
@@ -48,7 +50,7 @@ class LibraryPrior:
             own = self.arm.effects[: len(self.arm.effects) - len(self.added)]
             return replace(self, arm=self.arm.with_effects(*own), added=(), prior=Prior({}), size=size)
         scaled = {name: size * deviation for name, deviation in self.prior.deviations.items()}
-        return replace(self, prior=Prior(scaled), size=size)
+        return replace(self, prior=replace(self.prior, deviations=scaled), size=size)
 
     @property
     def model(self) -> Model:
@@ -67,13 +69,16 @@ class LibraryPrior:
         if not kinds:
             return "without the rest of the library: the data leave no room for it"
         times = "" if self.size == 1.0 else f"{self.size:.2g} times "
-        return f"with a prior of {times}typical sizes: {len(self.prior.deviations)} parameters of {', '.join(kinds)}"
+        found = f"with a prior of {times}typical sizes: {len(self.prior.deviations)} parameters of {', '.join(kinds)}"
+        if self.together == 1.0:
+            return found
+        several = dict.fromkeys(key.partition(".")[0].partition(":")[0] for key in self.prior.alternatives)
+        return f"{found}; as of {self.together:g} waves at once in each joint ({', '.join(several)}), likelier than one"
 
     def to_json(self) -> dict[str, Any]:
         """Key `prior` of `identify` (identification/files/README.md, "JSON keys")."""
-        count = len(self.prior.deviations)
-        left_out = dict(self.left_out)
-        return {"parameters": count, "effects": self.effects, "left_out": left_out, "size": self.size}
+        found = {"parameters": len(self.prior.deviations), "effects": self.effects, "left_out": dict(self.left_out)}
+        return found | {"size": self.size, "together": self.together}
 
 
 def library_prior(
@@ -110,7 +115,7 @@ def library_prior(
         raise InputError("effects: none of the library's is left for the prior, allowed: at least one")
     kept = _thinned(chosen, most_settings)
     wide = _extended(arm, kept)
-    prior, added = Prior(_deviations(Model(wide).effects, kept)), tuple(h.spec for h in kept)
+    prior, added = _prior(Model(wide).effects, kept), tuple(h.spec for h in kept)
     return LibraryPrior(wide, added, prior, MappingProxyType(left_out))
 
 
@@ -166,13 +171,10 @@ def _extended(arm: Arm, added: Sequence[Hypothesis]) -> Arm:
     return replace(wide, calibration=replace(arm.calibration, values=values, parameter_names=(), covariance=None))
 
 
-def _deviations(effects: Sequence[Effect], added: Sequence[Hypothesis]) -> dict[str, float]:
-    """Parameter name -> standard deviation [API units]; `effects` end with those `added`."""
+def _prior(effects: Sequence[Effect], added: Sequence[Hypothesis]) -> Prior:
+    """Standard deviations by parameter [API units]; `effects` end with those `added`."""
     alike = Counter(h.key for h in added)
     pairs = zip(effects[len(effects) - len(added) :], added, strict=True)
-    return {
-        p.name: float(p.typical * np.sqrt(e.prior / alike[h.key]))
-        for e, h in pairs
-        for p in e.parameters
-        if p.typical is not None
-    }
+    each = [(p, e, alike[h.key]) for e, h in pairs for p in e.parameters if p.typical is not None]
+    deviations = {p.name: float((p.typical or 0.0) * np.sqrt(e.prior / k)) for p, e, k in each}
+    return Prior(deviations, alternatives={p.name: k for p, _, k in each if k > 1})

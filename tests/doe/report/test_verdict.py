@@ -134,6 +134,10 @@ def test_commands_of_next_steps_stand_on_lines_of_their_own() -> None:
         "armcal identify m.toml d.csv --only joint_offsets,base",
     ]
     assert refitted == poor[1:]
+    for case, others in (((True, "base"), good), ((False, "base"), poor), ((False, "offsets"), refitted)):
+        first, *rest = validation_actions(*case, "m.toml", "d.csv", beyond=True)
+        assert "--library-prior" in first.command
+        assert rest == others
 
 
 @pytest.mark.parametrize("verdict", ["none", "named", "ambiguous", "unknown"])
