@@ -40,7 +40,7 @@ def command(common: CommonOptions, model: Path, data: Path, refit: str, output: 
 
     arm = load_arm(model)
     found = validate(arm, read_measurements(data, arm), refit)
-    beyond = mostly_outside(arm, found.measurements.postures)
+    beyond = arm.chain is not None and mostly_outside(arm, found.measurements.postures)
     actions = validation_actions(better(found), refit, str(model), str(data), beyond=beyond)
     answer = Answer(found.to_json(), [*validation_tables(found), *next_steps(actions)])
     output.draw(lambda: validation_figure(found))

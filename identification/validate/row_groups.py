@@ -48,13 +48,13 @@ def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
 
 
 def seen_in_words(arm: Arm, postures: Array, model: Array, drawing: Array) -> str | None:
-    """What model and drawing leave of rows at angles of the identification, and of the others, in a sentence; None:
-    where all are of one kind, few rows, or angles are not known.
+    """What model and drawing leave of rows at angles of the identification, and of the others, in a sentence; None
+    where either are few, or the angles are not known.
 
     postures : (m, n);  model, drawing : (m,) distances [mm]
     """
     out = outside(arm, postures)
-    if out is None or len(out) < FEWEST or not 0 < np.count_nonzero(beyond := out.any(axis=1)) < len(out):
+    if out is None or not FEWEST <= np.count_nonzero(beyond := out.any(axis=1)) <= len(out) - FEWEST:
         return None
     there, elsewhere = (
         f"{np.sqrt(np.mean(model[rows] ** 2)):.3g} mm (drawing {np.sqrt(np.mean(drawing[rows] ** 2)):.3g} mm)"

@@ -178,7 +178,7 @@ def test_space_other_angles_of_one_session(series: str) -> None:
     arm, ratios = load_arm(SPACE), []
     data = load_measurements(SPATIAL[series], arm)
     data = data.rows(np.sort(np.random.default_rng(0).permutation(len(data))[:1500]))
-    for joint in range(5):
+    for joint in range(3):
         order = np.argsort(np.mod(data.postures[:, joint] - (0.0 if series == "C" else np.pi), 2.0 * np.pi))
         for third in np.array_split(order, 3):
             inside = np.isin(np.arange(len(data)), third)
