@@ -22,6 +22,7 @@ from identification.gap.diagnose import diagnose
 from identification.gap.library.library_prior import given_by, library_prior
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.model.placed import placed_model
 from identification.validate import validate
 
 SHARED = Path(__file__).parents[3] / "shared/data"
@@ -148,6 +149,39 @@ def test_space_held_out_with_diagnose(series: str) -> None:
     arm = load_arm(SPACE)
     parts = halves(load_measurements(SPATIAL[series], arm))
     assert shown_diagnosis(f"space, {series}, halves, diagnose", arm, parts) < 0.2
+
+
+def linearized(arm: Arm, data: Measurements) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N,) residuals of the drawing and (N, g) columns of the joints' errors, per row, both less what base and
+    reflector explain, and (g,) the machining's sizes."""
+    model = placed_model(Model(arm), data)
+    zero, names = np.zeros(len(model.names)), np.array(model.names)
+    own = ~np.char.startswith(names, "base") & ~np.char.startswith(names, "tool")
+    jacobian = model.jacobian(data.postures, zero).reshape(-1, len(names)) / np.sqrt(len(data))
+    residual = (data.positions - model.position(data.postures, zero)).ravel() / np.sqrt(len(data))
+    place = np.linalg.qr(jacobian[:, ~own])[0]
+    off = (each - place @ (place.T @ each) for each in (residual, jacobian[:, own]))
+    return *off, model.parameters.vector(model.prior, 0.0)[own]
+
+
+def test_space_geometry_of_both_sessions() -> None:
+    """One geometry for both fits both; those of each differ from it where the session itself hardly shows it."""
+    arm = load_arm(SPACE)
+    parts = {name: linearized(arm, load_measurements(SPATIAL[name], arm)) for name in "AC"}
+
+    def fitted(names: str) -> np.ndarray:
+        rows = [(1e-3 * np.diag(1.0 / parts["A"][2]), np.zeros(len(parts["A"][2])))]  # far below what the data say
+        rows += [(parts[name][1], parts[name][0]) for name in names]
+        return np.linalg.lstsq(*(np.concatenate(each) for each in zip(*rows, strict=True)), rcond=None)[0]
+
+    both = fitted("AC")
+    for name in "AC":
+        residual, columns, _ = parts[name]
+        left = [np.linalg.norm(residual - columns @ found) for found in (both, fitted(name))]
+        print(f"\nin {name}: geometry of both {left[0]:.3f}, its own {left[1]:.3f} mm", end="")
+        moved = {other: np.linalg.norm(columns @ (fitted(other) - both)) for other in "AC"}
+        print(f"; less that of both, the one of A moves points here by {moved['A']:.3f}, of C by {moved['C']:.3f} mm")
+    assert all(np.linalg.norm(parts[n][0] - parts[n][1] @ both) < 0.6 * np.linalg.norm(parts[n][0]) for n in "AC")
 
 
 def library_fit(arm: Arm, rows: Measurements) -> Identification:
