@@ -192,8 +192,9 @@ class HypothesisSearch:
         """
         found = self.fit(chosen)
         if self.linear and not self.hypotheses.shows_more(chosen):
-            return self._linear_state(chosen, found.residual, self._moments(chosen))
-        columns = self.hypotheses.matrix(self.rows, found.by_name, self.slopes, found.model)
+            return self.linear_state(chosen, found.residual, self.moments(chosen))
+        matrix = self.hypotheses.matrix
+        columns = matrix(self.rows, found.by_name, self.slopes, found.model) if chosen else self.base_columns
         return self._state(chosen, found.residual, found.basis, columns)
 
     def state_without(self, chosen: Choice, member: Hypothesis) -> State:
@@ -206,7 +207,7 @@ class HypothesisSearch:
         effect = next(e for e in found.model.effects if e.label == member.label)
         values = np.array([found.by_name[p.name] for p in effect.parameters])
         put_back = self.base_columns.matrix[:, self._places(member)] @ values
-        return self._linear_state(rest, found.residual + put_back, self._moments(chosen) + values @ self._cross(member))
+        return self.linear_state(rest, found.residual + put_back, self.moments(chosen) + values @ self._cross(member))
 
     @cached_property
     def repeated(self) -> int:
@@ -228,7 +229,7 @@ class HypothesisSearch:
     @cached_property
     def base_columns(self) -> Columns:
         """Columns of all hypotheses at the base fit."""
-        return self.hypotheses.matrix(self.rows, self.fit(()).by_name, model=self.fit(()).model)
+        return self.hypotheses.matrix(self.rows, self.fit(()).by_name, self.slopes, self.fit(()).model)
 
     def _places(self, member: Hypothesis) -> NDArray[np.int64]:
         """(size,) indices of the columns of a hypothesis."""
@@ -249,14 +250,14 @@ class HypothesisSearch:
             self._crosses[label] = matrix[:, self._places(member)].T @ matrix
         return self._crosses[label]
 
-    def _moments(self, chosen: Choice) -> Array:
+    def moments(self, chosen: Choice) -> Array:
         """(C,) products of all columns with the residual of the fit of a set."""
         key = frozenset(h.label for h in chosen)
         if key not in self._products:
             self._products[key] = self.base_columns.matrix.T @ self.fit(chosen).residual
         return self._products[key]
 
-    def _linear_state(self, chosen: Choice, residual: Array, moments: Array) -> State:
+    def linear_state(self, chosen: Choice, residual: Array, moments: Array) -> State:
         """`state` with the columns at the base fit.
 
         residual : (N,) of the set, not yet projected off its columns;  moments : (C,) products of all columns with it

@@ -12,6 +12,7 @@ from identification.gap.fits.fit import Fit
 from identification.gap.hypotheses.f_tests import TINY
 from identification.gap.hypotheses.hypotheses import Hypothesis
 from identification.gap.noise.noise import homoscedastic
+from identification.gap.selection.pairs import pairs
 from identification.gap.selection.search import Choice, HypothesisSearch, HypothesisTest
 from identification.progress import Tell, say_nothing
 
@@ -112,7 +113,8 @@ def _next(
     """The set with the next significant effects added; None if there are none, or their gain is below `LEAST_GAIN`."""
     level = (ALPHA_NEXT * len(chosen) if chosen else ALPHA_FIRST) * search.level_factor
     change = np.where(tested.omnibus_test.adjusted <= level, tested.change, np.inf)
-    longer = best_of(search, chosen, tested.members, change) or several(search, chosen, generator)
+    longer = best_of(search, chosen, tested.members, change)
+    longer = longer or several(search, chosen, generator) or pair_instead(search, chosen)
     if longer is None or search.bic(longer) >= search.bic(chosen):
         return None
     return longer if search.fit(longer).squares <= (1.0 - LEAST_GAIN) * search.fit(chosen).squares else None
@@ -141,6 +143,23 @@ def several(search: HypothesisSearch, chosen: Choice, generator: np.random.Gener
     if best is None or smallest <= ALPHA_CLEAR:
         return best
     return best if homoscedastic(search.fit(best), search.rows, generator) else None
+
+
+def pair_instead(search: HypothesisSearch, chosen: Choice) -> Choice | None:
+    """The pair of effects that explains the data better than one or two others; None if there is none.
+
+    Of as many effects BIC decides. One effect more is a new claim: with the number of sets of each size counted in the
+    prior (J. Chen and Z. Chen, "Extended Bayesian information criteria", 2008) the odds must be 20 to 1. Pairs that
+    contain the set are left out, as the omnibus test has judged the second effect.
+    """
+    if not 1 <= len(chosen) <= 2:
+        return None
+    margin = WINDOW + 2.0 * np.log(search.hypotheses.total_weight) if len(chosen) == 1 else 0.0
+    limit = search.bic(chosen) - margin
+    change = limit - search.bic(())
+    others = [pair for pair, linear in pairs(search) if linear < change and not set(chosen) <= set(pair)]
+    best = min(others[:REFITS], key=search.bic, default=chosen)
+    return best if search.bic(best) < limit else None
 
 
 def _longer(search: HypothesisSearch, chosen: Choice) -> Choice | None:

@@ -1,0 +1,74 @@
+"""Pairs of effects that explain the data best, against least squares of every pair."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from doe.studies.blind.cells import data_set
+from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.hypotheses import Hypothesis, hypotheses
+from identification.gap.selection.pairs import STARTS, pairs
+from identification.gap.selection.search import HypothesisSearch
+from identification.gap.selection.selection import WINDOW, pair_instead
+from tests.identification.gap.selection.test_search import LIBRARY, NAMES, searched
+
+
+def bic_of(search: HypothesisSearch, *members: Hypothesis) -> float:
+    """BIC of the model linearized about the base fit with these effects, by least squares."""
+    base, columns = search.fit(()), search.base_columns
+    own = [columns.matrix[:, np.arange(h.size) + columns.starts[search.hypotheses.place(h)]] for h in members]
+    a = np.hstack([base.jacobian / base.model.scales, *own])
+    a = a / np.linalg.norm(a, axis=0)
+    left = base.residual - a @ np.linalg.lstsq(a, base.residual, rcond=1e-9)[0]
+    n = len(left)
+    weights = np.log([h.weight for h in members])
+    return float(n * np.log(left @ left / n) + sum(h.size for h in members) * np.log(n) - 2.0 * np.sum(weights))
+
+
+def test_each_start_has_its_best_partner() -> None:
+    search, truth = searched()
+    found = pairs(search)
+    assert {h.label for h in found[0][0]} == set(NAMES)
+    assert found[0][1] == min(change for _, change in found)
+    assert STARTS / 2 <= len(found) <= STARTS  # a start may be the partner of another one
+    nothing = bic_of(search)
+    for pair, change in found:
+        assert change == pytest.approx(bic_of(search, *pair) - nothing, abs=1e-4)
+    others = [h for h in LIBRARY.members if h.key != truth[0].key]
+    best = min(others, key=lambda other: bic_of(search, truth[0], other))
+    assert best.label == truth[1].label
+
+
+def blind(cell: str, number: int) -> tuple[HypothesisSearch, dict[str, Hypothesis], set[str]]:
+    """Search in a set of the blind study, its hypotheses by label, and the hidden effects' keys."""
+    data = data_set(cell, number)
+    rows = Rows.of(data.measurements)
+    library = hypotheses(data.arm, data.measurements.given, rows)
+    return HypothesisSearch(library, rows), {h.label: h for h in library.members}, set(data.effects)
+
+
+@pytest.mark.parametrize(
+    ("number", "first"),
+    [(21_000_076, ("encoder_eccentricity:1",)), (21_000_075, ("gear_ratio:1", "backlash:2"))],
+)
+def test_two_effects_that_others_stand_in_for(number: int, first: tuple[str, ...]) -> None:
+    """What a search finds that adds one effect after the other, and the pair that was hidden."""
+    search, known, hidden = blind("two, lambda 8", number)
+    pair = pair_instead(search, tuple(known[label] for label in first))
+    assert pair is not None
+    assert {h.key for h in pair} == hidden
+    assert pair_instead(search, pair) is None
+    assert pair_instead(search, ()) is None
+    assert pair_instead(search, (*pair, known["backlash:1"])) is None
+
+
+def test_one_effect_more_needs_clear_odds() -> None:
+    """A pair with a lower BIC, though not by 20 to 1 when it counts how many pairs there are; one effect was hidden."""
+    search, known, hidden = blind("one, lambda 6, m=50", 21_000_018)
+    named = (known["joint_compliance"],)
+    gains = [search.bic(named) - search.bic(pair) for pair, _ in pairs(search) if named[0] not in pair]
+    total = sum(h.weight for h in search.hypotheses.members if h.label == h.effect.label)
+    assert hidden == {"link_bending"}
+    assert WINDOW < max(gains) < WINDOW + 2.0 * np.log(total)
+    assert pair_instead(search, named) is None
