@@ -157,7 +157,9 @@ def pair_instead(search: HypothesisSearch, chosen: Choice) -> Choice | None:
     margin = WINDOW + 2.0 * np.log(search.hypotheses.total_weight) if len(chosen) == 1 else 0.0
     limit = search.bic(chosen) - margin
     change = limit - search.bic(())
-    others = [pair for pair, linear in pairs(search) if linear < change and not set(chosen) <= set(pair)]
+    spare = search.fit(()).freedom - search.repeated - SPARE_AFTER
+    likely = [pair for pair, linear in pairs(search) if linear < change and sum(h.size for h in pair) <= spare]
+    others = [pair for pair in likely if not set(chosen) <= set(pair)]
     best = min(others[:REFITS], key=search.bic, default=chosen)
     return best if search.bic(best) < limit else None
 

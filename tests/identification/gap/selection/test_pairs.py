@@ -10,7 +10,7 @@ from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import Hypothesis, hypotheses
 from identification.gap.selection.pairs import STARTS, pairs
 from identification.gap.selection.search import HypothesisSearch
-from identification.gap.selection.selection import WINDOW, pair_instead
+from identification.gap.selection.selection import SPARE_AFTER, WINDOW, pair_instead
 from tests.identification.gap.selection.test_search import LIBRARY, NAMES, searched
 
 
@@ -72,3 +72,18 @@ def test_one_effect_more_needs_clear_odds() -> None:
     assert hidden == {"link_bending"}
     assert WINDOW < max(gains) < WINDOW + 2.0 * np.log(total)
     assert pair_instead(search, named) is None
+
+
+def test_a_pair_leaves_degrees_of_freedom(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows of two links have two coordinates each, and their base four parameters: 8 rows allow a pair of 2, 7 none."""
+    whole, known, _ = blind("two, lambda 8", 21_000_076)
+    first = known["encoder_eccentricity:1"], known["backlash:1"]
+    few, fewer = (
+        HypothesisSearch(whole.hypotheses, whole.rows.pick(np.arange(len(whole.rows)) < count)) for count in (8, 7)
+    )
+    pair = pair_instead(few, first)
+    assert pair is not None
+    assert 2 * 8 - 4 - sum(h.size for h in pair) == SPARE_AFTER
+    assert pair_instead(fewer, first) is None
+    monkeypatch.setattr("identification.gap.selection.selection.SPARE_AFTER", 0)
+    assert pair_instead(fewer, first) is not None
