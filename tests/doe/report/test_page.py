@@ -104,9 +104,6 @@ def test_pages_work_in_a_browser(pages: Folder, opened: Any, name: str) -> None:
         dark = sum(map(int, root[2].strip("rgb()").split(","))) < 3 * 128
         assert dark == (scheme == "dark")
         seen.close(address)
-    printed = Watched(opened, address)
-    assert len(printed.page.pdf()) > 10_000
-    printed.close(address)
 
 
 @pytest.mark.parametrize(("name", "arm", "plan"), [("page", "arm.toml", "plan.csv"), ("six", "six.toml", "six.csv")])
@@ -193,6 +190,13 @@ def efficiencies(arm: Path, postures: np.ndarray, order: list[int]) -> list[floa
     every = log_det(list(range(len(postures))))
     parts = [order, *([other for other in order if other != run] for run in order)]
     return [float(np.exp((log_det(part) - every) / problem.parameters)) for part in parts]
+
+
+def test_a_page_prints(pages: Folder, opened: Any) -> None:
+    address = (pages.path / "page.html").as_uri()
+    printed = Watched(opened, address)
+    assert len(printed.page.pdf()) > 10_000
+    printed.close(address)
 
 
 def test_wide_pictures_are_stacked_on_a_phone(pages: Folder, opened: Any) -> None:

@@ -22,7 +22,7 @@ CASES = {
 def test_twenty_runs_are_near_the_bound(criterion: Criterion) -> None:
     """With m = 20 >> p exact plans are within a percent of the approximate optimum, and above a D-optimal plan."""
     case = problem(FOUR, criterion=criterion)
-    design = solve(case, 20, starts=25)
+    design = solve(case, 20, starts=10)
     assert design.bound is not None
     assert design.bound.source == "continuous"
     assert design.value <= design.bound.value + 1e-8
@@ -34,9 +34,9 @@ def test_twenty_runs_are_near_the_bound(criterion: Criterion) -> None:
 
 def test_e_is_better_than_plans_for_other_criteria() -> None:
     case = problem(FOUR, criterion=E())
-    design = solve(case, 10, starts=20)
+    design = solve(case, 10, starts=10)
     for rival in (problem(FOUR), problem(FOUR, criterion=A())):
-        other = solve(rival, 10, starts=20).plan.postures
+        other = solve(rival, 10, starts=10).plan.postures
         assert design.value >= case.objective(other) - SEARCHED
     generator = np.random.default_rng(1)
     rows = design.plan.postures
