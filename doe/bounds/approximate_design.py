@@ -63,8 +63,8 @@ class ApproximateDesign:
             "gap": _finite(self.gap),
             "efficiency_lower_bound": _finite(self.efficiency_lower_bound),
             "support": [
-                {key: posture.tolist(), "weight": float(weight)}
-                for posture, weight in zip(self.plan.displayed, self.plan.shares, strict=True)
+                {key: posture, "weight": weight}
+                for posture, weight in zip(self.plan.displayed.tolist(), self.plan.shares.tolist(), strict=True)
             ],
             **({"joint_units": list(self.plan.units)} if self.plan.joint_types else {}),
             "solver": self.solver,
@@ -106,7 +106,7 @@ class SparseDesign:
     @cached_property
     def information(self) -> Array:
         """(p, p) M of the plan."""
-        return self.prior.mixture(self.problem.scaled_jacobians(self.plan.postures), self.plan.shares)
+        return self.prior.information(self.problem.weighted_information(self.plan.postures, self.plan.shares))
 
     @cached_property
     def gradient(self) -> Array:

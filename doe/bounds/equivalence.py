@@ -101,11 +101,10 @@ def candidate_sensitivities(
     positive = np.linalg.eigvalsh(gradient)[0] > 1e-14 * np.trace(gradient)
     root = np.linalg.cholesky(gradient) if positive else None
     for postures, some in jacobians:
-        if root is None:
-            yield postures, prior.sensitivities(some, gradient)
-            continue
-        half = root.T @ some.transpose(1, 2, 0)  # (d, p, k) as `vectorize` has it; tr(L L^T B^T B) = |L^T B^T|^2
-        yield postures, prior.mixed(np.square(half, out=half).sum(axis=(0, 1)), gradient)
+        across = some.transpose(1, 2, 0)  # (d, p, k) as `vectorize` has it
+        half = (gradient if root is None else root.T) @ across  # tr(L L^T B^T B) = |L^T B^T|^2
+        half *= across if root is None else half
+        yield postures, prior.mixed(half.sum(axis=(0, 1)), gradient)
 
 
 def largest_sensitivity(

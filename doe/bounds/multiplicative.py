@@ -26,6 +26,7 @@ from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.status import Status
+from identification.vectorize import PART
 
 GAP = 0.01  # relative gap at which to stop: the bound is within as much of the optimum
 ITERATIONS = 2000
@@ -52,7 +53,7 @@ def multiplicative(
         raise InputError(f"criterion: {problem.criterion.name} for solver multiplicative, allowed: D, A, I")
     postures = candidates.take(np.arange(len(candidates)))
     prior = problem.prior.per_new_run(runs)
-    jacobians = problem.scaled_jacobians(postures)
+    jacobians = in_rows(problem, postures)
     check_identified(problem, prior, jacobians)
     weights = improved_weights(problem, prior, jacobians, gap, stop)
     kept = np.flatnonzero(weights > CARRIED * weights.max())
@@ -78,14 +79,32 @@ def improved_weights(
 ) -> Array:
     """(k,) weights on scaled Jacobians (k, d, p) from equal ones, until max tr(G F) is within `gap` of tr(G M)."""
     k, d, p = jacobians.shape
-    rows = jacobians.reshape(k * d, p)
+    parts = [slice(start, start + PART) for start in range(0, k, PART)]
     power, weights = POWERS[problem.criterion.name], np.full(k, 1.0 / k)
     for _ in range(ITERATIONS):
-        information = prior.information((rows * np.repeat(weights, d)[:, None]).T @ rows)
+        information = prior.information(
+            sum((_weighted(jacobians[part], weights[part]) for part in parts), np.zeros(()))
+        )
         gradient = problem.criterion.gradient(information)
-        own = np.einsum("ia,ia->i", rows @ gradient, rows).reshape(k, d).sum(axis=1)
+        rows = (jacobians[part].reshape(-1, p) for part in parts)
+        own = np.concatenate([np.einsum("ia,ia->i", some @ gradient, some) for some in rows])
+        own = own.reshape(k, d).sum(axis=1)
         if prior.mixed(own, gradient).max() <= (1.0 + gap) * level(gradient, information) or stop():
             break
         weights = weights * own**power
         weights /= weights.sum()
     return weights
+
+
+def _weighted(jacobians: Array, weights: Array) -> Array:
+    """(p, p) sum of w B^T B of scaled Jacobians (k, d, p)."""
+    rows = jacobians.reshape(-1, jacobians.shape[2])
+    return np.asarray((rows * np.repeat(weights, jacobians.shape[1])[:, None]).T @ rows)
+
+
+def in_rows(problem: DesignProblem, postures: Array) -> Array:
+    """(k, d, p) scaled Jacobians of postures (k, n), the entries of a posture side by side in memory."""
+    found = np.empty((len(postures), problem.model.dimension, problem.parameters))
+    for start in range(0, len(postures), PART):
+        found[start : start + PART] = problem.scaled_jacobians(postures[start : start + PART])
+    return found

@@ -118,7 +118,12 @@ def generate_columns(
 ) -> tuple[SparseDesign, float]:
     """Optimal weights, and the gap (absolute) that the last pricing, of the last stage unless `stop` said so, found."""
     accuracy = EXACT  # of the weights; later, far from the end, exact ones would be wasted
-    working = WorkingSet.solved(problem, prior, start, problem.scaled_jacobians(start), accuracy)
+    jacobians = problem.scaled_jacobians(start)
+    if stop():  # before the first weights, which take seconds where parameters are many: equal ones prove a bound too
+        check_identified(problem, prior, jacobians)
+        working = WorkingSet(problem, prior, start, jacobians, equal_weights(jacobians, problem.criterion, prior))
+    else:
+        working = WorkingSet.solved(problem, prior, start, jacobians, accuracy)
     finest = EXACT if stages[-1].goal <= FINE else ROUGH * stages[-1].goal
     current, gap, smallest = 0, np.inf, np.inf
     for _ in range(ROUNDS):
@@ -152,6 +157,14 @@ def optimal_weights(
     if criterion.name == "E":
         return smallest_eigenvalue_weights(jacobians, prior)
     return solve_weights(jacobians, criterion, prior, tolerance=accuracy)
+
+
+def equal_weights(jacobians: Array, criterion: Criterion, prior: PriorInformation) -> Weights:
+    """Equal weights for scaled Jacobians (k, d, p), with the gradient and the gap there."""
+    weights = np.full(len(jacobians), 1.0 / len(jacobians))
+    gradient = criterion.gradient(prior.mixture(jacobians, weights))
+    g = prior.sensitivities(jacobians, gradient)
+    return Weights(weights, gradient, float(g.max() - weights @ g), 0)
 
 
 def check_identified(problem: DesignProblem, prior: PriorInformation, jacobians: Array) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, takewhile
 from time import perf_counter
 
 import numpy as np
@@ -154,9 +154,9 @@ def initial_plans(
     problem = extended.base
     part = budget.remaining / 2.0 if narrow(problem) else budget.remaining
     stop = budget.deadline if budget.deadline is None else budget.deadline - budget.remaining + part
-    yield start(extended, best, best.value - allowed / 2.0, generator), Budget(1, stop)
-    if narrow(problem):
-        corners = start(extended, best, best.value - allowed / 8.0, generator)
+    yield start(extended, best, best.value - allowed / 2.0, generator, budget), Budget(1, stop)
+    if narrow(problem) and not budget.out_of_time:
+        corners = start(extended, best, best.value - allowed / 8.0, generator, budget)
         yield partly_random(problem, corners, best.value - 0.75 * allowed, generator), budget
 
 
@@ -176,11 +176,15 @@ def seen(problem: DesignProblem, library: EffectLibrary, postures: Array) -> Det
     return None if library.preflight is None else library.preflight(np.vstack([problem.kept, postures]))
 
 
-def start(extended: ExtendedProblem, best: Design, least: float, generator: np.random.Generator) -> Array:
-    """(m, n) the best plan or one from theory, whichever distinguishes effects best, off the limits down to `least`."""
+def start(
+    extended: ExtendedProblem, best: Design, least: float, generator: np.random.Generator, budget: Budget
+) -> Array:
+    """(m, n) the best plan or one from theory, whichever distinguishes effects best, off the limits down to `least`;
+    as many from theory as there is time for."""
     problem, runs = extended.base, len(best.plan.postures)
     plans = [np.array(best.plan.postures)]
-    plans += [plan for plan in theory_plans(problem, runs, generator) if feasible_value(problem, plan) >= least]
+    offered = takewhile(lambda _: not budget.out_of_time, theory_plans(problem, runs, generator))
+    plans += [plan for plan in offered if feasible_value(problem, plan) >= least]
     chosen = min(plans, key=extended.wrong)
     moved = off_the_limits(problem, chosen, least, generator) if narrow(problem) else chosen
     if any(repeats(problem, posture, moved[:row]) for row, posture in enumerate(moved)):

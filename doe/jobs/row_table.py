@@ -67,7 +67,11 @@ class RowTable:
             try:
                 yield table
             finally:
-                table._finish()
+                try:
+                    table._finish()
+                except KeyboardInterrupt:  # once more, for the signal to find the table whole and no journal
+                    table._finish()
+                    raise
 
     @classmethod
     @contextmanager

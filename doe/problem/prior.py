@@ -21,6 +21,7 @@ from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.information import information_matrix
 from identification.kinematics.parameters import ParameterSet
+from identification.vectorize import PART
 
 NEEDS_SIGMA = (  # the end of a sentence
     "needs the instrument's scatter: add to the arm file the line [measurement] and below it sigma_mm = 0.05, "
@@ -65,7 +66,8 @@ class PriorInformation:
 
     def mixture(self, jacobians: Array, weights: Array) -> Array:
         """(p, p) M of (j, d, p) scaled Jacobians with weights (j,) that sum to one, with the prior per new run."""
-        return self.information(information_matrix(jacobians, weights))
+        parts = (slice(k, k + PART) for k in range(0, len(jacobians), PART))
+        return self.information(sum((information_matrix(jacobians[k], weights[k]) for k in parts), np.zeros(())))
 
     def posture_information(self, jacobians: Array) -> Array:
         """(j, p, p) F_i, what a design with all its weight on one posture would have."""

@@ -173,9 +173,13 @@ class DesignProblem:
         rows = np.atleast_2d(postures)
         m = len(rows)
         shares = np.full(m, 1.0 / m) if weights is None else weights
-        parts = (slice(k, k + PART) for k in range(0, m, PART))  # Jacobians that stay in the processor's cache
-        found = sum(information_matrix(self.scaled_jacobians(rows[part]), shares[part]) for part in parts)
-        return self.prior.per_new_run(m).information(np.asarray(found))
+        return self.prior.per_new_run(m).information(self.weighted_information(rows, shares))
+
+    def weighted_information(self, postures: Array, weights: Array) -> Array:
+        """(p, p) sum of w_i B_i^T B_i of postures (m, n) with weights (m,), without what is known beforehand."""
+        parts = (slice(k, k + PART) for k in range(0, len(postures), PART))  # Jacobians that stay in the cache
+        found = sum(information_matrix(self.scaled_jacobians(postures[part]), weights[part]) for part in parts)
+        return np.asarray(found)
 
     def objective(self, postures: ArrayLike, weights: Array | None = None) -> float:
         """Criterion value of a plan (to maximise); -inf if its information matrix is singular."""

@@ -74,6 +74,22 @@ def test_rows_are_kept_when_the_work_raises(tmp_path: Path) -> None:
     assert not journal_of(path).exists()
 
 
+def test_ctrl_c_while_the_table_is_written_leaves_it_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rows are in the Parquet file, no journal is left, and the signal ends the command."""
+    parquet, came = row_table.parquet, iter([True])
+
+    def interrupted(frame: pl.DataFrame) -> bytes:
+        if next(came, False):
+            raise KeyboardInterrupt
+        return parquet(frame)
+
+    monkeypatch.setattr(row_table, "parquet", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        fill(tmp_path / "rows.parquet", KEYS)
+    assert [f.name for f in tmp_path.iterdir()] == ["rows.parquet"]
+    assert pl.read_parquet(tmp_path / "rows.parquet")["task"].to_list() == list(range(5))
+
+
 def test_two_writers_are_refused(tmp_path: Path) -> None:
     with (
         RowTable.open(tmp_path / "rows.parquet"),
