@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from doe.criteria import D
 from doe.design import Design
 from doe.discrimination.effect_library import EffectLibrary, effect_library
-from doe.discrimination.swaps import ExtendedProblem, extended_problem, improving_swaps, pool_of, repeats
+from doe.discrimination.swaps import ExtendedProblem, extended_problem, has_repeats, improving_swaps, pool_of
 from doe.plan.replicate_spacing import spread_free_joints
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, solve
@@ -41,6 +41,8 @@ from identification.status import Status
 TURN = 2.0 * np.pi
 MOVES, TRIES = np.radians([30.0, 20.0, 15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.0]), 10
 THEORY_PLANS, SHUFFLES = 64, 200
+MOST_SEEN = 10_000  # postures; of more, the columns of all effects take gigabytes
+ORDERING = 1.0  # [s] that the order of measurement has in any case
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,8 @@ class DiscriminationDesign:
     """A plan, what it loses against the best one, and what it can and cannot see.
 
     design : judged by the criterion of the problem;  best : the best plan without regard to missing effects
-    sees, best_sees : pre-flight of both, with the postures measured already; None where the library has none
+    sees, best_sees : pre-flight of both, with the postures measured already; None where the library has none, and
+        of more than `MOST_SEEN` postures
     wrong, best_wrong, random_wrong : the mean probability of a wrong name is at most this, with the plan, the best plan
         and as many random postures (the median of many such plans), for effects that postures show and that are
         `LAMBDA` long on random ones; see `doe.discrimination.misidentification`
@@ -102,7 +105,8 @@ def discrimination_design(
     generator = np.random.default_rng(seed)
     extended = extended_problem(problem, library)
     chosen, status = search(extended, best, loss, generator, budget, progress)
-    plan = replace(best.plan, postures=best_order(library, chosen, generator))
+    ordered = replace(budget, deadline=budget.deadline and max(budget.deadline, perf_counter() + ORDERING))
+    plan = replace(best.plan, postures=best_order(library, chosen, generator, ordered))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
     bounds = extended.wrong(chosen), extended.wrong(best.plan.postures), extended.at_random(runs)
     sees = seen(problem, library, plan.postures)
@@ -172,8 +176,9 @@ def partly_random(problem: DesignProblem, postures: Array, least: float, generat
 
 
 def seen(problem: DesignProblem, library: EffectLibrary, postures: Array) -> Detectability | None:
-    """Detectability of missing effects by these postures and those measured already."""
-    return None if library.preflight is None else library.preflight(np.vstack([problem.kept, postures]))
+    """Detectability of missing effects by these postures and those measured already; None of more than `MOST_SEEN`."""
+    every = np.vstack([problem.kept, postures])
+    return None if library.preflight is None or len(every) > MOST_SEEN else library.preflight(every)
 
 
 def start(
@@ -187,7 +192,7 @@ def start(
     plans += [plan for plan in offered if feasible_value(problem, plan) >= least]
     chosen = min(plans, key=extended.wrong)
     moved = off_the_limits(problem, chosen, least, generator) if narrow(problem) else chosen
-    if any(repeats(problem, posture, moved[:row]) for row, posture in enumerate(moved)):
+    if has_repeats(problem, moved):
         return spread_free_joints(problem, moved, generator)
     return moved
 
@@ -254,12 +259,13 @@ def off_the_grid(problem: DesignProblem, postures: Array, step: float, generator
     return moved
 
 
-def best_order(library: EffectLibrary, postures: Array, generator: np.random.Generator) -> Array:
+def best_order(library: EffectLibrary, postures: Array, generator: np.random.Generator, budget: Budget) -> Array:
     """The postures in the order, of many shuffles, that shows backlash and drift best beside the model's parameters."""
     shuffles = [generator.permutation(len(postures)) for _ in range(SHUFFLES)]
     if library.jacobian_by_order is None:
         return np.asarray(postures[shuffles[0]])
-    scores = [order_score(library.jacobian_by_order(postures[order]), library.own) for order in shuffles]
+    in_time = chain(shuffles[:1], takewhile(lambda _: not budget.out_of_time, shuffles[1:]))
+    scores = [order_score(library.jacobian_by_order(postures[order]), library.own) for order in in_time]
     return np.asarray(postures[shuffles[int(np.argmax(scores))]])
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from doe.discrimination.effect_library import EffectLibrary
 from doe.discrimination.misidentification import MisidentificationBound
-from doe.plan.replicate_spacing import ROUNDING, gaps
+from doe.plan.replicate_spacing import ROUNDING, beside_earlier, gaps
 from doe.problem.candidates import listed_candidates
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
@@ -33,6 +33,7 @@ MULTIPLIERS = (2.0, 10.0)  # of the derivative of log det where little of it is 
 TIGHT = 0.1  # log det above the least that counts as little
 LEAST_GAIN, ROUNDS = 1e-3, 5  # of the criterion: smaller ones end the swaps, and less than ten of it the pools
 RANDOM_PLANS = 25  # whose median bound is shown beside a plan's
+RANDOM_RUNS = 100_000  # of all these plans: those of thousands of runs are much alike
 
 
 @dataclass(frozen=True)
@@ -52,9 +53,9 @@ class ExtendedProblem:
 
     def at_random(self, runs: int) -> float:
         """The bound that as many random postures leave, the median of many plans."""
-        generator = np.random.default_rng(0)
-        cloud = pool_of(self.problem, RANDOM_PLANS * runs, generator)
-        plans = [generator.permutation(cloud)[:runs] for _ in range(RANDOM_PLANS)]
+        generator, many = np.random.default_rng(0), max(1, min(RANDOM_PLANS, RANDOM_RUNS // runs))
+        cloud = pool_of(self.problem, many * runs, generator)
+        plans = [generator.permutation(cloud)[:runs] for _ in range(many)]
         return float(np.median([self.wrong(plan) for plan in plans]))
 
 
@@ -90,6 +91,18 @@ def repeats(problem: DesignProblem, posture: Array, others: Array) -> bool:
         return bool(np.any(np.all(others == posture, axis=1)))
     near = gaps(problem.comparable(posture[None]), problem.comparable(np.vstack([others, problem.kept])))
     return bool(np.any(near < problem.minimum_distance / ROUNDING))
+
+
+def has_repeats(problem: DesignProblem, plan: Array) -> bool:
+    """True if one of the postures (m, n) `repeats` another, or one of those kept."""
+    if problem.minimum_distance == 0.0:
+        return False
+    if problem.choices is not None:
+        return len(np.unique(plan, axis=0)) < len(plan)
+    kept = len(problem.kept)
+    return bool(
+        np.any(beside_earlier(problem.comparable(np.vstack([problem.kept, plan])), problem.minimum_distance) >= kept)
+    )
 
 
 def improving_swaps(

@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.text import Text
 
-from doe.discrimination.design import DiscriminationDesign
+from doe.discrimination.design import MOST_SEEN, DiscriminationDesign
 from doe.discrimination.misidentification import LAMBDA
 from doe.report.terminal import table
 from identification.gap.hypotheses.detectability import Detectability
@@ -43,6 +43,8 @@ def discriminating_tables(found: DiscriminationDesign) -> list[Any]:
         "gear ripple, backlash and drift are left out",
     ]
     if found.sees is None or found.best_sees is None:
+        if len(found.design.plan) > MOST_SEEN:
+            lines.append(f"what a plan of more than {MOST_SEEN:,} runs can detect is not worked out")
         return [Text(line) for line in lines]
     blind, clear = nearly_invisible(found.best_sees), nearly_invisible(found.sees)
     lines.append(f"effects it cannot see: {', '.join(clear) or 'none'} (the best plan: {', '.join(blind) or 'none'})")
