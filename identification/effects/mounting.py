@@ -13,9 +13,9 @@ from identification.kinematics.parameters import Parameter
 MAX_SESSIONS = 99
 
 
-def rotation_names(short: str, dimension: int) -> tuple[str, ...]:
+def rotation_names(dimension: int) -> tuple[str, ...]:
     """Names of the parameters of a rotation: `w` in the plane, `wx`, `wy`, `wz` in space."""
-    return (short,) if dimension == 2 else tuple(f"{short}{axis}" for axis in "xyz")
+    return ("w",) if dimension == 2 else ("wx", "wy", "wz")
 
 
 @register
@@ -60,7 +60,7 @@ class BaseRotationDrift(Effect):
     once = True
 
     def define(self) -> tuple[Parameter, ...]:
-        shorts = rotation_names("w", self.dimension)
+        shorts = rotation_names(self.dimension)
         return tuple(self.parameter(short, "rad/session", scale=self.reach, typical=5e-5) for short in shorts)
 
     def base_rotation(self, chain: Chain, values: ca.SX) -> ca.SX:
@@ -86,7 +86,7 @@ class SessionBase(Effect):
     def define(self) -> tuple[Parameter, ...]:
         """Parameters of each session after the first, in order."""
         shifts = [(short, "mm", 1.0, 1000.0) for short in "xyz"[: self.dimension]]
-        turns = [(short, "rad", self.reach, 3.0) for short in rotation_names("w", self.dimension)]
+        turns = [(short, "rad", self.reach, 3.0) for short in rotation_names(self.dimension)]
         return tuple(
             self.parameter(f"{short}{number}", unit, scale=scale, typical=typical)
             for number in range(2, int(self.chosen["sessions"]) + 1)

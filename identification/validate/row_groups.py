@@ -26,10 +26,11 @@ def identified(arm: Arm) -> Mapping[str, Any]:
     return {} if arm.calibration is None else arm.calibration.provenance
 
 
-def extrapolation(arm: Arm, postures: Array, what: str = "rows") -> str | None:
-    """How many postures (m, n) are outside the angles of the identification, in a clause; None: none, or not known."""
+def extrapolation(arm: Arm, postures: Array) -> str | None:
+    """How many postures (m, n) of rows are outside the angles of the identification, in a clause; None: none, or not
+    known."""
     out = outside(arm, postures)
-    found = extrapolated(out, what)
+    found = extrapolated(out, "rows")
     beyond = [s.curve for s in arm.effects if s.curve and out is not None and out[:, (s.joint or 1) - 1].any()]
     if found is None or not beyond:
         return found

@@ -41,11 +41,11 @@ class Mean(NamedTuple):
         freedom = variance**2 / parts if parts > 0.0 and variance < np.inf else min(self.freedom, other.freedom)
         return Mean(self.value - other.value, variance, freedom)
 
-    def p_above(self, limit: float = 0.0) -> float:
-        """One-sided p-value: probability of a mean at least this large if the true mean is `limit`."""
+    def p_above(self) -> float:
+        """One-sided p-value: probability of a mean at least this large if the true mean is zero."""
         if not 0.0 < self.variance < np.inf:
-            return 1.0 if self.variance else float(self.value <= limit)
-        return float(stdtr(self.freedom, (limit - self.value) / np.sqrt(self.variance)))
+            return 1.0 if self.variance else float(self.value <= 0.0)
+        return float(stdtr(self.freedom, -self.value / np.sqrt(self.variance)))
 
     def detects(self, size: float) -> bool:
         """Whether a test at `LEVEL` would detect a true mean of this size with power `POWER`."""

@@ -51,18 +51,18 @@ class Wave:
         }
 
 
-def waves(angles: Array, error: Array, std: Array, orders: Array | None = None) -> tuple[Wave, ...]:
+def waves(angles: Array, error: Array, std: Array) -> tuple[Wave, ...]:
     """The waves that make up most of a curve, strongest first: added one by one, all refitted after each.
 
     angles, error, std : (a,) of the curve [rad]
-    orders : periods per turn to try; None: whole ones up to the Nyquist limit of nodes at every other angle
 
+    Whole numbers of periods per turn are tried, up to the Nyquist limit of nodes at every other angle.
     Orders that differ by less than one period over the range are not distinguished.
     """
     weights = 1.0 / np.maximum(std, 1e-3 * float(np.max(std)) + 1e-300)
     width = float(np.ptp(angles))
     half = np.pi / width  # orders that differ by less part by less than half a period over the range
-    tried = np.arange(max(1.0, np.ceil(half)), half * (len(angles) - 1) / 2.0) if orders is None else orders
+    tried = np.arange(max(1.0, np.ceil(half)), half * (len(angles) - 1) / 2.0)
     total = _left(angles, error, weights, ())
     chosen: list[float] = []
     lefts = [total]
