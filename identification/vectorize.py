@@ -120,15 +120,15 @@ def _components(array: np.ndarray) -> list[np.ndarray]:
 
 @lru_cache(maxsize=128)
 def _compiled(serialized: str) -> Callable[[list[list[np.ndarray]]], list[list[np.ndarray]]]:
-    """The function as numpy source; models of equal arms are set up again and again, each with functions of its own."""
+    """The function as numpy source; equal functions are set up again and again, as parts of different models."""
     function = ca.Function.deserialize(serialized)
-    lines = ["def tape(x):", f"    y = [[0.0] * k for k in {[function.nnz_out(i) for i in range(function.n_out())]}]"]
+    lines = ["def run(x):", f"    y = [[0.0] * k for k in {[function.nnz_out(i) for i in range(function.n_out())]}]"]
     for k in range(function.n_instructions()):
         lines.append("    " + _line(function, k))
     lines.append("    return y")
     scope: dict[str, object] = {"np": np}
-    exec(compile("\n".join(lines), f"<tape of {function.name()}>", "exec"), scope)
-    return scope["tape"]  # type: ignore[return-value]
+    exec(compile("\n".join(lines), f"<instructions of {function.name()}>", "exec"), scope)
+    return scope["run"]  # type: ignore[return-value]
 
 
 def _line(function: ca.Function, k: int) -> str:

@@ -107,7 +107,7 @@ class Expressions:
 
     @cached_property
     def composed(self) -> Composition | None:
-        """The same from parts that models share; None in the plane and without effects, where one tape is faster."""
+        """The same from parts that models share; None in the plane and without effects: one function is faster."""
         chain = self.arm.chain
         if chain is None or not self.effects:
             return None

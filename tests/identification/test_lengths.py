@@ -50,7 +50,7 @@ def length(instrument: Instrument, point: Array) -> float:
 
 
 @pytest.mark.parametrize("kind", ["distance", "plane"])
-@pytest.mark.parametrize("effect", [False, True], ids=["one tape", "composed of parts"])
+@pytest.mark.parametrize("effect", [False, True], ids=["one function", "composed of parts"])
 def test_jacobian(kind: str, effect: bool) -> None:
     """Against differences of products of exponentials; with an effect the model is put together in another way."""
     instrument, chain = Instrument(kind), replace(CHAIN, base=BASE)
@@ -174,7 +174,7 @@ BALL = Instrument("sphere")  # of unknown radius
 RADIUS = "sphere.radius"
 
 
-@pytest.mark.parametrize("effect", [False, True], ids=["one tape", "composed of parts"])
+@pytest.mark.parametrize("effect", [False, True], ids=["one function", "composed of parts"])
 def test_heights_above_a_sphere_of_unknown_radius(effect: bool) -> None:
     """And their derivatives, against differences of |p| - r with p by products of exponentials."""
     chain = replace(CHAIN, base=BASE)
