@@ -69,7 +69,7 @@ class _Sphere:
 
     def points(self) -> Array:
         """(s, m, 3) measured points in the base."""
-        return self.places + np.einsum("mij,sj->smi", self.turns, self.tools)
+        return self.places + np.tensordot(self.tools, self.turns, (1, 2))
 
     def squares(self) -> Array:
         """(s,) sums of squared residuals [mm^2]."""
@@ -109,7 +109,8 @@ class _Sphere:
         across = self.points() - self.surface[:, None]
         far = np.maximum(np.linalg.norm(across, axis=2, keepdims=True), 1e-9)
         toward = across / far
-        return self.lengths - far[..., 0], -toward, np.einsum("mij,smi->smj", self.turns, toward)
+        of_tool = np.swapaxes(np.swapaxes(toward, 0, 1) @ self.turns, 0, 1)
+        return self.lengths - far[..., 0], -toward, of_tool
 
     def _move(self, change: Array) -> None:
         self.surface = self.surface + change
@@ -174,7 +175,7 @@ class _Plane(_Sphere):
         residual = self.lengths - np.einsum("smi,si->sm", points, normal) + self.surface[:, 3:]
         turned = np.cross(normal[:, None], points) / self.reach
         of_surface = np.concatenate([turned, -np.ones((*residual.shape, 1))], axis=2)
-        return residual, of_surface, np.einsum("mij,si->smj", self.turns, normal)
+        return residual, of_surface, np.swapaxes(normal @ self.turns, 0, 1)
 
     def _move(self, change: Array) -> None:
         normal = self.surface[:, :3] + np.cross(change[:, :3] / self.reach, self.surface[:, :3])
