@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -26,12 +26,16 @@ from doe.discrimination.design import discrimination_design
 from doe.problem.problem import DesignProblem
 from doe.studies.blind import cells, hidden_effects, simulator
 from identification.effects.rare import RARE
+from identification.gap.probability.probabilities import FIRST, NEXT
 from identification.model import Model
 
 COUNT = 400
+PAIRS_OF_README = 300
 PHASES = np.arange(24) * 2.0 * np.pi / 24
 CIRCLE = np.vstack([np.cos(PHASES), np.sin(PHASES)])
 STIFFNESSES = 200
+SIZES = 4.0 * 1.5 ** np.arange(6)  # 4 to 30, evenly on a logarithmic scale: what a user knows of the size of an effect
+FAR = 25.0
 PAIRS = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_skew": "ab", "transmission_ripple": "ab"}
 PAIRS |= {"base_offset": "xy", "base_drift": "xy"}
 SAGGING = ("joint_compliance", "gravity_backlash", "link_bending")  # of one sign only
@@ -138,9 +142,14 @@ def _unit(columns: np.ndarray, off: Callable[[np.ndarray], np.ndarray]) -> np.nd
 def posterior(cell: str, seed: int) -> tuple[dict[tuple[Possible, ...], float], simulator.TrueArm]:
     """Set of effects -> log posterior (up to a constant) for one data set, and the truth."""
     residual, possible, lam, truth = drawn(cell, seed)
+    return among(residual, possible, lam, len(truth.effects)), truth
+
+
+def among(residual: np.ndarray, possible: list[Possible], lam: float, count: int) -> dict[tuple[Possible, ...], float]:
+    """Set of one or two effects of the size `lam` -> log posterior, against no effect."""
     scores = [lam * (residual @ one.columns) - lam**2 / 2.0 for one in possible]
-    if len(truth.effects) == 1:
-        return {(one,): log_mean(s) + one.prior for one, s in zip(possible, scores, strict=True)}, truth
+    if count == 1:
+        return {(one,): log_mean(s) + one.prior for one, s in zip(possible, scores, strict=True)}
     share = {
         one.family: sum(np.exp(other.prior) for other in possible if other.family == one.family) for one in possible
     }
@@ -151,7 +160,40 @@ def posterior(cell: str, seed: int) -> tuple[dict[tuple[Possible, ...], float], 
         both = scores[a][:, None] + scores[b][None, :] - lam**2 * (one.columns.T @ two.columns)
         order = np.log(1.0 / (1.0 - share[one.family]) + 1.0 / (1.0 - share[two.family]))
         found[one, two] = log_mean(both) + one.prior + two.prior + float(order)
-    return found, truth
+    return found
+
+
+def of_any_size(
+    found: dict[tuple[Possible, ...], float], residual: np.ndarray, lam: float
+) -> dict[tuple[Possible, ...], float]:
+    """Log posterior of pairs, given that with sizes `lam`, where each of the two may have any of `SIZES`.
+
+    Pairs less likely by exp(-`FAR`) at `lam` are left out: other sizes take less than that from the log likelihood.
+    """
+    best = max(found.values())
+    averaged = {}
+    for (one, two), value in found.items():
+        if value < best - FAR:
+            continue
+        a, b, common = one.columns.T @ residual, two.columns.T @ residual, one.columns.T @ two.columns
+
+        def factor(x: float, y: float, a: np.ndarray = a, b: np.ndarray = b, c: np.ndarray = common) -> float:
+            return log_mean(x * a[:, None] + y * b[None, :] - x * y * c) - (x**2 + y**2) / 2.0
+
+        of_sizes = np.array([factor(x, y) for x, y in product(SIZES, SIZES)])
+        averaged[one, two] = value + log_mean(of_sizes) - factor(lam, lam)
+    return averaged
+
+
+def of_any_number(
+    pairs: dict[tuple[Possible, ...], float], residual: np.ndarray, possible: list[Possible]
+) -> dict[tuple[Possible, ...], float]:
+    """Log posterior of none, one and two effects of any of `SIZES`, with the prior odds that `diagnose` has."""
+    found: dict[tuple[Possible, ...], float] = {(): 0.0}
+    for one in possible:
+        of_sizes = np.array([log_mean(x * (residual @ one.columns)) - x**2 / 2.0 for x in SIZES])
+        found[(one,)] = log_mean(of_sizes) + one.prior + float(np.log(FIRST))
+    return found | {both: value + float(np.log(FIRST * NEXT)) for both, value in pairs.items()}
 
 
 @pytest.mark.benchmark
@@ -178,6 +220,32 @@ def test_ceiling(cell: str) -> None:
     shares = [float(np.mean(values)) for values in (exact, classes, inside, sizes)]
     print(f"\n{cell}: exact {shares[0]:.3f}, class {shares[1]:.3f}, in the set {shares[2]:.3f}, size {shares[3]:.2f}")
     assert shares[1] > 0.9  # the classifier itself works
+
+
+@pytest.mark.benchmark
+def test_ceiling_of_two_effects_with_what_is_known() -> None:
+    """The classifier that knows sizes and number, without the sizes, and without both, as `diagnose`, which does not
+    know sigma either."""
+    rights = []
+    for seed in range(PAIRS_OF_README):
+        rights.append([best_name(found) == truth for found, truth in with_less(seed)])
+    shares = np.mean(rights, axis=0)
+    said = ("sizes and number known", "number known", "neither")
+    print(f"\ntwo, lambda 8, {len(rights)} sets:", *(f"{s:.3f} {name}" for s, name in zip(shares, said, strict=True)))
+    assert shares[-1] > 0.7  # the classifier itself works
+
+
+def with_less(seed: int) -> Iterator[tuple[dict[tuple[Possible, ...], float], set[str]]]:
+    """Log posteriors of a set of two effects: sizes and number known, number known, neither; and what is hidden."""
+    residual, possible, lam, truth = drawn("two, lambda 8", seed)
+    hidden = set(map(hidden_effects.key, truth.effects))
+    known = among(residual, possible, lam, 2)
+    averaged = of_any_size(known, residual, lam)
+    yield from ((found, hidden) for found in (known, averaged, of_any_number(averaged, residual, possible)))
+
+
+def best_name(found: dict[tuple[Possible, ...], float]) -> set[str]:
+    return {one.key for one in max(found, key=lambda effects: found[effects])}
 
 
 @pytest.mark.benchmark
