@@ -171,7 +171,7 @@ def of_any_size(
     Pairs less likely by exp(-`FAR`) at `lam` are left out: other sizes take less than that from the log likelihood.
     """
     best = max(found.values())
-    averaged = {}
+    averaged: dict[tuple[Possible, ...], float] = {}
     for (one, two), value in found.items():
         if value < best - FAR:
             continue
