@@ -46,8 +46,10 @@ def _lost_no_signal(otherwise: Callable[[Any], object], unraisable: Any) -> None
     """A signal that met the end of an object, where nothing can be raised, comes again a little later."""
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
         number = signal.Signals[next(iter(unraisable.exc_value.args), "SIGINT")]
-        main = threading.main_thread().ident  # where it ends a wait, too: sent to the timer's thread it would not
-        threading.Timer(AGAIN, signal.pthread_kill, (main, number)).start()
+        send: Callable[[int], None] = signal.raise_signal
+        if hasattr(signal, "pthread_kill"):  # to the main thread, where it ends a wait too; in the timer's it would not
+            send = partial(signal.pthread_kill, threading.main_thread().ident or 0)
+        threading.Timer(AGAIN, send, (number,)).start()
     else:
         otherwise(unraisable)
 
