@@ -47,16 +47,20 @@ def best_known_bound(problem: DesignProblem, runs: int, stop: Callable[[], bool]
 def best_design(
     problem: DesignProblem, runs: int, *, also: Array | None = None, stop: Callable[[], bool] = IN_TIME
 ) -> ApproximateDesign:
-    """Over the choices, exact, within a percent with a prior over many effects; or over all postures within limits and
-    constraints, of many parameters within the limits alone, which holds too.
+    """Over the choices, exact, within a percent with a prior over many effects, within 0.001 where many parameters are
+    measured by one number a run; or over all postures within limits and constraints, of many parameters within the
+    limits alone, which holds too.
 
     also : (k, n) postures that a search over all must start from;  stop : asked now and then
     """
     if problem.choices is not None:
         candidates = listed_candidates(problem, problem.choices)
         missing = any(p.kind == EFFECT and p.name in problem.deviations for p in problem.model.parameters)
-        solver = multiplicative if missing and problem.criterion.name in POWERS else column_generation
-        return solver(problem, candidates, runs=runs, stop=stop)
+        if missing and problem.criterion.name in POWERS:
+            return multiplicative(problem, candidates, runs=runs, stop=stop)
+        exact = problem.model.dimension > 1 or problem.parameters <= WIDE  # one number a run: weights hardly settle
+        options = {} if exact else {"tolerance": ROUGH}
+        return column_generation(problem, candidates, runs=runs, stop=stop, **options)
     wide = problem.parameters > WIDE
     free = replace(problem, constraints=()) if wide else problem
     gap = ROUGH if wide else EXACT

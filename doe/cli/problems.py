@@ -181,7 +181,7 @@ def allowed_postures(path: Path, arm: Arm) -> Any:
 
     postures = load_plan(path, arm.joint_types).postures
     try:
-        listed_candidates(DesignProblem.of(Model(arm)), postures)
+        listed_candidates(DesignProblem.of(Model(arm), choices=postures), postures)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return postures

@@ -114,10 +114,12 @@ def candidates(problem: DesignProblem, chosen: RelaxationOptions) -> int | Array
     """Levels of a grid, or (N, n) postures [rad]."""
     from doe.plan.file import load_plan
 
-    if problem.choices is not None:
-        return problem.choices
     if chosen.candidates is not None:
         return load_plan(chosen.candidates, problem.model.joint_types).postures
+    if problem.choices is not None:
+        if chosen.grid is not None:
+            raise InputError("--grid: found for contacts, whose postures are those that touch, allowed: without")
+        return problem.choices
     return chosen.grid or default_levels(len(problem.active_joints))
 
 

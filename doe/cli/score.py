@@ -84,7 +84,7 @@ def _scored(arm: Arm, given: Plan, path: Path, criterion: CriterionOptions, seco
     from doe.problem.robust import with_choices
 
     problem = design_problem(arm, criterion)
-    if criterion.robust:
+    if criterion.robust or problem.choices is not None:
         problem = with_choices(problem, given.postures)
     if len(given) < problem.fewest_runs:
         need = f"allowed: at least {problem.fewest_runs} for {problem.parameters} parameters"

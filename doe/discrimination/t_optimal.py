@@ -27,6 +27,7 @@ from doe.plan.ascent import IN_TIME
 from doe.plan.plan import Plan
 from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
+from doe.problem.spatial import refuse_contacts
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
@@ -121,6 +122,7 @@ def discriminate(
         raise InputError("diagnosis: found one with a prior, allowed: without")
     generator = np.random.default_rng(seed)
     if pool is None:
+        refuse_contacts(arm.chain)
         pool = random_postures(DesignProblem.of(Model(arm)), POOL, generator)
     options = _pool(arm, pool, generator, payloads)
     rivals = _rivals(diagnosis, measurements, options)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -18,6 +18,7 @@ from doe.criteria import Criterion, D
 from doe.problem.constraints import Constraint, constraints_of
 from doe.problem.prior import PriorInformation, precisions
 from doe.problem.spatial import designed
+from doe.problem.touching import touches, touching_postures
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.information import information_matrix
@@ -116,12 +117,16 @@ class DesignProblem:
     @classmethod
     def of(cls, model: Model, **changes: Any) -> DesignProblem:
         """The problem of an arm's model within the arm's own joint limits and constraints; of a spatial arm with the
-        prior of its machining, see `doe.problem.spatial`."""
+        prior of its machining, see `doe.problem.spatial`, and of one that touches a surface with postures at which it
+        does, see `doe.problem.touching`."""
         if not hasattr(model, "arm"):
             raise InputError(f"model: {type(model).__name__}, allowed: a Model, such as Model(arm)")
         placed, whole, known = designed(model)
-        own = {"constraints": constraints_of(placed), "deviations": known}
-        return cls(whole, model.arm.lower, model.arm.upper, **own | changes)
+        own: dict[str, Any] = {"constraints": constraints_of(placed), "deviations": known}
+        free = cls(whole, model.arm.lower, model.arm.upper, **own | changes)
+        if not touches(placed) or free.choices is not None:
+            return free
+        return replace(free, choices=touching_postures(placed, free))
 
     @property
     def joints(self) -> int:

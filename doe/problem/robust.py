@@ -19,6 +19,7 @@ from doe.problem.feasible import random_postures
 from doe.problem.prior import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
 from doe.problem.spatial import of_one_arm, whole
+from doe.problem.touching import touches
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.gap.library.library_prior import LibraryPrior, library_prior
@@ -66,7 +67,7 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
     enough of them, and its bound is a proof.
     """
     if problem.choices is not None:
-        return problem
+        return problem if also is None else replace(problem, choices=np.concatenate([problem.choices, also]))
     generator = np.random.default_rng(0)
     anywhere = random_postures(problem, CHOICES // 2, generator)
     more = [] if also is None else [also]
@@ -94,7 +95,8 @@ def tip_jacobians(problem: DesignProblem, poses: ArrayLike) -> Array:
 
 
 def workspace(problem: DesignProblem) -> Array:
-    """(k, n) postures where the arm will work: all that may be chosen, or random ones within limits and constraints."""
-    if problem.choices is not None:
+    """(k, n) postures where the arm will work: all that may be chosen, or random ones within limits and constraints, as
+    where a probe is to touch something."""
+    if problem.choices is not None and not touches(of_one_arm(problem.model)):
         return listed_candidates(problem, problem.choices).postures
     return random_postures(problem, POSES, np.random.default_rng(0))

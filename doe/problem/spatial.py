@@ -24,6 +24,7 @@ from identification.arm import Arm
 from identification.conditions import Conditions
 from identification.errors import InputError
 from identification.kinematics.frames import pose
+from identification.kinematics.instrument import PLANE
 from identification.kinematics.parameters import ParameterSet
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.model import Model
@@ -75,11 +76,12 @@ class EveryPoint(DerivedModel):
 def designed(model: Model) -> tuple[Model, InformationModel, Mapping[str, float]]:
     """The model with its measured points in place, the same with all of them, and what is known of its parameters.
 
-    Planar models stay as they are. Raises `InputError` for contacts. Warns (`UserWarning`) of points that are assumed.
+    Planar models stay as they are. Raises `InputError` for contacts with a surface whose place is not known. Warns
+    (`UserWarning`) of points that are assumed.
     """
     if model.arm.chain is None:
         return model, model, {}
-    placed = replace(model, arm=replace(model.arm, chain=with_points(model.arm.chain)))
+    placed = replace(model, arm=replace(model.arm, chain=with_points(model.arm.chain, contacts=True)))
     if model.sigma is None and model.prior:
         placed = minimal(placed)
     return placed, whole(placed), placed.prior
@@ -104,17 +106,29 @@ def without_prior(arm: Arm) -> Arm:
     return minimal(Model(replace(arm, chain=with_points(arm.chain))), PRACTICAL).arm
 
 
-def with_center(chain: SpatialChain) -> SpatialChain:
+def refuse_contacts(chain: SpatialChain | None) -> None:
+    """Raises `InputError` for a chain whose probe touches a surface, where postures have to be free."""
+    if chain is not None and chain.instrument.contact:
+        found = f"kind {chain.instrument.kind}: where a surface is touched follows from the arm"
+        raise InputError(f"instrument: found {found}, allowed here: distance, or no [instrument]")
+
+
+def with_center(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
     """The chain with the center of measured distances where the arm says, or before it; any other chain as it is.
 
-    Raises `InputError` for contacts, whose postures no plan can say.
+    contacts : whether they can be planned, at postures that touch. Raises `InputError` where not, and where the surface
+    has no place.
     """
     if chain.instrument.whole:
         return chain
-    if chain.instrument.contact:
-        found = f"kind {chain.instrument.kind}: where a surface is touched follows from the arm"
-        raise InputError(f"instrument: found {found}, allowed for plans: distance, or no [instrument]")
-    if BASE in chain.known or not np.array_equal(chain.base, np.eye(4)):
+    stands = BASE in chain.known or not np.array_equal(chain.base, np.eye(4))
+    if not contacts:
+        refuse_contacts(chain)
+    if chain.instrument.contact and not stands:
+        found = f"kind {chain.instrument.kind} without center_mm: where it is touched is not known"
+        how = "center_mm and normal" if chain.instrument.kind == PLANE else "center_mm"
+        raise InputError(f"instrument: found {found}, allowed for plans: with {how}, or a calibrated arm")
+    if stands:
         return chain
     away = AHEAD * chain.reach
     said = f"{away:.0f} mm before the base, on its x axis, is assumed; give instrument.center_mm"
@@ -122,10 +136,10 @@ def with_center(chain: SpatialChain) -> SpatialChain:
     return replace(chain, base=pose([-away, 0.0, 0.0]))
 
 
-def with_points(chain: SpatialChain) -> SpatialChain:
+def with_points(chain: SpatialChain, contacts: bool = False) -> SpatialChain:
     """The chain with the measured points that it does not know beside the last axis, evenly around it, and a center of
     distances `with_center`."""
-    chain = with_center(chain)
+    chain = with_center(chain, contacts)
     names = [name for name, place in chain.tools.items() if not np.any(place)]
     if TOOL in chain.known or not names:
         return chain

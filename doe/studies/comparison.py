@@ -21,6 +21,7 @@ from doe.jobs.row_table import Key, Row, RowTable, short_hash, with_columns
 from doe.jobs.tasks import run_tasks
 from doe.jobs.workers import Workers
 from doe.problem.problem import DesignProblem
+from doe.problem.spatial import refuse_contacts
 from doe.solvers import Solver, available_solvers, solve
 from identification.arm import Arm
 from identification.errors import InputError, nearest
@@ -79,6 +80,8 @@ class Comparison:
     problems: Mapping[str, DesignProblem] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for arm in self.arms:
+            refuse_contacts(arm.chain)
         for solver in self.solvers:
             if isinstance(solver, str) and solver not in available_solvers():
                 raise InputError(f"solvers: unknown name {solver!r}, {nearest(solver, available_solvers())}")

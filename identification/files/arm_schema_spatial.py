@@ -89,6 +89,7 @@ class InstrumentTable(StrictTable):
     kind: Literal["distance", "sphere", "plane"] = Field(description="distance, sphere or plane")
     radius_mm: Positive | None = Field(None, description="a number > 0 [mm]")
     center_mm: Triple | None = Field(None, description=POINT)
+    normal: Triple | None = Field(None, description="three numbers, a direction in the frame of the base")
 
     @model_validator(mode="after")
     def _keys_of_the_kind(self) -> Self:
@@ -96,8 +97,11 @@ class InstrumentTable(StrictTable):
             raise InputError(
                 f"instrument.radius_mm: found for kind {self.kind}, allowed: for sphere, left out where unknown"
             )
-        if self.center_mm is not None and self.kind != "distance":
-            raise InputError(f"instrument.center_mm: found for kind {self.kind}, allowed: for distance")
+        if (self.normal is None) != (self.center_mm is None or self.kind != "plane"):
+            found = "is missing beside center_mm" if self.normal is None else "found"
+            raise InputError(f"instrument.normal: {found}, allowed: of a plane, with center_mm")
+        if self.normal is not None and not any(self.normal):
+            raise InputError(f"instrument.normal: found {self.normal}, allowed: a direction, not zero")
         return self
 
 
@@ -199,7 +203,7 @@ class SpatialArmFile(StrictTable):
     tool: dict[str, Any] | None = Field(None, description="a table with x_mm, y_mm, z_mm, or one for each marker")
     machining: MachiningTable | None = Field(None, description="a table with translation_mm, rotation_deg")
     measurement: SpatialMeasurementTable | None = Field(None, description="a table with sigma_mm, sigma_deg")
-    instrument: InstrumentTable | None = Field(None, description="a table with kind, radius_mm, center_mm")
+    instrument: InstrumentTable | None = Field(None, description="a table with kind, radius_mm, center_mm, normal")
     gravity: SpatialGravityTable | None = Field(
         None, description="a table with acceleration_m_s2, link_masses_kg, center_of_mass, payload_kg, payload_at_mm"
     )

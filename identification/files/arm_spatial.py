@@ -44,7 +44,7 @@ from identification.files.schema import require_count
 from identification.files.urdf import Urdf, parse_urdf, read_urdf, urdf_text, with_origins
 from identification.kinematics.corrected import before_errors
 from identification.kinematics.denavit_hartenberg import STANDARD, DHRow, chain_of
-from identification.kinematics.frames import from_own_axes, pose
+from identification.kinematics.frames import from_own_axes, pose, rotation_to_z
 from identification.kinematics.instrument import Instrument
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE
 from identification.kinematics.spatial import BASE, TOOL, Joint, SpatialChain
@@ -175,7 +175,9 @@ def _standing(file: SpatialArmFile, chain: SpatialChain) -> SpatialChain:
     if (table := file.instrument) is None:
         return replace(chain, angle_scale=_angle_scale(file.measurement))
     if table.center_mm is not None:
-        chain = replace(chain, base=pose(-np.array(table.center_mm)))
+        normal = np.array([0.0, 0.0, 1.0] if table.normal is None else table.normal, dtype=float)
+        turn = rotation_to_z(normal / np.linalg.norm(normal)).T
+        chain = replace(chain, base=pose(-turn @ np.array(table.center_mm), turn))
     return replace(chain, instrument=Instrument(table.kind, table.radius_mm))
 
 

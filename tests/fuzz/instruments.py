@@ -18,9 +18,9 @@ BARS = (
     'kind = "distance"\ncenter_mm = [1e9, 0.0, 0.0]',
 )
 CONTACTS = ('kind = "sphere"\nradius_mm = 30.0', 'kind = "sphere"\nradius_mm = 1e-6', 'kind = "plane"')
-CONTACTS += ('kind = "sphere"',)
+CONTACTS += ('kind = "sphere"', 'kind = "sphere"\nradius_mm = 30.0\ncenter_mm = [700.0, -200.0, 300.0]')
 ODD = ('kind = "plane"\nradius_mm = 5.0', 'kind = "distance"\nradius_mm = 5.0', 'kind = "none"')
-ODD += ('kind = "sphere"\nradius_mm = 30.0\ncenter_mm = [1.0, 2.0, 3.0]', 'kind = "sphere"\nradius_mm = -1.0')
+ODD += ('kind = "plane"\ncenter_mm = [1.0, 2.0, 3.0]', 'kind = "sphere"\nradius_mm = -1.0')
 CENTER = np.array([700.0, -200.0, 300.0])
 STEPS, STEP, LONGEST = 12, 1e-4, 20.0  # Newton steps; of a difference, and the longest [deg, mm]
 

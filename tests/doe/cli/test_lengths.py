@@ -196,6 +196,28 @@ def test_contacts_with_a_ball_that_nobody_measured(cell: Folder) -> None:
     assert refused.err.count("\n") == 1
 
 
+def test_a_plan_of_contacts(cell: Folder) -> None:
+    """Chosen from postures that touch, with a bound over these; what needs free postures is refused in one line."""
+    center = "radius_mm = 30.0\ncenter_mm = [600.0, -200.0, 300.0]\n[tool]\nx_mm = 60.0\nz_mm = 80.0\n"
+    cell.write("ball.toml", SIX + 'kind = "sphere"\n' + center)
+    found = cell.armcal("design", "ball.toml", "--runs", "30", "--starts", "1", "--out", "best.csv", "--json")
+    assert found.code == 0, found.err
+    assert "random postures that touch the sphere as the arm is best known, and bounds are over these" in found.err
+    scored = done(cell, "score", "ball.toml", "best.csv")
+    assert scored["log_det"] == pytest.approx(found.data["log_det"], abs=1e-6)
+    assert scored["efficiency"] is None or 0.5 < scored["efficiency"] <= 1.0
+    for words in (
+        ("compare", "ball.toml", "--runs", "30"),
+        ("simulate", "ball.toml", "best.csv", "--truth", "ball.toml", "--out", "more.csv"),
+    ):
+        refused = cell.armcal(*words)
+        assert refused.code == 2
+        assert "instrument: found kind sphere" in refused.err
+    refused = cell.armcal("relax", "ball.toml", "--runs", "30", "--grid", "5")
+    assert refused.code == 2
+    assert "--grid: found for contacts" in refused.err
+
+
 def test_files_that_do_not_fit(cell: Folder) -> None:
     cell.write("data.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,x_mm,y_mm,z_mm\n1,2,3,4,5,6,7,8,9\n")
     refused = cell.armcal("identify", "arm.toml", "data.csv")

@@ -155,5 +155,5 @@ def test_an_optimal_plan_of_distances_is_better_than_a_random_one() -> None:
 
 def test_contacts_have_no_plans() -> None:
     arm = Arm.of_chain(replace(CHAIN, instrument=Instrument("sphere", 20.0)))
-    with pytest.raises(InputError, match="kind sphere: where a surface is touched follows from the arm"):
+    with pytest.raises(InputError, match="kind sphere without center_mm: where it is touched is not known"):
         DesignProblem.of(Model(arm))

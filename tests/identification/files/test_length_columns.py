@@ -105,7 +105,13 @@ def test_arm_files(tmp_path: Path) -> None:
         ('kind = "distance"\nradius_mm = 3.0', "instrument.radius_mm: found for kind distance, allowed: for sphere"),
         ('kind = "plane"\nradius_mm = 3.0', "instrument.radius_mm: found for kind plane"),
         ('kind = "sphere"\nradius_mm = -3.0', "instrument.radius_mm: found -3.0, allowed: a number > 0"),
-        ('kind = "plane"\ncenter_mm = [1.0, 2.0, 3.0]', "instrument.center_mm: found for kind plane"),
+        ('kind = "plane"\ncenter_mm = [1.0, 2.0, 3.0]', "instrument.normal: is missing beside center_mm"),
+        ('kind = "sphere"\nnormal = [1.0, 2.0, 3.0]', "instrument.normal: found, allowed: of a plane, with center_mm"),
+        ('kind = "plane"\nnormal = [1.0, 2.0, 3.0]', "instrument.normal: found, allowed: of a plane, with center_mm"),
+        (
+            'kind = "plane"\ncenter_mm = [1.0, 2.0, 3.0]\nnormal = [0, 0, 0]',
+            "instrument.normal: found .0.0, 0.0, 0.0., allowed: a direction",
+        ),
         ('kind = "distance"\ncenter_mm = [1.0, 2.0]', "instrument.center_mm: found 2 values, allowed: three numbers"),
         ('kind = "distance"\nmiddle_mm = 3.0', "instrument.middle_mm: unknown key"),
         ('kind = "distance"\ncenter_mm = [1.0, 2.0, 3.0]\n[base]\nx_mm = 1.0', "instrument.center_mm: found beside"),
@@ -115,6 +121,17 @@ def test_arm_files(tmp_path: Path) -> None:
 def test_wrong_arm_files(tmp_path: Path, lines: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         load_arm(saved(tmp_path, f"{HEAD}[instrument]\n{lines}\n", "arm.toml"))
+
+
+def test_where_a_plane_is(tmp_path: Path) -> None:
+    """Its point is at height zero, and so is what lies beside it across the normal."""
+    lines = '[instrument]\nkind = "plane"\ncenter_mm = [100.0, 20.0, -50.0]\nnormal = [0.0, 3.0, 4.0]\n'
+    arm = load_arm(saved(tmp_path, HEAD + lines, "arm.toml"))
+    assert arm.chain is not None
+    base = arm.chain.base
+    for point, height in (([100, 20, -50], 0.0), ([300, 24, -53], 0.0), ([100, 23, -46], 5.0)):
+        assert base[2, :3] @ point + base[2, 3] == pytest.approx(height, abs=1e-9)
+    np.testing.assert_allclose(base[:3, :3] @ base[:3, :3].T, np.eye(3), atol=1e-12)
 
 
 def test_planar_arms_have_no_instrument(tmp_path: Path) -> None:
