@@ -153,7 +153,7 @@ def test_an_optimal_plan_of_distances_is_better_than_a_random_one() -> None:
     assert errors[0] < min(errors[1:])
 
 
-def test_contacts_have_no_plans() -> None:
+def test_contacts_at_an_unknown_place_have_no_plans() -> None:
     arm = Arm.of_chain(replace(CHAIN, instrument=Instrument("sphere", 20.0)))
     with pytest.raises(InputError, match="kind sphere without center_mm: where it is touched is not known"):
         DesignProblem.of(Model(arm))
