@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -96,10 +97,18 @@ def beside_earlier(points: Array, distance: float) -> NDArray[np.intp]:
 
 def neighbor_counts(points: Array, distance: float) -> NDArray[np.intp]:
     """(m,) number of other rows nearer than the distance in every column."""
-    tree = _tree(points)
-    if tree is None:
+    if points.shape[1] == 0:
         return np.full(len(points), len(points) - 1)
-    return np.asarray(tree.query_ball_point(points, distance, p=np.inf, return_length=True)) - 1
+    return _counted(np.ascontiguousarray(points).tobytes(), points.shape[1], distance)
+
+
+@lru_cache(maxsize=2)
+def _counted(content: bytes, columns: int, distance: float) -> NDArray[np.intp]:
+    """Remembered, since a search asks of one plan again and again; of 100,000 rows an answer takes seconds."""
+    points = np.frombuffer(content).reshape(-1, columns)
+    counts = np.asarray(_tree(points).query_ball_point(points, distance, p=np.inf, return_length=True)) - 1
+    counts.setflags(write=False)
+    return counts
 
 
 def _tree(points: Array) -> Any:
