@@ -59,8 +59,14 @@ def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
     if any(part.gaps is not None for part in parts):
         columns["gaps"] = [np.zeros(len(part)) if part.gaps is None else part.gaps for part in parts]
     joined: dict[str, Any] = {name: np.concatenate(values) for name, values in columns.items()}
-    files = ", ".join(str(part.provenance["file"]) for part in parts if "file" in part.provenance)
-    return Measurements(**joined, provenance=MappingProxyType({"file": files} if files else {}))
+    return Measurements(**joined, provenance=MappingProxyType(_origin_of(parts)))
+
+
+def _origin_of(parts: Sequence[Measurements]) -> dict[str, Any]:
+    """Files of several tables in one text, and a list of their hashes."""
+    found = {key: [str(p.provenance[key]) for p in parts if key in p.provenance] for key in ("file", "sha256")}
+    files = {"file": ", ".join(found["file"])} if found["file"] else {}
+    return files | ({"sha256": found["sha256"]} if found["sha256"] else {})
 
 
 def _labels(name: str, table: Measurements) -> NDArray[np.str_]:

@@ -94,9 +94,10 @@ def command(
     wanted = Wanted(words, prior, prior_from, method, sigma, parameters == "minimal")
     common.report(0, None, f"fitting {len(measurements)} rows")
     found, library, said = (wanted.without_outliers if without_outliers else wanted.fit)(loaded, measurements)
+    fitted = rows_fitted(measurements, said)
     if words:
-        found = with_place_doubted(found, with_sessions(loaded, measurements), words, measurements)
-    extra, shown = fit_shown(found, (arm, loaded), measurements, words, library, full=full or old is not None)
+        found = with_place_doubted(found, with_sessions(loaded, fitted), words, fitted)
+    extra, shown = fit_shown(found, (arm, loaded), fitted, words, library, full=full or old is not None)
     kept = loaded.calibration if words else None, None if old is None else old.calibration
     answered = calibrated.fit_answer(found, shown, arm, output, urdf, library, *kept)
     answered.data |= extra | said
@@ -119,6 +120,13 @@ def arm_and_rows(arm: Arm, path: Path, old: Arm | None, words: Sequence[str]) ->
     if old or words or any(effect.values for effect in arm.effects):
         measurements = at_reference(measurements, old or arm)
     return arm, measurements
+
+
+def rows_fitted(measurements: Measurements, said: dict[str, Any]) -> Measurements:
+    """The measurements but for the outliers left out, so that the error before a fit is that of the rows fitted."""
+    if not (left_out := said.get("left_out")):
+        return measurements
+    return measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out])
 
 
 def with_next(answered: Answer, arm: Path, data: Path, output: Output, loaded: Arm) -> Answer:

@@ -31,7 +31,7 @@ from identification.estimation.corrected_values import CorrectedValue, corrected
 from identification.measurements import distances
 from identification.model import Model
 from identification.validate import Validation, validate
-from identification.validate.row_groups import diagnosed, outside
+from identification.validate.row_groups import data_hashes, diagnosed, outside
 
 MOSTLY = 0.5  # of the rows
 FIGURES = ("rms_mm", "mean_mm", "p95_mm", "max_mm")
@@ -58,16 +58,16 @@ class Campaign:
         return found
 
     @property
-    def digests(self) -> list[str | None]:
-        """Hash of the file that each calibrated arm was fitted to, None: it does not say."""
+    def digests(self) -> list[list[str]]:
+        """Hashes of the files that each calibrated arm was fitted to, empty: it does not say."""
         found = (arm.calibration for arm in self.given.calibrated.values())
-        return [calibration.provenance.get("sha256") for calibration in found if calibration]
+        return [data_hashes(calibration.provenance) for calibration in found if calibration]
 
     def fitted(self, rows: str) -> list[str]:
         """The calibrated arms that name these measurements as those that they were fitted to."""
-        digest = self.given.measurements[rows].provenance.get("sha256")
+        own = set(data_hashes(self.given.measurements[rows].provenance))
         pairs = zip(self.given.calibrated, self.digests, strict=True)
-        return [model for model, fitted in pairs if digest is not None and fitted == digest]
+        return [model for model, fitted in pairs if not own.isdisjoint(fitted)]
 
     def fitted_to(self, rows: str) -> bool:
         """True if a calibration was fitted to these measurements."""
@@ -205,7 +205,7 @@ class Campaign:
         named = new_effects(last.arm, None if other is None else other.arm)
         more = measured.conditions, Model(last.arm), named
         compared = Compared(last.arm, measured.postures, before, last.residuals, *more)
-        used = "" if None in self.digests else "No model given here names this file as what it was fitted to. "
+        used = "" if not all(self.digests) else "No model given here names this file as what it was fitted to. "
         used = f"Fitted to these rows: {', '.join(self.fitted(rows))}. " if self.fitted_to(rows) else used
         found = "".join(f"{note[:1].upper()}{note[1:]}. " for note in last.notes if "identified from" not in note)
         return Section(

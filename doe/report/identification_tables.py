@@ -25,10 +25,12 @@ ALL_OF_THEM = (
     "--parameters minimal gives a complete set of as few values as will do, with all others as drawn: the one to type "
     "in by hand.",
 )
-TABLE_NOTES = (
-    "Other numbers of the table stay as drawn. All values belong together, base and tool included: enter all of them.",
+TOGETHER = (
+    "Other numbers of the table stay as drawn. All values belong together, base and tool included: enter all of them."
+)
+BETA = (
     "beta: turn about the new y axis after alpha, where the next axis is nearly parallel (Hayati). A controller that "
-    "has no beta cannot take that row; --full prints frames of six numbers, --urdf writes them.",
+    "has no beta cannot take that row; --full prints frames of six numbers, --urdf writes them."
 )
 MOVED = 1e-3  # of the RMS: where a file lacks the place it has been fitted before
 
@@ -105,7 +107,8 @@ def fit_figures(found: Identification, nominal: float | None, left_out: float | 
 
 def dh_tables(rows: Sequence[CorrectedValue], lines: Sequence[str]) -> list[Any]:
     """The corrected Denavit-Hartenberg table, and what belongs to it."""
-    return [corrected_table(rows, "Corrected Denavit-Hartenberg table"), *map(Text, (*lines, *TABLE_NOTES))]
+    notes = [TOGETHER, *([BETA] if any(row.name.endswith(" beta") for row in rows) else [])]
+    return [corrected_table(rows, "Corrected Denavit-Hartenberg table"), *map(Text, (*lines, *notes))]
 
 
 def in_short(rows: Sequence[CorrectedValue], minimal: bool) -> list[Any]:
@@ -142,14 +145,15 @@ def named_by_place(names: Sequence[str]) -> str:
 
 
 def places_in_words(rows: Sequence[CorrectedValue]) -> list[str]:
-    """Where base and measured points are, a line each: nothing for a controller."""
+    """Where base and measured points are, a line each, with standard deviations: of parallel axes only the sum of
+    both heights may be known."""
     found: dict[str, list[str]] = {}
     for row in rows:
         if row.nominal is None and row.corrected is not None:
             place, _, axis = row.name.rpartition(" ")
-            found.setdefault(place, []).append(
-                f"{axis} {row.corrected:z.3f}{'' if row.unit == 'mm' else f' {row.unit}'}"
-            )
+            known = "" if row.std is None else f" +- {number(row.std, 3)}"
+            unit = "" if row.unit == "mm" else f" {row.unit}"
+            found.setdefault(place, []).append(f"{axis} {row.corrected:z.3f}{known}{unit}")
     return [f"{place} [mm]: {', '.join(figures)}" for place, figures in found.items()]
 
 

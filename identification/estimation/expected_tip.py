@@ -60,6 +60,15 @@ def tip_of(found: Identification, *, measured: bool) -> float | None:
     return expected_tip(found.model, found.parameters, found.covariance, postures)
 
 
+def size_left_open(arm: Arm) -> str:
+    """What more postures do not help against: contacts that an arm twice as large would make as well."""
+    if arm.chain is None or arm.chain.instrument.shows_size:
+        return ""
+    if arm.chain.instrument.free_radius:
+        return "; but however many, contacts with a sphere of unknown radius fit an arm of any size: give radius_mm"
+    return "; but however many, contacts with planes fit an arm of any size, which only [machining] tells"
+
+
 def hardly_determined(found: Identification) -> list[str]:
     """What is doubtful about a fit that leaves the tip uncertain, beyond the noise of one measurement: by over half of
     what the arm was off before, within the angles measured; or by more than all of it, within the joint limits."""
@@ -77,7 +86,7 @@ def hardly_determined(found: Identification) -> list[str]:
         said = (
             f"at other postures within the same angles the tip may be {inside:.3g} mm (RMS) from where it is computed"
         )
-        return [f"{FEW}: {said}{was}. Measure more postures"]
+        return [f"{FEW}: {said}{was}. Measure more postures{size_left_open(found.model.arm)}"]
     if anywhere > max(before, noise):
         said = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
         return [f"outside the angles measured {said}. Keep to these angles, or measure beyond them"]

@@ -72,7 +72,8 @@ def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
         return None
     (lower, upper), types = limits, Model(arm).joint_types
     q = turned_into(postures, lower, upper, types, READ)
-    return (q < lower - READ) | (q > upper + READ)
+    room = READ * np.maximum(1.0, np.abs(limits))  # a file has nine digits: of a slide's millimetres fewer decimals
+    return (q < lower - room[0]) | (q > upper + room[1])
 
 
 def mostly_outside(arm: Arm, postures: Array) -> bool:
@@ -90,6 +91,12 @@ def diagnosed(arm: Arm) -> bool:
         return False
     effects = {p.name for effect in Model(arm).effects if effect.name != "base_offset" for p in effect.parameters}
     return identified(arm).get("source") == DIAGNOSED or not effects.isdisjoint(arm.calibration.values)
+
+
+def data_hashes(provenance: Mapping[str, Any]) -> list[str]:
+    """SHA-256 of the files that measurements come from: of one, or of several that were sessions; empty: not known."""
+    found = provenance.get("sha256", [])
+    return [found] if isinstance(found, str) else list(found)
 
 
 def identified_range(arm: Arm) -> Array | None:

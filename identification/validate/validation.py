@@ -24,7 +24,7 @@ from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.validate.refit import placed_values, refit_model, refit_parameters
-from identification.validate.row_groups import extrapolation, identified, row_groups, seen_in_words
+from identification.validate.row_groups import data_hashes, extrapolation, identified, row_groups, seen_in_words
 
 # of the drawing, by `refit`: said wherever its error is, so that figures of commands can be compared
 DRAWN = {
@@ -281,8 +281,8 @@ def _hardly_better(found: Validation) -> list[str]:
 def _notes(arm: Arm, measurements: Measurements, undetermined: int) -> Iterator[str]:
     """What to know before these figures are believed."""
     own = identified(arm)
-    known = [one.get("sha256") for one in (own, *own.get("held_from", {}).values())]
-    if (sha := measurements.provenance.get("sha256")) is not None and sha in known:
+    known = {sha for one in (own, *own.get("held_from", {}).values()) for sha in data_hashes(one)}
+    if not known.isdisjoint(data_hashes(measurements.provenance)):
         yield "these are the measurements that the model was identified from: this says nothing about others"
     if far := extrapolation(arm, measurements.postures):
         yield far

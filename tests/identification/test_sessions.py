@@ -107,6 +107,9 @@ def test_pooled_tables() -> None:
     assert len(set(data.repeats.tolist())) == 4  # 5 in one table is not 5 in the other
     np.testing.assert_array_equal(data.conditions.time, [-0.5, 0.0, 0.5, -0.5, 0.5])
     named = replace(session(2, 2), session=np.array(["x", "y"]))
+    known = {name: replace(session(0, 1), provenance={"file": f"{name}.csv", "sha256": name * 64}) for name in "ab"}
+    assert dict(pooled_sessions(known).provenance) == {"file": "a.csv, b.csv", "sha256": ["a" * 64, "b" * 64]}
+    assert dict(data.provenance) == {}
     assert pooled_sessions({"a": session(0, 1), "c": named}).session.tolist() == ["a", "c/x", "c/y"]
     with pytest.raises(InputError, match=r"^b: found 2 joints and 2 coordinates, allowed: 3 and 2"):
         pooled_sessions({"a": session(0), "b": Measurements(np.zeros((2, 2)), np.ones((2, 2)))})

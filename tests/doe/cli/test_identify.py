@@ -254,6 +254,9 @@ def test_lost_beams_are_named_and_left_out(folder: Folder) -> None:
     expected = folder.armcal("identify", "arm.toml", "without.csv", "--without-outliers", "--json").data
     assert (left.pop("left_out"), expected.pop("left_out")) == ([3, 8], [])
     assert left["parameters"] == expected["parameters"]
+    before = ("rms_drawing_mm", "cross_validated_mm")  # of the same rows as what is left after the fit
+    assert [left[key] for key in before] == [expected[key] for key in before]
+    assert left["rms_drawing_mm"] < 0.9 * said["rms_drawing_mm"]
     assert (
         "Left out as outliers: rows 3, 8." in folder.armcal("identify", "arm.toml", "far.csv", "--without-outliers").out
     )

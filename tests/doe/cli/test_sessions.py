@@ -58,8 +58,14 @@ def test_files_are_sessions(sessions: Folder) -> None:
     assert "base_offset" in written
     assert "session_base" not in written
     # the arm as it stands in the first session predicts both, the base of the second refitted
+    said = "these are the measurements that the model was identified from: this says nothing about others"
     for name in ("monday", "friday"):
-        assert sessions.armcal("validate", "extended.toml", f"{name}.csv", "--json").data["rms_mm"] < 0.2
+        checked = sessions.armcal("validate", "extended.toml", f"{name}.csv", "--json").data
+        assert checked["rms_mm"] < 0.2
+        assert said in checked["notes"]
+    campaign = sessions.armcal("report", "arm.toml", "extended.toml", "monday.csv", "friday.csv", "--out", "all.html")
+    assert campaign.code == 0, campaign.err
+    assert sessions.read("all.html").count("Fitted to these rows: extended.toml.") == 2
     assert sessions.armcal("validate", "extended.toml", "both.csv", "--json").data["rms_mm"] < 0.2
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import io
 
 from rich.console import Console
+from rich.text import Text
 
-from doe.report.identification_tables import in_short
+from doe.report.identification_tables import dh_tables, in_short
 from identification.estimation.corrected_values import CorrectedValue
 
 
@@ -45,6 +46,13 @@ def test_well_determined_values_are_shown_and_the_others_said() -> None:
     said = " ".join(rest.split())
     assert "zero of joint 5, 6; joint 3 y, z." in said
     assert "As drawn to three decimals: 1 more." in said
-    assert "base [mm]: x 2574.140, rz 159.650 deg" in said
+    assert "base [mm]: x 2574.140 +- 0.050, rz 159.650 +- 0.300 deg" in said
     assert "--parameters minimal gives a complete set" in said
     assert not any("minimal" in str(part) for part in in_short(ROWS, minimal=False))
+
+
+def test_the_note_on_beta_stands_beside_a_beta_only() -> None:
+    plain, hayati = row("row 1 a", 0.0, 0.1, 0.01, None, "mm"), row("row 2 beta", 0.0, 0.1, 0.01, None, "deg")
+    tables = (dh_tables(rows, []) for rows in ([plain], [plain, hayati]))
+    noted = [any("Hayati" in part.plain for part in shown if isinstance(part, Text)) for shown in tables]
+    assert noted == [False, True]

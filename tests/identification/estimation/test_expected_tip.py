@@ -9,9 +9,11 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import estimate, estimate_batch
-from identification.estimation.expected_tip import expected_tip, working_postures
+from identification.estimation.expected_tip import expected_tip, size_left_open, working_postures
+from identification.kinematics.instrument import Instrument
 from identification.measurements import Measurements
 from identification.model import Model
+from tests.doe.six_axis import CHAIN
 from tests.identification.estimation.cases import LENGTHS, SIGMA, arm, data, plan, truth
 
 
@@ -83,3 +85,20 @@ def test_what_is_not_identifiable_has_no_expected_error() -> None:
     found = estimate(model, data(model, np.tile(plan(1), (6, 1))))
     assert found.not_identifiable
     assert (found.expected_tip, found.to_json()["expected_tip_mm"]) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("instrument", "said"),
+    [
+        (Instrument("distance"), ""),
+        (Instrument("sphere", 15.0), ""),
+        (Instrument("sphere"), "give radius_mm"),
+        (Instrument("plane"), "only [machining] tells"),
+    ],
+)
+def test_where_more_postures_do_not_show_the_size(instrument: Instrument, said: str) -> None:
+    """An arm twice as large touches planes, and spheres twice as large, at the same postures."""
+    found = size_left_open(Arm.of_chain(replace(CHAIN, instrument=instrument)))
+    assert found.endswith(said)
+    assert bool(found) == bool(said)
+    assert size_left_open(limited()) == ""

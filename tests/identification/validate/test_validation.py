@@ -18,10 +18,11 @@ from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
+from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.validate import Figures, validate
-from identification.validate.row_groups import extrapolation, mostly_outside
+from identification.validate.row_groups import extrapolation, mostly_outside, outside
 
 UR10 = Path(__file__).parents[2] / "data" / "ur10_planar"
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
@@ -284,3 +285,13 @@ def test_another_set_up_keeps_the_geometry_of_curves_in_space() -> None:
     assert validate(arm, data).model.max < 5e-3
     bare = arm.with_effects(replace(effects[0], curve=replace(curve, geometry={})))
     assert validate(bare, data).model.rms > 0.1
+
+
+def test_no_row_of_a_slide_is_outside_what_it_was_identified_on() -> None:
+    """Nine digits of a travel of hundreds of millimetres are fewer decimals than those of an angle."""
+    chain = chain_of([DHRow(300.0, 0.0, 100.0), DHRow(0.0, 0.0, 50.0, type=PRISMATIC, limits=(0.0, 1000.0))])
+    q = np.column_stack([np.linspace(-1.0, 1.0, 9), np.linspace(102.529714, 977.470693, 9)])
+    known = Calibration({}, provenance=Measurements(q, np.zeros((9, 3))).origin)
+    arm = replace(Arm.of_chain(chain), calibration=known)
+    assert not outside(arm, q).any()
+    np.testing.assert_array_equal(outside(arm, q + np.array([0.0, 0.001]))[:, 1], [False] * 8 + [True])
