@@ -124,8 +124,8 @@ def arm_and_rows(arm: Arm, path: Path, old: Arm | None, words: Sequence[str]) ->
 
 def rows_fitted(measurements: Measurements, said: dict[str, Any]) -> Measurements:
     """The measurements but for the outliers left out, so that the error before a fit is that of the rows fitted."""
-    left_out = said.get("left_out")
-    return measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out]) if left_out else measurements
+    kept = [k for k in range(len(measurements)) if k + 1 not in said.get("left_out", ())]
+    return measurements if len(kept) == len(measurements) else measurements.rows(kept)
 
 
 def with_next(answered: Answer, arm: Path, data: Path, output: Output, loaded: Arm) -> Answer:
