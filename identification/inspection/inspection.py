@@ -37,6 +37,8 @@ from identification.validate import drawing_residuals
 
 STILL = np.radians(5.0)  # [rad] of a joint's range, below which its own errors are hardly seen
 ROUGH = 0.02  # of the reach: more than a drawing is off by
+MUCH = 0.01  # of the reach: more than the effects of an arm leave where they are not in the model
+HARDLY_LESS = 0.8  # of what the drawing leaves: a fit that explains nothing
 
 
 @dataclass(frozen=True)
@@ -118,10 +120,19 @@ class Inspection:
             said += self.step or [off]
         if self.fit is not None and not said:
             outlier = np.isin(np.arange(self.rows) + 1, self.fit.outlier_rows)
-            said += far_rows(self.fit.residuals_after, outlier)
+            said += far_rows(self.fit.residuals_after, outlier) or self._unexplained(self.fit)
         if self.fit is None and not self.other_units:
             said.append("too few rows for a fit of the geometry")
         return (*(said or self._few()), *self.rest)
+
+    def _unexplained(self, fit: Identification) -> list[str]:
+        """That no geometry makes the rows those of one arm, where they are far from it and noise is not the reason."""
+        noise = 3.0 * (self.arm.sigma or 0.0) * np.sqrt(self.arm.dimension)
+        if fit.rms_after <= max(MUCH * self.arm.reach, HARDLY_LESS * self.drawing, noise):
+            return []
+        left = f"a fit leaves {fit.rms_after:.4g} mm of the {self.drawing:.4g} mm that the drawing leaves"
+        mixed = "columns, units or markers that changed" if self.markers else "columns or units that changed"
+        return [f"{left}, so that no geometry explains these rows: look for {mixed}, or an instrument that moved"]
 
     def _few(self) -> list[str]:
         """That a fit leaves little whatever the data are, where the rows are too few."""

@@ -217,3 +217,22 @@ def test_the_drawing_leaves_the_same_in_check_identify_and_validate() -> None:
     assert inspect(arm, rows).drawing == drawing
     assert fitted.rms_before == drawing
     assert validate(fitted.calibrated_arm(), rows).nominal.rms == drawing
+
+
+def test_two_reflectors_changed_for_half_of_the_rows() -> None:
+    """Swapped, each row is half of their distance off, however the geometry is fitted: 15 mm of 30 mm."""
+    generator = np.random.default_rng(43)
+    q, marker = generator.uniform(-2.0, 2.0, (80, 3)), np.array(["a", "b"])[np.arange(80) % 2]
+    one, two = (points(q, np.array(tool)) for tool in ([60.0, 15.0, 40.0], [60.0, -15.0, 40.0]))
+    seen = np.where((marker == "b")[:, None], two, one) + generator.normal(0.0, 0.05, (80, 3))
+    arm = Arm.of_chain(chain_of([DHRow(*row) for row in ROWS]))
+    assert inspect(arm, Measurements(q, seen, marker=marker)).problems == ()
+    swapped = np.where(np.arange(80) < 40, marker, np.where(marker == "a", "b", "a"))
+    found = inspect(arm, Measurements(q, seen, marker=swapped))
+    assert 14.0 < found.fit.rms_after < 16.0
+    (said,) = found.problems
+    assert "no geometry explains these rows: look for columns, units or markers that changed" in said
+    loose = replace(arm, sigma=15.0)  # an instrument as bad as that
+    assert not any(
+        "no geometry" in problem for problem in inspect(loose, Measurements(q, seen, marker=swapped)).problems
+    )
