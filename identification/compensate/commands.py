@@ -33,6 +33,8 @@ from identification.servo import servo_shift
 from identification.sessions import BASE
 from identification.validate.row_groups import familiar_range, identified, outside
 
+APPROACH = {"directions", "past"}  # what an effect needs whose error depends on the side that a joint comes from
+
 
 def compensate(
     arm: Arm,
@@ -75,13 +77,15 @@ def compensate(
         else within_or_near(nominal_arm, familiar_range(arm), goals, Conditions(orientation=turned), constraints)
     )
     model = Model(arm)
+    sided: tuple[str, ...] = ()
     if where.directions is None and len(nominal):
+        sided = tuple(sorted({effect.name for effect in model.effects if not APPROACH.isdisjoint(effect.needs)}))
         past = past_from_order(nominal) if model.remembers else None
         where = replace(where, directions=directions_from_order(nominal), past=past)
     commands = reaching(model, goals, nominal, where, constraints)
     if given is None:
         commands = near_or_within(model, familiar_range(arm), goals, commands, where, constraints)
-    return _compensation(model, goals, nominal, commands, where, constraints)
+    return replace(_compensation(model, goals, nominal, commands, where, constraints), sided=sided)
 
 
 def _compensation(

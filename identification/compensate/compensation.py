@@ -31,6 +31,7 @@ class Compensation:
     constraints : kinds of those given;  violations : (k, c) by how much each command misses them [mm]
     outside : (k, n) True where a joint is outside the angles of the identification, None: these are not known
     model_rms : [mm] that the calibrated model left of its own measurements, None: not known
+    sided : effects of the model for which the order of the targets was taken as that of the approach
     """
 
     targets: Array
@@ -44,6 +45,7 @@ class Compensation:
     violations: Array | None = None
     outside: NDArray[np.bool_] | None = None
     model_rms: float | None = None
+    sided: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("targets", "nominal", "commands", "errors"):
@@ -101,7 +103,11 @@ class Compensation:
     def warnings(self) -> list[str]:
         """What must be known of the commands, in sentences."""
         said = extrapolated(self.outside, "targets")
-        return [] if said is None else [f"{said}, and the error that is left may be larger than it says"]
+        found = [] if said is None else [f"{said}, and the error that is left may be larger than it says"]
+        if self.sided and self.reached.any():
+            side = f"{', '.join(self.sided)}: the error depends on the side that a joint comes from"
+            found.append(f"{side}. Drive the targets in this order, and to the first with every joint rising")
+        return found
 
     def to_json(self) -> dict[str, Any]:
         """Counts, largest errors over targets reached and over the others, unreached rows, and a row for each target

@@ -244,3 +244,20 @@ def test_nominal_postures_are_those_of_the_arm_where_it_stands() -> None:
     by_targets = compensate(real, goals)
     assert by_targets.reached.all()
     assert by_targets.warnings == []
+
+
+def test_the_side_of_the_approach_is_said() -> None:
+    """Gear play b s_j: driven in the order said the tip is there, with joint 2 coming from the other side 2 b lever."""
+    played, play = arm(EffectSpec("backlash", 2), values={"backlash:2.b": 2e-3}), np.array([0.0, 2e-3, 0.0, 0.0])
+    nominal = np.array([[0.1, 0.2, 0.1, 0.1], [0.2, 0.4, 0.3, 0.2]])  # every joint rising
+    found = compensate(played, postures=nominal)
+    (said,) = found.warnings
+    assert said.startswith("backlash: the error depends on the side that a joint comes from. Drive the targets in this")
+    assert found.to_json()["warnings"] == [said]
+    lengths, offsets = LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets
+    np.testing.assert_allclose(tip(found.commands + play, lengths, offsets), found.targets, rtol=0, atol=TOLERANCE)
+    missed = np.linalg.norm(tip(found.commands - play, lengths, offsets) - found.targets, axis=1)
+    assert np.all(missed > 1.0)  # 2 x 2e-3 rad on some 390 mm
+    given = Conditions(directions=np.ones((2, 4)))
+    assert compensate(played, postures=nominal, conditions=given).warnings == []
+    assert compensate(arm(), postures=nominal).warnings == []
