@@ -81,7 +81,7 @@ def _warn_unused(table: Table, types: JointTypes, axes: Sequence[str], chain: Sp
     wanted = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
     hint = wanted if spatial and len(axes) == 3 and not poses and orientation_columns_of(table) else ""
     if chain is not None and not chain.instrument.whole and "x_mm" in table:
-        hint = f"the [instrument] of the arm file, {chain.instrument.kind}, reads no positions; a tracker has none"
+        hint = f"[instrument] {chain.instrument.kind} of the arm file reads no positions; for a tracker leave it out"
     warn_unknown(table, [*joint_columns(table, types), *lengths, *optional], hint)
 
 

@@ -143,5 +143,8 @@ def test_planar_arms_have_no_instrument(tmp_path: Path) -> None:
 def test_positions_of_a_tracker_are_not_read_by_a_probe(tmp_path: Path, arm: Arm) -> None:
     path = saved(tmp_path, "q1_deg,q2_deg,distance_mm,x_mm,y_mm,z_mm\n30,50,412.5,1,2,3\n")
     kind = arm.chain.instrument.kind
-    with pytest.warns(UserWarning, match=rf"'x_mm'.*; the \[instrument\] of the arm file, {kind}, reads no positions"):
+    with pytest.warns(
+        UserWarning,
+        match=rf"'x_mm'.*; \[instrument\] {kind} of the arm file reads no positions; for a tracker leave it out",
+    ):
         load_measurements(path, arm)
