@@ -70,8 +70,8 @@ def best_of_seeds(
     """(k, n) postures and (k,) errors: of the solutions that reach a goal the nearest to `near`, else the closest.
 
     At first a few steps are made, of a redundant arm from those seeds alone that promise to end near. Where no seed
-    reaches the goal, the best of them go on by Newton's method; where those that reach it miss a constraint, by
-    sequential quadratic programs.
+    reaches the goal, the best of them go on by Newton's method; where those that reach it miss a constraint, they are
+    led away with what is missed as further residuals.
     """
     arm, generator = model.arm, np.random.default_rng(0)  # the same postures for the same question
     seeds = generator.uniform(arm.lower, arm.upper, (GLANCED, arm.links))
@@ -95,9 +95,10 @@ def best_of_seeds(
         if (far := rows[beyond]).size:
             postures[far], errors[far] = _polished(model, goals[far], found[beyond], conditions.rows(far))
         missed = ~beyond & (rank[:, 0] >= MISSED)
-        if constraints and arm.links > goals.shape[1]:  # a redundant arm has more than the seeds found
-            for k, ordered in zip(rows[missed], found[missed], strict=True):
-                postures[k], errors[k] = _turned_away(model, goals[k], ordered, conditions.rows([k]), constraints)
+        if constraints and missed.any() and arm.links > goals.shape[1]:  # a redundant arm has more than the seeds found
+            there = rows[missed]
+            away = _turned_away(model, goals[there], found[missed], conditions.rows(there), constraints)
+            postures[there], errors[there] = away
     return postures, errors
 
 
@@ -181,36 +182,34 @@ class _Promising:
 
 
 def _turned_away(
-    model: Model, goal: Array, starts: Array, conditions: Conditions, constraints: Constraints
-) -> tuple[Array, float]:
-    """(n,) posture at the goal and what is left: of those led from postures that miss constraints, starts (s, n), best
-    first, to where they hold; the first of these where none gets there."""
-    from scipy.optimize import Bounds, minimize
+    model: Model, goals: Array, starts: Array, conditions: Conditions, constraints: Constraints
+) -> tuple[Array, Array]:
+    """(k, n) postures at goals (k, d) and what is left (k,): of those led from postures that miss constraints, starts
+    (k, s, n), best first, to where they hold; the nearest to that where none gets there."""
+    starts = starts[:, :TURNED_AWAY]
+    every = np.repeat(np.arange(len(goals)), starts.shape[1])
+    linearize, units = _linearization(model, conditions.rows(every)), model.reach / _metric(model)
+    bends = np.concatenate([np.zeros((1, len(units))), np.diag(BEND * units)])
 
-    linearize, row = _linearization(model, conditions), np.arange(1)
-    on_goal = {
-        "type": "eq",
-        "fun": lambda q: linearize(q[None], row)[0][0] - goal,
-        "jac": lambda q: linearize(q[None], row)[1][0],
-    }
-    inside = {
-        "type": "ineq",
-        "fun": lambda q: np.concatenate([each.margin(q[None])[0] for each in constraints]) - INSIDE,
-    }
-    limits, scale = Bounds(model.arm.lower, model.arm.upper), _metric(model) ** 2 / model.reach**2
-    found = [starts[0]]
-    for start in starts[:TURNED_AWAY]:
+    def distances(postures: Array, rows: Index) -> tuple[Array, Array]:
+        """Of the goal and, where a margin is missed, of a place inside; derivatives of margins by differences."""
+        position, jacobian = linearize(postures, rows)
+        bent = (postures[:, None] + bends).reshape(-1, len(units))
+        margins = np.column_stack([each.margin(bent) for each in constraints]).reshape(len(postures), len(bends), -1)
+        missed = np.maximum(INSIDE - margins[:, 0], 0.0)
+        slopes = np.swapaxes(margins[:, 1:] - margins[:, :1], 1, 2) / (BEND * units)
+        slopes[missed == 0.0] = 0.0
+        gap = goals[every[rows]] - position
+        return np.concatenate([gap, missed], axis=1), np.concatenate([jacobian, slopes], axis=1)
 
-        def away(q: Array, start: Array = start) -> tuple[float, Array]:
-            return float(scale @ (q - start) ** 2), 2.0 * scale * (q - start)
-
-        options = {"maxiter": MAX_ITERATIONS, "ftol": 1e-9}
-        end = minimize(away, start, jac=True, bounds=limits, constraints=[on_goal, inside], options=options)
-        found.append(np.clip(end.x, model.arm.lower, model.arm.upper))
-    every = np.zeros(len(found), dtype=int)
-    ends, left = inverse_kinematics(model, np.tile(goal, (len(found), 1)), np.array(found), conditions.rows(every))
-    best = int(np.argmin(_rank(np.zeros(len(found)), left, violations(constraints, ends).sum(axis=1))))
-    return ends[best], float(left[best])
+    limits, reach = (model.arm.lower, model.arm.upper), _metric(model)
+    negligible = np.full(len(every), 1e-5 * TOLERANCE)
+    problem = LeastSquares(distances, *limits, reach, negligible, metric=reach, iterations=MAX_ITERATIONS)
+    ends = levenberg_marquardt(problem, starts.reshape(len(every), -1)).parameters
+    ends, left = inverse_kinematics(model, goals[every], ends, conditions.rows(every))
+    rank = _rank(np.zeros(len(every)), left, violations(constraints, ends).sum(axis=1)).reshape(len(goals), -1)
+    best = np.ravel_multi_index((np.arange(len(goals)), np.argmin(rank, axis=1)), rank.shape)
+    return ends[best], left[best]
 
 
 def _polished(model: Model, goals: Array, starts: Array, conditions: Conditions) -> tuple[Array, Array]:
