@@ -21,7 +21,8 @@ from identification.errors import InputError
 def command(common: CommonOptions, calibrated: Path, targets: Path, output: Output) -> Answer:
     """Joint commands that reach TARGETS (x_mm,y_mm or nominal q1_deg..) on the CALIBRATED arm.
 
-    In space with z_mm, and rx_deg, ry_deg, rz_deg or a quaternion where the tool's orientation matters. Commands
+    In space with z_mm, and rx_deg, ry_deg, rz_deg or a quaternion where the tool's orientation matters. Targets are
+    in the frame of the measurements that calibrated the arm (of a ball bar or a probe: of the arm's base). Commands
     keep to the joint limits and the [[constraints]] of the arm file; where that cannot be, the row says why and has no
     angles. A warning counts the targets that need joint angles outside those of the identification, where the model
     extrapolates.

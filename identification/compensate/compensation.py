@@ -15,6 +15,7 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.validate.row_groups import extrapolated
 
 TURNED = 1e-8  # [rad] a pose is reached if the model comes this close
+FEW = 0.5  # of the targets: of more out of reach, the frame or the unit is likelier to be wrong than each of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +105,9 @@ class Compensation:
         """What must be known of the commands, in sentences."""
         said = extrapolated(self.outside, "targets")
         found = [] if said is None else [f"{said}, and the error that is left may be larger than it says"]
+        if (out := np.count_nonzero(~self.near)) > FEW * len(self.targets):
+            frame = "are they in mm, and in the frame of the measurements that calibrated the arm"
+            found.append(f"{out} of {len(self.targets)} targets are out of reach: {frame}?")
         if self.sided and self.reached.any():
             side = f"{', '.join(self.sided)}: the error depends on the side that a joint comes from"
             found.append(f"{side}. Drive the targets in this order, and to the first with every joint rising")

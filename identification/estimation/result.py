@@ -132,6 +132,8 @@ class Identification:
         anew = [p for p in getattr(self.model, "parameters", ()) if p.name not in prior]
         misfit = (*contradictions.warning(self.contradictions, anew), *((self.misfit,) if self.misfit else ()))
         doubts = (*self.doubts, *hardly_determined(self))
+        if self.status is Status.iteration_limit:
+            return (shown.UNFINISHED, *misfit, *doubts)
         return (*doubts, *misfit) if self.status is Status.implausible else (*misfit, *doubts)
 
     @cached_property

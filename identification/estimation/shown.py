@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
 COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
 HEADINGS = ("parameter", "value", "std", "95 % low", "95 % high", "unit")
+UNFINISHED = (
+    "the fit stopped at the limit of iterations before it converged: values that the measurements hardly determine may "
+    "still move together, and their intervals hold only near where it stopped"
+)
 
 
 def p_value_in_words(p: float) -> str:

@@ -39,6 +39,12 @@ def test_figures() -> None:
     assert [row["reachable"] for row in figures["commands"]] == [True, False, False]
 
 
+def test_a_frame_is_doubted_where_most_targets_are_out_of_reach() -> None:
+    assert FOUND.warnings == []  # one of three
+    (said,) = replace(FOUND, errors=np.array([1e-9, 0.25, 600.0])).warnings
+    assert said.startswith("2 of 3 targets are out of reach: are they in mm, and in the frame of the measurements")
+
+
 def test_what_misses_a_constraint_is_no_command() -> None:
     for found, reached in ((FOUND, [0]), (replace(FOUND, violations=None), [0, 2])):
         np.testing.assert_array_equal(found.safe_commands[reached], found.commands[reached])
