@@ -54,12 +54,13 @@ class Restricted:
         """(2, w) least -2 log of the likelihood for factors (w,) on the deviations of the effects, and the noise there,
         between two values;  given : the noise is the least."""
         low, high = (np.full(len(size), np.log(value)) for value in (least, least if given else largest))
+        places = np.arange(GRID)[:, None]
         while np.max(high - low) > FINE:
-            grid = np.linspace(low, high, GRID)
-            lowest = np.argmin(self.minus_log(np.exp(grid), np.broadcast_to(size, grid.shape)), axis=0)
-            low, high = (np.take_along_axis(grid, np.clip(lowest + k, 0, GRID - 1)[None], axis=0)[0] for k in (-1, 1))
+            step = (high - low) / (GRID - 1)
+            lowest = np.argmin(self.minus_log(np.exp(low + places * step), size), axis=0)
+            low, high = low + np.maximum(lowest - 1, 0) * step, low + np.minimum(lowest + 1, GRID - 1) * step
         ends = np.stack([low, 0.5 * (low + high), high])
-        first, middle, last = self.minus_log(np.exp(ends), np.broadcast_to(size, ends.shape))
+        first, middle, last = self.minus_log(np.exp(ends), size)
         bend = first - 2.0 * middle + last  # the vertex of a parabola: a last digit cannot turn it
         vertex = (
             ends[1] + np.where(bend > 0.0, (first - last) / np.where(bend > 0.0, bend, 1.0), 0.0) * (high - low) / 4
