@@ -39,7 +39,10 @@ def dh_values(found: Identification, rows: Sequence[DHRow], convention: str = ST
     start, names = dict(geometry.values), found.names
     there, nominal = _numbers(geometry.chain, start, drawn), _flat(drawn)
     slopes = np.zeros((len(names), len(there)))
-    for row, p in enumerate(found.model.parameters):
+    links = {
+        p.name for p in found.model.geometry_parameters
+    }  # effects, hundreds with the library, are not in the table
+    for row, p in ((row, p) for row, p in enumerate(found.model.parameters) if p.name in links):
         step = STEP.get(p.unit, 1e-6)
         up, down = (_numbers(geometry.chain, {**start, p.name: start[p.name] + s * step}, drawn) for s in (1.0, -1.0))
         slopes[row] = [(up[key] - down[key]) / (2.0 * step) for key in there]
