@@ -118,7 +118,7 @@ class Campaign:
         if len(self.given.calibrated) < 2:
             return []
         tested = [rows for rows in self.tests if not self.fitted_to(rows)]
-        why = f"it leaves least on {' and '.join(tested)}" if tested else "it is the last given"
+        why = f"it leaves the smallest error on {' and '.join(tested)}" if tested else "it is the last given"
         others = " and ".join(name for name in self.given.calibrated if name != self.chosen)
         return [f"Of the calibrations the next steps use {self.chosen}: {why}. {others} is shown beside it."]
 

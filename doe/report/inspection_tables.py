@@ -60,7 +60,7 @@ def _enough(found: Inspection) -> list[tuple[str, str]]:
 def _head(found: Inspection) -> str:
     """What the data are like, in a line."""
     if found.problems:
-        return "Put right first:"
+        return "Fix these first:"
     few = found.enough is not None and found.enough.few
     return f"Nothing speaks against these data{', but they are few for a fit' if few else ''}."
 

@@ -161,7 +161,7 @@ class Inspection:
         if self.fit is not None and self.fit.not_identifiable:
             said.append(f"not estimable separately: {'; '.join(self.fit.not_identifiable)}")
         if self.postures == self.rows:
-            said.append("no posture is repeated: what the arm scatters by is not known from these data")
+            said.append("no posture is repeated: the arm's repeatability is not known from these data")
         said += self.gaps
         missing = {"temperature": "a column temperature_C", "gravity": "[gravity] in the arm file"}
         there = {*self.given, *(["gravity"] if self.arm.gravity is not None else [])}

@@ -162,7 +162,10 @@ def test_every_calibration_is_shown_and_the_one_that_is_used_is_said(folder: Fol
     }
     best, rest = sorted(left, key=left.__getitem__)
     said = " ".join(done.data["verdict"])
-    assert f"the next steps use {best}.toml: it leaves least on other.csv. {rest}.toml is shown beside it." in said
+    assert (
+        f"the next steps use {best}.toml: it leaves the smallest error on other.csv. {rest}.toml is shown beside it."
+        in said
+    )
     assert f"{best}.toml takes the RMS error from" in said
     assert f"{rest}.toml takes" not in said  # the table has it
     text = folder.read("page.html")
