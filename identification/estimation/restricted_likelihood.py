@@ -62,9 +62,8 @@ class Restricted:
         ends = np.stack([low, 0.5 * (low + high), high])
         first, middle, last = self.minus_log(np.exp(ends), size)
         bend = first - 2.0 * middle + last  # the vertex of a parabola: a last digit cannot turn it
-        vertex = (
-            ends[1] + np.where(bend > 0.0, (first - last) / np.where(bend > 0.0, bend, 1.0), 0.0) * (high - low) / 4
-        )
+        share = np.divide(first - last, bend, out=np.zeros_like(bend), where=bend > 0.0)
+        vertex = ends[1] + 0.25 * (high - low) * share
         noise = np.exp(np.clip(vertex, low, high))
         return np.stack([self.minus_log(noise, size), noise])
 
