@@ -210,7 +210,7 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
     ]
     shown.append(Text("before: the geometry fitted, as armcal identify leaves it"))
     shown.append(Text(f"expected: {diagnosis.gap.floor} on the data; elsewhere what the model predicts"))
-    shown += [Text(str(test)) for test in diagnosis.tests if test.confirmed is False]
+    shown += [Text(str(test)) for test in diagnosis.tests if test.confirmed is not None and not test.as_predicted]
     shown += effect_tables(diagnosis, data) if diagnosis.effects else excluded_tables(data)
     shown.append(Text(diagnosis.likely))
     shown += history(data)

@@ -40,15 +40,14 @@ def gap_rows(data: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Headings and rows, by the JSON object of a diagnosis: RMS distances before and after, on the data and on rows
     that no fit has seen, and whether the model holds there."""
     gap, rows = data["gap"], data.get("rows")
-    answers = {True: "yes", False: "no", None: "too few rows"}
+    answers = {True: "yes", False: "no", None: "too few rows"}  # `shrinks`: whether as far as expected stays open
     own = (number(gap[key]) for key in ("rms_before_mm", "rms_after_mm", "noise_floor_mm"))
     shown = [["the data", "" if rows is None else str(rows), *own, ""]]
     for test in tests_of(data):
         kind = "held out" if test["by"] == "holdout" else "cross-validated"
         figures = (number(test[key]) for key in ("before_mm", "after_mm", "predicted_mm"))
-        shown.append(
-            [f"{kind}: {test.get('file') or test['transfer']}", str(test["rows"]), *figures, answers[test["confirmed"]]]
-        )
+        answer = "shrinks" if test["confirmed"] and not test["as_predicted"] else answers[test["confirmed"]]
+        shown.append([f"{kind}: {test.get('file') or test['transfer']}", str(test["rows"]), *figures, answer])
     return ["RMS distance [mm]", "rows", "before", "after", "expected", "holds"], shown
 
 

@@ -7,9 +7,11 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 
 from identification.arm import Arm
 from identification.gap.diagnose import diagnose
+from identification.gap.notebook import gap_rows
 from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 
@@ -49,6 +51,20 @@ def test_what_is_named_stands_in_tables() -> None:
     assert abs(float(value) - np.degrees(2e-3)) < 5.0 * estimate["std"]
     assert page.index("<details>") > page.index("</table>")
     assert len(page) < 6000
+
+
+@pytest.mark.parametrize(
+    ("confirmed", "as_predicted", "answer"),
+    [(True, True, "yes"), (True, None, "shrinks"), (False, False, "no"), (None, None, "too few rows")],
+)
+def test_a_smaller_gap_whose_size_stays_open_is_no_yes(
+    confirmed: bool | None, as_predicted: bool | None, answer: str
+) -> None:
+    """0.365 -> 0.229 mm where 0.152 were expected: it shrinks, and that is all that eight groups say."""
+    data = diagnosed(2e-3).to_json()
+    test = data["cross_validation"][0] | {"confirmed": confirmed, "as_predicted": as_predicted}
+    rows = gap_rows(data | {"confirmation": test, "cross_validation": []})[1]
+    assert [row[-1] for row in rows] == ["", answer]
 
 
 def test_where_nothing_is_named_the_sizes_that_are_excluded_are_behind_a_fold() -> None:
