@@ -119,6 +119,14 @@ class SparseDesign:
         return level(self.gradient, self.information)
 
 
+def how_it_ended(largest: float, *, solved: bool, cut: bool) -> tuple[Status, str]:
+    """Status, and in words of the search, of weights whose gap reached its goal (`solved`), or whose time ended."""
+    if solved:
+        return Status.converged, "gap reached"
+    in_words = "gap not reached" if np.isfinite(largest) else "no bound: no time to visit every candidate"
+    return Status.time_limit if cut else Status.almost_solved, in_words
+
+
 def certified_design(
     found: SparseDesign,
     largest: float,
@@ -133,13 +141,14 @@ def certified_design(
     """A weighted plan with its certificate, given `largest` >= max tr(G F) over the design space.
 
     A status other than `converged` gives no bound: the optimum was not reached, and the gap says by how much; but where
-    time alone was short, the bound that the weights so far prove. The gap and the efficiency hold for any weights.
+    time alone was short, the bound that the weights so far prove, unless even a pass over the candidates took too long
+    (`largest` is inf). The gap and the efficiency hold for any weights.
     Since a mean is no larger than the largest, a gap below zero is rounding in a matrix that is nearly singular, and
     proves nothing either.
     """
     proven = certify(found.problem, found.information, largest, found.gradient)
     status = status if status is not Status.converged or proven.gap >= -ROUNDED else Status.almost_solved
-    cut = status is Status.time_limit and proven.gap >= -ROUNDED
+    cut = status is Status.time_limit and -ROUNDED <= proven.gap < np.inf
     source = "continuous" if candidates is None else "grid"
     return ApproximateDesign(
         found.plan,

@@ -12,11 +12,11 @@ from time import perf_counter
 
 import numpy as np
 
-from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, certified_design
+from doe.bounds.approximate_design import ApproximateDesign, SparseDesign, certified_design, how_it_ended
 from doe.bounds.bound import Bound
 from doe.bounds.branch_and_bound import maximum
 from doe.bounds.continuous import ContinuousSet
-from doe.bounds.equivalence import largest_sensitivity
+from doe.bounds.equivalence import largest_sensitivity, last_pass
 from doe.bounds.pricing import Shortlist, candidate_price, continuous_price
 from doe.bounds.restricted_master import Stage, generate_columns
 from doe.bounds.trigonometric import TrigonometricJacobian, trigonometric_jacobian
@@ -27,7 +27,6 @@ from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import JobError
-from identification.status import Status
 
 SAMPLE = 20_000  # of very many candidates, which are priced first
 COARSE = 1e-4  # relative gap at which pricing goes on to the next, larger set
@@ -65,7 +64,7 @@ def column_generation(
         stages = [first, Stage(few.best, tolerance), Stage(few.everything, tolerance, back=1)]
     start = well_spread(candidates, 6 * problem.parameters)
     ended, _ = generate_columns(problem, prior, start, stages, stop)
-    largest = largest_sensitivity(problem, candidates, ended.gradient, prior)
+    largest = largest_sensitivity(problem, candidates, ended.gradient, prior, last_pass(stop, began))
     return with_certificate(ended, largest, len(candidates), tolerance, began, rigorous=True, cut=stop())
 
 
@@ -186,13 +185,14 @@ def with_certificate(
 ) -> ApproximateDesign:
     """The certificate: `largest` >= max tr(G F) over the design space."""
     solved = largest - ended.level <= 10.0 * tolerance * abs(ended.level)
+    status, in_words = how_it_ended(largest, solved=solved, cut=cut)
     return certified_design(
         ended,
         largest,
         candidates=candidates,
         rigorous=rigorous,
-        status=Status.converged if solved else Status.time_limit if cut else Status.almost_solved,
+        status=status,
         solver="column_generation",
-        solver_status="gap reached" if solved else "gap not reached",
+        solver_status=in_words,
         seconds=perf_counter() - began,
     )

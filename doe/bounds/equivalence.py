@@ -9,12 +9,14 @@ one, exact plans of any number of runs included.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doe.plan.ascent import IN_TIME
 from doe.problem.candidates import CHUNK, Candidates, chunks
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
@@ -25,6 +27,7 @@ REACHED = 1.0 - 1e-9  # efficiency from which searching on cannot matter
 ROUNDING = 1e-12  # by which an efficiency may exceed 1 where value and bound are the same number but for rounding
 CACHED, FEWEST = 250_000, 1024  # entries of a chunk's Jacobians, which stay in the processor's cache; and postures
 REMEMBERED = 4_000_000  # entries of candidates' Jacobians that are remembered between passes: 32 MB
+LAST = 2.0  # [s] that a pass over the candidates may take after the time has ended, however short the search was
 
 
 def without_rounding(efficiency: float) -> float:
@@ -55,11 +58,15 @@ class Certificate:
 def certify(problem: DesignProblem, information: Array, largest: float, gradient: Array | None = None) -> Certificate:
     """The certificate of a design with information M, given `largest` >= max tr(G F) over the design space.
 
+    largest : inf proves nothing, and the certificate says so
     gradient : (p, p) G, default the criterion's at M; E-optimality needs the one of its dual problem
     """
     criterion = problem.criterion
     slope = criterion.gradient(information) if gradient is None else gradient
-    value, bound = float(criterion.value(information)), criterion.upper_bound(information, largest)
+    value = float(criterion.value(information))
+    if np.isinf(largest):  # not all of the design space was visited
+        return Certificate(value, np.inf, np.inf, 0.0)
+    bound = criterion.upper_bound(information, largest)
     efficiency = criterion.efficiency(value, bound, problem.parameters)
     return Certificate(value, largest - level(slope, information), bound, efficiency)
 
@@ -107,12 +114,28 @@ def candidate_sensitivities(
         yield postures, prior.mixed(half.sum(axis=(0, 1)), gradient)
 
 
+def last_pass(stop: Callable[[], bool], began: float) -> Callable[[], bool]:
+    """When to give a pass over the candidates up that begins now: the time has ended, and the pass takes longer than
+    the search before it, which `began` at that `perf_counter`, and than `LAST` seconds."""
+    now = perf_counter()
+    end = now + max(LAST, now - began)
+    return lambda: perf_counter() > end and stop()
+
+
 def largest_sensitivity(
-    problem: DesignProblem, candidates: Candidates, gradient: Array, prior: PriorInformation
+    problem: DesignProblem,
+    candidates: Candidates,
+    gradient: Array,
+    prior: PriorInformation,
+    give_up: Callable[[], bool] = IN_TIME,
 ) -> float:
     """max over the candidates of g = tr(G F), all of them visited, their Jacobians computed afresh.
 
-    prior : per new run
+    prior : per new run;  give_up : asked after every chunk; inf, which is no less than the largest, where it said so
     """
-    fresh = CandidateJacobians(problem, candidates)
-    return max(float(g.max()) for _, g in candidate_sensitivities(fresh, gradient, prior))
+    largest = -np.inf
+    for _, g in candidate_sensitivities(CandidateJacobians(problem, candidates), gradient, prior):
+        largest = max(largest, float(g.max()))
+        if give_up():
+            return np.inf
+    return largest

@@ -20,8 +20,16 @@ SHORT = 30_000  # candidates of a shortlist, whose Jacobians are remembered
 PARTS = 256  # of the candidates, of which each may offer one posture per round: keeps new postures apart
 
 
-def candidate_price(problem: DesignProblem, candidates: Candidates, prior: PriorInformation) -> Price:
-    """Price of a candidate set: every candidate is evaluated, and each chunk offers its best."""
+def candidate_price(
+    problem: DesignProblem,
+    candidates: Candidates,
+    prior: PriorInformation,
+    give_up: Callable[[], bool] = IN_TIME,
+) -> Price:
+    """Price of a candidate set: every candidate is evaluated, and each chunk offers its best.
+
+    give_up : asked after every chunk; no offers and inf, which is no less than the largest, where it said so
+    """
     part = max(16, -(-len(candidates) // PARTS))
     jacobians = CandidateJacobians(problem, candidates)
 
@@ -32,6 +40,8 @@ def candidate_price(problem: DesignProblem, candidates: Candidates, prior: Prior
             top = np.array([edge + int(np.argmax(g[edge : edge + part])) for edge in edges])
             offers.append(postures[top])
             values.append(g[top])
+            if give_up():
+                return near[:0], np.inf
         return _best_offers(np.concatenate(offers), np.concatenate(values), level, 3 * problem.parameters)
 
     return price

@@ -93,7 +93,8 @@ def command(
         if chosen.check:
             progress(1, 2, "cross-check")
             runs = chosen.runs or max(2 * loaded.links, problem.fewest_runs)
-            compared = cross_check(problem, found, runs, seed=common.seed, seconds=end - perf_counter())
+            checked = with_choices(problem) if criterion.robust else problem
+            compared = cross_check(checked, found, runs, seed=common.seed, seconds=end - perf_counter())
             data["cross_check"] = compared.rows()
             shown.append(cross_check_table(compared))
     return Answer(data, [*shown, *output.write(plan_text(found.plan, loaded.joint_types), "plan with weights")])

@@ -13,6 +13,7 @@ import numpy as np
 
 from doe.criteria.criterion import ridged, singular
 from identification.arrays import Array, readonly
+from identification.information import information_matrix
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ class I(InverseTrace):  # noqa: E742 (its name in the literature)
 
     @cached_property
     def _weight(self) -> Array:
-        return np.mean(np.swapaxes(self.jacobians, -1, -2) @ self.jacobians, axis=0)
+        return information_matrix(self.jacobians) / len(self.jacobians)
 
     def weight(self, parameters: int) -> Array:
         """(p, p) mean of B_0^T B_0."""

@@ -21,7 +21,7 @@ def relax_tables(design: ApproximateDesign) -> list[Any]:
         ("criterion", f"{design.criterion} over {where}, {len(design.plan)} with positive weight"),
         ("value", number(design.value, 9)),
         ("upper bound", "-" if design.bound is None else str(design.bound)),
-        (f"gap ({'max d - p' if design.criterion == 'D' else 'max tr(G F) - tr(G M)'})", f"{design.gap:.3g}"),
+        (f"gap ({'max d - p' if design.criterion == 'D' else 'max tr(G F) - tr(G M)'})", number(design.gap, 3)),
         ("efficiency at least", number(design.efficiency_lower_bound, 9)),
         ("solver", f"{design.solver} ({design.solver_status}), {design.seconds:.2f} s"),
         ("status", design.status.value),

@@ -14,6 +14,7 @@ from doe.bounds.equivalence import (
     candidate_sensitivities,
     certify,
     largest_sensitivity,
+    last_pass,
     sensitivity,
     without_rounding,
 )
@@ -122,3 +123,31 @@ def test_sensitivities_of_candidates_are_traces(smallest: float) -> None:
     known = sum(b.T @ b for b in case.scaled_jacobians(kept))  # 7 runs beside 5 new ones: M = (5 B^T B + known) / 12
     for value, b in zip(found, case.scaled_jacobians(candidates), strict=True):
         assert value == pytest.approx(np.trace(gradient @ (5.0 * b.T @ b + known)) / 12.0, rel=1e-12)
+
+
+def test_a_pass_that_was_given_up_proves_nothing() -> None:
+    """inf is no less than any sensitivity; the bound from it is the one that always holds."""
+    case = problem(FOUR)
+    postures = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (40, 4))
+    information = case.information(postures)
+    gradient = case.criterion.gradient(information)
+    largest = largest_sensitivity(case, PostureList(postures), gradient, case.prior, give_up=lambda: True)
+    assert largest == np.inf
+    proven = certify(case, information, largest)
+    assert (proven.gap, proven.bound, proven.efficiency) == (np.inf, np.inf, 0.0)
+    assert proven.value == pytest.approx(np.linalg.slogdet(information)[1])
+
+
+def test_how_long_a_last_pass_may_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As long as the search before it, or `LAST` seconds if that is longer; for ever where time is not over."""
+    clock = [100.0]
+    monkeypatch.setattr(equivalence, "perf_counter", lambda: clock[0])
+    short, long, free = (
+        last_pass(lambda: True, 99.0),
+        last_pass(lambda: True, 60.0),
+        last_pass(lambda: False, 99.0),
+    )
+    for seconds, expected in ((1.9, (False, False)), (2.1, (True, False)), (39.9, (True, False)), (40.1, (True, True))):
+        clock[0] = 100.0 + seconds
+        assert (short(), long()) == expected
+        assert not free()

@@ -50,6 +50,14 @@ def test_design_score_and_relax_agree(arm: Path, tmp_path: Path) -> None:
     assert relaxed["bound"]["value"] == pytest.approx(designed["bound"]["value"], rel=1e-9)
 
 
+def test_weights_on_a_grid_are_checked_by_a_plan_from_a_list(arm: Path) -> None:
+    """As `design` chooses one: a search over all postures took 17 s of twelve joints before its first step."""
+    few = ("--robust", "--missing", "gear_ratio", "--runs", 6, "--grid", 5, "--seconds", 1)
+    rows = {row["space"]: row for row in answer("relax", arm, *few)["cross_check"]}
+    assert rows["6 runs"]["method"].startswith("exact plan, fedorov")
+    assert rows["6 runs"]["value"] <= rows["6 runs"]["bound"]
+
+
 def test_criteria_and_lists(arm: Path, tmp_path: Path) -> None:
     rows = tmp_path / "rows.csv"
     rows.write_text("q1_deg,q2_deg\n" + "\n".join(f"{13 * k % 300 - 150},{37 * k % 190 - 95}" for k in range(40)))
