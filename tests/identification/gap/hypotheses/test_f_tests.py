@@ -77,6 +77,16 @@ def test_forbidden_sign_is_no_evidence_and_the_allowed_one_is_a_one_sided_t_test
         assert p == pytest.approx(stats.t.sf(t, 33), rel=1e-6)
 
 
+def test_the_fraction_left_is_that_of_the_direction_hidden_most() -> None:
+    """One column is the model's own but for a hundredth, its companion is free of it: what is left of both is what is
+    left of the first."""
+    axes = np.eye(40)
+    jacobian = axes[:, :2]
+    hidden = np.cos(0.01) * axes[:, 0] + np.sin(0.01) * axes[:, 2]
+    tested = beside(jacobian, [np.stack([3.0 * hidden, 70.0 * axes[:, 3]], axis=1), axes[:, 4:6]])
+    np.testing.assert_allclose(tested.norm_fractions, [np.sin(0.01), 1.0], rtol=1e-9)
+
+
 def test_columns_inside_the_model_are_invisible() -> None:
     jacobian, _, _ = _problem(5, [1])
     inside = jacobian @ np.array([[1.0], [2.0], [0.0], [0.0], [0.0], [0.5]])
