@@ -3,7 +3,8 @@
     min |r_k(x)|^2  subject to  lower <= x <= upper,     k = 1 .. K
 
 Each step solves min |E s - r|^2 + damping |s|^2 over the columns E of the exact Jacobian, scaled to unit length
-(Marquardt 1963), undamped until one lowers |r|^2 by far less than predicted; every problem has its own damping.
+(Marquardt 1963), undamped until one lowers |r|^2 by far less than predicted; then the damping is in proportion to how
+stiff the direction of the step is, however flat the valley. Every problem has its own damping.
 Parameters on a bound that the gradient or the step would leave on the wrong side are held (active set; without the
 step's, a cut step need not descend); what a step takes beyond a bound from inside is cut off there. Combinations of
 parameters that the data do not determine get no step: singular values below `tolerance` are zero
@@ -30,6 +31,8 @@ ROUNDING = 1e-14  # of a sum of squares, relative
 SMALL_FALL = 1e-8  # of a sum of squares, relative
 RIDGE = 1e-14  # of a normal matrix of unit columns: keeps its inverse alive where it is singular and not used
 FLAT = 1e-4  # share of the residuals that the last step would still explain: 1e-4 sqrt(N) standard deviations
+LEAST = 0.1  # share of a step's length that is tried where it failed, see `_next_damping`
+NEGLIGIBLE = 0.1  # damping below this share of the stiffness is none
 Index = NDArray[np.intp]
 Linearize = Callable[[Array, Index], tuple[Array, Array]]
 
@@ -115,12 +118,14 @@ class Solution:
 
 
 class Steps(NamedTuple):
-    """(k, p) steps; (k,) stationary; (k, p) active bounds; (k,) share of the residuals' norm that a step explains."""
+    """(k, p) steps; (k,) stationary; (k, p) active bounds; (k,) share of the residuals' norm that a step explains; (k,)
+    stiffness, see `damped_steps`."""
 
     steps: Array
     stationary: NDArray[np.bool_]
     active: NDArray[np.bool_]
     explained: Array
+    stiffness: Array
 
 
 def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
@@ -141,7 +146,7 @@ def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
         points = points.at(~ended)
         if len(points.problems) == 0:
             return solution
-        points = _moved(problem, points, found.steps[~ended])
+        points = _moved(problem, points, found.steps[~ended], found.stiffness[~ended])
     # a flat curved valley (nearly undetermined combination, few rows) is left slowly: what is missing is far below its
     # standard deviation
     found = _steps(problem, points._replace(damping=np.zeros(len(points.problems))))
@@ -170,23 +175,25 @@ def _steps(problem: LeastSquares, points: Points) -> Steps:
     gradient = (np.swapaxes(columns, 1, 2) @ points.residuals[:, :, None])[:, :, 0]
     low, high = x <= problem.lower, x >= problem.upper
     held = (low & (gradient < 0.0)) | (high & (gradient > 0.0))
-    steps, gradient = damped_steps(columns, points.residuals, held | zero, damping, problem.tolerance)
+    steps, gradient, stiffness = damped_steps(columns, points.residuals, held | zero, damping, problem.tolerance)
     limit = GRADIENT_TOLERANCE * norms + problem.rounding[points.problems]
     stationary = np.max(np.abs(gradient), axis=1, initial=0.0) <= limit
     while np.any(out := (low & (steps < 0.0) | high & (steps > 0.0)) & ~stationary[:, None]):
         held |= out
         again = np.any(out, axis=1)
-        steps[again], gradient[again] = damped_steps(
+        steps[again], gradient[again], stiffness[again] = damped_steps(
             columns[again], points.residuals[again], (held | zero)[again], damping[again], problem.tolerance
         )
     explained = np.sqrt(np.maximum(np.sum(gradient * steps, axis=1), 0.0)) / np.maximum(norms, np.finfo(float).tiny)
-    return Steps(steps / lengths, stationary, held, explained)
+    return Steps(steps / lengths, stationary, held, explained, stiffness)
 
 
 def damped_steps(
     columns: Array, residuals: Array, held: NDArray[np.bool_], damping: Array, tolerance: float
-) -> tuple[Array, Array]:
-    """(k, p) minimisers s of |E s - r|^2 + damping |s|^2, zero where held, and gradients E^T r.
+) -> tuple[Array, Array, Array]:
+    """(k, p) minimisers s of |E s - r|^2 + damping |s|^2, zero where held; gradients E^T r; and (k,) the stiffness
+    |s|^2 / s^T (E^T E + damping)^-1 s, an eigenvalue of that matrix if s is an eigenvector: times c, and added to the
+    damping, it makes s about 1 / (1 + c) times as long.
 
     By the smaller of the normal matrices E^T E and E E^T, which square the condition, where that costs no digits that
     matter; elsewhere by singular values, of which those below `tolerance` are zero, in step and gradient.
@@ -198,40 +205,47 @@ def damped_steps(
     normal = columns @ across if wide else across @ columns
     diagonal = np.arange(normal.shape[1])
     normal[:, diagonal, diagonal] += RIDGE if wide else RIDGE + held
-    right = (residuals if wide else gradient)[:, :, None]
     try:
         inverse = np.linalg.inv(normal)
     except np.linalg.LinAlgError:  # one of them has a pivot that is exactly zero
-        steps, gradient = truncated_steps(columns, residuals, damping, tolerance)
-        return np.where(held, 0.0, steps), gradient
+        steps, gradient, stiffness = truncated_steps(columns, residuals, damping, tolerance)
+        return np.where(held, 0.0, steps), gradient, stiffness
     # in the 1-norm, which is never less than the ratio of the eigenvalues
     condition = np.linalg.norm(normal, 1, axis=(1, 2)) * np.linalg.norm(inverse, 1, axis=(1, 2))
-    steps = inverse @ right
     if (more := damping > 0.0).any():
-        steps[more] = np.linalg.solve(normal[more] + damping[more, None, None] * np.eye(len(diagonal)), right[more])
-    steps = (across @ steps if wide else steps)[:, :, 0]
+        inverse[more] = np.linalg.inv(normal[more] + damping[more, None, None] * np.eye(len(diagonal)))
+    once = inverse @ (residuals if wide else gradient)[:, :, None]
+    steps, softer = ((across @ a if wide else a)[:, :, 0] for a in (once, inverse @ once))
+    stiffness = _stiffness(steps, softer)
     rest = ~(condition < min(1.0 / CLEAR, tolerance**-2))
     if rest.any():
         found = truncated_steps(columns[rest], residuals[rest], damping[rest], tolerance)
-        steps[rest], gradient[rest] = found
-    return np.where(held, 0.0, steps), gradient
+        steps[rest], gradient[rest], stiffness[rest] = found
+    return np.where(held, 0.0, steps), gradient, stiffness
 
 
-def truncated_steps(columns: Array, residuals: Array, damping: Array, tolerance: float) -> tuple[Array, Array]:
+def truncated_steps(columns: Array, residuals: Array, damping: Array, tolerance: float) -> tuple[Array, Array, Array]:
     """`damped_steps` by singular values."""
     # the triangle of [E, r] holds all that the step needs; rows can be millions, columns are few
     triangle: Array = np.linalg.qr(np.concatenate([columns, residuals[:, :, None]], axis=2), mode="r")  # type: ignore[assignment]
     left, values, right = np.linalg.svd(triangle[:, :, :-1], full_matrices=False)
     rotated = (np.swapaxes(left, 1, 2) @ triangle[:, :, -1:])[:, :, 0]
     count = significant(values, tolerance)
-    factors = np.where(count, values, 0.0) / np.where(count, values**2 + damping[:, None], 1.0)
+    squares = np.where(count, values**2 + damping[:, None], 1.0)
+    factors = np.where(count, values, 0.0) / squares * rotated
     directions = np.swapaxes(right, 1, 2)
-    steps = directions @ (factors * rotated)[:, :, None]
+    steps = directions @ factors[:, :, None]
     gradient = directions @ np.where(count, values * rotated, 0.0)[:, :, None]
-    return steps[:, :, 0], gradient[:, :, 0]
+    return steps[:, :, 0], gradient[:, :, 0], _stiffness(factors, factors / squares)
 
 
-def _moved(problem: LeastSquares, points: Points, steps: Array) -> Points:
+def _stiffness(steps: Array, softer: Array) -> Array:
+    """(k,) |s|^2 / s^T N^-1 s of steps s and N^-1 s; 0 where nothing moves."""
+    lengths, softness = np.sum(steps**2, axis=1), np.sum(steps * softer, axis=1)
+    return np.divide(lengths, softness, out=np.zeros_like(lengths), where=softness > 0.0)
+
+
+def _moved(problem: LeastSquares, points: Points, steps: Array, stiffness: Array) -> Points:
     """The points after their steps, where those descend; elsewhere as before."""
     trial = np.clip(points.parameters + steps, problem.lower, problem.upper)
     residuals, jacobians = problem.linearize(trial, points.problems)
@@ -240,7 +254,7 @@ def _moved(problem: LeastSquares, points: Points, steps: Array) -> Points:
     allowance = 2.0 * np.sqrt(points.squares) * problem.rounding[points.problems] + ROUNDING * points.squares
     better = squares <= points.squares + allowance
     moved = Points(points.problems, trial, residuals, jacobians, squares, points.damping)
-    damping = np.where(better, _next_damping(points, moved), _raised(points.damping))
+    damping = _next_damping(points, moved, better, stiffness)
     moved = moved._replace(damping=damping)
     if better.all():
         return moved
@@ -250,19 +264,23 @@ def _moved(problem: LeastSquares, points: Points, steps: Array) -> Points:
     )
 
 
-def _next_damping(before: Points, after: Points) -> Array:
-    """Less where the sum of squares falls nearly as the linear model predicts, more where it falls by less than a
-    quarter of that (More 1978)."""
+def _next_damping(before: Points, after: Points, better: NDArray[np.bool_], stiffness: Array) -> Array:
+    """(k,) the damping with which the step would have ended at the minimum of a parabola along it (Hebden 1973).
+
+    No more than before where the sum of squares falls nearly as the linear model predicts; where it falls by less than
+    a quarter of that, so much that a step half as long at most comes next (More 1978).
+    """
     step = (after.parameters - before.parameters)[:, :, None]
-    change, change_after = ((points.jacobians @ step)[:, :, 0] for points in (before, after))
-    predicted = before.squares - _squares(before.residuals - change)
-    # a small fall drowns in rounding; the slopes at both ends of the step do not (trapezoidal rule)
-    slopes = np.einsum("kn,kn->k", change, before.residuals) + np.einsum("kn,kn->k", change_after, after.residuals)
-    fall = np.where(predicted > SMALL_FALL * before.squares, before.squares - after.squares, slopes)
-    relaxed = np.where(before.damping > 1e-6, before.damping / 10.0, 0.0)
-    unless_poor = np.where(fall >= 0.75 * predicted, relaxed, before.damping)
-    return np.where(fall < 0.25 * predicted, _raised(before.damping), unless_poor)
-
-
-def _raised(damping: Array) -> Array:
-    return np.maximum(10.0 * damping, 1e-4)
+    with np.errstate(over="ignore", invalid="ignore"):  # a step may lead to where nothing is finite
+        change, change_after = ((points.jacobians @ step)[:, :, 0] for points in (before, after))
+        slope = np.einsum("kn,kn->k", change, before.residuals)
+        predicted = before.squares - _squares(before.residuals - change)
+        # a small fall drowns in rounding; the slopes at both ends of the step do not (trapezoidal rule)
+        slopes = slope + np.einsum("kn,kn->k", change_after, after.residuals)
+        fall = np.where(predicted > SMALL_FALL * before.squares, before.squares - after.squares, slopes)
+        share = slope / np.maximum(2.0 * slope - fall, np.finfo(float).tiny)
+    good = better & (fall >= np.where(before.damping > 0.0, 0.75, 0.25) * predicted)
+    poor = ~(better & (fall >= 0.25 * predicted))
+    share = np.clip(np.where(np.isfinite(fall), share, 0.0), np.where(good, 1.0, LEAST), np.where(poor, 0.5, np.inf))
+    damping = np.maximum(before.damping + (1.0 / share - 1.0) * stiffness, before.damping / 10.0)
+    return np.where(damping > NEGLIGIBLE * (stiffness - before.damping), damping, 0.0)

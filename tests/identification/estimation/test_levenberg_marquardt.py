@@ -181,13 +181,15 @@ def test_damped_steps_by_either_route(shape: tuple[int, int], damping: float) ->
     residuals, held = generator.standard_normal((2, shape[0])), np.zeros((2, 4), dtype=bool)
     held[:, 1] = True
     for columns in (good, bad):
-        steps, gradient = damped_steps(columns, residuals, held, np.full(2, damping), 1e-9)
+        steps, gradient, stiffness = damped_steps(columns, residuals, held, np.full(2, damping), 1e-9)
         for k in range(2):
             free = columns[k] * ~held[k]
             tall = np.vstack([free, np.sqrt(damping) * np.eye(4)])
             expected = np.linalg.lstsq(tall, np.r_[residuals[k], np.zeros(4)], rcond=1e-12)[0]
             np.testing.assert_allclose(steps[k], expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max())
             np.testing.assert_allclose(gradient[k], free.T @ residuals[k], rtol=0, atol=1e-9)
+            softer = np.linalg.pinv(free.T @ free + damping * np.diag(~held[k]), rcond=1e-14) @ expected
+            assert stiffness[k] == pytest.approx(expected @ expected / (expected @ softer), rel=1e-3)
         assert np.all(steps[:, 1] == 0.0)
 
 
@@ -196,7 +198,7 @@ def test_a_step_leaves_out_what_is_below_the_tolerance() -> None:
     generator = np.random.default_rng(8)
     left, right = (np.linalg.qr(generator.standard_normal((rows, 3)))[0] for rows in (9, 3))
     columns, residual = left * [1.0, 1.0, 1.0 / 300.0] @ right.T, generator.standard_normal(9)
-    found, _ = damped_steps(columns[None], residual[None], np.zeros((1, 3), dtype=bool), np.zeros(1), 1e-2)
+    found, *_ = damped_steps(columns[None], residual[None], np.zeros((1, 3), dtype=bool), np.zeros(1), 1e-2)
     expected = right[:, :2] @ (left[:, :2].T @ residual)
     np.testing.assert_allclose(found[0], expected, rtol=0, atol=1e-12)
 
@@ -208,7 +210,7 @@ def test_an_exactly_singular_problem_has_its_shortest_step() -> None:
     columns[0] = [[1e4, 1e4], [0.0, 0.0], [0.0, 0.0]]
     with pytest.raises(np.linalg.LinAlgError):
         np.linalg.inv(columns[0].T @ columns[0])
-    found, _ = damped_steps(columns, residuals, np.zeros((2, 2), dtype=bool), np.zeros(2), 1e-9)
+    found, *_ = damped_steps(columns, residuals, np.zeros((2, 2), dtype=bool), np.zeros(2), 1e-9)
     for k in range(2):
         np.testing.assert_allclose(found[k], np.linalg.pinv(columns[k]) @ residuals[k], rtol=1e-9)
 
@@ -229,6 +231,42 @@ def test_statuses_say_how_it_ended() -> None:
     assert cut.iterations[0] == 2
     nowhere = levenberg_marquardt(problem(rosenbrock, 2, 1), np.array([[np.inf, 1.0]]))
     assert nowhere.status[0] is Status.solver_failed
+
+
+@pytest.mark.parametrize("steepness", [1e1, 1e3, 1e5, 1e6])
+@pytest.mark.parametrize("bend", [-1.5, -4.0, -20.0])
+def test_a_valley_takes_as_few_steps_however_flat(steepness: float, bend: float) -> None:
+    """x + 1 and bend x^2 + x - 1 (K. Madsen, H. B. Nielsen, O. Tingleff, 2004): the least sum of squares is 2 at
+    x = 0, from which each undamped step leads |bend| times as far away. Across x the valley is steeper by far."""
+
+    def linearize(values: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x, across = values[:, 0] - values[:, 1], values[:, 0] + values[:, 1]
+        residual = np.stack([steepness * across, x + 1.0, bend * x**2 + x - 1.0], axis=1)
+        slope = np.stack([np.zeros_like(x), np.ones_like(x), 2.0 * bend * x + 1.0], axis=1)
+        wall = np.array([steepness, 0.0, 0.0])
+        return -residual, np.stack([wall + slope, wall - slope], axis=2)
+
+    found = levenberg_marquardt(problem(linearize, 2, 1), np.array([[0.3, -0.2]]))
+    assert found.status[0] is Status.converged
+    assert found.iterations[0] <= 8
+    x = found.parameters[0, 0] - found.parameters[0, 1]
+    # a cosine of 1e-9 with the residuals, of length sqrt(2), counts in unit columns, which are `steepness` long
+    assert abs(x) <= 2.0 * GRADIENT_TOLERANCE * np.sqrt(2.0) * steepness
+
+
+def test_a_curved_valley_is_followed_to_its_end() -> None:
+    """Along y = x^2, to x = 1 / 1.09, which minimises (1 - x)^2 + 0.09 x^2; the walls are 100 times as steep."""
+
+    def linearize(values: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x, y = values.T
+        residual = np.stack([100.0 * (y - x**2), 1.0 - x, 0.3 * x], axis=1)
+        jacobian = np.zeros((len(x), 3, 2))
+        jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 1:, 0] = -200.0 * x, 100.0, [-1.0, 0.3]
+        return -residual, jacobian
+
+    found = levenberg_marquardt(problem(linearize, 2, 1), np.array([[-1.2, 1.0]]))
+    assert found.status[0] is Status.converged
+    np.testing.assert_allclose(found.parameters[0], [1.0 / 1.09, 1.0 / 1.09**2], rtol=1e-8)
 
 
 def test_a_wrong_derivative_ends_unconverged() -> None:
