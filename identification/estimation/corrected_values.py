@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
@@ -113,33 +114,46 @@ def corrected_values(
     prior = model.prior if {*model.prior} <= {*found.parameter_names} else {}
     before = np.diag([prior.get(name, 0.0) for name in found.parameter_names]) if known is None else known
     seen = found.covariance if seen is None else seen
-    rows = (_row(quantity, found, spread, unknown, before, seen) for quantity in (*geometry, *_effects(model, values)))
+    places = {name: k for k, name in enumerate(found.parameter_names)}
+    quantities = (*geometry, *_effects(model, values))
+    rows = (_row(quantity, found, places, spread, unknown, before, seen) for quantity in quantities)
     return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
 
 
 def _row(
-    quantity: _Quantity, found: Calibration, freedom: Array, unknown: Collection[str], before: Array, seen: Array | None
+    quantity: _Quantity,
+    found: Calibration,
+    places: Mapping[str, int],
+    freedom: Array,
+    unknown: Collection[str],
+    before: Array,
+    seen: Array | None,
 ) -> CorrectedValue:
-    slope = np.array([quantity.derivatives.get(name, 0.0) for name in found.parameter_names])
+    at, slope = _slope(quantity, places)
     undetermined, deviation = any(quantity.derivatives.get(name) for name in unknown), np.nan
-    if found.covariance is not None and slope.any() and not undetermined and quantity.determined:
-        deviation = float(np.sqrt(max(slope @ found.covariance @ slope, 0.0)))
-    half = float(quantile_95(freedom[slope != 0.0].min(initial=np.inf))) * deviation
+    if found.covariance is not None and at.size and not undetermined and quantity.determined:
+        deviation = max(float(slope @ found.covariance[np.ix_(at, at)] @ slope), 0.0) ** 0.5
+    half = float(quantile_95(freedom[at].min(initial=np.inf))) * deviation
     limits = np.clip([quantity.value - half, quantity.value + half], *quantity.bounds)
     figures = [np.nan if undetermined else quantity.value, deviation, *limits]
     value, std, low, high = (float(figure) if np.isfinite(figure) else None for figure in figures)
     own = quantity.name, quantity.parameter, quantity.nominal
-    prior = _prior_std(slope, before)
+    prior = _prior_std(slope, before[at])
     held = False
     if std is not None and prior is not None and seen is not None:
-        held = bool(slope @ seen @ slope > (1.0 - LITTLE) * prior**2)
+        held = bool(slope @ seen[np.ix_(at, at)] @ slope > (1.0 - LITTLE) * prior**2)
     return CorrectedValue(*own, value, std, low, high, quantity.unit, quantity.convention, prior, held)
 
 
+def _slope(quantity: _Quantity, places: Mapping[str, int]) -> tuple[NDArray[np.intp], Array]:
+    """(k,) parameters that it depends on, by their places in order, and its derivatives by them."""
+    used = sorted((places[name], slope) for name, slope in quantity.derivatives.items() if slope and name in places)
+    return np.array([place for place, _ in used], dtype=np.intp), np.array([slope for _, slope in used], dtype=float)
+
+
 def _prior_std(slope: Array, before: Array) -> float | None:
-    """Of a combination (p,) of parameters, None unless each has a prior."""
-    used = slope != 0.0
-    known = bool(used.any() and np.all(np.any(before[used] != 0.0, axis=1)))
+    """Of a combination (k,) of parameters with the rows `before` (k, r), None unless each has a prior."""
+    known = bool(slope.size and np.all(np.any(before != 0.0, axis=1)))
     return float(np.linalg.norm(before.T @ slope)) if known else None
 
 

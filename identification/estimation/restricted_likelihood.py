@@ -38,11 +38,21 @@ class Restricted:
         spare = len(target) - free.shape[1] if spare is None else spare
         basis = np.linalg.qr(free)[0]
         target, effects = target - basis @ (basis.T @ target), effects - basis @ (basis.T @ effects)
-        values, vectors = np.linalg.eigh(effects.T @ effects)
-        seen = values > 1e-12 * max(values.max(initial=0.0), 1e-300)
-        values = values[seen][-spare:]
-        along = (vectors[:, seen][:, -len(values) :].T @ (effects.T @ target)) ** 2 / values if len(values) else values
-        return cls(values, along, max(float(target @ target - along.sum()), 0.0), spare - len(values))
+        if effects.shape[0] >= effects.shape[1]:
+            return cls.of_normal(effects.T @ effects, effects.T @ target, float(target @ target), spare)
+        values, vectors = _largest(effects @ effects.T, spare)  # of the two normal matrices this has the values too
+        return cls._of(values, (vectors.T @ target) ** 2, float(target @ target), spare)
+
+    @classmethod
+    def of_normal(cls, normal: Array, moment: Array, square: float, spare: int) -> Restricted:
+        """Of E^T E (e, e), E^T r (e,) and r^T r of residuals r and effects E that are orthogonal to the columns without
+        a prior, with as many equations to spare."""
+        values, vectors = _largest(normal, spare)
+        return cls._of(values, (vectors.T @ moment) ** 2 / values, square, spare)
+
+    @classmethod
+    def _of(cls, values: Array, along: Array, square: float, spare: int) -> Restricted:
+        return cls(values, along, max(square - float(along.sum()), 0.0), spare - len(values))
 
     def minus_log(self, noise: Array, size: Array) -> Array:
         """-2 log of the likelihood, up to a constant;  size : factors on the deviations of the effects."""
@@ -73,3 +83,10 @@ class Restricted:
         values, noises = self.likeliest(whole / LARGEST, whole, np.array(SIZES))
         best = int(np.argmin(values))
         return SIZES[best], float(noises[best])
+
+
+def _largest(normal: Array, most: int) -> tuple[Array, Array]:
+    """(v,) eigenvalues of a normal matrix that are not rounding, `most` of them at most, and their (n, v) vectors."""
+    values, vectors = np.linalg.eigh(normal)
+    kept = np.flatnonzero(values > 1e-12 * max(values.max(initial=0.0), 1e-300))[-most:]
+    return values[kept], vectors[:, kept]

@@ -39,6 +39,18 @@ def test_likeliest_noise_and_its_likelihood_for_several_sizes() -> None:
         )  # SciPy compares values, flat at the square root of rounding
 
 
+def test_more_effects_than_residuals() -> None:
+    """By the smaller normal matrix: the same density, of 6 residuals, a free column and 15 effects."""
+    generator = np.random.default_rng(5)
+    target, free, effects = (generator.standard_normal(shape) for shape in ((6,), (6, 1), (6, 15)))
+    outside = null_space(free.T)
+    left, found = outside.T @ target, Restricted.of(target, free, effects)
+    for noise, size in ((0.3, 1.0), (2.0, 0.1)):
+        covariance = size**2 * outside.T @ effects @ effects.T @ outside + noise**2 * np.eye(5)
+        expected = np.linalg.slogdet(covariance)[1] + left @ np.linalg.solve(covariance, left)
+        np.testing.assert_allclose(found.minus_log(np.array(noise), np.array(size)), expected, rtol=1e-12)
+
+
 def test_noise_ends_at_its_limits_exactly() -> None:
     """A given sigma above the scatter is kept to the last digit, and so is a given noise."""
     found = Restricted.of(*drawn())

@@ -15,16 +15,16 @@ from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
 from identification.estimation.checks import weighting
 from identification.estimation.prior import Prior
-from identification.estimation.problem import Problem
-from identification.estimation.with_prior import (
+from identification.estimation.prior_sizes import (
     TOGETHER,
     WIDTHS,
     ZERO_WIDTHS,
     LinearizedProblem,
-    Restricted,
     Widths,
     likeliest,
 )
+from identification.estimation.problem import Problem
+from identification.estimation.restricted_likelihood import Restricted
 from identification.gap.library.library_prior import library_prior
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
@@ -146,6 +146,18 @@ def test_fewer_rows_than_parameters_are_enough() -> None:
     assert estimate_with_prior(MODEL, data, PRIOR).identifiable.all()
     with pytest.raises(InputError, match="fewer equations than unknowns: 2 m = 2 < p = 4"):
         estimate_with_prior(MODEL, measured(np.random.default_rng(4), 1, 0.1)[0], PRIOR)
+
+
+@pytest.mark.parametrize("rows", [3, 40])
+def test_equations_left_over_are_those_of_the_hat_matrix(rows: int) -> None:
+    """m d - tr J C J^T / sigma^2, C the posterior covariance; with fewer and with more equations than unknowns."""
+    data, _ = measured(np.random.default_rng(4), rows, 0.1)
+    found = estimate_with_prior(MODEL, data, PRIOR, sigma="given")
+    jacobian = MODEL.jacobian(data.postures, found.parameters).reshape(-1, len(SIZES)) / 0.1
+    precision = jacobian.T @ jacobian + np.diag(np.where(SIZES > 0.0, 1.0 / np.maximum(SIZES, 1e-300), 0.0) ** 2)
+    assert (len(SIZES) > jacobian.shape[0]) == (rows == 3)
+    assert found.dof == round(len(jacobian) - np.trace(np.linalg.solve(precision, jacobian.T @ jacobian)))
+    assert found.covariance == pytest.approx(np.linalg.inv(precision), rel=1e-6, abs=1e-14)
 
 
 CHAIN = replace(
