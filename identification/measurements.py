@@ -29,7 +29,6 @@ __all__ = [
     "Conditions",
     "Measurements",
     "directions_from_order",
-    "joint_range",
     "past_from_order",
     "rms_distance",
     "session_time",
@@ -52,12 +51,6 @@ def rms_distance(residuals: Array) -> float:
 def distances(residuals: Array) -> Array:
     """(m,) distances [mm] of (m, d) residuals: of poses, d = 6, those of the points."""
     return np.asarray(np.linalg.norm(residuals[:, POINT], axis=1))
-
-
-def joint_range(postures: Array) -> list[list[float]]:
-    """Smallest and largest angle of each joint [deg] of postures (m, n) [rad]."""
-    limits = np.degrees([np.min(postures, axis=0), np.max(postures, axis=0)]).T
-    return [[float(f"{angle:.9g}") for angle in pair] for pair in limits]
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,9 +269,9 @@ class Measurements(ByValue):
 
     @property
     def origin(self) -> dict[str, Any]:
-        """What a calibration keeps of its data: file and hash, number of rows, range of each joint [deg], temperature
-        that theirs count from [deg C]."""
-        kept = {**self.provenance, "rows": len(self), "joint_range_deg": joint_range(self.postures)}
+        """What a calibration keeps of its data beside `kinematics.joint_range`: file and hash, number of rows,
+        temperature that theirs count from [deg C]."""
+        kept = {**self.provenance, "rows": len(self)}
         return kept if self.temperature is None else {**kept, "mean_temperature_C": self.reference_temperature}
 
     def rows(self, index: Any) -> Self:

@@ -10,6 +10,7 @@ import numpy as np
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation.plausibility import limited
+from identification.kinematics.joint_range import range_of
 from identification.measurements import POINT
 from identification.model import Model
 from identification.model.positions import tip_jacobian
@@ -42,11 +43,11 @@ def working_postures(arm: Arm, origin: Mapping[str, Any], *, measured: bool) -> 
     """(k, n) random postures within the joint limits, of a joint without limits within the angles measured; or within
     the angles measured of every joint.
 
-    origin : `Measurements.origin`
+    origin : provenance of a calibration, with `kinematics.joint_range`
     """
     low, high = arm.lower, arm.upper
-    if (ranges := origin.get("joint_range_deg")) is not None:
-        low, high = np.where(limited(arm) & (not measured), [low, high], np.radians(ranges).T)
+    if (ranges := range_of(origin, arm.joint_types)) is not None:
+        low, high = np.where(limited(arm) & (not measured), [low, high], ranges)
     return np.random.default_rng(0).uniform(low, high, (POSES, arm.links))
 
 

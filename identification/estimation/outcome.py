@@ -17,6 +17,7 @@ from identification.estimation.problem import Problem
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import Uncertainty
 from identification.information import Spectrum, identifiability_of
+from identification.kinematics.joint_range import joint_range
 from identification.kinematics.spatial import BASE, TOOL
 from identification.measurements import Measurements
 from identification.model import Model
@@ -94,7 +95,7 @@ def identification(
         method=method,
         status=Status.implausible if doubtful.implausible else status,
         iterations=int(solution.iterations[0]),
-        provenance=MappingProxyType(data.origin),
+        provenance=MappingProxyType(data.origin | joint_range(data.postures, model.joint_types)),
         uncertainty=spread.uncertainty,
         scatter=spread.scatter,
         doubts=(*doubtful.sentences, *far_rows(after, outlier)),

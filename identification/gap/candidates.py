@@ -16,7 +16,7 @@ from identification.gap.selection.certainty import certainty
 from identification.gap.selection.search import Choice, HypothesisSearch
 from identification.gap.selection.selection import trial_of
 from identification.gap.workflow import Findings
-from identification.measurements import joint_range
+from identification.kinematics.joint_range import joint_range
 from identification.validate.row_groups import DIAGNOSED
 
 
@@ -55,7 +55,8 @@ def candidate_of(found: Fit, added: int, test: tuple[float, float], sure: Uncert
     """
     own = len(found.model.effects) - added  # the arm's own come first
     effects, specs = found.model.effects[own:], found.model.arm.effects
-    origin = {"source": DIAGNOSED, "joint_range_deg": joint_range(found.rows.postures), "scatter_mm": found.sigma}
+    ranges = joint_range(found.rows.postures, found.model.joint_types)
+    origin = {"source": DIAGNOSED, **ranges, "scatter_mm": found.sigma}
     origin |= freedom_kept(found.model.names, sure.freedom)
     return Candidate(
         tuple(effect.label for effect in effects),

@@ -179,7 +179,7 @@ def diagnosis_of(
         confirmation = confirmation_of(measurements, holdout, there, named)
     return replace(
         result,
-        data=MappingProxyType({k: v for k, v in measurements.origin.items() if k not in ("rows", "joint_range_deg")}),
+        data=MappingProxyType({k: v for k, v in measurements.origin.items() if k != "rows"}),
         choice=choice,
         replication=replications(explained.fit, measurements, kept, result.effects),
         misfit=over_sigma,

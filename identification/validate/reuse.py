@@ -21,8 +21,10 @@ from identification.estimation import Identification, estimate
 from identification.estimation.plausibility import FALL, OTHER_FRAME, SPARE
 from identification.estimation.prior import Earlier
 from identification.estimation.uncertainty import LEVEL
+from identification.kinematics.joint_range import joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
 from identification.kinematics.spatial import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
+from identification.kinematics.turns import TURN
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import with_markers
@@ -131,11 +133,11 @@ def _check_places(arm: Arm, model: Model, held: set[str], measurements: Measurem
         raise InputError("only: base is to be held, but the data have several sessions, allowed: --only with base")
 
 
-def with_held(found: Calibration, before: Calibration | None, kinds: Sequence[str] = ()) -> Calibration:
+def with_held(found: Calibration, before: Calibration | None, kinds: Sequence[str]) -> Calibration:
     """A calibration with what parameters had before that it does not estimate: their covariance, as independent of its
     own, the angles that they were found on, and the data that they come from (`held_from` of the provenance).
 
-    kinds : of the joints, none: all turn
+    kinds : types of the joints
     """
     if before is None or not (names := set(before.parameter_names) & set(found.values) - set(found.parameter_names)):
         return found
@@ -147,7 +149,7 @@ def with_held(found: Calibration, before: Calibration | None, kinds: Sequence[st
     return replace(found, parameter_names=(*found.parameter_names, *held.parameter_names), covariance=covariance)
 
 
-def with_data_of(found: Calibration, before: Calibration | None, kinds: Sequence[str] = ()) -> Calibration:
+def with_data_of(found: Calibration, before: Calibration | None, kinds: Sequence[str]) -> Calibration:
     """A calibration that had an earlier one as its prior: it knows the angles and the data of both."""
     if before is None:
         return found
@@ -158,18 +160,19 @@ def _of_both(own: Mapping[str, Any], before: Mapping[str, Any], kinds: Sequence[
     """Provenance of a calibration that keeps what an earlier one knew."""
     data = {key: before[key] for key in ("sha256", "rows") if key in before}
     both = {**own, HELD_FROM: {**before.get(HELD_FROM, {}), str(before.get("file", "data")): data}}
-    ranges = [np.array(one.get("joint_range_deg", ()), dtype=float) for one in (own, before)]
-    if ranges[0].shape == ranges[1].shape and ranges[0].ndim == 2:
-        turning = [kind == REVOLUTE for kind in kinds] or [True] * len(ranges[0])
-        both["joint_range_deg"] = [_widest(*three) for three in zip(*ranges, turning, strict=True)]
+    new, old = (range_of(one, kinds) for one in (own, before))
+    if new is not None and old is not None:
+        widest = [_widest(*three) for three in zip(new.T, old.T, kinds, strict=True)]
+        both |= joint_range(np.transpose(widest), kinds)
     return both
 
 
-def _widest(new: Array, old: Array, turns: bool) -> list[float]:
-    """The range [deg] that has two in it, the new one by the whole turns away that leave it the narrowest."""
-    shifts = 360.0 * (round((old.mean() - new.mean()) / 360.0) + np.arange(-1, 2)) if turns else [0.0]
-    hulls = [[min(old[0], new[0] + shift), max(old[1], new[1] + shift)] for shift in shifts]
-    return [float(f"{end:.9g}") for end in min(hulls, key=np.ptp)]
+def _widest(new: Array, old: Array, kind: str) -> list[float]:
+    """The range [rad, mm] that has two in it, of a revolute joint the new one by the whole turns away that leave it the
+    narrowest."""
+    away = round((old.mean() - new.mean()) / TURN) + np.arange(-1, 2)
+    hulls = [[min(old[0], new[0] + s), max(old[1], new[1] + s)] for s in (TURN * away if kind == REVOLUTE else [0.0])]
+    return min(hulls, key=np.ptp)
 
 
 # -- an earlier calibration as the prior ------------------------------------------------------------------------------

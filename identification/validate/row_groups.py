@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
+from identification.kinematics.joint_range import range_of
 from identification.kinematics.turns import turned_into
 from identification.measurements import Measurements
 from identification.model import Model
@@ -101,8 +102,7 @@ def data_hashes(provenance: Mapping[str, Any]) -> list[str]:
 
 def identified_range(arm: Arm) -> Array | None:
     """(2, n) least and largest angles of the identification [rad, mm], None where they are not known."""
-    limits = np.array(identified(arm).get("joint_range_deg", ()), dtype=float)
-    return np.radians(limits.T) if limits.shape == (arm.links, 2) else None
+    return range_of(identified(arm), arm.joint_types)
 
 
 def familiar_range(arm: Arm) -> tuple[Array, Array]:

@@ -123,7 +123,6 @@ def test_origin_says_where_a_calibration_may_be_used() -> None:
     assert data.origin == {
         "file": "a.csv",
         "rows": 2,
-        "joint_range_deg": [[-30.0, 10.0], [-20.0, 40.0]],
         "mean_temperature_C": 21.5,
     }
 

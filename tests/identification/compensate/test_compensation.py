@@ -10,7 +10,7 @@ import pytest
 from identification.arm import Arm, Calibration
 from identification.compensate import compensate
 from identification.compensate.compensation import Compensation
-from identification.measurements import joint_range
+from identification.kinematics.joint_range import joint_range
 
 # of three targets the first is reached, the second 0.25 mm off, and the third's command misses a constraint by 3 mm
 FOUND = Compensation(
@@ -84,8 +84,8 @@ def test_frame() -> None:
 def test_joints_beyond_the_angles_of_the_identification_are_counted() -> None:
     """Two links whose commands have a closed form: the angles needed follow from the law of cosines."""
     lengths = np.array([300.0, 200.0])
-    measured = joint_range(np.array([[-1.0, 0.3], [1.0, 1.2]]))
-    found = Calibration.of(np.zeros(2), np.zeros(2), {}, provenance={"joint_range_deg": measured})
+    measured = joint_range(np.array([[-1.0, 0.3], [1.0, 1.2]]), ("revolute", "revolute"))
+    found = Calibration.of(np.zeros(2), np.zeros(2), {}, provenance=measured)
     arm = Arm(lengths, calibration=found)
     bends = np.array([0.5, 1.1, 1.6, 2.0])  # of joint 2; the last two were never measured
     reach = np.sqrt(300.0**2 + 200.0**2 + 2.0 * 300.0 * 200.0 * np.cos(bends))

@@ -11,6 +11,7 @@ from identification.arm import Arm
 from identification.estimation import estimate, estimate_batch
 from identification.estimation.expected_tip import expected_tip, size_left_open, working_postures
 from identification.kinematics.instrument import Instrument
+from identification.kinematics.joint_range import joint_range
 from identification.measurements import Measurements
 from identification.model import Model
 from tests.doe.six_axis import CHAIN
@@ -71,12 +72,12 @@ def test_few_measurements_are_said_and_many_are_not() -> None:
 def test_a_joint_without_limits_counts_where_it_was_measured() -> None:
     one = replace(arm(), lower=np.array([-np.pi, -1.0, -np.pi, -np.pi]), upper=np.array([np.pi, 0.5, np.pi, np.pi]))
     rows = Measurements(plan(20) * 0.5, np.zeros((20, 2)))
-    postures = working_postures(one, rows.origin, measured=False)
+    postures = working_postures(one, joint_range(rows.postures, one.joint_types), measured=False)
     low, high = rows.postures.min(axis=0), rows.postures.max(axis=0)
     low[1], high[1] = -1.0, 0.5
     np.testing.assert_allclose(postures.min(axis=0), low, atol=0.02)
     np.testing.assert_allclose(postures.max(axis=0), high, atol=0.02)
-    inside = working_postures(one, rows.origin, measured=True)
+    inside = working_postures(one, joint_range(rows.postures, one.joint_types), measured=True)
     assert np.all((inside >= rows.postures.min(axis=0)) & (inside <= rows.postures.max(axis=0)))
 
 

@@ -128,7 +128,7 @@ def test_one_motor_of_a_spatial_arm() -> None:
     assert found.rms_after < 0.01
     kept = found.calibration()
     np.testing.assert_allclose(kept.base, calibrated.calibration.base, atol=1e-9)  # type: ignore[union-attr, arg-type]
-    whole = with_held(kept, calibrated.calibration)
+    whole = with_held(kept, calibrated.calibration, arm.joint_types)
     assert set(whole.parameter_names) == set(calibrated.calibration.parameter_names)  # type: ignore[union-attr]
 
 

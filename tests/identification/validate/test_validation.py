@@ -18,6 +18,7 @@ from identification.files.arm import load_arm
 from identification.files.measurement import load_measurements
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
+from identification.kinematics.joint_range import joint_range
 from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Measurements
 from identification.model import Model
@@ -291,7 +292,7 @@ def test_no_row_of_a_slide_is_outside_what_it_was_identified_on() -> None:
     """Nine digits of a travel of hundreds of millimetres are fewer decimals than those of an angle."""
     chain = chain_of([DHRow(300.0, 0.0, 100.0), DHRow(0.0, 0.0, 50.0, type=PRISMATIC, limits=(0.0, 1000.0))])
     q = np.column_stack([np.linspace(-1.0, 1.0, 9), np.linspace(102.529714, 977.470693, 9)])
-    known = Calibration({}, provenance=Measurements(q, np.zeros((9, 3))).origin)
+    known = Calibration({}, provenance=joint_range(q, chain.joint_types))
     arm = replace(Arm.of_chain(chain), calibration=known)
     assert not outside(arm, q).any()
     np.testing.assert_array_equal(outside(arm, q + np.array([0.0, 0.001]))[:, 1], [False] * 8 + [True])
