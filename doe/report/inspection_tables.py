@@ -53,6 +53,8 @@ def _enough(found: Inspection) -> list[tuple[str, str]]:
     if found.problems:
         return lines
     lines.append(("determines", "; ".join(enough.found) or "nothing by itself"))
+    weak = [f"{name} (std {std:{'.3g' if std < 1000.0 else '.0f'}} {unit})" for name, std, unit in enough.weak]
+    lines += [("only weakly", "; ".join(weak))] if weak else []
     lines += [("does not", "; ".join(enough.open))] if enough.open else []
     return [*lines, ("accuracy", enough.accuracy)]
 

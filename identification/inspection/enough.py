@@ -6,15 +6,17 @@ what repeats scatter by; where neither is known, neither is the accuracy.
 
 from __future__ import annotations
 
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from identification.estimation import Identification, estimate
+from identification.estimation.with_prior import UNUSUAL
 from identification.gap.noise.repeats import NoiseFloor
 from identification.gap.summary import of_joints
-from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR
+from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, Parameter
 from identification.measurements import POINT, Measurements
 
 LENGTH = "length of"
@@ -29,6 +31,7 @@ class Sufficiency:
     numbers, parameters : equations and unknowns;  spare : equations that are left to judge the fit
     held : how many of the parameters have a prior of their own, as the geometry of an arm in space
     found : what is determined, in words;  open : combinations that are not
+    weak : (name, standard deviation, unit) of parameters that are estimated, but too uncertain to be of use
     tip, tip_measured : expected error of the tip [mm], over the joint limits and within the angles measured; None: not
         known
     source : of the noise in it, of `SOURCES`; None: not known
@@ -40,6 +43,7 @@ class Sufficiency:
     held: int
     found: tuple[str, ...]
     open: tuple[str, ...]
+    weak: tuple[tuple[str, float, str], ...]
     tip: float | None
     tip_measured: float | None
     source: str | None
@@ -71,6 +75,7 @@ class Sufficiency:
             "parameters": self.parameters,
             "spare_numbers": self.spare,
             "identifiable": self.found,
+            "weakly_determined": [{"name": name, "std": std, "unit": unit} for name, std, unit in self.weak],
             "expected_tip_mm": self.tip,
             "expected_tip_measured_mm": self.tip_measured,
             "expected_tip_from": self.source,
@@ -86,13 +91,15 @@ def sufficiency(found: Identification, measurements: Measurements, floor: NoiseF
     parameters, spare = len(found.names), max(found.dof, 0)
     few = spare < parameters - held
     judged, source = (_of_known_noise(found, measurements, floor)) if few else (found, _source(found))
+    weak = _weak(judged or found)
     return Sufficiency(
         numbers=found.residuals_after.size,
         parameters=parameters,
         spare=spare,
         held=held,
-        found=_in_words(found),
+        found=_in_words(found, {name for name, *_ in weak}),
         open=found.not_identifiable,
+        weak=weak,
         tip=None if judged is None else judged.expected_tip,
         tip_measured=None if judged is None else judged.expected_tip_measured,
         source=source,
@@ -115,14 +122,42 @@ def _of_known_noise(
     return None, None
 
 
-def _in_words(found: Identification) -> tuple[str, ...]:
-    """`length of links 1 to 3`, `zero of joints 1 to 3`, `base_offset`: what is determined, by kind."""
+def _weak(found: Identification) -> tuple[tuple[str, float, str], ...]:
+    """(name, standard deviation, unit) of parameters without a prior, as where base and reflector are, that stay more
+    uncertain than the frames of the arm by `UNUSUAL` times, though the machining holds these.
+
+    Where nothing is held, such combinations are not estimated at all (`estimation.estimate`).
+    """
+    if found.prior is None or found.model.arm.chain is None:
+        return ()
+    machining = found.model.arm.machining
+    far = {"mm": UNUSUAL * machining.translation, "rad": UNUSUAL * machining.rotation}
+    stds = zip(found.model.parameters, found.std.tolist(), strict=True)
+    free = [(p, std) for p, std in stds if p.name not in found.prior.names]
+    return tuple((p.name, std * p.to_file, p.file_unit) for p, std in free if std > far.get(p.unit, np.inf))
+
+
+def _in_words(found: Identification, weak: Set[str]) -> tuple[str, ...]:
+    """`length of links 1 to 3`, `zero of joints 1 to 3`, `base_offset`: what is determined, by kind; of one that is
+    partly weak, what is not: `base (x, y, rx, ry, rz)`."""
     held = () if found.prior is None else found.prior.names
-    kinds: dict[str, list[int]] = {}
+    kinds: dict[str, list[Parameter]] = {}
     for parameter, known in zip(found.model.parameters, found.identifiable, strict=True):
         if known:
             kind = parameter.name.partition(".")[0].partition(":")[0]
             kind = GEOMETRY.get(kind, "frame, held by [machining]," if parameter.name in held else kind)
-            kinds.setdefault(kind, []).extend([] if parameter.joint is None else [parameter.joint])
-    listed = (f"{kind} of {of_joints(sorted(set(js)))}" if js else kind for kind, js in kinds.items())
-    return tuple(said.replace("joint", "link") if said.startswith(LENGTH) else said for said in listed)
+            kinds.setdefault(kind, []).append(parameter)
+    return tuple(
+        _of_kind(kind, parameters, weak)
+        for kind, parameters in kinds.items()
+        if not weak >= {p.name for p in parameters}
+    )
+
+
+def _of_kind(kind: str, parameters: Sequence[Parameter], weak: Set[str]) -> str:
+    joints = sorted({p.joint for p in parameters if p.joint is not None})
+    if joints:
+        said = f"{kind} of {of_joints(joints)}"
+        return said.replace("joint", "link") if said.startswith(LENGTH) else said
+    sure = [p.short for p in parameters if p.name not in weak]
+    return kind if len(sure) == len(parameters) else f"{kind} ({', '.join(sure)})"

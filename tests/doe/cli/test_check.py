@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -60,3 +62,18 @@ def test_six_axes(folder: Folder) -> None:
     assert done.data["rows"] == 596
     assert done.data["problems"] == []
     assert done.data["rms_fitted_mm"] < 0.5 < 0.8 < done.data["rms_drawing_mm"] < 0.9
+
+
+def test_heights_that_upright_axes_leave_open_are_not_called_determined(folder: Folder) -> None:
+    """The tip of three upright axes is known without any kinematics: its height never changes."""
+    rows = [f"[[dh]]\na_mm = {a}\nalpha_deg = 0.0\nd_mm = {d}" for a, d in ((325, 300), (275, 0), (0, 50))]
+    folder.write("upright.toml", "\n".join(['kind = "spatial"', *rows, "[measurement]", "sigma_mm = 0.05"]))
+    generator = np.random.default_rng(5)
+    q = generator.uniform(-130.0, 130.0, (30, 3))
+    flat = np.exp(1j * np.radians(np.cumsum(q, axis=1))) @ np.array([325.0, 275.0, 40.0 + 10.0j])
+    tips = np.column_stack([flat.real, flat.imag, np.full(30, 410.0)]) + 0.05 * generator.standard_normal((30, 3))
+    names = ["q1_deg", "q2_deg", "q3_deg", "x_mm", "y_mm", "z_mm"]
+    pl.DataFrame(np.hstack([q, tips]), schema=names).write_csv(folder.path / "tips.csv")
+    said = " ".join(folder.armcal("check", "upright.toml", "tips.csv").out.split())
+    assert "determines base (x, y, rx, ry, rz); tool[1] (x, y); zero of joints 2 and 3;" in said
+    assert re.search(r"only weakly base\.z \(std \d{3,} mm\); tool\[1\]\.z \(std \d{3,} mm\) accuracy", said)

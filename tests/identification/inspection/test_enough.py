@@ -11,6 +11,7 @@ from identification.arm import Arm
 from identification.estimation import estimate
 from identification.gap.noise.repeats import NOTHING_KNOWN, NoiseFloor
 from identification.inspection.enough import sufficiency
+from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -75,9 +76,28 @@ def test_what_is_not_determined_is_listed() -> None:
     assert found.accuracy == "not known: something is not determined"
 
 
-def test_what_the_machining_holds_is_no_unknown() -> None:
-    from identification.kinematics.denavit_hartenberg import DHRow, chain_of
+def test_what_only_tilts_tell_apart_is_determined_weakly() -> None:
+    """All axes upright: the heights of base and reflector move the tip alike. Their sum is known but for the heights of
+    joints 2 and 3 between them, 1 mm each by [machining]; each alone is not known at all."""
+    chain = chain_of([DHRow(325.0, 0.0, 300.0), DHRow(275.0, 0.0, 0.0), DHRow(0.0, 0.0, 50.0)])
+    generator = np.random.default_rng(4)
+    q = generator.uniform(-2.0, 2.0, (40, 3))
+    flat = np.exp(1j * np.cumsum(q, axis=1)) @ np.array([325.0, 275.0, 40.0 + 10.0j])
+    positions = np.column_stack([flat.real, flat.imag, np.full(40, 410.0)]) + NOISE * generator.standard_normal((40, 3))
+    measured = Measurements(q, positions)
+    found = estimate(Model(Arm.of_chain(chain, sigma=NOISE)), measured)
+    seen = sufficiency(found, measured, NOTHING_KNOWN)
+    assert [name for name, *_ in seen.weak] == ["base.z", "tool[1].z"]
+    assert seen.found[:2] == ("base (x, y, rx, ry, rz)", "tool[1] (x, y)")
+    rows = seen.to_json()["weakly_determined"]
+    heights = [found.names.index(row["name"]) for row in rows]
+    assert [(row["std"], row["unit"]) for row in rows] == [(pytest.approx(found.std[k]), "mm") for k in heights]
+    assert min(row["std"] for row in rows) > 100.0
+    together = np.sqrt(found.covariance[np.ix_(heights, heights)].sum())
+    assert together < 2.0 * np.sqrt(2.0)
 
+
+def test_what_the_machining_holds_is_no_unknown() -> None:
     chain = chain_of([DHRow(0.0, 1.5, 300.0), DHRow(400.0, 0.0, 0.0), DHRow(300.0, 0.0, 0.0)])
     arm = Arm.of_chain(chain, sigma=NOISE)
     q = np.random.default_rng(3).uniform(-2.0, 2.0, (20, 3))
@@ -87,3 +107,5 @@ def test_what_the_machining_holds_is_no_unknown() -> None:
     assert found.held == held
     assert f"({held} held by [machining])" in found.count
     assert not found.few
+    assert found.weak == ()
+    assert found.found[:2] == ("base", "tool[1]")
