@@ -86,6 +86,26 @@ def postures(chain: SpatialChain, count: int) -> Array:
     return np.random.default_rng(5).uniform(low, high, (count, len(chain)))
 
 
+def test_what_there_is_to_find() -> None:
+    """Two joints that turn about z and one that slides along z: of each the errors across and about its own axis that
+    its offset does not make, of the first none beside the base that moves it."""
+    turning = Joint("turning", pose((0.0, 0.0, 100.0), np.eye(3)), np.array([0.0, 0.0, 1.0]))
+    joints = (turning, turning, replace(turning, type=PRISMATIC))
+    arm = SpatialChain(joints, np.eye(4), np.eye(4), {"1": np.array([1.0, 2.0, 3.0])})
+    kinds = {p.name: p.kind for p in arm.parameters()}
+    errors = {f"{kind}_error": [f"{kind}_{axis}" for axis in "xyz"] for kind in ("translation", "rotation")}
+    own = {"rotation_z:2", "translation_z:3"}
+    expected = {f"base.{axis}": "base" for axis in ("x", "y", "z", "rx", "ry", "rz")}
+    expected |= {f"tool[1].{axis}": "tool" for axis in "xyz"}
+    expected |= {f"{name}:{j}": kind for kind, names in errors.items() for name in names for j in (2, 3)}
+    expected |= {f"joint_offset:{j}": "joint_offset" for j in (2, 3)}
+    assert kinds == {name: kind for name, kind in expected.items() if name not in own}
+    placed = {p.name: p.kind for p in replace(arm, known=frozenset({"base", "tool"})).parameters()}
+    first = {f"{name}:1": kind for kind, names in errors.items() for name in names} | {"joint_offset:1": "joint_offset"}
+    still = {name: kind for name, kind in kinds.items() if kind not in ("base", "tool")}
+    assert placed == still | {name: kind for name, kind in first.items() if name != "rotation_z:1"}
+
+
 def test_every_error_against_exponentials(chain: SpatialChain) -> None:
     generator = np.random.default_rng(6)
     names = chain.every_parameter.names
