@@ -63,11 +63,13 @@ def warn_beside_json(sentences: Iterable[str]) -> None:
 
 
 def read_measurements(path: Path, arm: Arm) -> Measurements:
-    """The measurements of an arm; warns where the units look wrong."""
+    """The measurements of an arm; warns where the units look wrong. Raises `InputError` where they certainly are."""
     from identification.files.measurement import load_measurements
-    from identification.inspection.data_checks import data_warnings
+    from identification.inspection.data_checks import certainly_wrong_units, data_warnings
 
     measurements = load_measurements(path, arm)
+    if wrong := certainly_wrong_units(measurements, arm):
+        raise InputError(f"{path}: {wrong}")
     for sentence in data_warnings(measurements, arm):
         warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
     return measurements

@@ -12,7 +12,8 @@ from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
 from identification.estimation.uncertainty import LEVEL
 from identification.information import RANK_TOLERANCE
-from identification.inspection.readings import DRAWN, read_differently
+from identification.inspection.data_checks import DRAWN
+from identification.inspection.readings import read_differently
 from identification.kinematics.parameters import FILE_UNITS, JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE
 from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR

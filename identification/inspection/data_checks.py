@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,9 @@ UNITS = {1000.0: "metres", 25.4: "inches"}  # factor to millimetres
 # distances from their middle as shares of the reach: numbers that may be of a larger unit (two reaches, in inches), and
 # farther than any arm moves
 NEAR, BEYOND = 2.0 / 25.4, 2.5
+DRAWN = 0.02  # of the reach: what may well be the drawing's errors
 CLEARLY = 3.0  # times better: another unit is suspected
+CERTAINLY = 10.0  # times better, and no worse than a drawing: there is no doubt
 FAR = 10.0  # times the median distance: 15 standard deviations of normal errors in three coordinates
 ROUNDS = 5  # of finding rows that are far off, and placing the arm without them
 
@@ -67,6 +70,19 @@ def gap_notes(measurements: Measurements) -> list[str]:
     return [f"{found}: from which side the joints came is not known there (play in gears needs it; {how})"]
 
 
+def certainly_wrong_units(measurements: Measurements, arm: Arm) -> str | None:
+    """`wrong_units` of which there is no doubt, in a clause; None: there are none.
+
+    In the other units the rows are those of the drawing, but for what one may be off by; as read they are far from it
+    for how far apart they are.
+    """
+    found = _units(measurements, arm)
+    if not found.sentences or found.misfit > DRAWN or CERTAINLY * found.relative >= found.relative_as_read:
+        return None
+    near = f"then half of the rows are within {100.0 * found.misfit:.2g} % of the reach of the drawing"
+    return f"{'; '.join(found.sentences)} ({near})"
+
+
 def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
     """Radians in `_deg` columns, degrees in `_rad` columns, other units of length in `_mm` columns or in the arm file,
     where that fits the arm clearly better.
@@ -74,25 +90,41 @@ def wrong_units(measurements: Measurements, arm: Arm) -> list[str]:
     Suspected only where all angles are below 7 deg, or one is above 7 rad, or the positions lie within a twelfth of the
     reach, or some of them farther apart than the arm could reach.
     """
+    return _units(measurements, arm).sentences
+
+
+class _Units(NamedTuple):
+    """What to do about other units, in sentences; in them the median distance from the drawing in reaches, and as a
+    share of how far positions are from their middle; the latter as read."""
+
+    sentences: list[str]
+    misfit: float = 0.0
+    relative: float = 0.0
+    relative_as_read: float = 0.0
+
+
+def _units(measurements: Measurements, arm: Arm) -> _Units:
     arm = replace(arm, effects=(), calibration=None)
     if _few(measurements, arm):
-        return []
+        return _Units([])
     turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
     largest = float(np.abs(measurements.postures[:, turning]).max(initial=0.0))
     angle = ANGLES["small"] if 0.0 < largest < SMALL_ANGLE else ANGLES["large"] if largest > LARGE_ANGLE else {}
     size = float(distances(measurements.positions - measurements.positions.mean(axis=0)).max()) / arm.reach
     units = UNITS if size < NEAR else {1.0 / f: words for f, words in UNITS.items()} if size > BEYOND else {}
     if not angle and not units:
-        return []
+        return _Units([])
     readings = [(q, f) for q in (1.0, *angle) for f in (1.0, *units)]
     misfits = [_misfit(measurements, arm, np.where(turning, turned, 1.0), factor) for turned, factor in readings]
     best = int(np.argmin(misfits))
     if CLEARLY * misfits[best] >= misfits[0]:
-        return []
+        return _Units([])
     turned, factor = readings[best]
     said = [] if turned == 1.0 else [f"the joint angles look like {angle[turned]}"]
     axes = ("distance",) if measurements.dimension == 1 else "xyz"[: arm.dimension]
-    return said if factor == 1.0 else [*said, _length_unit(factor, units[factor], axes)]
+    said += [] if factor == 1.0 else [_length_unit(factor, units[factor], axes)]
+    misfit, spread = misfits[best] / arm.reach, max(size, np.finfo(float).tiny)
+    return _Units(said, misfit, misfit / (spread * factor), misfits[0] / arm.reach / spread)
 
 
 def _length_unit(factor: float, unit: str, axes: Sequence[str]) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arm import Arm, Calibration
-from identification.inspection.data_checks import CLEARLY
+from identification.inspection.data_checks import CLEARLY, DRAWN
 from identification.inspection.parallel_axes import parallel_joints
 from identification.inspection.reading import Reading, Readings
 from identification.kinematics.length_placement import placed_by_lengths
@@ -31,7 +31,6 @@ ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
 EQUATIONS = 4  # for each fitted number, below which anything may fit
 OTHERS = 2  # readings that are named beside the simplest
 KEPT = 4  # effort: readings from which the next kind of change starts
-DRAWN = 0.02  # of the reach: what may well be the drawing's errors, so that nothing more is tried
 ZEROS = tuple(np.arange(0.0, 4.0, 0.25))  # quarter turns: starts, of which one is near enough to the best
 FINE, WHOLE = 1e-3, 0.02  # quarter turns, 0.1 and 2 deg: how well a zero is found; what is a whole quarter turn
 MANY = 6  # joints, up to which all combinations of signs are tried

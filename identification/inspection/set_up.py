@@ -13,7 +13,8 @@ from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.estimation.plausibility import FAR_ZERO, SPARE
 from identification.estimation.uncertainty import LEVEL
-from identification.inspection.readings import DRAWN, anywhere, as_written, some_of_one_point
+from identification.inspection.data_checks import DRAWN
+from identification.inspection.readings import anywhere, as_written, some_of_one_point
 from identification.kinematics.frames import pose_table
 from identification.kinematics.spatial import BASE
 from identification.measurements import Measurements, rms_distance

@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.inspection.data_checks import data_warnings
+from identification.inspection.data_checks import certainly_wrong_units, data_warnings
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
 from identification.measurements import Measurements
@@ -117,6 +117,29 @@ def test_metres_in_a_column_of_millimetres() -> None:
 
 def test_both_units_wrong() -> None:
     assert len(data_warnings(simulated(3.0, angles=np.pi / 180.0, lengths=1e-3), PLANAR)) == 2
+
+
+@pytest.mark.parametrize(("angles", "lengths"), [(np.pi / 180.0, 1.0), (1.0, 1e-3), (np.pi / 180.0, 1e-3), (1.0, INCH)])
+def test_there_is_no_doubt_where_the_drawing_explains_the_rows_in_other_units(angles: float, lengths: float) -> None:
+    """Errors are 1 mm in each coordinate of a reach of 440 mm: half are within sqrt(2 log 2) = 1.18 mm, 0.27 %."""
+    wrong = simulated(3.0, angles=angles, lengths=lengths)
+    said = certainly_wrong_units(wrong, PLANAR)
+    assert said is not None
+    sentences, _, near = said.rpartition(" (then half of the rows are within ")
+    assert sentences == "; ".join(data_warnings(wrong, PLANAR))
+    assert float(near.removesuffix(" % of the reach of the drawing)")) == pytest.approx(0.27, rel=0.3)
+
+
+def test_there_is_doubt_where_another_arm_was_measured() -> None:
+    """Metres of an arm whose second link is half as long: suspected, since nearer to the drawing, but not certain."""
+    metres = simulated(3.0, lengths=1e-3)
+    q = metres.postures
+    z = 260.0 * np.exp(1j * q[:, 0]) + 90.0 * np.exp(1j * q.sum(axis=1))
+    other = replace(metres, positions=1e-3 * np.column_stack([z.real, z.imag]))
+    assert len(data_warnings(other, PLANAR)) == 1
+    assert certainly_wrong_units(other, PLANAR) is None
+    assert certainly_wrong_units(simulated(3.0), PLANAR) is None
+    assert certainly_wrong_units(measured(), ARM) is None
 
 
 def test_another_number_of_links() -> None:
