@@ -81,6 +81,10 @@ def test_noise_is_that_of_the_largest_marginal_likelihood() -> None:
     expected = minimize_scalar(minus_log, bounds=(0.1, 2.0), method="bounded").x
     assert found.scatter == pytest.approx(expected, rel=1e-2)
     assert found.uncertainty.kind == "scatter"
+    posterior = np.linalg.inv(jacobian.T @ jacobian / found.scatter**2 + np.diag(1.0 / variances))
+    assert np.diag(found.covariance) == pytest.approx(np.diag(posterior), rel=1e-3)
+    left = len(residual) - np.trace(jacobian @ posterior @ jacobian.T) / found.scatter**2
+    assert found.uncertainty.freedom == pytest.approx(np.full(len(SIZES), left), abs=0.51)  # rounded
     assert found.sigma == 0.1  # what was given is still said, and that chi2 rejects it
     assert found.p_value is not None
     assert found.p_value < 0.01
