@@ -67,6 +67,8 @@ LAYERS = {
     "identification.compensate.compensation": 6,
     "identification.validate.reuse": 6,
     "identification.compensate.inverse_kinematics": 6,
+    "identification.compensate.reaching": 6,
+    "identification.compensate.seeds": 6,
     "identification.sessions": 5,
     "identification.validate": 6,
     "identification.gap": 6,

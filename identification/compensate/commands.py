@@ -17,13 +17,8 @@ from numpy.typing import ArrayLike
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.compensate.compensation import Compensation
-from identification.compensate.inverse_kinematics import (
-    Constraints,
-    near_or_within,
-    reaching,
-    violations,
-    within_or_near,
-)
+from identification.compensate.inverse_kinematics import Constraints, violations
+from identification.compensate.reaching import near_or_within, reaching, within_or_near
 from identification.errors import InputError
 from identification.kinematics.corrected import standing_in
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order

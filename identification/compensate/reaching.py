@@ -1,0 +1,68 @@
+"""Postures at targets: from nominal ones, or near the middle of familiar angles and where possible within these."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from identification.arrays import Array
+from identification.compensate.inverse_kinematics import TOLERANCE, Constraints, inverse_kinematics, violations
+from identification.compensate.seeds import best_of_seeds, ranked
+from identification.kinematics.turns import turned_into
+from identification.measurements import Conditions
+from identification.model import Model
+
+STILL = 1e-9  # [rad] a joint that did not move has so much room
+
+
+def reaching(model: Model, goals: Array, nominal: Array, conditions: Conditions, constraints: Constraints) -> Array:
+    """(k, n) postures from nominal ones (k, n); from many seeds where that ends short of the target, or where the arm
+    may not stand. Goals (k, d) [mm], of poses three more."""
+    nominal = turned_into(nominal, model.arm.lower, model.arm.upper, model.joint_types)
+    commands, errors = inverse_kinematics(model, goals, nominal, conditions)
+    missed = violations(constraints, commands).sum(axis=1)
+    short = np.flatnonzero((errors > TOLERANCE) | (missed > 0.0))
+    if short.size:
+        again, left = best_of_seeds(model, goals[short], nominal[short], conditions.rows(short), constraints)
+        now = ranked(np.zeros(len(short)), left, violations(constraints, again).sum(axis=1))
+        better = now < ranked(np.zeros(len(short)), errors[short], missed[short])
+        commands[short[better]] = again[better]
+    return commands
+
+
+def within_or_near(
+    model: Model, familiar: tuple[Array, Array], goals: Array, conditions: Conditions, constraints: Constraints
+) -> Array:
+    """(k, n) postures for goals (k, d) nearest to the middle of familiar angles, and where possible within them; the
+    best found where no posture gets there."""
+    lower, upper = familiar
+    near = np.tile((lower + upper) / 2.0, (len(goals), 1))
+    found = best_of_seeds(model, goals, near, conditions, constraints)[0]
+    out = np.flatnonzero(np.any((found < lower) | (found > upper), axis=1))
+    if not out.size or np.any(lower >= upper):
+        return found
+    inside = Model(replace(model.arm, lower=lower, upper=upper))
+    for starts in (np.clip(found, lower, upper), near):
+        if not out.size:
+            break
+        postures, left = inverse_kinematics(inside, goals[out], starts[out], conditions.rows(out))
+        better = (left <= TOLERANCE) & ~violations(constraints, postures).any(axis=1)
+        found[out[better]] = postures[better]
+        out = out[~better]
+    return found
+
+
+def near_or_within(
+    model: Model, familiar: tuple[Array, Array], goals: Array, found: Array, where: Conditions, constraints: Constraints
+) -> Array:
+    """(k, n) postures that were found for goals (k, d); for those out of reach, where they are outside familiar angles,
+    the nearest within them."""
+    lower, upper = familiar
+    left = np.linalg.norm(goals - model.position(found, conditions=where), axis=1)
+    out = np.flatnonzero((left > TOLERANCE) & np.any((found < lower) | (found > upper), axis=1))
+    if out.size:
+        inside = Model(replace(model.arm, lower=lower, upper=np.maximum(upper, lower + STILL)))
+        starts = np.clip(found[out], lower, upper)
+        found[out] = best_of_seeds(inside, goals[out], starts, where.rows(out), constraints)[0]
+    return found
