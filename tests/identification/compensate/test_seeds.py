@@ -35,8 +35,8 @@ def test_no_posture_is_searched_for_at_a_target_outside_the_workspace(monkeypatc
 
 
 def test_a_target_that_a_link_bars_is_searched_for() -> None:
-    """A circle on the straight way to every target, which links of most postures cross by different amounts: each target
-    is reached that a fine scan of the last link's direction reaches with a millimetre to spare."""
+    """A circle on the straight way to every target, which links of most postures cross by different amounts: a target
+    is reached if a fine scan of the last link's direction reaches it with a millimetre to spare."""
     circle = KeepOutCircle((170.0, 0.0), 60.0)
     arm = three(circle)
     generator = np.random.default_rng(2)
