@@ -112,7 +112,7 @@ def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, simu
         truth = replace(truth, known=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
     truth = replace(truth, effects=cells.hidden(spec, truth, run, rng))
     bare = replace(truth, effects=[])
-    measured = simulator.position(truth, run) + simulator.noise(truth, run, rng, spec.noise)
+    measured = cells.data_set(cell, seed, postures if spec.designed else None).measurements.positions @ [1.0, 1.0j]
     miss = (measured - simulator.position(bare, run)) / truth.sigma
     basis = np.linalg.qr(hidden_effects.base_jacobian(truth, run))[0]
 

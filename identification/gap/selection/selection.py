@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import lgamma
 
@@ -124,12 +125,27 @@ def several(search: HypothesisSearch, chosen: Choice, generator: np.random.Gener
     """Two or more effects that are jointly significant, assuming homoscedastic noise; None if there are none.
 
     Several missing effects mask each other in tests of one at a time: each is tested against scatter that includes the
-    others. Effects are therefore added one after the other, untested, and each resulting set is tested as a whole: an F
-    test against the given set, with Bonferroni's correction for the weighted number of sets of that size. Below
-    `ALPHA_CLEAR` homoscedastic noise is not required, as no noise explains so small a p-value.
+    others. Blocks of effects are therefore tested as a whole: an F test against the given set, with Bonferroni's
+    correction for the weighted number of sets of that size. Below `ALPHA_CLEAR` homoscedastic noise is not required, as
+    no noise explains so small a p-value.
     """
-    best, longer, useless, lowest = None, chosen, 0, 1.0
-    smallest = ALPHA_CLEAR if search.noise_estimated else ALPHA_SEVERAL
+    level = ALPHA_CLEAR if search.noise_estimated else ALPHA_SEVERAL
+    found = [(p, longer) for longer, p in _blocks(search, chosen) if p < level]
+    if not found:
+        return None
+    smallest, best = min(found, key=lambda block: block[0])
+    return best if smallest <= ALPHA_CLEAR or homoscedastic(search.fit(best), search.rows, generator) else None
+
+
+def _blocks(search: HypothesisSearch, chosen: Choice) -> Iterator[tuple[Choice, float]]:
+    """Sets with two or more effects added, and the p-value of these.
+
+    First the best pair where there is nothing yet, as the effect that seems strongest may be neither of the two; then
+    effects that are added one after the other, untested, until that no longer gets more significant.
+    """
+    if not chosen:
+        yield from ((pair, sets_p(search, chosen, pair)) for pair, _ in _possible_pairs(search)[:1])
+    longer, useless, lowest = chosen, 0, 1.0
     while len(longer) < MOST and useless < PATIENCE:
         more = _longer(search, longer)
         if more is None:
@@ -138,11 +154,14 @@ def several(search: HypothesisSearch, chosen: Choice, generator: np.random.Gener
         p = sets_p(search, chosen, longer)
         useless = 0 if p < lowest else useless + 1
         lowest = min(p, lowest)
-        if p < smallest and len(longer) > len(chosen) + 1:
-            best, smallest = longer, p
-    if best is None or smallest <= ALPHA_CLEAR:
-        return best
-    return best if homoscedastic(search.fit(best), search.rows, generator) else None
+        if len(longer) > len(chosen) + 1:
+            yield longer, p
+
+
+def _possible_pairs(search: HypothesisSearch) -> list[tuple[Choice, float]]:
+    """`pairs` that leave `SPARE_AFTER` degrees of freedom."""
+    spare = search.fit(()).freedom - search.repeated - SPARE_AFTER
+    return [(pair, change) for pair, change in pairs(search) if sum(h.size for h in pair) <= spare]
 
 
 def pair_instead(search: HypothesisSearch, chosen: Choice) -> Choice | None:
@@ -157,8 +176,7 @@ def pair_instead(search: HypothesisSearch, chosen: Choice) -> Choice | None:
     margin = WINDOW + 2.0 * np.log(search.hypotheses.total_weight) if len(chosen) == 1 else 0.0
     limit = search.bic(chosen) - margin
     change = limit - search.bic(())
-    spare = search.fit(()).freedom - search.repeated - SPARE_AFTER
-    likely = [pair for pair, linear in pairs(search) if linear < change and sum(h.size for h in pair) <= spare]
+    likely = [pair for pair, linear in _possible_pairs(search) if linear < change]
     others = [pair for pair in likely if not set(chosen) <= set(pair)]
     best = min(others[:REFITS], key=search.bic, default=chosen)
     return best if search.bic(best) < limit else None

@@ -59,6 +59,30 @@ def test_a_name_that_nothing_at_all_beats_is_taken_back_and_the_test_is_told(ecc
     assert note.endswith("yet nothing missing is likelier (probability 0.95)")
 
 
+def test_an_effect_without_which_the_others_are_likelier_is_taken_back(eccentric: Findings) -> None:
+    """By odds of 20 to 1; of three as many as these odds say."""
+    members = {h.label: h for h in eccentric.search.hypotheses.members}
+    three = tuple(members[label] for label in ("encoder_eccentricity:2", "gear_ratio:1", "backlash:3"))
+    both = replace(eccentric, unknown=replace(eccentric.unknown, chosen=three[:2]))
+
+    def said(one: float, two: float, all_three: float = 0.0) -> Probabilities:
+        keys = [tuple(sorted(h.key for h in three[:count])) for count in (1, 2, 3)]
+        rest = {("axes_skew",): 1.0 - one - two - all_three}
+        return Probabilities(0.0, rest | dict(zip(keys, (one, two, all_three), strict=True)), 0.0)
+
+    assert agreeing(both, said(0.9, 0.046)) is both
+    assert agreeing(both, said(0.0, 0.0)) is both
+    found = agreeing(both, said(0.9, 0.044))
+    assert [h.key for h in found.unknown.chosen] == ["encoder_eccentricity:2"]
+    assert found.selection.chosen == found.selection.path[-1] == found.unknown.chosen
+    assert found.selection.path[:-1] == both.selection.path
+    assert found.selection.rivals[0] == (found.unknown.chosen, 0.0)
+    assert found.unknown.bic == found.search.bic(found.unknown.chosen)
+    every = replace(eccentric, unknown=replace(eccentric.unknown, chosen=three))
+    assert [h.key for h in agreeing(every, said(0.9, 0.04, 0.0019)).unknown.chosen] == ["encoder_eccentricity:2"]
+    assert len(agreeing(every, said(0.8, 0.1, 0.004)).unknown.chosen) == 2
+
+
 def test_a_name_that_something_outside_the_library_beats_gives_way_to_its_place(eccentric: Findings) -> None:
     """A bump of joint 2, which is taken for an eccentric encoder."""
     bump = findings(lambda q: 4e-3 * np.exp(-(((q - 0.4) / 0.5) ** 2)))

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from doe.studies.blind.cells import data_set
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import Hypothesis, hypotheses
 from identification.gap.selection.pairs import STARTS, pairs
 from identification.gap.selection.search import HypothesisSearch
-from identification.gap.selection.selection import SPARE_AFTER, WINDOW, pair_instead
+from identification.gap.selection.selection import (
+    ALPHA_FIRST,
+    ALPHA_SEVERAL,
+    SPARE_AFTER,
+    WINDOW,
+    pair_instead,
+    several,
+)
 from tests.identification.gap.selection.test_search import LIBRARY, NAMES, searched
 
 
@@ -87,3 +95,26 @@ def test_a_pair_leaves_degrees_of_freedom(monkeypatch: pytest.MonkeyPatch) -> No
     assert pair_instead(fewer, first) is None
     monkeypatch.setattr("identification.gap.selection.selection.SPARE_AFTER", 0)
     assert pair_instead(fewer, first) is not None
+
+
+def test_two_effects_that_hide_each_other() -> None:
+    """Neither is significant by itself, and the strongest effect is none of the two; together they are."""
+    search, known, hidden = blind("two, lambda 8", 31_000_164)
+    generator = np.random.default_rng(7)
+    assert search.tested((), 399, generator).omnibus_test.adjusted.min() > ALPHA_FIRST
+    assert search.state(()).strongest.key not in hidden
+    pair = several(search, (), generator)
+    assert pair is not None
+    assert {h.key for h in pair} == hidden == {"encoder_eccentricity:1", "encoder_second_harmonic:1"}
+    # by Bonferroni's inequality over the pairs of equal weight, four columns beside the arm's four parameters
+    before, after = (search.fit(chosen).squares for chosen in ((), pair))
+    p = stats.f.sf((before - after) / after * (100 - 8) / 4, 4, 100 - 8)
+    total = sum(h.weight for h in search.hypotheses.members)
+    assert p * (total / known["encoder_eccentricity:1"].weight) ** 2 / 2.0 < ALPHA_SEVERAL
+    assert several(HypothesisSearch(search.hypotheses, search.rows, noise_estimated=True), (), generator) is None
+
+
+def test_no_pair_is_made_of_noise() -> None:
+    search, _, hidden = blind("none m=50", 31_000_000)
+    assert hidden == set()
+    assert several(search, (), np.random.default_rng(7)) is None
