@@ -111,7 +111,16 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
     largest = float(np.abs(measurements.postures[:, turning]).max(initial=0.0))
     angle = ANGLES["small"] if 0.0 < largest < SMALL_ANGLE else ANGLES["large"] if largest > LARGE_ANGLE else {}
     size = float(distances(measurements.positions - measurements.positions.mean(axis=0)).max()) / arm.reach
-    units = UNITS if size < NEAR else {1.0 / f: words for f, words in UNITS.items()} if size > BEYOND else {}
+    touches = arm.chain is not None and arm.chain.instrument.contact  # contacts read nothing that has a unit
+    units = (
+        {}
+        if touches
+        else UNITS
+        if size < NEAR
+        else {1.0 / f: words for f, words in UNITS.items()}
+        if size > BEYOND
+        else {}
+    )
     if not angle and not units:
         return _Units([])
     readings = [(q, f) for q in (1.0, *angle) for f in (1.0, *units)]

@@ -30,6 +30,7 @@ ENOUGH = 200  # rows that are used: a wrong sign shows in far fewer
 ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
 EQUATIONS = 4  # for each fitted number, below which anything may fit
 OTHERS = 2  # readings that are named beside the simplest
+HOPELESS = 2.0  # times what a better reading may leave
 KEPT = 4  # effort: readings from which the next kind of change starts
 ZEROS = tuple(np.arange(0.0, 4.0, 0.25))  # quarter turns: starts, of which one is near enough to the best
 FINE, WHOLE = 1e-3, 0.02  # quarter turns, 0.1 and 2 deg: how well a zero is found; what is a whole quarter turn
@@ -91,10 +92,11 @@ def anywhere(arm: Arm) -> Arm:
 
 @lru_cache(maxsize=2)  # a fit asks before it begins, and again when it has placed the arm
 def _read_differently(arm: Arm, rows: Measurements) -> Readings:
-    left, n = _distance(arm, rows), arm.links
-    written = replace(Reading.as_written(n), rms=left(Reading.as_written(n)))
+    n = arm.links
+    written = replace(Reading.as_written(n), rms=_distance(arm, rows)(Reading.as_written(n)))
     if _few(arm, rows):
         return Readings(written, None)
+    left = _distance(arm, rows, HOPELESS * max(DRAWN * arm.reach, written.rms / CLEARLY))
     known = {replace(written, rms=0.0): written}
     zero = partial(_moved_zero, left=left)
     for stage in (zero, zero, _absolute, _mirrored, _signs, _swaps, _zeros, _flips, _zeros, _pairs_and_zero):
@@ -206,7 +208,9 @@ def _absolute(best: Reading, arm: Arm) -> Iterator[Reading]:
 
 
 def _mirrored(best: Reading, arm: Arm) -> Iterator[Reading]:
-    yield replace(best, mirrored=not best.mirrored)
+    """The frame of the positions mirrored; lengths are the same in it."""
+    if arm.chain is None or arm.chain.instrument.whole:
+        yield replace(best, mirrored=not best.mirrored)
 
 
 def _signs(best: Reading, arm: Arm) -> Iterator[Reading]:
@@ -214,8 +218,9 @@ def _signs(best: Reading, arm: Arm) -> Iterator[Reading]:
     n = arm.links
     every = product((1, -1), repeat=n)
     for signs in every if n <= MANY else (s for s in every if sum(x < 0 for x in s) <= 2):
-        for mirrored in (False, True):
-            yield replace(best, signs=signs, mirrored=mirrored)
+        changed = replace(best, signs=signs)
+        yield changed
+        yield from _mirrored(changed, arm)
 
 
 def _swaps(best: Reading, arm: Arm) -> Iterator[Reading]:
@@ -260,14 +265,14 @@ def some_of_one_point(measurements: Measurements) -> Measurements:
     return measurements.rows(rows[np.unique(np.linspace(0, len(rows) - 1, ENOUGH).astype(int))])
 
 
-def _distance(arm: Arm, rows: Measurements) -> Callable[[Reading], float]:
-    """Root mean square distance [mm] of the drawing from the positions of a reading, its place fitted."""
+def _distance(arm: Arm, rows: Measurements, hopeless: float = np.inf) -> Callable[[Reading], float]:
+    """Root mean square distance [mm] of the drawing from the positions of a reading, its place fitted; of lengths
+    roughly, where it is `hopeless`."""
     if (chain := arm.chain) is not None:
         frames, measured, instrument = frames_of_tip(chain), rows.positions[:, :3], chain.instrument
-        if not instrument.whole:  # lengths are never mirrored
-            return lambda reading: (
-                placed_by_lengths(instrument, frames(reading.postures(rows.postures)), measured[:, 0], chain.reach).rms
-            )
+        if not instrument.whole:
+            lengths = partial(placed_by_lengths, instrument, reach=chain.reach, hopeless=hopeless)
+            return lambda reading: lengths(frames(reading.postures(rows.postures)), measured[:, 0]).rms
         return lambda reading: (
             placed(frames(reading.postures(rows.postures)), reading.positions(measured), chain.reach).rms
         )

@@ -8,6 +8,8 @@ For a given measured point t the sphere about c is linear in c and |c|^2 (algebr
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from identification.arrays import Array
@@ -16,6 +18,9 @@ from identification.kinematics.instrument import PLANE, Instrument
 from identification.kinematics.placement import ENOUGH, Placement, starts_of_tool
 
 ROUNDS, SOME = 50, 10  # effort: Gauss-Newton steps of each start, and where a radius is taken that is not right
+FIRST = (
+    3  # steps after which the best start of 99 of 100 wrong readings leaves less than half as much again as at its end
+)
 RADII = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
 SMALL = 1e-10  # share of the largest eigenvalue of a normal matrix below which a combination stays
 
@@ -27,36 +32,47 @@ def placed_by_lengths(
     reach: float,
     base: Array | None = None,
     tool: Array | None = None,
+    hopeless: float = np.inf,
 ) -> Placement:
     """Base and tool that explain lengths (m,) best; what they leave open of the base is along the arm's own axes.
 
     lengths : of a sphere of unknown radius less that radius, so that they may be any constant
     frames : (m, 4, 4) nominal poses of the tip in the base;  reach : [mm] that gives the starts of the tool their size
     base, tool : (4, 4) and (3,), known; None: to be found
+    hopeless : root mean square residual [mm]; what leaves more after `FIRST` steps is not followed to its end
     """
     tools = starts_of_tool(reach) if tool is None else tool[None]
     if instrument.free_radius:
-        state: _Sphere = _FreeSphere.started(frames, reach, tools, base, tool is None)
+        state: _Sphere = _FreeSphere.started(frames, reach, tools, base, tool is None, hopeless)
     else:
         state = (_Plane if instrument.kind == PLANE else _Sphere)(frames, lengths, reach, tools, base)
-    best = _settled(state, base is None, tool is None)
+    best = _settled(state, base is None, tool is None, hopeless)
     rms = float(np.sqrt(state.squares()[best] / len(lengths)))
     return Placement(state.base(best) if base is None else base, state.tools[best], rms)
 
 
-def _settled(state: _Sphere, base: bool, tool: bool, rounds: int = ROUNDS) -> int:
+def _settled(state: _Sphere, base: bool, tool: bool, hopeless: float, rounds: int = ROUNDS) -> int:
     """Number of the start that ends with the least squares after Gauss-Newton steps of base and tool, or of one."""
     least, kept = np.full(len(state.tools), np.inf), (state.surface, state.tools)
-    for _ in range(rounds):
-        squares = state.squares()
+    for done in range(rounds):
+        linear = state.linear()
+        squares = np.sum(linear.residual**2, axis=1)
         better = squares < least * (1.0 - ENOUGH)
         kept = np.where(better[:, None], state.surface, kept[0]), np.where(better[:, None], state.tools, kept[1])
         least = np.minimum(squares, least)
-        if not better.any():
+        if not better.any() or (done >= FIRST and np.min(least) > len(state.places) * hopeless**2):
             break
-        state.step(base, tool)
+        state.step(linear, base, tool)
     state.surface, state.tools = kept
     return int(np.argmin(state.squares()))
+
+
+class _Linear(NamedTuple):
+    """(s, m) residuals, and (s, m, k) derivatives of the lengths by centers or planes, and by the tools."""
+
+    residual: Array
+    of_surface: Array
+    of_tool: Array
 
 
 class _Sphere:
@@ -73,11 +89,11 @@ class _Sphere:
 
     def squares(self) -> Array:
         """(s,) sums of squared residuals [mm^2]."""
-        return np.asarray(np.sum(self._linear()[0] ** 2, axis=1))
+        return np.asarray(np.sum(self.linear().residual ** 2, axis=1))
 
-    def step(self, base: bool, tool: bool) -> None:
+    def step(self, linear: _Linear, base: bool, tool: bool) -> None:
         """A Gauss-Newton step of base and tool, or of one of them."""
-        residual, of_surface, of_tool = self._linear()
+        residual, of_surface, of_tool = linear
         columns = np.concatenate([of_surface] * base + [of_tool] * tool, axis=2)
         across = np.swapaxes(columns, 1, 2)
         inverse = np.linalg.pinv(across @ columns, rcond=SMALL, hermitian=True)
@@ -104,13 +120,13 @@ class _Sphere:
         solved = [np.linalg.lstsq(a, b, rcond=1e-9)[0] for a, b in zip(columns, target, strict=True)]
         return np.asarray(middle[:, 0] + self.reach * np.array(solved)[:, :3])
 
-    def _linear(self) -> tuple[Array, Array, Array]:
-        """(s, m) residuals, (s, m, 3) derivatives of the lengths by the centers, and by the tools."""
+    def linear(self) -> _Linear:
+        """About where each start is."""
         across = self.points() - self.surface[:, None]
         far = np.maximum(np.linalg.norm(across, axis=2, keepdims=True), 1e-9)
         toward = across / far
         of_tool = np.swapaxes(np.swapaxes(toward, 0, 1) @ self.turns, 0, 1)
-        return self.lengths - far[..., 0], -toward, of_tool
+        return _Linear(self.lengths - far[..., 0], -toward, of_tool)
 
     def _move(self, change: Array) -> None:
         self.surface = self.surface + change
@@ -124,24 +140,21 @@ class _FreeSphere(_Sphere):
     """
 
     @classmethod
-    def started(cls, frames: Array, reach: float, tools: Array, base: Array | None, tool: bool) -> _FreeSphere:
+    def started(
+        cls, frames: Array, reach: float, tools: Array, base: Array | None, tool: bool, hopeless: float
+    ) -> _FreeSphere:
         """The best of each of `RADII`; arguments as of the constructor;  tool : whether it is to be found."""
         radii = np.repeat(RADII * reach, len(tools))[:, None]
         held = _Sphere(frames, radii, reach, np.tile(tools, (len(RADII), 1)), base)
-        _settled(held, base is None, tool, SOME)
+        _settled(held, base is None, tool, hopeless, SOME)
         of_radius = np.arange(len(radii)).reshape(len(RADII), -1)
         best = of_radius[np.arange(len(RADII)), np.argmin(held.squares()[of_radius], axis=1)]
         found = cls(frames, np.zeros(len(frames)), reach, held.tools[best], base)
         found.surface = held.surface[best]
         return found
 
-    def _linear(self) -> tuple[Array, Array, Array]:
-        residual, of_surface, of_tool = super()._linear()
-        return (
-            residual - residual.mean(axis=1, keepdims=True),
-            of_surface - of_surface.mean(axis=1, keepdims=True),
-            of_tool - of_tool.mean(axis=1, keepdims=True),
-        )
+    def linear(self) -> _Linear:
+        return _Linear._make(each - each.mean(axis=1, keepdims=True) for each in super().linear())
 
 
 class _Plane(_Sphere):
@@ -169,13 +182,13 @@ class _Plane(_Sphere):
         normal = np.linalg.eigh(np.swapaxes(about, 1, 2) @ about)[1][:, :, 0]  # of the least scatter; of few points any
         return np.column_stack([normal, np.sum(normal * middle, axis=1)])
 
-    def _linear(self) -> tuple[Array, Array, Array]:
+    def linear(self) -> _Linear:
         """As above; derivatives by a rotation of the normal, times the reach, and by the height."""
         points, normal = self.points(), self.surface[:, :3]
-        residual = self.lengths - np.einsum("smi,si->sm", points, normal) + self.surface[:, 3:]
-        turned = np.cross(normal[:, None], points) / self.reach
+        residual = self.lengths - (points @ normal[:, :, None])[..., 0] + self.surface[:, 3:]
+        turned = points @ np.cross(normal[:, None], np.eye(3)) / self.reach
         of_surface = np.concatenate([turned, -np.ones((*residual.shape, 1))], axis=2)
-        return residual, of_surface, np.swapaxes(normal @ self.turns, 0, 1)
+        return _Linear(residual, of_surface, np.swapaxes(normal @ self.turns, 0, 1))
 
     def _move(self, change: Array) -> None:
         normal = self.surface[:, :3] + np.cross(change[:, :3] / self.reach, self.surface[:, :3])

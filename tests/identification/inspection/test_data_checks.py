@@ -12,6 +12,7 @@ from identification.errors import InputError
 from identification.inspection.data_checks import certainly_wrong_units, data_warnings
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
+from identification.kinematics.instrument import Instrument
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -145,3 +146,11 @@ def test_there_is_doubt_where_another_arm_was_measured() -> None:
 def test_another_number_of_links() -> None:
     with pytest.raises(InputError, match="found 2 joints, allowed: 3"):
         data_warnings(simulated(1.0), Arm(lengths=[1.0, 1.0, 1.0]))
+
+
+@pytest.mark.parametrize("instrument", [Instrument("sphere", 15.0), Instrument("plane")])
+def test_contacts_have_no_unit(instrument: Instrument) -> None:
+    """What a touch probe reads is the same in all rows, whatever postures touch: no unit is suspected."""
+    arm = Arm.of_chain(replace(CHAIN, instrument=instrument))
+    postures = np.random.default_rng(6).uniform(-2.0, 2.0, (60, 3))
+    assert data_warnings(Measurements(postures, np.full((60, 1), instrument.radius or 0.0)), arm) == []

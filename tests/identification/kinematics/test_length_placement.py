@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from identification.kinematics import length_placement
 from identification.kinematics.instrument import Instrument
 from identification.kinematics.length_placement import placed_by_lengths
 from tests.identification.exponentials import Exponentials
@@ -91,3 +92,23 @@ def test_one_or_two_contacts_have_a_plane(rows: int, frames: np.ndarray) -> None
     found = placed_by_lengths(Instrument("plane"), frames[:rows], np.zeros(rows), REACH)
     assert found.rms < 1e-6 * REACH
     np.testing.assert_allclose(found.base[:3, :3] @ found.base[:3, :3].T, np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("instrument", [Instrument("plane"), Instrument("sphere")])
+def test_what_no_surface_explains_is_given_up_early(
+    frames: np.ndarray, instrument: Instrument, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Random poses touch nothing: a bound far below what is left ends the search, one above it changes nothing."""
+    steps = []
+    step = length_placement._Sphere.step
+    monkeypatch.setattr(length_placement._Sphere, "step", lambda *words: steps.append(1) or step(*words))
+    lengths = np.zeros(40)
+    exact = placed_by_lengths(instrument, frames, lengths, REACH)
+    followed = len(steps)
+    again = placed_by_lengths(instrument, frames, lengths, REACH, hopeless=1.01 * exact.rms)
+    assert again.rms == pytest.approx(exact.rms, rel=1e-6)
+    steps.clear()
+    rough = placed_by_lengths(instrument, frames, lengths, REACH, hopeless=0.1 * exact.rms)
+    surfaces = 2 if instrument.free_radius else 1  # of known radii first
+    assert len(steps) <= surfaces * length_placement.FIRST < followed
+    assert rough.rms > 0.1 * exact.rms
