@@ -102,9 +102,8 @@ def command(
     answered = calibrated.fit_answer(found, shown, arm, output, urdf, library, *kept)
     answered.data |= extra | said
     answered.shown += wanted.sentences(said)
-    return with_next(
-        with_commands(answered, following_errors(measurements, loaded.joint_types)), arm, data, output, loaded
-    )
+    answered = with_commands(answered, following_errors(measurements, loaded.joint_types))
+    return with_next(answered, (arm, data), output.out, loaded, allowed_for=library is not None)
 
 
 def arm_and_rows(arm: Arm, path: Path, old: Arm | None, words: Sequence[str]) -> tuple[Arm, Measurements]:
@@ -128,14 +127,14 @@ def rows_fitted(measurements: Measurements, said: dict[str, Any]) -> Measurement
     return measurements if len(kept) == len(measurements) else measurements.rows(kept)
 
 
-def with_next(answered: Answer, arm: Path, data: Path, output: Output, loaded: Arm) -> Answer:
-    """The answer with the next steps, if there is a calibration."""
+def with_next(answered: Answer, files: Sequence[Path], out: Path | None, arm: Arm, *, allowed_for: bool) -> Answer:
+    """The answer with the next steps, if there is a calibration; files, allowed_for : see `identification_actions`."""
     from doe.report.verdict import identification_actions, next_steps
     from identification.validate.row_groups import diagnosed
 
     if answered.exit_code == 0:
-        actions = identification_actions(str(arm), str(data), output.out, diagnosed=diagnosed(loaded))
-        answered.shown += next_steps(actions)
+        told = {"diagnosed": diagnosed(arm), "allowed_for": allowed_for}
+        answered.shown += next_steps(identification_actions(str(files[0]), str(files[1]), out, **told))
     return answered
 
 
@@ -159,7 +158,7 @@ def fit_shown(
     before, full = None if known or words else drawing, full or found.machining_factor is None
     shown = identification_tables(found, calibrated.hidden_by(library), nominal, left, drawing=before, full=full, dh=dh)
     extra = {"cross_validated_mm": left, "rms_drawing_mm": rms} | ({} if nominal is None else {"rms_nominal_mm": rms})
-    return extra | ({"dh_table": [row.to_json() for row in dh[0]]} if dh[0] else {}), shown
+    return extra | ({"dh_table": [row.to_json() for row in dh[0]], "dh_places": dh[1]} if dh[0] else {}), shown
 
 
 @dataclass(frozen=True)

@@ -233,14 +233,21 @@ def data_actions(arm: str = "arm.toml", rows: str = "data.csv") -> list[Action]:
     ]
 
 
-def identification_actions(arm: str, rows: str, written: Path | None, *, diagnosed: bool) -> list[Action]:
+def identification_actions(
+    arm: str, rows: str, written: Path | None, *, diagnosed: bool, allowed_for: bool = False
+) -> list[Action]:
     """What follows from an identification.
 
-    written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for
+    written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for;  allowed_for : the
+    library's effects are in the model, held by a prior
     """
     names = {"arm": arm, "rows": rows, "calibrated": str(written or "calibrated.toml")}
     keep = [] if written else [Action("Keep the calibration: add --out calibrated.toml to this command.")]
-    return [*keep, *calibrated_actions(**names)[int(diagnosed) :]]
+    look, *use = calibrated_actions(**names)
+    if allowed_for:
+        why = "Effects that may be missing are allowed for, and none is named. To know which there are:"
+        return [*keep, *use, Action(why, f"armcal diagnose {arm} {rows} --prior --report gap.html")]
+    return [*keep, *([] if diagnosed else [look]), *use]
 
 
 def calibrated_actions(

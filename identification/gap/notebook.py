@@ -37,12 +37,13 @@ def html(found: Diagnosis) -> str:
 
 
 def gap_rows(data: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Headings and rows, by the JSON object of a diagnosis: RMS distances before and after, on the data and on rows
-    that no fit has seen, and whether the model holds there."""
-    gap, rows = data["gap"], data.get("rows")
+    """Headings and rows, by the JSON object of a diagnosis: RMS distances before and after, on the data, less
+    outliers, and on rows that no fit has seen, and whether the model holds there."""
+    gap, rows, out = data["gap"], data.get("rows"), len(data.get("outlier_rows", ()))
     answers = {True: "yes", False: "no", None: "too few rows"}  # `shrinks`: whether as far as expected stays open
     own = (number(gap[key]) for key in ("rms_before_mm", "rms_after_mm", "noise_floor_mm"))
-    shown = [["the data", "" if rows is None else str(rows), *own, ""]]
+    counted = "" if rows is None else f"{rows - out} of {rows}" if out else str(rows)
+    shown = [["the data", counted, *own, ""]]
     for test in tests_of(data):
         kind = "held out" if test["by"] == "holdout" else "cross-validated"
         figures = (number(test[key]) for key in ("before_mm", "after_mm", "predicted_mm"))

@@ -203,6 +203,11 @@ def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
         assert with_prior["std"] == pytest.approx(without["std"] / np.sqrt(2.0), rel=0.1)  # the same data, twice
     alias = folder.armcal("identify", "--library-prior", "arm.toml", "data.csv", "--missing", "backlash", "--json").data
     assert alias == flag
+    said = folder.armcal("identify", "arm.toml", "data.csv", "--library-prior", "--missing", "backlash").out
+    assert "next: Look for what the model lacks" not in said
+    steps = [" ".join(step.split()) for step in said.split("next: ")[1:]]
+    assert steps[-1].startswith("Effects that may be missing are allowed for, and none is named.")
+    assert steps[-1].endswith("armcal diagnose arm.toml data.csv --prior --report gap.html")
     both = folder.armcal(*named, "--prior", "--missing", "backlash").data
     assert both["prior"]["parameters"] == 4
     assert both["prior_from"]["anew"] == []

@@ -67,6 +67,12 @@ def test_a_smaller_gap_whose_size_stays_open_is_no_yes(
     assert [row[-1] for row in rows] == ["", answer]
 
 
+def test_rows_that_are_left_out_are_counted() -> None:
+    data = diagnosed(2e-3).to_json()
+    assert data["outlier_rows"] == []
+    assert gap_rows(data | {"outlier_rows": [3, 17]})[1][0][:2] == ["the data", "38 of 40"]
+
+
 def test_where_nothing_is_named_the_sizes_that_are_excluded_are_behind_a_fold() -> None:
     found = diagnosed(0.0)
     assert found.effects == ()
