@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 
 from doe.report.gap_figures import workspace_arrows
-from doe.report.gap_sections import corrected_section, curve_sections, further_sections, gap_section, missing_section
+from doe.report.gap_sections import (
+    corrected_section,
+    curve_sections,
+    dh_section,
+    further_sections,
+    gap_section,
+    missing_section,
+)
 from doe.report.given_files import Given
 from doe.report.origin import Origin, origin_section
 from doe.report.page import Action, Section, Sheet, page
@@ -176,7 +183,12 @@ class Campaign:
         return found + [part for data in diagnoses for part in further_sections(data)]
 
     def corrected(self) -> list[Section]:
-        """Nominal and corrected values of every calibrated arm, or as `identify` said them."""
+        """Nominal and corrected values of every calibrated arm, or as `identify` said them, and the corrected
+        Denavit-Hartenberg tables that it said."""
+        said = self.given.said["identify"].items()
+        return [*self._values(), *(section for name, data in said for section in dh_section(data, name))]
+
+    def _values(self) -> list[Section]:
         if arms := self.given.calibrated:
             first = sorted(arms, key=lambda name: name != self.chosen)
             pairs = ((name, arms[name], getattr(arms[name].calibration, "provenance", None)) for name in first)

@@ -22,7 +22,7 @@ from doe.report.gap_tables import (
     round_sheet,
     trial_sheet,
 )
-from doe.report.identification_tables import conventions, corrected_sheet
+from doe.report.identification_tables import DH_TABLE, conventions, corrected_sheet, dh_notes
 from doe.report.origin import Origin, origin_section
 from doe.report.page import Section, Sheet, page
 from doe.report.terminal import number
@@ -165,6 +165,13 @@ def corrected_section(
         [*([f"As in {name}."] if name else []), *([expected] if expected else []), *conventions(rows, spatial)]
     )
     return Section(f"Corrected values{f': {name}' if name else ''}", text, [corrected_sheet(rows)])
+
+
+def dh_section(said: Mapping[str, Any], name: str) -> list[Section]:
+    """The corrected Denavit-Hartenberg table in what `identify` said, if there is one;  name : of the file"""
+    rows = [CorrectedValue(**row) for row in said.get("dh_table", ())]
+    text = [" ".join(dh_notes(rows)), *said.get("dh_places", ())]
+    return [Section(f"{DH_TABLE}: {name}", text, [corrected_sheet(rows)])] if rows else []
 
 
 def doubted(corrected: Section) -> Section:

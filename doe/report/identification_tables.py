@@ -25,6 +25,7 @@ ALL_OF_THEM = (
     "--parameters minimal gives a complete set of as few values as will do, with all others as drawn: the one to type "
     "in by hand.",
 )
+DH_TABLE = "Corrected Denavit-Hartenberg table"
 TOGETHER = (
     "Other numbers of the table stay as drawn. All values belong together, base and tool included: enter all of them."
 )
@@ -107,8 +108,12 @@ def fit_figures(found: Identification, nominal: float | None, left_out: float | 
 
 def dh_tables(rows: Sequence[CorrectedValue], lines: Sequence[str]) -> list[Any]:
     """The corrected Denavit-Hartenberg table, and what belongs to it."""
-    notes = [TOGETHER, *([BETA] if any(row.name.endswith(" beta") for row in rows) else [])]
-    return [corrected_table(rows, "Corrected Denavit-Hartenberg table"), *map(Text, (*lines, *notes))]
+    return [corrected_table(rows, DH_TABLE), *map(Text, (*lines, *dh_notes(rows)))]
+
+
+def dh_notes(rows: Sequence[CorrectedValue]) -> list[str]:
+    """How such a table is to be used."""
+    return [TOGETHER, *([BETA] if any(row.name.endswith(" beta") for row in rows) else [])]
 
 
 def in_short(rows: Sequence[CorrectedValue], minimal: bool) -> list[Any]:

@@ -261,7 +261,8 @@ def test_a_drawing_in_denavit_hartenberg_numbers_gets_them_corrected(folder: Fol
     folder.write("some.csv", "\n".join([rows[0], *rows[1::4]]) + "\n")
     folder.write("ur10.toml", (data / "ur10.toml").read_text())
     shown = folder.armcal("identify", "ur10.toml", "some.csv").out
-    found = folder.armcal("identify", "ur10.toml", "some.csv", "--json").data["dh_table"]
+    said = folder.armcal("identify", "ur10.toml", "some.csv", "--json")
+    found = said.data["dh_table"]
     names = [row["name"] for row in found]
     assert len(names) == 18
     assert {name for name in names if name.endswith("beta")} == {"row 2 beta", "row 3 beta"}
@@ -271,6 +272,13 @@ def test_a_drawing_in_denavit_hartenberg_numbers_gets_them_corrected(folder: Fol
     assert "tool 1: x [mm]" in rest
     lengths = {row["name"]: row["corrected"] for row in found}
     assert lengths["row 2 a"] == pytest.approx(-612.8, abs=0.5)  # of all rows -612.82 with 0.11
+    folder.write("fit.json", said.out)
+    assert folder.armcal("report", "fit.json", "--out", "page.html").code == 0
+    section = folder.read("page.html").partition("<h2>Corrected Denavit-Hartenberg table: fit.json</h2>")[2]
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", section.partition("</table>")[0])
+    assert [cell for cell in cells if cell.startswith("row ")] == names
+    assert cells[cells.index("row 2 a") + 2] in table
+    assert all(line in section for line in said.data["dh_places"])
 
 
 def test_commands_for_the_real_arm(spatial: Folder) -> None:
