@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from doe.cli.common import Answer, warn_beside_json
 from doe.cli.options import Output
-from identification.errors import InputError
 from identification.status import Status
 
 if TYPE_CHECKING:
@@ -121,19 +120,9 @@ def fit_answer(
 def dh_of(found: Identification, arm: Path) -> tuple[tuple[CorrectedValue, ...], list[str]]:
     """The corrected Denavit-Hartenberg table of an arm file that has one, and base, tool and the
     radius of a sphere beside it; else empty."""
-    from identification.estimation.dh_values import dh_places, dh_values
-    from identification.files.arm_spatial import dh_rows
-    from identification.kinematics.frames import point_table, pose_table
-    from identification.kinematics.instrument import RADIUS
+    from doe.report.identification_tables import dh_table
+    from identification.estimation.dh_values import Calibrated
 
-    if found.geometry is None or found.not_identifiable or (table := dh_rows(arm)) is None:
+    if found.geometry is None or found.not_identifiable:
         return (), []
-    try:
-        rows, places = dh_values(found, *table), dh_places(found, *table)
-    except InputError:  # prismatic joints, or axes that are one
-        return (), []
-    tables = ((name, pose_table(at) if at.ndim == 2 else point_table(at)) for name, at in places)
-    figures = ((name, (f"{key.replace('_', ' [')}] {v:z.3f}" for key, v in one.items())) for name, one in tables)
-    balls = [one for one in found.corrected_values if one.parameter == RADIUS]
-    radius = [f"{one.name} [mm]: {one.corrected:z.3f} +- {one.std:.3f}" for one in balls]
-    return rows, [*(f"{name}: {', '.join(said)}" for name, said in figures), *radius]
+    return dh_table(Calibrated.of(found), found.corrected_values, arm)

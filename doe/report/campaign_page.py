@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from doe.report.gap_sections import (
     missing_section,
 )
 from doe.report.given_files import Given
+from doe.report.identification_tables import dh_table
 from doe.report.origin import Origin, origin_section
 from doe.report.page import Action, Section, Sheet, page
 from doe.report.plan_steps import plan_section
@@ -35,6 +38,7 @@ from doe.report.verdict import (
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.estimation.corrected_values import CorrectedValue, corrected_values
+from identification.estimation.dh_values import Calibrated
 from identification.measurements import distances
 from identification.model import Model
 from identification.validate import Validation, validate
@@ -183,27 +187,15 @@ class Campaign:
         return found + [part for data in diagnoses for part in further_sections(data)]
 
     def corrected(self) -> list[Section]:
-        """Nominal and corrected values of every calibrated arm, or as `identify` said them, and the corrected
-        Denavit-Hartenberg tables that it said."""
-        said = self.given.said["identify"].items()
-        return [*self._values(), *(section for name, data in said for section in dh_section(data, name))]
-
-    def _values(self) -> list[Section]:
-        if arms := self.given.calibrated:
-            first = sorted(arms, key=lambda name: name != self.chosen)
-            pairs = ((name, arms[name], getattr(arms[name].calibration, "provenance", None)) for name in first)
-            return [
-                replace(
-                    corrected_section(corrected_values(arm), arm.chain is not None, name, said),
-                    folded=name != self.chosen,
-                )
-                for name, arm, said in pairs
-            ]
-        return [
-            corrected_section([CorrectedValue(**row) for row in data["corrected_values"]], "geometry" in data, name)
-            for name, data in self.given.said["identify"].items()
-            if "corrected_values" in data  # files of earlier versions have none
+        """Nominal and corrected values of every calibrated arm, or as `identify` said them, and as numbers of the
+        Denavit-Hartenberg table where the drawing is one."""
+        arms = self.given.calibrated
+        first = sorted(arms, key=lambda name: name != self.chosen)
+        found = [
+            replace(part, folded=name != self.chosen) for name in first for part in _corrected_arm(arms[name], name)
         ]
+        said = {} if arms else self.given.said["identify"]
+        return found + [part for name, data in said.items() for part in _corrected_said(data, name)]
 
     def test_section(self, rows: str) -> Section:
         """The error of every model on some measurements, and its sign against each joint."""
@@ -234,6 +226,21 @@ class Campaign:
         """A plan to step through, by the first arm."""
         plan, table = self.given.plans[name]
         return [plan_section(next(iter(self.given.arms.values())), plan, table, name)]
+
+
+def _corrected_arm(arm: Arm, name: str) -> list[Section]:
+    """Corrected values of a calibrated arm;  name : of its file"""
+    values, said = corrected_values(arm), getattr(arm.calibration, "provenance", None)
+    found = Calibrated.of_arm(arm)
+    table = ((), []) if found is None else dh_table(found, values, Path(name))
+    return [corrected_section(values, arm.chain is not None, name, said), *dh_section(*table, name)]
+
+
+def _corrected_said(data: Mapping[str, Any], name: str) -> list[Section]:
+    """The same by what `identify` said;  name : of that file, which of earlier versions has none"""
+    values, table = ([CorrectedValue(**row) for row in data.get(key, ())] for key in ("corrected_values", "dh_table"))
+    found = [corrected_section(values, "geometry" in data, name)] if "corrected_values" in data else []
+    return [*found, *dh_section(table, data.get("dh_places", ()), name)]
 
 
 def new_effects(arm: Arm, before: Arm | None) -> list[str]:

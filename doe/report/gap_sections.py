@@ -167,10 +167,12 @@ def corrected_section(
     return Section(f"Corrected values{f': {name}' if name else ''}", text, [corrected_sheet(rows)])
 
 
-def dh_section(said: Mapping[str, Any], name: str) -> list[Section]:
-    """The corrected Denavit-Hartenberg table in what `identify` said, if there is one;  name : of the file"""
-    rows = [CorrectedValue(**row) for row in said.get("dh_table", ())]
-    text = [" ".join(dh_notes(rows)), *said.get("dh_places", ())]
+def dh_section(rows: Sequence[CorrectedValue], lines: Sequence[str], name: str) -> list[Section]:
+    """The corrected Denavit-Hartenberg table and the places that belong to it; none without rows.
+
+    name : of the file that has it
+    """
+    text = [" ".join(dh_notes(rows)), *lines]
     return [Section(f"{DH_TABLE}: {name}", text, [corrected_sheet(rows)])] if rows else []
 
 

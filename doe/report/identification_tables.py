@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from rich.table import Table
@@ -11,9 +12,14 @@ from rich.text import Text
 from doe.report.page import Sheet
 from doe.report.terminal import estimate_text, facts, in_a_sentence, number, table, unit_or_dash
 from identification.arrays import Array
+from identification.errors import InputError
 from identification.estimation import Identification
 from identification.estimation.corrected_values import CorrectedValue
+from identification.estimation.dh_values import Calibrated, dh_places, dh_values
 from identification.estimation.shown import p_value_in_words
+from identification.files.arm_spatial import dh_rows
+from identification.kinematics.frames import point_table, pose_table
+from identification.kinematics.instrument import RADIUS
 from identification.measurements import distances, rms_distance
 from identification.servo import FollowingError
 from identification.sessions import placing
@@ -104,6 +110,26 @@ def fit_figures(found: Identification, nominal: float | None, left_out: float | 
         scatter = f"the residuals scatter {number(found.scatter, 5)} mm"
         rows.append(("chi2", f"{data['chi2']:.2f}, {p_value_in_words(data['p_value'])}: {scatter}"))
     return [*rows, ("95 % intervals", found.uncertainty.sentence)]
+
+
+def dh_table(
+    found: Calibrated, values: Sequence[CorrectedValue], arm: Path
+) -> tuple[tuple[CorrectedValue, ...], list[str]]:
+    """The corrected Denavit-Hartenberg table of an arm file that has one, and lines of base, measured points and the
+    radius of a sphere beside it; else empty.
+
+    values : corrected ones, the radius among them
+    """
+    if (table := dh_rows(arm)) is None:
+        return (), []
+    try:
+        rows, places = dh_values(found, *table), dh_places(found, *table)
+    except InputError:  # prismatic joints, or axes that are one
+        return (), []
+    tables = ((name, pose_table(at) if at.ndim == 2 else point_table(at)) for name, at in places)
+    figures = ((name, (f"{key.replace('_', ' [')}] {v:z.3f}" for key, v in one.items())) for name, one in tables)
+    radius = [f"{one.name} [mm]: {one.corrected:z.3f} +- {one.std:.3f}" for one in values if one.parameter == RADIUS]
+    return rows, [*(f"{name}: {', '.join(said)}" for name, said in figures), *radius]
 
 
 def dh_tables(rows: Sequence[CorrectedValue], lines: Sequence[str]) -> list[Any]:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from identification.arm import Arm
 from identification.arrays import Array
 from identification.estimation.corrected_values import STEP, CorrectedValue
-from identification.estimation.intervals import quantile_95
+from identification.estimation.intervals import freedom_of, quantile_95
 from identification.kinematics.corrected import corrected
 from identification.kinematics.corrected_dh import Link, corrected_links, drawn_links
+from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.denavit_hartenberg import STANDARD, DHRow
 from identification.kinematics.spatial import SpatialChain
+from identification.model import Model
 
 if TYPE_CHECKING:
     from identification.estimation.result import Identification
@@ -28,26 +31,50 @@ MEANING = {
 }
 
 
-def dh_values(found: Identification, rows: Sequence[DHRow], convention: str = STANDARD) -> tuple[CorrectedValue, ...]:
+class Calibrated(NamedTuple):
+    """A geometry that was found: `names` (p,) with covariance (p, p) and degrees of freedom (p,), units by name."""
+
+    geometry: CorrectedGeometry
+    names: Sequence[str]
+    covariance: Array
+    freedom: Array
+    units: Mapping[str, str]
+
+    @classmethod
+    def of(cls, found: Identification) -> Calibrated:
+        """As a fit in space found it."""
+        assert found.geometry is not None
+        units = {p.name: p.unit for p in found.model.geometry_parameters}
+        return cls(found.geometry, found.names, found.covariance, found.uncertainty.freedom, units)
+
+    @classmethod
+    def of_arm(cls, arm: Arm) -> Calibrated | None:
+        """As a spatial arm's file has it; None without a calibration and its covariance."""
+        if (found := arm.calibration) is None or arm.chain is None or found.covariance is None:
+            return None
+        model = Model(arm)
+        geometry = CorrectedGeometry(arm.chain, {**model.fixed, **found.values})
+        units = {p.name: p.unit for p in model.geometry_parameters}
+        return cls(geometry, found.parameter_names, found.covariance, freedom_of(found), units)
+
+
+def dh_values(found: Calibrated, rows: Sequence[DHRow], convention: str = STANDARD) -> tuple[CorrectedValue, ...]:
     """Nominal and corrected numbers of the links between the axes, those as drawn by definition left out.
 
     rows, convention : of the arm's drawing. Standard deviations by first derivatives of the covariance; a and alpha of
     the modified convention stand in the row of the next joint. Raises `InputError` as `drawn_links`.
     """
     geometry, drawn = found.geometry, drawn_links(rows, convention)
-    assert geometry is not None
     start, names = dict(geometry.values), found.names
     there, nominal = _numbers(geometry.chain, start, drawn), _flat(drawn)
     slopes = np.zeros((len(names), len(there)))
-    links = {
-        p.name for p in found.model.geometry_parameters
-    }  # effects, hundreds with the library, are not in the table
-    for row, p in ((row, p) for row, p in enumerate(found.model.parameters) if p.name in links):
-        step = STEP.get(p.unit, 1e-6)
-        up, down = (_numbers(geometry.chain, {**start, p.name: start[p.name] + s * step}, drawn) for s in (1.0, -1.0))
+    # effects, hundreds with the library, are not in the table
+    for row, name in ((row, name) for row, name in enumerate(names) if name in found.units):
+        step = STEP.get(found.units[name], 1e-6)
+        up, down = (_numbers(geometry.chain, {**start, name: start[name] + s * step}, drawn) for s in (1.0, -1.0))
         slopes[row] = [(up[key] - down[key]) / (2.0 * step) for key in there]
     deviations = np.sqrt(np.einsum("pk,pq,qk->k", slopes, found.covariance, slopes).clip(min=0.0))
-    half = float(np.min(quantile_95(found.uncertainty.freedom))) if len(names) else np.nan
+    half = float(np.min(quantile_95(found.freedom))) if len(names) else np.nan
     shown = []
     for (key, value), std in zip(there.items(), deviations.tolist(), strict=True):
         joint, name = key
@@ -58,10 +85,9 @@ def dh_values(found: Identification, rows: Sequence[DHRow], convention: str = ST
     return tuple(shown)
 
 
-def dh_places(found: Identification, rows: Sequence[DHRow], convention: str = STANDARD) -> list[tuple[str, Array]]:
+def dh_places(found: Calibrated, rows: Sequence[DHRow], convention: str = STANDARD) -> list[tuple[str, Array]]:
     """Beside the values of `dh_values`: the pose of the base (4, 4), and places (3,) of the measured points for the
     last frame of the table, by name. With them the table says what the fit does."""
-    assert found.geometry is not None
     drawn, real = drawn_links(rows, convention), found.geometry.real
     there, nominal = corrected_links(real, drawn), corrected_links(found.geometry.chain, drawn)
     base = real.base @ there.first @ np.linalg.inv(nominal.first)

@@ -261,7 +261,7 @@ def test_a_drawing_in_denavit_hartenberg_numbers_gets_them_corrected(folder: Fol
     folder.write("some.csv", "\n".join([rows[0], *rows[1::4]]) + "\n")
     folder.write("ur10.toml", (data / "ur10.toml").read_text())
     shown = folder.armcal("identify", "ur10.toml", "some.csv").out
-    said = folder.armcal("identify", "ur10.toml", "some.csv", "--json")
+    said = folder.armcal("identify", "ur10.toml", "some.csv", "--json", "--out", "calibrated.toml")
     found = said.data["dh_table"]
     names = [row["name"] for row in found]
     assert len(names) == 18
@@ -273,12 +273,14 @@ def test_a_drawing_in_denavit_hartenberg_numbers_gets_them_corrected(folder: Fol
     lengths = {row["name"]: row["corrected"] for row in found}
     assert lengths["row 2 a"] == pytest.approx(-612.8, abs=0.5)  # of all rows -612.82 with 0.11
     folder.write("fit.json", said.out)
-    assert folder.armcal("report", "fit.json", "--out", "page.html").code == 0
-    section = folder.read("page.html").partition("<h2>Corrected Denavit-Hartenberg table: fit.json</h2>")[2]
-    cells = re.findall(r"<td[^>]*>(.*?)</td>", section.partition("</table>")[0])
-    assert [cell for cell in cells if cell.startswith("row ")] == names
-    assert cells[cells.index("row 2 a") + 2] in table
-    assert all(line in section for line in said.data["dh_places"])
+    for file in ("calibrated.toml", "fit.json"):
+        assert folder.armcal("report", file, "--out", "page.html", "--force").code == 0
+        section = folder.read("page.html").partition(f"<h2>Corrected Denavit-Hartenberg table: {file}</h2>")[2]
+        cells = re.findall(r"<td[^>]*>(.*?)</td>", section.partition("</table>")[0])
+        assert [cell for cell in cells if cell.startswith("row ")] == names
+        printed = [line.split() for line in table.splitlines() if line.split()[:1] == ["row"]]
+        assert [word for cell in cells for word in cell.split()] == [word for line in printed for word in line]
+        assert all(line in section for line in said.data["dh_places"])
 
 
 def test_commands_for_the_real_arm(spatial: Folder) -> None:

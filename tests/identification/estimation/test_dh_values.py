@@ -9,7 +9,7 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import Identification, estimate
-from identification.estimation.dh_values import dh_places, dh_values
+from identification.estimation.dh_values import Calibrated, dh_places, dh_values
 from identification.kinematics.corrected import corrected
 from identification.kinematics.corrected_dh import corrected_links, drawn_links
 from identification.kinematics.denavit_hartenberg import chain_of
@@ -31,8 +31,8 @@ def fitted() -> Identification:
 
 def test_table_base_and_tool_say_what_the_fit_does() -> None:
     found = fitted()
-    rows = {row.name: row.corrected for row in dh_values(found, UR10)}
-    places = dict(dh_places(found, UR10))
+    rows = {row.name: row.corrected for row in dh_values(Calibrated.of(found), UR10)}
+    places = dict(dh_places(Calibrated.of(found), UR10))
     assert len(rows) == 18  # 27 of a complete set less six of the base and three of the point
     for posture in np.random.default_rng(5).uniform(-2.0, 2.0, (4, 6)):
         at = places["base"]
@@ -61,6 +61,6 @@ def test_deviations_are_those_of_samples_of_the_covariance() -> None:
         named = {**found.geometry.values, **dict(zip(found.names, values, strict=True))}
         links = corrected_links(corrected(found.geometry.chain, named), drawn).links
         samples.append([links[1].a, np.degrees(links[1].beta or 0.0), links[3].d, np.degrees(links[4].theta)])
-    rows = {row.name: row for row in dh_values(found, UR10)}
+    rows = {row.name: row for row in dh_values(Calibrated.of(found), UR10)}
     stds = [rows[name].std for name in ("row 2 a", "row 2 beta", "row 4 d", "row 5 theta")]
     assert stds == pytest.approx(np.std(samples, axis=0).tolist(), rel=0.18)
