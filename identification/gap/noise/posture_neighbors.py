@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 # reasons: identification/README.md, "Constants"
 FAR = 0.1  # of the session, between two rows that share no slow error
 NEIGHBORS, SEARCHED = 4, 64
+NOTHING = 1e-20  # of a sum of squares: rounding, which has no correlation
 EXPLAINS = 3.0  # standard deviations of the slope on the neighbors' mean
 
 
@@ -54,6 +55,8 @@ def lag_of(rows: Rows, residual: Array) -> Lag:
     lag = lag + lag.T
     left = (sp.eye_array(m, format="csr") - slope * means).tocsr()
     u = left @ e
+    if np.sum(u**2) <= NOTHING * np.sum(e**2):
+        return Lag(LagForm(rows.sequence, rows.dimension), 0.0)
     found = float(np.sum(u * (lag @ u)) / np.sum(u**2))
     products, squares = left.T @ lag @ left, left.T @ left
     white = float(products.trace() / squares.trace())
