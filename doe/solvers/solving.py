@@ -15,10 +15,12 @@ from doe.bounds.planar_theorem import applies
 from doe.design import Design
 from doe.plan.ascent import climbs
 from doe.plan.constrained_ascent import ascent
+from doe.problem.feasible import random_postures
 from doe.problem.problem import DesignProblem
-from doe.solvers.driver import SearchResult, design_of, run_search
+from doe.solvers.driver import SearchResult, design_of, feasible_value, run_search
 from doe.solvers.fedorov import Fedorov
 from doe.solvers.planar_theory import Analytic, nearly_analytic
+from doe.solvers.random import Random
 from doe.solvers.registry import SOLVERS, solver_named
 from doe.solvers.solvability import check_solvable, judged_identifiable
 from doe.solvers.solver import LONG_PLAN, Budget, Offer, Solver, time_limit
@@ -72,6 +74,7 @@ def solve(
             offers = offers_of(problem, runs, chosen, budget, seed, theory_first=solver is None)
             offers = offers if begin is None else chain(climbing_from(problem, begin, budget), offers)
             result = run_search(problem, offers, budget, known, progress, accepted)
+            result, chosen = spread_out(problem, runs, seed, result, chosen)
         known = best_known_bound(problem, runs, whole.ended) if late else known
         design = design_of(problem, result, chosen, known, began, seed)
         if bound is None:
@@ -109,6 +112,18 @@ def from_theory(
     result = run_search(problem, offers, budget, known, silent)
     reached = result.status is Status.bound_reached and result.postures is not None
     return result if reached and accepted(np.asarray(result.postures)) else None
+
+
+def spread_out(
+    problem: DesignProblem, runs: int, seed: int, result: SearchResult, solver: Solver
+) -> tuple[SearchResult, Solver]:
+    """What a search found, and its solver; a random plan where all that it found of very many runs came too near each
+    other: good postures are few, and time ends before they are moved apart."""
+    if runs <= LONG_PLAN or problem.choices is not None or result.postures is None or np.isfinite(result.value):
+        return result, solver
+    spread = random_postures(problem, runs, np.random.default_rng([seed, runs]))
+    value = feasible_value(problem, spread)
+    return (replace(result, postures=spread, value=value), Random()) if np.isfinite(value) else (result, solver)
 
 
 def climbing_from(problem: DesignProblem, plan: Array, budget: Budget) -> Iterator[Offer]:

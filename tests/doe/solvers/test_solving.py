@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,12 @@ import pytest
 from doe.design import score_plan
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
+from doe.solvers.driver import SearchResult
+from doe.solvers.random import Random
+from doe.solvers.solver import LONG_PLAN
+from doe.solvers.solving import spread_out
 from identification.errors import InputError
+from identification.status import Status
 from tests.doe.arms import FIVE, FOUR, OFFSET, problem
 
 
@@ -50,3 +56,19 @@ def test_models_and_criteria_are_objects() -> None:
 def test_what_is_no_plan_is_not_scored(plan: Any, expected: str) -> None:
     with pytest.raises(InputError, match=f"plan: .*{expected}"):
         score_plan(problem(FOUR), plan)
+
+
+def test_of_very_many_runs_a_random_plan_is_better_than_none() -> None:
+    """What a search found of 100,000 runs came too near each other, and no time was left to move it apart: a random
+    plan keeps the distance, by the distances of all pairs; another result, and fewer runs, stay as they are."""
+    case = problem(FOUR, OFFSET, minimum_distance=np.radians(1.0))
+    near = SearchResult(np.tile(FOUR.lower, (LONG_PLAN + 100, 1)), -np.inf, Status.time_limit, 3)
+    found, solver = spread_out(case, LONG_PLAN + 100, 0, near, Random(7))
+    assert found.postures is not None
+    apart = np.abs(found.postures[:, None] - found.postures).max(axis=2)[np.triu_indices(LONG_PLAN + 100, 1)]
+    assert apart.min() >= np.radians(1.0)
+    assert np.all((FOUR.lower <= found.postures) & (found.postures <= FOUR.upper))
+    assert found.value == pytest.approx(case.objective(found.postures))
+    assert (found.status, solver) == (Status.time_limit, Random())
+    for result, runs in ((replace(near, value=-3.0), LONG_PLAN + 100), (near, LONG_PLAN)):
+        assert spread_out(case, runs, 0, result, Random(7)) == (result, Random(7))
