@@ -20,7 +20,8 @@ from tests.fuzz.commands import LOOPS, THERE, Case
 RESULT, BAD_INPUT, FAILED, HELP = "result", "bad input", "job failed", "help"
 PROGRESS = re.compile(r"armcal (warning: |\w+: \d+ s)|armcal: warning: ")
 USAGE = "Error: "
-ALLOWED = ("allowed", "armcal effects lists them", "add to the arm file")  # one of these says what would be right
+# one of these says what would be right
+ALLOWED = ("allowed", "armcal effects lists them", "add to the arm file", "name the columns")
 
 
 @dataclass(frozen=True)
