@@ -145,7 +145,9 @@ class _FreeSphere(_Sphere):
     ) -> _FreeSphere:
         """The best of each of `RADII`; arguments as of the constructor;  tool : whether it is to be found."""
         radii = np.repeat(RADII * reach, len(tools))[:, None]
-        held = _Sphere(frames, radii, reach, np.tile(tools, (len(RADII), 1)), base)
+        held = _Sphere(frames, np.zeros(len(frames)), reach, tools, base)  # the algebraic fits are those of any radius
+        held.lengths = radii
+        held.surface, held.tools = (np.tile(each, (len(RADII), 1)) for each in (held.surface, held.tools))
         _settled(held, base is None, tool, hopeless, SOME)
         of_radius = np.arange(len(radii)).reshape(len(RADII), -1)
         best = of_radius[np.arange(len(RADII)), np.argmin(held.squares()[of_radius], axis=1)]
