@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
+from identification.estimation.triangle import regular_step
 from identification.information import CLEAR, RANK_TOLERANCE, column_lengths, significant
 from identification.status import Status
 
@@ -30,6 +31,7 @@ MAX_DAMPING = 1e12
 ROUNDING = 1e-14  # of a sum of squares, relative
 SMALL_FALL = 1e-8  # of a sum of squares, relative
 RIDGE = 1e-14  # of a normal matrix of unit columns: keeps its inverse alive where it is singular and not used
+MANY = 100  # parameters of one problem: singular values then take several times as long as a triangle
 FLAT = 1e-4  # share of the residuals that the last step would still explain: 1e-4 sqrt(N) standard deviations
 LEAST = 0.1  # share of a step's length that is tried where it failed, see `_next_damping`
 NEGLIGIBLE = 0.1  # damping below this share of the stiffness is none
@@ -195,12 +197,18 @@ def damped_steps(
     |s|^2 / s^T (E^T E + damping)^-1 s, an eigenvalue of that matrix if s is an eigenvector: times c, and added to the
     damping, it makes s about 1 / (1 + c) times as long.
 
-    By the smaller of the normal matrices E^T E and E E^T, which square the condition, where that costs no digits that
-    matter; elsewhere by singular values, of which those below `tolerance` are zero, in step and gradient.
+    Of `MANY` parameters by the triangle of E, else by the smaller of the normal matrices E^T E and E E^T, which square
+    the condition, where that costs no digits that matter; elsewhere by singular values, of which those below
+    `tolerance` are zero, in step and gradient.
     """
     columns = np.where(held[:, None, :], 0.0, columns) if held.any() else columns
     across = np.swapaxes(columns, 1, 2)
     gradient = (across @ residuals[:, :, None])[:, :, 0]
+    if columns.shape[2] >= MANY and len(columns) == 1:
+        regular = regular_step(columns[0][:, ~held[0]], residuals[0], float(damping[0]), tolerance)
+        if regular is not None:
+            steps, softer = (_embedded(values, held) for values in regular)
+            return steps, gradient, _stiffness(steps, softer)
     wide = columns.shape[1] < columns.shape[2]
     normal = columns @ across if wide else across @ columns
     diagonal = np.arange(normal.shape[1])
@@ -222,6 +230,13 @@ def damped_steps(
         found = truncated_steps(columns[rest], residuals[rest], damping[rest], tolerance)
         steps[rest], gradient[rest], stiffness[rest] = found
     return np.where(held, 0.0, steps), gradient, stiffness
+
+
+def _embedded(values: Array, held: NDArray[np.bool_]) -> Array:
+    """(1, p) values of the parameters that are not held (1, p), zero elsewhere."""
+    found = np.zeros(held.shape)
+    found[~held] = values
+    return found
 
 
 def truncated_steps(columns: Array, residuals: Array, damping: Array, tolerance: float) -> tuple[Array, Array, Array]:

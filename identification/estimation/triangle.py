@@ -32,3 +32,24 @@ def compressed(residuals: Array, jacobians: Array) -> tuple[Array, Array]:
     tables = [(np.column_stack([j[k], r[k]]) for k in parts) for r, j in zip(residuals, jacobians, strict=True)]
     found = np.array([triangle(table) for table in tables])
     return found[:, :, -1], found[:, :, :-1]
+
+
+def regular_step(columns: Array, residual: Array, damping: float, tolerance: float) -> tuple[Array, Array] | None:
+    """(p,) minimiser s of |E s - r|^2 + damping |s|^2 of columns (N, p), and (E^T E + damping)^-1 s. None where a
+    singular value may be below `tolerance` times the largest: the norms of triangle and inverse bound their ratio."""
+    p = columns.shape[1]
+    parts = np.asarray(np.linalg.qr(np.column_stack([columns, residual]), mode="r"))
+    if len(parts) < p:
+        return None
+    try:
+        inverse = np.linalg.inv(parts[:p, :p])
+        if not np.linalg.norm(parts[:p, :p]) * np.linalg.norm(inverse) < 1.0 / tolerance:
+            return None
+        if damping > 0.0:
+            more = np.sqrt(damping) * np.eye(p, p + 1)
+            parts = np.asarray(np.linalg.qr(np.concatenate([parts[:p], more]), mode="r"))
+            inverse = np.linalg.inv(parts[:p, :p])
+    except np.linalg.LinAlgError:
+        return None
+    step = inverse @ parts[:p, p]
+    return step, inverse @ (inverse.T @ step)
