@@ -205,8 +205,7 @@ def damped_steps(
     across = np.swapaxes(columns, 1, 2)
     gradient = (across @ residuals[:, :, None])[:, :, 0]
     if columns.shape[2] >= MANY and len(columns) == 1:
-        regular = regular_step(columns[0][:, ~held[0]], residuals[0], float(damping[0]), tolerance)
-        if regular is not None:
+        if regular := regular_step(columns[0][:, ~held[0]], residuals[0], float(damping[0]), tolerance):
             steps, softer = (_embedded(values, held) for values in regular)
             return steps, gradient, _stiffness(steps, softer)
     wide = columns.shape[1] < columns.shape[2]
