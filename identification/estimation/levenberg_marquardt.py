@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
-from identification.estimation.triangle import regular_step
+from identification.estimation.triangle import regular_steps
 from identification.information import CLEAR, RANK_TOLERANCE, column_lengths, significant
 from identification.status import Status
 
@@ -31,7 +31,6 @@ MAX_DAMPING = 1e12
 ROUNDING = 1e-14  # of a sum of squares, relative
 SMALL_FALL = 1e-8  # of a sum of squares, relative
 RIDGE = 1e-14  # of a normal matrix of unit columns: keeps its inverse alive where it is singular and not used
-MANY = 100  # parameters of one problem: singular values then take several times as long as a triangle
 FLAT = 1e-4  # share of the residuals that the last step would still explain: 1e-4 sqrt(N) standard deviations
 LEAST = 0.1  # share of a step's length that is tried where it failed, see `_next_damping`
 NEGLIGIBLE = 0.1  # damping below this share of the stiffness is none
@@ -204,10 +203,8 @@ def damped_steps(
     columns = np.where(held[:, None, :], 0.0, columns) if held.any() else columns
     across = np.swapaxes(columns, 1, 2)
     gradient = (across @ residuals[:, :, None])[:, :, 0]
-    if columns.shape[2] >= MANY and len(columns) == 1:
-        if regular := regular_step(columns[0][:, ~held[0]], residuals[0], float(damping[0]), tolerance):
-            steps, softer = (_embedded(values, held) for values in regular)
-            return steps, gradient, _stiffness(steps, softer)
+    if regular := regular_steps(columns, residuals, held, damping, tolerance):
+        return regular[0], gradient, _stiffness(*regular)
     wide = columns.shape[1] < columns.shape[2]
     normal = columns @ across if wide else across @ columns
     diagonal = np.arange(normal.shape[1])
@@ -229,13 +226,6 @@ def damped_steps(
         found = truncated_steps(columns[rest], residuals[rest], damping[rest], tolerance)
         steps[rest], gradient[rest], stiffness[rest] = found
     return np.where(held, 0.0, steps), gradient, stiffness
-
-
-def _embedded(values: Array, held: NDArray[np.bool_]) -> Array:
-    """(1, p) values of the parameters that are not held (1, p), zero elsewhere."""
-    found = np.zeros(held.shape)
-    found[~held] = values
-    return found
 
 
 def truncated_steps(columns: Array, residuals: Array, damping: Array, tolerance: float) -> tuple[Array, Array, Array]:

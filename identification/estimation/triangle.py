@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arrays import Array
 
 TALL = 20  # rows per column from which the triangle pays: a step passes over the rows some ten times
+MANY = 100  # parameters of one problem: singular values then take several times as long as a triangle
 BLOCK = 2048  # rows at a time, which stay in the processor's cache
 
 
@@ -34,7 +36,22 @@ def compressed(residuals: Array, jacobians: Array) -> tuple[Array, Array]:
     return found[:, :, -1], found[:, :, :-1]
 
 
-def regular_step(columns: Array, residual: Array, damping: float, tolerance: float) -> tuple[Array, Array] | None:
+def regular_steps(
+    columns: Array, residuals: Array, held: NDArray[np.bool_], damping: Array, tolerance: float
+) -> tuple[Array, Array] | None:
+    """(1, p) minimiser s of |E s - r|^2 + damping |s|^2 for columns (1, N, p) of one problem of `MANY` parameters, and
+    (E^T E + damping)^-1 s, both zero where held; None for others, and where a triangle will not do."""
+    if columns.shape[2] < MANY or len(columns) != 1:
+        return None
+    found = _regular_step(columns[0][:, ~held[0]], residuals[0], float(damping[0]), tolerance)
+    if found is None:
+        return None
+    steps, softer = np.zeros((2, *held.shape))
+    steps[~held], softer[~held] = found
+    return steps, softer
+
+
+def _regular_step(columns: Array, residual: Array, damping: float, tolerance: float) -> tuple[Array, Array] | None:
     """(p,) minimiser s of |E s - r|^2 + damping |s|^2 of columns (N, p), and (E^T E + damping)^-1 s. None where a
     singular value may be below `tolerance` times the largest: the norms of triangle and inverse bound their ratio."""
     p = columns.shape[1]
