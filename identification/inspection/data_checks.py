@@ -24,6 +24,7 @@ from identification.model import Model
 from identification.model.placed import placed_model
 
 PLACED = 6  # numbers of a center, or a plane with three turns, and a measured point
+STANDS = 6  # numbers of where an arm stands, of each session
 SMALL_ANGLE = np.radians(7.0)  # below which numbers may be radians
 LARGE_ANGLE = 7.0  # [rad], more than a turn, above which numbers may be degrees
 ANGLES = {  # factors to radians as read, and what the numbers then were
@@ -56,9 +57,10 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
 
 
 def _few(measurements: Measurements, arm: Arm) -> bool:
-    """Whether base and measured point alone might explain the data in any unit."""
-    fitted = PLACED if measurements.dimension == 1 else len(Model(arm).parameters)
-    return arm.chain is not None and measurements.positions.size < 4 * fitted
+    """Whether base and measured points alone might explain the data in any unit."""
+    points = 1 if measurements.marker is None else len(measurements.marker_names)
+    fitted = PLACED if measurements.dimension == 1 else STANDS + arm.dimension * points
+    return arm.chain is not None and measurements.positions.size < 4 * fitted * len(measurements.session_rows)
 
 
 def gap_notes(measurements: Measurements) -> list[str]:

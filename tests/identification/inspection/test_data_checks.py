@@ -131,6 +131,17 @@ def test_there_is_no_doubt_where_the_drawing_explains_the_rows_in_other_units(an
     assert float(near.removesuffix(" % of the reach of the drawing)")) == pytest.approx(0.27, rel=0.3)
 
 
+def test_a_few_rows_tell_the_unit_of_an_arm_in_space() -> None:
+    """60 numbers, five times those of where the arm stands and of its two points, whatever its geometry may have."""
+    data = measured(20)
+    assert data_warnings(data, ARM) == []
+    for said, wrong in (
+        ("the positions look like metres: ", replace(data, positions=data.positions / 1000.0)),
+        ("the joint angles look like radians: ", replace(data, postures=np.radians(data.postures))),
+    ):
+        assert (certainly_wrong_units(wrong, ARM) or "").startswith(said)
+
+
 def test_there_is_doubt_where_another_arm_was_measured() -> None:
     """Metres of an arm whose second link is half as long: suspected, since nearer to the drawing, but not certain."""
     metres = simulated(3.0, lengths=1e-3)
