@@ -60,7 +60,9 @@ def allowed_choices(problem: DesignProblem, runs: int) -> tuple[Array, Array]:
     if problem.minimum_distance > 0.0:
         postures = np.unique(postures, axis=0)
         if len(postures) < runs:
-            raise InputError(f"runs: {runs} of {len(postures)} different allowed postures, allowed: at most as many")
+            raise InputError(
+                f"runs: found {runs}, allowed: up to {len(postures)}, the different postures to choose from"
+            )
     return postures, problem.scaled_jacobians(postures)
 
 

@@ -41,7 +41,7 @@ def test_repeats_only_when_asked_for() -> None:
     assert len(np.unique(solve(problem(FOUR, choices=few), 6).plan.postures, axis=0)) == 6
     repeated = solve(problem(FOUR, choices=few, minimum_distance=0.0), 12)
     assert len(repeated.plan) == 12
-    with pytest.raises(InputError, match=r"runs: 12 of 6 different allowed postures"):
+    with pytest.raises(InputError, match=r"runs: found 12, allowed: up to 6, the different postures"):
         solve(problem(FOUR, choices=np.vstack([few, few])), 12)
 
 
