@@ -81,7 +81,7 @@ def certainly_wrong_units(measurements: Measurements, arm: Arm) -> str | None:
     found = _units(measurements, arm)
     if not found.sentences or found.misfit > DRAWN or CERTAINLY * found.relative >= found.relative_as_read:
         return None
-    near = f"then half of the rows are within {100.0 * found.misfit:.2g} % of the reach of the drawing"
+    near = f"read that way, half of the rows agree with the drawing to {100.0 * found.misfit:.2g} % of the reach"
     return f"{'; '.join(found.sentences)} ({near})"
 
 

@@ -126,9 +126,9 @@ def test_there_is_no_doubt_where_the_drawing_explains_the_rows_in_other_units(an
     wrong = simulated(3.0, angles=angles, lengths=lengths)
     said = certainly_wrong_units(wrong, PLANAR)
     assert said is not None
-    sentences, _, near = said.rpartition(" (then half of the rows are within ")
+    sentences, _, near = said.rpartition(" (read that way, half of the rows agree with the drawing to ")
     assert sentences == "; ".join(data_warnings(wrong, PLANAR))
-    assert float(near.removesuffix(" % of the reach of the drawing)")) == pytest.approx(0.27, rel=0.3)
+    assert float(near.removesuffix(" % of the reach)")) == pytest.approx(0.27, rel=0.3)
 
 
 def test_a_few_rows_tell_the_unit_of_an_arm_in_space() -> None:
