@@ -106,7 +106,7 @@ def check_prior_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, 
     held : the geometry of a spatial arm has the machining prior
     """
     if criterion.robust and chosen.runs is None:
-        raise InputError("--robust: found without --runs, allowed: with the number of measurements")
+        raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
     if chosen.runs is not None and not criterion.robust and not held:
         raise InputError("--runs: found without --robust, allowed: with --robust")
 

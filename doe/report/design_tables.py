@@ -15,6 +15,7 @@ from doe.plan.order import Ordered
 from doe.plan.replicate_spacing import distance_to_keep
 from doe.problem.problem import DesignProblem
 from doe.report.terminal import facts, in_a_sentence, judged_by_mm, number, table
+from doe.solvers.solver import LONG_PLAN
 from identification.arrays import Array
 from identification.estimation.corrected_values import NARROWED
 from identification.kinematics.parameters import EFFECT
@@ -52,7 +53,7 @@ def accuracy_table(design: Design) -> Table | str:
     names = map(str, range(1, mean.length.size + 1)) if mean.planar else each_parameter
     rows = ([name, *(number(v, 5) for v in figures)] for name, figures in zip(names, values, strict=True) if name)
     first = "link" if mean.planar else "parameter"
-    given = "if effects of typical size may be missing" if may_be_missing else "if the model lacks nothing"
+    given = "if effects of typical size may be missing" if may_be_missing else "if the model is complete"
     return table([first, *headings], rows, f"Expected standard deviations {given} (sigma = {sigma:g} mm{over})")
 
 
@@ -120,10 +121,13 @@ def expected_error(data: dict[str, Any]) -> str | None:
 
 def repeats_line(design: Design) -> list[Text]:
     """What the rule against repeats may cost, where it binds and the bound is not reached."""
-    if design.certified_optimal or distance_to_keep(design.problem, len(design.plan)) == 0.0:
+    runs, apart = len(design.plan), design.problem.spacing
+    better = "armcal design --repeats lets them be equal, which can be better"
+    if design.solver == "random" and runs > LONG_PLAN:  # what a search of so many runs ends with, see `spread_out`
+        return [Text(f"the plan is random: none was found that is better with {runs} postures {apart} apart; {better}")]
+    if design.certified_optimal or distance_to_keep(design.problem, runs) == 0.0:
         return []
-    apart = design.problem.spacing
-    return [Text(f"postures are kept {apart} apart; armcal design --repeats lets them be equal, which can be better")]
+    return [Text(f"postures are kept {apart} apart; {better}")]
 
 
 def not_estimable_line(design: Design, most: int = 4) -> list[Text]:

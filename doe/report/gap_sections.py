@@ -81,7 +81,7 @@ def said(test: Data) -> str:
     which, rows = test.get("file") or test["transfer"], f"{test['rows']} rows in {test['groups']} independent groups"
     where = f"{which} ({how}{rows})"
     if test["confirmed"] and not test["as_predicted"]:
-        unsure = f"{rows} are too few to say whether as far as expected"
+        unsure = f"{rows} are too few to say whether by as much as expected"
         return f"The error shrinks on rows not fitted ({how}{which}); {unsure}."
     if test["confirmed"]:
         return f"The model holds for {where}{': the gap shrinks' if test['shrinks'] else ''}."

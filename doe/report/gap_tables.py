@@ -226,7 +226,7 @@ def diagnosis_tables(diagnosis: Diagnosis) -> list[Any]:
 
 def excluded_tables(data: Data) -> list[Any]:
     """What may be missing without having been found, where nothing is named."""
-    title = "What may be there all the same: smaller effects than these"
+    title = "Effects smaller than these may still be present"
     said = "tip: what the largest of them would move it by, RMS over the rows. Every joint by itself: --json, --report."
     return [as_table(largest_excluded_sheet(data), title), Text(said)]
 

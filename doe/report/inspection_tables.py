@@ -64,7 +64,7 @@ def _head(found: Inspection) -> str:
     if found.problems:
         return "Fix these first:"
     few = found.enough is not None and found.enough.few
-    return f"Nothing speaks against these data{', but they are few for a fit' if few else ''}."
+    return f"No problems found in these data{', but they are few for a fit' if few else ''}."
 
 
 def _next(found: Inspection, files: str) -> list[str]:

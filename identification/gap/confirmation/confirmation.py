@@ -140,7 +140,7 @@ class Confirmation:
         if self.confirmed is None:
             return f"too few rows to say whether it holds for {self.where}"
         if self.confirmed:
-            few = f"the error shrinks for {self.where}; too few independent rows to say whether as far as expected"
+            few = f"the error shrinks for {self.where}; too few independent rows to say whether by as much as expected"
             return f"holds for {self.where}" if self.as_predicted else few
         if self.shrinks:
             return f"for {self.where} the gap shrinks, but by less than predicted"

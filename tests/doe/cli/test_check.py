@@ -24,7 +24,7 @@ def test_simulated_data_are_fine(folder: Folder) -> None:
     assert done.data["ok"] is True
     assert [joint["limit_high"] for joint in done.data["joints"]] == pytest.approx([180.0, 120.0, 60.0, 90.0])
     text = folder.armcal("check", "arm.toml", "data.csv").out
-    assert "Nothing speaks against these data." in text
+    assert "No problems found in these data." in text
     limits = [line.split()[3:5] for line in text.splitlines() if line.split()[5:6] == ["deg"]]
     assert limits == [["none", "none"], ["-120.00", "120.00"], ["-100.00", "60.00"], ["-90.00", "90.00"]]
     assert "armcal identify arm.toml data.csv --out" in text

@@ -127,7 +127,7 @@ def test_identify_with_a_prior_writes_what_predicts(arm: Path, tmp_path: Path) -
         (["design", "--runs", "5", "--robust", "--uncertain", "worst"], "--uncertain: found with --robust"),
         (["design", "--runs", "5", "--robust", "--discriminating"], "--discriminating: found with --robust"),
         (["design", "--runs", "5", "--robust", "--missing", "gear"], "unknown name 'gear'"),
-        (["relax", "--robust"], "--robust: found without --runs"),
+        (["relax", "--robust"], "--robust: no --runs given, allowed: with --runs"),
         (["relax", "--runs", "5"], "--runs: found without --robust"),
     ],
 )

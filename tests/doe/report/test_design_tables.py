@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
@@ -16,6 +17,7 @@ from doe.report.design_tables import (
     held_by_machining,
     held_lines,
     missing_lines,
+    repeats_line,
     summary_table,
 )
 from identification.arm import Arm
@@ -40,8 +42,18 @@ def test_effects_that_may_be_missing_are_counted_not_listed() -> None:
     assert "rotation_x:2 [deg]" in capture.get()
     assert "gear_ratio" not in capture.get()
     assert "if effects of typical size may be missing" in str(found.title)
-    assert "if the model lacks nothing" in str(getattr(accuracy_table(score(plain, design.plan.postures)), "title", ""))
+    assert "if the model is complete" in str(getattr(accuracy_table(score(plain, design.plan.postures)), "title", ""))
     assert any("6 parameters of gear_ratio" in line.plain for line in missing_lines(design))
+
+
+def test_a_random_plan_of_very_many_runs_is_called_so() -> None:
+    """It is what is left where postures of a better plan would be too near each other."""
+    plan = np.random.default_rng(4).uniform(-1.0, 1.0, (101, 3))
+    found = score(problem(Arm([260.0, 180.0, 120.0])), plan)
+    (line,) = repeats_line(replace(found, solver="random"))
+    assert line.plain.startswith("the plan is random: none was found that is better with 101 postures")
+    assert "--repeats" in line.plain
+    assert not any("random" in said.plain for said in repeats_line(replace(found, solver="fedorov")))
 
 
 def test_a_robust_plan_is_judged_by_millimetres() -> None:

@@ -19,7 +19,7 @@ TEST = {"transfer": "another session", "file": "more.csv", "by": "holdout", "row
             None,
             True,
             "The error shrinks on rows not fitted (more.csv); 25 rows in 8 independent groups are too few to say "
-            "whether as far as expected.",
+            "whether by as much as expected.",
         ),
         (
             True,

@@ -149,6 +149,6 @@ def test_a_gap_that_shrinks_while_the_prediction_stays_open_is_said_so() -> None
         rows, groupings(np.random.default_rng(7).uniform(size=(160, 3)), np.arange(160), np.arange(160)), "a later time"
     )
     assert (found.confirmed, found.shrinks, found.as_predicted) == (True, True, None)
-    few = "too few independent rows to say whether as far as expected"
+    few = "too few independent rows to say whether by as much as expected"
     assert found.answer == f"the error shrinks for a later time; {few}"
     assert replace(found, file="more.csv").answer == f"the error shrinks for more.csv; {few}"
