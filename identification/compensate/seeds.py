@@ -38,6 +38,7 @@ TURNED_AWAY = 4  # of the seeds that reach a target where the arm may not stand,
 INSIDE = 0.01  # [mm] how far inside its constraints such a posture is aimed at
 WITNESSES = 6  # postures at a target that must agree before it counts as barred, and seeds that are tried for them
 SAME = 0.01  # of what is missed: margins that differ by less are those of the target, whatever the posture
+TRIED_AGAIN = 32  # goals at a time, which all seeds missed, with those that were only glanced at: effort
 DIFFERENT = 0.5  # [rad, mm] of some joint, between postures that are witnesses
 
 
@@ -93,6 +94,8 @@ def best_of_seeds(
             first = Tried._make(np.concatenate(each) for each in zip(*(tried for _, tried in waiting), strict=True))
             postures[failed], errors[failed] = search.hard(failed, first)
             waiting = []
+    if not redundant:
+        search._replace(seeds=seeds[SEEDS:]).again(postures, errors)
     return postures, errors
 
 
@@ -120,6 +123,18 @@ class _Search(NamedTuple):
         order = np.argsort(rank, axis=1)
         left, rank = (np.take_along_axis(values, order, axis=1) for values in (left, rank))
         return Tried(np.take_along_axis(found, order[:, :, None], axis=1), left, rank)
+
+    def again(self, postures: Array, errors: Array) -> None:
+        """Replaces postures (k, n) and errors (k,) of goals that other seeds missed, those first that were missed
+        by least, until there is no progress."""
+        missed = np.flatnonzero(errors > TOLERANCE)
+        missed = missed[np.argsort(errors[missed], kind="stable")]
+        for rows in np.split(missed, range(TRIED_AGAIN, len(missed), TRIED_AGAIN)):
+            found, left = self.led_on(rows, self.tried(rows)) if len(rows) else (postures[:0], errors[:0])
+            better = left <= TOLERANCE
+            if not better.any():
+                break
+            postures[rows[better]], errors[rows[better]] = found[better], left[better]
 
     def hard(self, rows: Index, first: Tried) -> tuple[Array, Array]:
         """(k, n) postures and (k,) errors of goals that a first try failed at."""
