@@ -56,7 +56,7 @@ def without_command(found: Compensation) -> list[str]:
     counted = [f"{count} {reason}" if out and barred else reason for reason, count in why.items() if count]
     which = ", ".join(map(str, rows[:MOST_ROWS])) + (", ..." if len(rows) > MOST_ROWS else "")
     listed = f"{', '.join(counted)} (row{'s' * (len(rows) > 1)} {which})"
-    return [f"{len(rows)} {'have' if len(rows) > 1 else 'has'} no command (no angles in the file): {listed}."]
+    return [f"{len(rows)} {'have' if len(rows) > 1 else 'has'} no command (angles left empty): {listed}."]
 
 
 def command_table(found: Compensation, most: int) -> list[Any]:

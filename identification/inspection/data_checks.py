@@ -105,6 +105,14 @@ class _Units(NamedTuple):
     relative_as_read: float = 0.0
 
 
+def _length_units(arm: Arm, size: float) -> dict[float, str]:
+    """Units to try for positions that are so many reaches from their middle: factor to mm -> what to do about it."""
+    if arm.chain is not None and arm.chain.instrument.contact:  # contacts read nothing that has a unit
+        return {}
+    inverse = {1.0 / factor: words for factor, words in UNITS.items()}
+    return UNITS if size < NEAR else inverse if size > BEYOND else {}
+
+
 def _units(measurements: Measurements, arm: Arm) -> _Units:
     arm = replace(arm, effects=(), calibration=None)
     if _few(measurements, arm):
@@ -113,16 +121,7 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
     largest = float(np.abs(measurements.postures[:, turning]).max(initial=0.0))
     angle = ANGLES["small"] if 0.0 < largest < SMALL_ANGLE else ANGLES["large"] if largest > LARGE_ANGLE else {}
     size = float(distances(measurements.positions - measurements.positions.mean(axis=0)).max()) / arm.reach
-    touches = arm.chain is not None and arm.chain.instrument.contact  # contacts read nothing that has a unit
-    units = (
-        {}
-        if touches
-        else UNITS
-        if size < NEAR
-        else {1.0 / f: words for f, words in UNITS.items()}
-        if size > BEYOND
-        else {}
-    )
+    units = _length_units(arm, size)
     if not angle and not units:
         return _Units([])
     readings = [(q, f) for q in (1.0, *angle) for f in (1.0, *units)]

@@ -18,9 +18,7 @@ from identification.kinematics.instrument import PLANE, Instrument
 from identification.kinematics.placement import ENOUGH, Placement, starts_of_tool
 
 ROUNDS, SOME = 50, 10  # effort: Gauss-Newton steps of each start, and where a radius is taken that is not right
-FIRST = (
-    3  # steps after which the best start of 99 of 100 wrong readings leaves less than half as much again as at its end
-)
+FIRST = 3  # steps, after which the best start of 99 of 100 wrong readings leaves at most 1.5 times what its end leaves
 RADII = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
 SMALL = 1e-10  # share of the largest eigenvalue of a normal matrix below which a combination stays
 

@@ -17,7 +17,7 @@ def test_counts_of_targets_without_a_command() -> None:
     """Row 2 is out of reach, row 3 barred; both lack angles, and a sentence says how many and why."""
     found = commands([0.0, 3.0, 0.0], [-1.0, -1.0, 2.0])
     assert without_command(found) == [
-        "2 have no command (no angles in the file): 1 out of reach, 1 barred by a constraint (rows 2, 3)."
+        "2 have no command (angles left empty): 1 out of reach, 1 barred by a constraint (rows 2, 3)."
     ]
     assert np.isnan(found.safe_commands).tolist() == [[False], [True], [True]]
     first, shown, *reasons = compensation_tables(found)
@@ -33,5 +33,5 @@ def test_nothing_is_said_where_every_target_is_reached() -> None:
 
 def test_long_lists_of_rows_are_cut() -> None:
     assert without_command(commands([1.0] * 20, [-1.0] * 20)) == [
-        "20 have no command (no angles in the file): out of reach (rows 1, 2, 3, 4, 5, 6, 7, 8, ...)."
+        "20 have no command (angles left empty): out of reach (rows 1, 2, 3, 4, 5, 6, 7, 8, ...)."
     ]
