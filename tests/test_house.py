@@ -225,31 +225,6 @@ def test_every_layer_has_a_module() -> None:
     assert {unit(name_of(path)) for path in modules()} - {"doe", "identification"} == set(LAYERS)
 
 
-def lines_of_functions(source: str) -> list[tuple[int, str]]:
-    """Lines of each function or method without its docstring, and its name."""
-    found = []
-    for node in ast.walk(parsed(source)):
-        if isinstance(node, ast.FunctionDef):
-            said = node.body[0] if ast.get_docstring(node) else None
-            spoken = said.end_lineno - said.lineno + 1 if said and said.end_lineno else 0
-            found.append(((node.end_lineno or node.lineno) - node.lineno + 1 - spoken, node.name))
-    return found
-
-
-def test_files_and_functions_are_short() -> None:
-    """At most 300 lines of a file and 40 of a function, nine of ten functions at most 16."""
-    sources = {name_of(path): path.read_text() for path in modules()}
-    assert not {name: count for name, text in sources.items() if (count := len(text.splitlines())) > 300}
-    found = [(count, f"{name}.{at}") for name, text in sources.items() for count, at in lines_of_functions(text)]
-    assert not [entry for entry in found if entry[0] > 40]
-    assert sorted(found)[int(0.9 * len(found))][0] <= 16
-
-
-def test_docstrings_are_no_lines_of_a_function() -> None:
-    source = 'def f(\n    a: int,\n) -> int:\n    """Two\n    lines."""\n\n    def g() -> None: ...\n\n    return a\n'
-    assert lines_of_functions(source) == [(7, "f"), (1, "g")]
-
-
 # names of several modules that mean the same in each
 SAME = {
     "command": "a verb of the command line",
