@@ -122,4 +122,5 @@ def fitted_rows(problem: Problem, data: Measurements, parameters: Array, decompo
     weighted = problem.root_weights[:, :, None] * jacobian
     postures = np.unique(data.posture_numbers[kept], return_inverse=True)[1]
     sequence = np.cumsum(kept)[data.sequence[kept[data.sequence]]] - 1
-    return FittedRows(weighted[kept], residual[kept], decomposed.rank, sequence, postures)
+    numbers = postures, data.repeat_numbers[kept]
+    return FittedRows(weighted[kept], residual[kept], decomposed.rank, sequence, *numbers)

@@ -24,7 +24,8 @@ class FittedRows:
     """m rows of d whitened coordinates with what a fit left of them.
 
     jacobian : (m, d, p);  residual : (m, d);  rank : number of combinations estimated
-    sequence : (m,) row numbers in the order of measurement;  postures : (m,) equal numbers mark repeats of one posture
+    sequence : (m,) row numbers in the order of measurement
+    postures, repeats : (m,) `Measurements.posture_numbers` and `repeat_numbers`
     """
 
     jacobian: Array
@@ -32,6 +33,7 @@ class FittedRows:
     rank: int
     sequence: NDArray[np.int64]
     postures: NDArray[np.int64]
+    repeats: NDArray[np.int64]
 
     def unbounded(self, root: Array) -> FittedRows:
         """The rows with the residuals that the linear model leaves without bounds: an active bound hides what is behind
@@ -177,10 +179,11 @@ def stretches(sequence: NDArray[np.int64], length: int) -> NDArray[np.int64]:
 
 def lack_of_fit(rows: FittedRows) -> float:
     """p-value of the F test of lack of fit against the scatter of repeats; 1 where too few postures are repeated."""
-    d, count = rows.residual.shape[1], int(rows.postures.max()) + 1
-    sizes = np.bincount(rows.postures)[:, None]
-    means = np.stack([np.bincount(rows.postures, column) for column in rows.residual.T], axis=1) / sizes
-    pure = float(np.sum((rows.residual - means[rows.postures]) ** 2))
+    numbers = np.unique(rows.repeats, return_inverse=True)[1]
+    d, count = rows.residual.shape[1], int(numbers.max()) + 1
+    sizes = np.bincount(numbers)[:, None]
+    means = np.stack([np.bincount(numbers, column) for column in rows.residual.T], axis=1) / sizes
+    pure = float(np.sum((rows.residual - means[numbers]) ** 2))
     pure_freedom, fit_freedom = d * (len(rows.residual) - count), d * count - rows.rank
     if pure_freedom < 1 or fit_freedom < 1 or pure == 0.0:
         return 1.0

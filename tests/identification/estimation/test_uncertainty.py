@@ -26,7 +26,7 @@ def fitted(
     residual = values - columns @ np.linalg.lstsq(columns, values)[0]
     m, p = columns.shape
     numbers = np.arange(m) if postures is None else postures
-    rows = FittedRows(columns[:, None, :], residual[:, None], p, np.arange(m), numbers)
+    rows = FittedRows(columns[:, None, :], residual[:, None], p, np.arange(m), numbers, numbers)
     return rows, spectrum(columns, np.ones(p)).root
 
 
@@ -175,7 +175,7 @@ def test_lack_of_fit_is_the_f_test_of_the_analysis_of_variance() -> None:
     numbers = np.repeat(np.arange(4), [3, 5, 2, 6])
     rows, _ = fitted(np.ones((16, 1)), np.concatenate(samples), numbers)
     assert lack_of_fit(rows) == pytest.approx(stats.f_oneway(*samples).pvalue)
-    assert lack_of_fit(replace(rows, postures=np.arange(16))) == 1.0
+    assert lack_of_fit(replace(rows, repeats=np.arange(16))) == 1.0
 
 
 def test_quantiles() -> None:
