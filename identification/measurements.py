@@ -246,6 +246,16 @@ class Measurements(ByValue):
         """(m,) equal numbers mark repeats: rows of one posture, marker and session, which noise alone tells apart."""
         return repeats_of(self.posture_numbers, self.marker_numbers, self._session_numbers)
 
+    @cached_property
+    def originals(self) -> NDArray[np.int64]:
+        """(m,) number of the first row of equal angles, position, orientation, marker and session, to the last digit:
+        of a copied row another number than its own."""
+        numbers = (self.marker_numbers, self._session_numbers, self.orientations)
+        more = [np.reshape(column, (len(self), -1)) for column in numbers if column is not None]
+        rows = np.column_stack([self.postures, self.positions, *more])
+        _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+        return np.asarray(first[number.ravel()])
+
     @property
     def conditions(self) -> Conditions:
         """Conditions for the model: time and directions follow, in each session, from the order where not given."""
