@@ -64,6 +64,7 @@ def doubts(
         *([] if implausible else (read and far_zeros(model, parameters)) or read),
         *another_frame(arm, measurements),
         *outside_limits(arm, measurements),
+        *copied_rows(measurements),
     ]
     said += [] if residual.size <= parameters.size else only_rounding(residual, measurements)
     return Doubts(tuple(said), bool(bad))
@@ -204,14 +205,12 @@ def _turns(arm: Arm, postures: Array) -> str:
 
 
 def copied_rows(measurements: Measurements) -> list[str]:
-    """Rows that repeat posture and position of another row to the last digit, as no instrument does."""
-    _, first, numbers = np.unique(
-        np.column_stack([measurements.postures, measurements.positions]), axis=0, return_index=True, return_inverse=True
-    )
-    rows = np.flatnonzero(first[numbers.ravel()] != np.arange(len(measurements)))
+    """Rows that repeat posture and position of another row to the last digit, as hardly any instrument does."""
+    rows = np.flatnonzero(measurements.originals != np.arange(len(measurements)))
     if not rows.size:
         return []
-    copy, original = int(rows[0]) + 1, int(first[numbers.ravel()[rows[0]]]) + 1
+    copy, original = int(rows[0]) + 1, int(measurements.originals[rows[0]]) + 1
     number = "1 row is an exact copy" if rows.size == 1 else f"{rows.size} rows are exact copies"
+    no = "it is no measurement of its own" if rows.size == 1 else "they are no measurements of their own"
     seen = f"{number} of another (of {len(measurements)} rows): the first row {copy} of row {original}"
-    return [f"{seen}: they are no measurements of their own, and make everything look surer than it is"]
+    return [f"{seen}: {no}, which identify does not count"]

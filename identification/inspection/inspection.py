@@ -75,7 +75,8 @@ class JointRange:
 class Inspection:
     """What was seen in the measurements of an arm.
 
-    rows, postures : how many rows, and how many postures that are not repeats
+    rows, postures : how many rows, and of how many postures
+    repeated : whether a posture was measured again in the same session, by the same marker
     given : optional columns;  floor : what repeats scatter by
     readings : the columns as they are, and a better way to read them if there is one
     drawing : RMS distance [mm] that the drawing leaves with its place in the instrument's frame fitted, as of
@@ -91,6 +92,7 @@ class Inspection:
     arm: Arm
     rows: int
     postures: int
+    repeated: bool
     sessions: tuple[str, ...]
     markers: tuple[str, ...]
     given: tuple[str, ...]
@@ -160,7 +162,7 @@ class Inspection:
             said += _misfit(self.fit)
         if self.fit is not None and self.fit.not_identifiable:
             said.append(f"not estimable separately: {'; '.join(self.fit.not_identifiable)}")
-        if self.postures == self.rows:
+        if not self.repeated:
             said.append("no posture is repeated: the arm's repeatability is not known from these data")
         said += self.gaps
         missing = {"temperature": "a column temperature_C", "gravity": "[gravity] in the arm file"}
@@ -238,6 +240,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         arm=arm,
         rows=len(measurements),
         postures=len(np.unique(measurements.posture_numbers)),
+        repeated=len(np.unique(measurements.repeat_numbers)) < len(measurements),
         sessions=measurements.sessions,
         markers=measurements.marker_names,
         given=tuple(sorted(measurements.given)),

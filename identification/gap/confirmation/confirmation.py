@@ -74,9 +74,12 @@ def groupings(postures: Array, repeats: Groups, time: Array) -> tuple[Groups, Gr
 
     postures : (m, n) [rad];  repeats : (m,) equal numbers mark repeats of one posture;  time : (m,)
     """
-    stretches = np.empty(len(time), dtype=np.int64)
-    for group, rows in enumerate(np.array_split(np.argsort(time, kind="stable"), min(GROUPS, len(time)))):
-        stretches[rows] = group
+    sequence = np.argsort(time, kind="stable")
+    stays = np.cumsum(np.diff(repeats[sequence], prepend=repeats[sequence[0]]) != 0)  # at one posture, from 0
+    count, stretches = int(stays[-1]) + 1, np.empty(len(time), dtype=np.int64)
+    sizes = np.cumsum(np.bincount(stays))
+    ends = np.unique(np.searchsorted(sizes, np.arange(1, GROUPS) * len(time) / GROUPS))
+    stretches[sequence] = np.searchsorted(ends, np.arange(count), side="left")[stays]
     first = np.unique(repeats, return_index=True)[1]
     return stretches, regions(postures[first])[np.unique(repeats, return_inverse=True)[1]]
 
