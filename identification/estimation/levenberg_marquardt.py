@@ -200,13 +200,17 @@ def _revived(problem: LeastSquares, points: Points, lengths: Array) -> Points:
     tried = x[own]
     tried[np.arange(len(own)), column] += step[:, 0]
     residuals, jacobians = problem.linearize(tried, points.problems[own])
-    gradient, gradient_tried = (
+    gradient, tried_gradient = (
         np.einsum("knp,kn->kp", *pair) for pair in ((points.jacobians, points.residuals), (jacobians, residuals))
     )
-    bend = (gradient_tried - gradient[own]) / step
+    change = tried_gradient - gradient[own]
+    sizes = np.sqrt(np.einsum("knp,knp->kp", jacobians, jacobians))
+    change[np.abs(change) <= GRADIENT_TOLERANCE * sizes * np.sqrt(_squares(residuals))[:, None]] = 0.0
+    bend = change / step
     moves, slopes = [], []
     for sign, room in ((1.0, up), (-1.0, down)):
-        along = np.where(sign * bend > 0.0, above, -below)  # (void parameters, p) for the gradient of each parameter
+        # (void parameters, p) for the gradient of each parameter
+        along = np.where(bend == 0.0, 0.0, np.where(sign * bend > 0.0, above, -below))
         slope = sign * gradient
         np.add.at(slope, own, sign * along * bend)
         moves.append(along)
@@ -215,7 +219,7 @@ def _revived(problem: LeastSquares, points: Points, lengths: Array) -> Points:
     moved = x.copy()
     moved[own, column] += np.concatenate(moves, axis=1)[np.arange(len(own)), best[own]]
     moved = np.clip(moved, problem.lower, problem.upper)
-    descends = np.max(np.concatenate(slopes, axis=1), axis=1) > 0.0
+    descends = (np.max(np.concatenate(slopes, axis=1), axis=1) > 0.0) & np.any(moved != x, axis=1)
     points, moved = points.at(descends), moved[descends]
     residuals, jacobians = problem.linearize(moved, points.problems)
     return Points(points.problems, moved, residuals, jacobians, _squares(residuals), np.zeros(len(moved)))
