@@ -205,7 +205,9 @@ def _revived(problem: LeastSquares, points: Points, lengths: Array) -> Points:
     )
     change = tried_gradient - gradient[own]
     sizes = np.sqrt(np.einsum("knp,knp->kp", jacobians, jacobians))
-    change[np.abs(change) <= GRADIENT_TOLERANCE * sizes * np.sqrt(_squares(residuals))[:, None]] = 0.0
+    in_mm = np.abs(change) / problem.scales
+    small = in_mm <= VANISHED * np.max(in_mm, axis=1, keepdims=True)
+    change[small | (np.abs(change) <= GRADIENT_TOLERANCE * sizes * np.sqrt(_squares(residuals))[:, None])] = 0.0
     bend = change / step
     moves, slopes = [], []
     for sign, room in ((1.0, up), (-1.0, down)):
