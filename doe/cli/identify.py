@@ -84,6 +84,7 @@ def command(
     from identification.servo import following_errors
     from identification.sessions import with_sessions
     from identification.validate.reuse import with_place_doubted, words_of
+    from identification.validate.set_up import with_mounting_doubted
 
     loaded, words = load_arm(arm), words_of(only)
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
@@ -97,6 +98,7 @@ def command(
     fitted = rows_fitted(measurements, said)
     if words:
         found = with_place_doubted(found, with_sessions(loaded, fitted), words, fitted)
+    found = with_mounting_doubted(found, fitted, lambda rows: wanted.fit(loaded, rows)[0])
     extra, shown = fit_shown(found, (arm, loaded), fitted, words, library, full=full or old is not None)
     kept = loaded.calibration if words else None, None if old is None else old.calibration
     answered = calibrated.fit_answer(found, shown, arm, output, urdf, library, *kept)
