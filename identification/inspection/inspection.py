@@ -11,6 +11,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
+from identification.estimation.base_and_tool import TOGETHER
 from identification.estimation.expected_tip import FEW, hardly_determined
 from identification.estimation.plausibility import (
     another_frame,
@@ -144,7 +145,7 @@ class Inspection:
         if self.fit.dof <= 0:
             numbers, unknowns = self.fit.residuals_after.size, len(self.fit.names)
             return [f"{FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
-        return [sentence for sentence in hardly_determined(self.fit) if sentence.startswith(FEW)]
+        return [sentence for sentence in hardly_determined(self.fit) if sentence.startswith((FEW, TOGETHER))]
 
     def _offsets(self) -> list[str]:
         """Joints whose zero is another one than the drawing's, where the fit takes that up."""
@@ -248,9 +249,9 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     other_units = bool(wrong_units(measurements, arm))
     fit = None if other_units else _fit(arm, measurements)
     floor = _floor(fit, measurements)
-    asked = measurements.commanded
-    other_angles = asked is not None and not other_units and not np.array_equal(asked, measurements.postures)
-    by_command = _fit(arm, replace(measurements, postures=asked, commanded=None)) if other_angles else None
+    asked, by_command = measurements.commanded, None
+    if asked is not None and not other_units and not np.array_equal(asked, measurements.postures):
+        by_command = _fit(arm, replace(measurements, postures=asked, commanded=None))
     units = data_warnings(measurements, arm)
     readings = (as_written if other_units else read_differently)(arm, measurements)
     return Inspection(
