@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
+from identification.estimation.base_and_tool import turns_measured
 from identification.estimation.checks import Noise
 from identification.estimation.levenberg_marquardt import Solution
 from identification.estimation.outlying import limit_of, outlying, robust_squares
@@ -99,6 +100,7 @@ def identification(
         uncertainty=spread.uncertainty,
         scatter=spread.scatter,
         doubts=(*doubtful.sentences, *far_rows(after, outlier)),
+        flange_turns=turns_measured(model, data),
         outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),
     )
 

@@ -52,6 +52,7 @@ class Identification:
     outlier_rows : numbers from 1 of rows that the model does not explain, which are in the fit all the same
     prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it
     contradictions : parameters whose prior, an earlier calibration, the measurements contradict
+    flange_turns : (3,) see `base_and_tool.flange_turns`, of a fit of both base and measured points; None: of others
     covariance_seen : (p, p) with the noise that is there without that prior; None: no such prior
     """
 
@@ -76,6 +77,7 @@ class Identification:
     machining_factor: float | None = None
     contradictions: tuple[Contradiction, ...] = ()
     covariance_seen: Array | None = None
+    flange_turns: Array | None = None
     iterations: int = 1
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
+from identification.estimation.base_and_tool import TOGETHER
 from identification.estimation.expected_tip import FEW, hardly_determined
 from identification.estimation.plausibility import (
     another_frame,
@@ -38,6 +39,7 @@ from identification.validate import drawing_residuals
 STILL = np.radians(5.0)  # [rad] of a joint's range, below which its own errors are hardly seen
 ROUGH = 0.02  # of the reach: more than a drawing is off by
 MUCH = 0.01  # of the reach: more than the effects of an arm leave where they are not in the model
+ALIKE = 1.05  # times as much is left: no telling which angles are the better ones
 HARDLY_LESS = 0.8  # of what the drawing leaves: a fit that explains nothing
 
 
@@ -81,6 +83,7 @@ class Inspection:
     readings : the columns as they are, and a better way to read them if there is one
     drawing : RMS distance [mm] that the drawing leaves with its place in the instrument's frame fitted, as of
         `validate`;  fit : the geometry fitted, None with too few rows;  enough : what the rows can say of it
+    commanded : RMS distance [mm] that a fit to commanded angles leaves, None: there are none beside those read
     other_units : the numbers are of other units, so that neither a fit nor limits would mean anything
     units : sentences about units, swapped markers and rows that are far off;  frame : about a base elsewhere, or
         distances off by a constant;  turned : about a frame at another angle
@@ -102,6 +105,7 @@ class Inspection:
     drawing: float
     fit: Identification | None
     enough: Sufficiency | None
+    commanded: float | None
     other_units: bool
     units: tuple[str, ...]
     frame: tuple[str, ...]
@@ -143,7 +147,7 @@ class Inspection:
         if self.fit.dof <= 0:
             numbers, unknowns = self.fit.residuals_after.size, len(self.fit.names)
             return [f"{FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
-        return [sentence for sentence in hardly_determined(self.fit) if sentence.startswith(FEW)]
+        return [sentence for sentence in hardly_determined(self.fit) if sentence.startswith((FEW, TOGETHER))]
 
     def _offsets(self) -> list[str]:
         """Joints whose zero is another one than the drawing's, where the fit takes that up."""
@@ -158,6 +162,8 @@ class Inspection:
         still = [str(j.joint) for j in self.joints if j.kind == REVOLUTE and j.high - j.low < STILL]
         said = [] if self.other_units or not still else [_hardly(still)]
         said += [*self.turned, *(_unseen(j) for j in self.unseen if str(j) not in still)]
+        if self.fit is not None and self.commanded is not None:
+            said.append(_better_angles(rms_distance(self.fit.residuals_after), self.commanded))
         if self.fit is not None and not self.problems:
             said += _misfit(self.fit)
         if self.fit is not None and self.fit.not_identifiable:
@@ -191,6 +197,7 @@ class Inspection:
             "rms_drawing_mm": self.drawing,
             "better_reading": self.readings.to_json(),
             "rms_fitted_mm": None if fit is None else rms_distance(fit.residuals_after),
+            "rms_commanded_mm": self.commanded,
             **({} if self.enough is None else self.enough.to_json()),
             "not_identifiable": () if fit is None else fit.not_identifiable,
             "ok": not self.problems,
@@ -204,6 +211,16 @@ def _misfit(fit: Identification) -> list[str]:
     if fit.misfit:
         return [fit.misfit.partition(". ")[0] + "; armcal diagnose looks for what is missing"]
     return [said for said in fit.doubts if said.startswith(MISFIT)]
+
+
+def _better_angles(read: float, commanded: float) -> str:
+    """Which angles explain the positions better, by what a fit leaves of them [mm]."""
+    figures = f"a fit to the angles read leaves {read:.3g} mm RMS, to those commanded {commanded:.3g} mm"
+    if max(read, commanded) <= ALIKE * min(read, commanded):
+        return f"{figures}: which of them a fit uses makes no difference"
+    if read < commanded:
+        return f"{figures}: the positions are those of the angles read, which every fit uses"
+    return f"{figures}: the positions are those of the angles commanded: give these as q1_deg.. instead"
 
 
 def _hardly(joints: list[str]) -> str:
@@ -234,6 +251,9 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     other_units = bool(wrong_units(measurements, arm))
     fit = None if other_units else _fit(arm, measurements)
     floor = _floor(fit, measurements)
+    asked, by_command = measurements.commanded, None
+    if asked is not None and not other_units and not np.array_equal(asked, measurements.postures):
+        by_command = _fit(arm, replace(measurements, postures=asked, commanded=None))
     units = data_warnings(measurements, arm)
     readings = (as_written if other_units else read_differently)(arm, measurements)
     return Inspection(
@@ -250,6 +270,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         drawing=_drawing(arm, measurements, readings),
         fit=fit,
         enough=None if fit is None else sufficiency(fit, measurements, floor),
+        commanded=None if by_command is None else rms_distance(by_command.residuals_after),
         other_units=other_units,
         units=tuple(units),
         frame=() if other_units else _frame(arm, measurements, fit),
