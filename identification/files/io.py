@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 import shutil
 import stat
+import sys
 import tempfile
 import tomllib
 from collections.abc import Mapping
@@ -17,6 +19,10 @@ from identification.errors import InputError
 
 PathLike = str | os.PathLike[str]
 DESCRIPTORS = "/proc/self/fd"
+PARTS = 100  # of a dotted key; the library keeps every prefix of one, so that its memory grows with their square
+# Each part is looked at once from each of the `PARTS` before it; from inside a word or a text no search begins.
+_PART = r"""(?:[A-Za-z0-9_-]++|"(?:\\.|[^"\\\n])*+"|'[^'\n]*+')"""
+TOO_LONG_KEY = re.compile(rf"(?<![\w\\-])(?:{_PART}[ \t]*+\.[ \t]*+){{{PARTS}}}")
 EXISTS = "the file exists, allowed: a new file name, or --force to replace it"
 
 
@@ -63,10 +69,17 @@ def read_text(path: PathLike) -> str:
 def read_toml(path: PathLike) -> dict[str, Any]:
     """The tables of a TOML file. Raises `InputError` as `read_text` does; a syntax error has line and column."""
     text = read_text(path)
+    if found := TOO_LONG_KEY.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        reason = f"line {line} has a key of more than {PARTS} parts"
+        raise InputError(f"{path}: not valid TOML: {reason}, allowed: TOML 1.0, less nested")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not valid TOML: {reason}, allowed: TOML 1.0") from None
+    except ValueError:  # as Python says it of its own limit
+        reason = f"a whole number of more than {sys.get_int_max_str_digits()} digits"
         raise InputError(f"{path}: not valid TOML: {reason}, allowed: TOML 1.0") from None
     except RecursionError:
         raise InputError(f"{path}: not valid TOML: nested too deeply, allowed: TOML 1.0, less nested") from None
