@@ -13,7 +13,11 @@ from identification.files.io import PathLike, write_together
 
 
 @verb("armcal init --urdf robot.urdf --out calibration", "Write the first files: arm, measurements, what to do.")
-@click.option("--links", metavar="N", help="A planar arm: how many links, or their lengths [mm]: 612,572.3,115.7")
+@click.option(
+    "--links",
+    metavar="N|LENGTHS",
+    help="A planar arm: how many links (a whole number, 1 to 12), or their lengths [mm]: 612,572.3 or, of one, 612.0",
+)
 @click.option("--urdf", "robot", type=FILE, metavar="FILE", help="A spatial arm from a URDF file.")
 @click.option("--dh", metavar="N", type=click.IntRange(1, 12), help="A spatial arm from N Denavit-Hartenberg rows.")
 @click.option("--base-link", help="Of the URDF file; left out: its root.")

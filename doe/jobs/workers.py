@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from doe.jobs.isolated import SINGLE_THREAD, one_line
-from identification.errors import InputError
+from identification.errors import InputError, JobError
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,10 @@ def _process_pool(number: int) -> Iterator[Executor]:
     settings = {**SINGLE_THREAD, "PYTHONSAFEPATH": "1"}  # no module of the working directory comes first
     before = {name: os.environ.get(name) for name in settings}
     os.environ.update(settings)  # read when the workers start
-    pool = _Pool(number, multiprocessing.get_context("spawn"), initializer=_end_with_the_parent)
+    try:
+        pool = _Pool(number, multiprocessing.get_context("spawn"), initializer=_end_with_the_parent)
+    except OSError as error:  # no semaphores: a /dev/shm that is read-only
+        raise JobError(f"no processes can share work here ({error.strerror}), allowed: --workers 1") from None
     others = multiprocessing.active_children()
     try:
         yield pool

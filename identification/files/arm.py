@@ -85,7 +85,8 @@ def arm_from_tables(tables: dict[str, Any], folder: PathLike = ".") -> Arm:
 # -- reading -----------------------------------------------------------------------------------------------------------
 def _warn_if_radians(path: PathLike, tables: Mapping[str, Any]) -> None:
     limits = tables.get("joint_limits_deg")
-    if limits and max(abs(value) for key in ("lower", "upper") for value in limits[key]) <= 2.0 * np.pi + 0.01:
+    values = [abs(value) for key in ("lower", "upper") for value in limits[key]] if limits else []
+    if values and max(values) <= 2.0 * np.pi + 0.01:
         message = "joint_limits_deg: all limits are within 6.3 deg and look like radians; write them in degrees"
         warnings.warn(f"{path}: {message}", UserWarning, stacklevel=3)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected
-from identification.kinematics.frames import point_table, pose_table, roll_pitch_yaw, rotation_about, tool_tables
+from identification.kinematics.frames import point_table, pose, pose_table, roll_pitch_yaw, rotation_about, tool_tables
 from identification.kinematics.parameters import JOINT_OFFSET, REVOLUTE
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 
@@ -105,17 +105,20 @@ class CorrectedGeometry:
             "geometry": [self._row(j) for j in range(1, len(self.chain) + 1)],
         }
 
+    def origin(self, j: int) -> Array:
+        """(4, 4) pose of the frame of a joint, counted from 1, in that of the joint before, its offset apart [mm]."""
+        joint, offset = self.chain.joints[j - 1], self._offset_of(j)
+        back = pose(rotation=rotation_about(joint.axis, -offset))
+        return self.real.joints[j - 1].origin @ (back if joint.type == REVOLUTE else pose(-offset * joint.axis))
+
     def _row(self, j: int) -> dict[str, Any]:
-        """Where the frame of a joint is in that of the joint before, its offset apart."""
-        joint = self.chain.joints[j - 1]
-        origin, offset = self.real.joints[j - 1].origin, self._offset_of(j)
-        place, turn = origin[:3, 3], origin[:3, :3]
-        if joint.type == REVOLUTE:
-            turn = turn @ rotation_about(joint.axis, -offset)
-        else:
-            place = place - turn @ joint.axis * offset
-        angles = zip(("roll", "pitch", "yaw"), np.degrees(roll_pitch_yaw(turn)), strict=True)
-        return {"joint": j, "name": joint.name, **point_table(place), **{f"{k}_deg": float(v) for k, v in angles}}
+        """That frame as numbers, its angles the nearest to those drawn of all that make the same rotation."""
+        joint, origin = self.chain.joints[j - 1], self.origin(j)
+        turn = roll_pitch_yaw(origin[:3, :3], near=roll_pitch_yaw(joint.origin[:3, :3]))
+        angles = zip(("roll", "pitch", "yaw"), np.degrees(turn), strict=True)
+        return {"joint": j, "name": joint.name, **point_table(origin[:3, 3])} | {
+            f"{axis}_deg": float(angle) for axis, angle in angles
+        }
 
     def _offset(self, j: int) -> dict[str, Any]:
         """What the joint adds to a command, and what a controller has to add to its own."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import socket
@@ -136,6 +137,17 @@ def test_scheduler_without_workers_is_one_line() -> None:
             time.sleep(0.1)
         with pytest.raises(InputError, match=f"the scheduler has no workers.*dask worker {address}"):
             cluster(address, patience=1.0)
+
+
+def test_processes_without_semaphores_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A system whose shared memory is read-only (EROFS)."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr("multiprocessing.synchronize.SemLock.__init__", refuse)
+    with RowTable.open(None) as table, pytest.raises(JobError, match=r"Read-only file system.*--workers 1"):
+        run_tasks(work.draw, [{"task": 1}], table, chosen_workers(2))
 
 
 def test_choice_of_workers() -> None:
