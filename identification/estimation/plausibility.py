@@ -98,16 +98,26 @@ def far_zeros(model: Model, parameters: Array) -> list[str]:
     return [f"zeros differ from the drawing's: {', '.join(far)}"] if far else []
 
 
-def far_rows(residual: Array, outlier: NDArray[np.bool_]) -> list[str]:
-    """Which rows nothing explains; residual : (m, d) [mm];  outlier : (m,)."""
-    if not outlier.any():
-        return []
-    off = distances(residual[:, POINT])
-    far, usual = f"up to {off[outlier].max():.4g} mm off", f"the others {np.median(off[~outlier]):.3g} mm in the median"
-    return [
-        f"{rows_in_words(outlier)}: {far}, {usual}: a lost beam, an arm that was still moving, or what the model lacks "
-        "there. armcal diagnose tells these apart; identify --without-outliers leaves such rows out"
-    ]
+def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.bool_]) -> list[str]:
+    """Which rows nothing explains; residual : (m, d) [mm];  outlier, together : (m,) by themselves, and those that come
+    together (`outlying.together`)."""
+    off, sentences = distances(residual[:, POINT]), []
+    for rows in (outlier, together):
+        if rows.any():
+            far = f"{rows_in_words(rows)}: up to {off[rows].max():.4g} mm off"
+            sentences.append(f"{far}, the others {np.median(off[~(outlier | together)]):.3g} mm in the median: ")
+    causes = []
+    if outlier.any():
+        causes.append(
+            "a lost beam, an arm that was still moving, or what the model lacks there. armcal diagnose tells these "
+            "apart; identify --without-outliers leaves such rows out"
+        )
+    if together.any():
+        causes.append(
+            "not single rows but whole postures or neighbors: what the model lacks there (gravity, play), or postures "
+            "where the arm stood elsewhere. They stay in the fit; delete them only if you know why they are wrong"
+        )
+    return [sentence + cause for sentence, cause in zip(sentences, causes, strict=True)]
 
 
 def only_rounding(residual: Array, measurements: Measurements) -> list[str]:

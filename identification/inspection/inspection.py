@@ -125,8 +125,9 @@ class Inspection:
             off = f"the drawing is {self.drawing:.4g} mm off wherever the arm stands: check lengths and columns"
             said += self.step or [off]
         if self.fit is not None and not said:
-            outlier = np.isin(np.arange(self.rows) + 1, self.fit.outlier_rows)
-            said += far_rows(self.fit.residuals_after, outlier) or self._unexplained(self.fit)
+            rows = np.arange(self.rows) + 1
+            unexplained = (np.isin(rows, some) for some in (self.fit.outlier_rows, self.fit.unexplained_rows))
+            said += far_rows(self.fit.residuals_after, *unexplained) or self._unexplained(self.fit)
         if self.fit is None and not self.other_units:
             said.append("too few rows for a fit of the geometry")
         return (*(said or self._few()), *self.rest)
