@@ -163,12 +163,13 @@ def scored_table(truth: pl.DataFrame, found: pl.DataFrame) -> BlindStudy:
 
 def scored_set(row: Mapping[str, Any], families: Mapping[str, str]) -> dict[str, Any]:
     """One data set: what was hidden, what was named, and in which respects that is right (None: not asked)."""
-    known, outside = row["verdict"] != "unknown", row["place"] is not None
+    known, outside = row["verdict"] != "unknown", row.get("outside") is not None
     hidden, named = sorted(row["hidden"] or ()), sorted(row["named"] or ())
     judgement = {
         "cell": row["cell"],
         "set": row["set"],
-        "hidden": " + ".join(hidden) or (f"outside the library, {row['place']}" if outside else NOTHING),
+        "hidden": " + ".join(hidden)
+        or (f"outside the library, {row['place'] or row['outside']}" if outside else NOTHING),
         "named": " + ".join(named + ([] if known else [f"unknown, {row['where']}"])) or NOTHING,
         "hidden_class": _classes(hidden, families, "outside the library" if outside else None),
         "named_class": _classes(named, families, None if known else "unknown"),
@@ -177,7 +178,7 @@ def scored_set(row: Mapping[str, Any], families: Mapping[str, str]) -> dict[str,
     if hidden:
         judgement |= _names_judged(row, judgement)
     if outside:
-        judgement["located"] = not known and row["where"] == row["place"]
+        judgement |= _places_judged(row)
     if row["wrong_rows"]:
         judgement["outliers listed"] = set(row["wrong_rows"]) <= set(row["outlier_rows"] or ())
     judgement |= probability_judged(row) | intervals_judged(row, judgement.get("exact", False)) | _many_judged(row)
@@ -196,18 +197,80 @@ def _names_judged(row: Mapping[str, Any], judgement: Mapping[str, Any]) -> dict[
     }
 
 
-def _many_judged(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Where many effects were hidden: each of them, what else was named, all intervals, and errors without noise."""
-    if row.get("error_true_mm") is None:
-        return {}
-    hidden, named = set(row["hidden"]), set(row["named"] or ())
-    return {
-        "error / true": row["error_named_mm"] / row["error_true_mm"],
-        "effects named": len(hidden & named) / len(hidden),
-        "false names": float(len(named - hidden)),
-        "false unknown": row["verdict"] == "unknown",
-        "intervals, all": share_inside(row),
+def _places_judged(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Where something outside the library was hidden: where it is said to be, unless no place is right."""
+    named, unknown = row["named"] or (), row["verdict"] == "unknown"
+    judged: dict[str, Any] = {"no effect": row["verdict"] == "none", "library name": bool(named)}
+    if row["place"] is not None:
+        right = set(row["place"].split(" or "))
+        said = [places_of(key) for key in named] + ([{row["where"]}] if unknown and row["where"] else [])
+        judged["located"] = unknown and row["where"] in right
+        judged["wrong place"] = any(not places & right for places in said)
+    return judged
+
+
+def places_of(key: str) -> set[str]:
+    """Where an effect of the library is: its joint, the time or the temperature that it follows, the workspace."""
+    name, _, joint = key.partition(":")
+    followed = {place for place, names in FOLLOWING.items() if name in names}
+    return followed | ({f"joint:{joint}"} if joint else set()) or {"arm"}
+
+
+FOLLOWING = {
+    "time": ("base_drift", "base_rotation_drift", "base_step", "thermal_transient", "joint_step", "link_step"),
+    "temperature": ("thermal_growth",),
+    "workspace": ("axes_skew", "measurement_scale"),
+}
+
+
+def contradictions(said: Mapping[str, Any]) -> list[str]:
+    """Where verdict, effects and probabilities of a diagnosis (`Diagnosis.to_json`) contradict each other."""
+    chance = dict(said["probabilities"])
+    none, unknown, verdict = chance.pop("none"), chance.pop("unknown"), said["verdict"]
+    others = {" + ".join(one["effects"]): one["probability"] for one in said["other_sets"]}
+    named = " + ".join(said["effects"])
+    own = chance.get(named, 0.0)
+    rivals = [*(p for name, p in chance.items() if name != named), *others.values()]
+    unlisted = unknown - sum(others.values())
+    wrong = {
+        "probabilities without sum 1": abs(none + unknown + sum(chance.values()) - 1.0) > 1e-6,
+        "listed beyond unknown": unlisted < -1e-6,
+        "none at less than a half": verdict == "none" and none < 0.5,
+        "none with effects": verdict == "none" and bool(named),
+        "named nothing": verdict in ("named", "ambiguous") and not named,
+        "named less likely than none": verdict in ("named", "ambiguous") and own < none,
+        "named less likely than unknown": verdict in ("named", "ambiguous") and own < unlisted,
+        "named less likely than others": verdict in ("named", "ambiguous") and own < max(rivals, default=0.0),
+        "named beside its equals": verdict == "named" and len(chance) > 1 and own < 0.5,
+        "ambiguous alone": verdict == "ambiguous" and len(chance) < 2,
+        "unknown less likely than none": verdict == "unknown" and unlisted < none,
+        "unknown less likely than a name": verdict == "unknown" and unlisted < max([own, *rivals]),
     }
+    return [doubt for doubt, there in wrong.items() if there]
+
+
+def _many_judged(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Where the hold-out is known without noise: the written model's error and intervals there, and where many effects
+    were hidden, each of them, what else was named, and all intervals."""
+    judged: dict[str, Any] = {"contradiction": bool(row["contradictions"])} if "contradictions" in row else {}
+    if (error := row.get("error_named_mm")) is None:
+        return judged
+    references = {f"error / {name}": row.get(f"error_{name}_mm") for name in ("true", "geometry", "reachable")}
+    judged |= {name: error / reference for name, reference in references.items() if reference}
+    judged["inside tip intervals"] = row.get("inside_tip")
+    if row.get("gap_promised_mm") and row.get("gap_named_mm"):
+        judged["promised / reached"] = row["gap_promised_mm"] / row["gap_named_mm"]
+    if row.get("confirmed") and row.get("error_reachable_mm"):
+        judged["confirmed with 3 x the reachable error"] = error > 3.0 * row["error_reachable_mm"]
+    if row.get("outside") is not None:
+        return judged
+    hidden, named = set(row["hidden"]), set(row["named"] or ())
+    judged |= {"false names": float(len(named - hidden)), "false unknown": row["verdict"] == "unknown"}
+    return (
+        judged
+        | ({"effects named": len(hidden & named) / len(hidden)} if hidden else {})
+        | {"intervals, all": share_inside(row)}
+    )
 
 
 def _gaps_judged(row: Mapping[str, Any]) -> dict[str, Any]:
