@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 
@@ -59,9 +59,10 @@ def share_inside_tip(arm: Arm, data: DataSet) -> float | None:
     model = Model(arm)
     place = [model.names.index(name) for name in found.parameter_names]
     computed, jacobian = model.linearize(data.holdout.postures, model.values, data.holdout.conditions)
-    columns = jacobian[..., place]
-    deviation = np.sqrt(np.einsum("mdp,pq,mdq->md", columns, found.covariance, columns, optimize=True))
-    half = float(np.min(quantile_95(found.provenance.get(FREEDOM, np.inf)))) * deviation
+    freedom = found.provenance.get(FREEDOM, np.inf)  # a number, or one of each parameter that has any
+    each = [freedom.get(name, np.inf) if isinstance(freedom, Mapping) else freedom for name in found.parameter_names]
+    columns = jacobian[..., place] * quantile_95(each)
+    half = np.sqrt(np.einsum("mdp,pq,mdq->md", columns, found.covariance, columns, optimize=True))
     return float(np.mean(np.abs(data.exact - computed) <= half))
 
 

@@ -23,6 +23,9 @@ from doe.studies.blind.reliability import (
 from identification.effects import library
 
 NOTHING = "nothing"
+OUTSIDE = "outside the library"
+SURE = 0.9  # probability with which no name should be said where the library has none
+MEDIANS = ("error / geometry",)  # measures with single large values: the median of the sets
 RIVALS = {"true": "gap_true_mm", "library": "gap_library_mm", "process": "gap_process_mm"}
 OF_ALL = ("intervals, base", "intervals, effects")  # measures of all cells together
 FURTHER = ("next_2", "next_8", "next_16", "loaded_2", "loaded_8", "loaded_16", "random_2", "random_8", "random_16")
@@ -148,6 +151,8 @@ def scored_table(truth: pl.DataFrame, found: pl.DataFrame) -> BlindStudy:
         for cell in dict.fromkeys(s["cell"] for s in sets)
         for row in _measures([s for s in sets if s["cell"] == cell])
     ]
+    beyond = [s for s in sets if s["hidden_class"] == OUTSIDE]
+    cells += [*_measures(beyond, f"all {OUTSIDE}")] if len({s["cell"] for s in beyond}) > 1 else []
     cells += [*calibration(sets), *(row for row in _measures(sets, ALL) if row["measure"] in OF_ALL)]
     pairs = Counter((s["hidden_class"], s["named_class"]) for s in sets)
     confusion = [{"hidden": a, "named": b, "count": n} for (a, b), n in pairs.most_common()]
@@ -171,7 +176,7 @@ def scored_set(row: Mapping[str, Any], families: Mapping[str, str]) -> dict[str,
         "hidden": " + ".join(hidden)
         or (f"outside the library, {row['place'] or row['outside']}" if outside else NOTHING),
         "named": " + ".join(named + ([] if known else [f"unknown, {row['where']}"])) or NOTHING,
-        "hidden_class": _classes(hidden, families, "outside the library" if outside else None),
+        "hidden_class": _classes(hidden, families, OUTSIDE if outside else None),
         "named_class": _classes(named, families, None if known else "unknown"),
         "alarm": row["verdict"] != "none",
     }
@@ -200,7 +205,8 @@ def _names_judged(row: Mapping[str, Any], judgement: Mapping[str, Any]) -> dict[
 def _places_judged(row: Mapping[str, Any]) -> dict[str, Any]:
     """Where something outside the library was hidden: where it is said to be, unless no place is right."""
     named, unknown = row["named"] or (), row["verdict"] == "unknown"
-    judged: dict[str, Any] = {"no effect": row["verdict"] == "none", "library name": bool(named)}
+    sure = row["verdict"] in ("named", "ambiguous") and (row.get("probability") or 0.0) >= SURE
+    judged: dict[str, Any] = {"no effect": row["verdict"] == "none", f"named at {SURE:g}": sure}
     if row["place"] is not None:
         right = set(row["place"].split(" or "))
         said = [places_of(key) for key in named] + ([{row["where"]}] if unknown and row["where"] else [])
@@ -305,7 +311,7 @@ def _classes(keys: Sequence[str], families: Mapping[str, str], more: str | None)
 
 
 def _measures(sets: Sequence[Mapping[str, Any]], cell: str | None = None) -> Iterator[dict[str, Any]]:
-    """Mean and standard error of everything that was judged in a cell."""
+    """Mean and standard error of everything that was judged in a cell; of `MEDIANS` the median."""
     texts = ("cell", "set", "hidden", "named", "hidden_class", "named_class")
     for measure in dict.fromkeys(name for row in sets for name in row if name not in texts):
         values = [row[measure] for row in sets if row.get(measure) is not None]
@@ -314,6 +320,10 @@ def _measures(sets: Sequence[Mapping[str, Any]], cell: str | None = None) -> Ite
         mean, n = float(np.mean(values)), len(values)
         if isinstance(values[0], bool):  # never claims to be certain: at least the error of half a set
             error = sqrt(max(mean * (1.0 - mean), 0.25 / n) / n)
+        elif measure in MEDIANS:  # half the width of the interval that holds the median in 0.68 of cases
+            mean = float(np.median(values))
+            ranks = np.clip(0.5 * n + 0.5 * sqrt(n) * np.array([-1.0, 1.0]) - 0.5, 0, n - 1)
+            error = 0.5 * float(np.ptp(np.interp(ranks, np.arange(n), np.sort(values)))) if n > 1 else float("inf")
         else:
             error = float(np.std(values, ddof=1)) / sqrt(n) if n > 1 else float("inf")
         yield {"cell": cell or sets[0]["cell"], "measure": measure, "value": mean, "standard_error": error, "count": n}
