@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 
@@ -12,7 +12,7 @@ import numpy as np
 from doe.studies.blind.cells import DataSet
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
-from identification.estimation.intervals import FREEDOM, quantile_95
+from identification.estimation.intervals import freedom_of, quantile_95
 from identification.gap.fits.fit import fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import hypotheses
@@ -59,9 +59,7 @@ def share_inside_tip(arm: Arm, data: DataSet) -> float | None:
     model = Model(arm)
     place = [model.names.index(name) for name in found.parameter_names]
     computed, jacobian = model.linearize(data.holdout.postures, model.values, data.holdout.conditions)
-    freedom = found.provenance.get(FREEDOM, np.inf)  # a number, or one of each parameter that has any
-    each = [freedom.get(name, np.inf) if isinstance(freedom, Mapping) else freedom for name in found.parameter_names]
-    columns = jacobian[..., place] * quantile_95(each)
+    columns = jacobian[..., place] * quantile_95(freedom_of(found))
     half = np.sqrt(np.einsum("mdp,pq,mdq->md", columns, found.covariance, columns, optimize=True))
     return float(np.mean(np.abs(data.exact - computed) <= half))
 
