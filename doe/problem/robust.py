@@ -64,14 +64,14 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
     also : (k, n) postures that are among them too
 
     Fast waves give a criterion thousands of local optima over all postures, none much better than the next: a list has
-    enough of them, and its bound is a proof.
+    enough of them to choose from. No proof over a random list says anything of all postures: it is `sampled`.
     """
     if problem.choices is not None:
         return problem if also is None else replace(problem, choices=np.concatenate([problem.choices, also]))
     generator = np.random.default_rng(0)
     anywhere = random_postures(problem, CHOICES // 2, generator)
     more = [] if also is None else [also]
-    return replace(problem, choices=np.concatenate([anywhere, _at_limits(problem, generator), *more]))
+    return replace(problem, choices=np.concatenate([anywhere, _at_limits(problem, generator), *more]), sampled=True)
 
 
 def _at_limits(problem: DesignProblem, generator: np.random.Generator) -> Array:
