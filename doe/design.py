@@ -180,6 +180,7 @@ class Design:
             "not_identifiable": [] if self.identifies_all else list(self.not_identifiable),
             "outside_limits": list(self.outside),
             **postures_json(self.plan),
+            "fit": self.plan.fit or None,
             "table_1_max_residual": _number(self.table_1_max_residual),
             "std": _deviations_json(self.deviations),
             "expected_error_mm": self.expected_error,

@@ -85,6 +85,7 @@ class DesignProblem:
         are allowed
     deviations : parameter name -> standard deviation of what is known of it before anything is measured [API unit],
         around the model's values: a normal prior, which needs sigma; parameters without one are free
+    fit : how measurements of its plans are to be fitted, see `Plan`
     """
 
     model: InformationModel
@@ -97,6 +98,7 @@ class DesignProblem:
     sampled: bool = False
     minimum_distance: float = ONE_DEGREE
     deviations: Mapping[str, float] = field(default_factory=dict)
+    fit: str = ""
 
     def __post_init__(self) -> None:
         check_parts(self)

@@ -28,6 +28,7 @@ from identification.model.positions import of_positions, tip_jacobian
 # reasons: doe/README.md, "Robust designs"
 SETTINGS = 4  # orders that stand for all orders of a ripple
 POSES = 1000  # random postures that stand for the workspace
+LIBRARY = "library-prior"  # what its criterion promises is of a fit with `armcal identify --library-prior`
 CHOICES = 2000  # postures to choose from where none are listed
 
 
@@ -54,7 +55,7 @@ def robust_problem(
     added = missing_effects(problem) if missing is None else missing
     own = of_one_arm(problem.model)
     model = whole(replace(added.model, known=None if own is None else own.known))
-    wide = replace(problem, model=model, deviations={**problem.deviations, **added.prior.deviations})
+    wide = replace(problem, model=model, deviations={**problem.deviations, **added.prior.deviations}, fit=LIBRARY)
     return replace(wide, criterion=average_error(wide) if criterion is None else criterion)
 
 

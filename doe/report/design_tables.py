@@ -24,7 +24,7 @@ from identification.kinematics.parameters import EFFECT
 
 WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name corrects more (identification/README.md)
     "armcal diagnose names those that the data show; identify --library-prior allows for all of them without names, "
-    "and the error expected at the tip is that of such a fit"
+    "and only of such a fit is the error at the tip that is expected here"
 )
 
 
@@ -118,7 +118,8 @@ def expected_error(data: dict[str, Any]) -> str | None:
         return None
     least = found["bound"] if not data["outside_limits"] else None
     limit = "" if least is None else f"; {none_below(least, data['bound'])}"
-    return f"{in_a_sentence(found['plan'])} mm at the tip, RMS over the workspace or --test-poses{limit}"
+    fit = f", if fitted by armcal identify --{data['fit']}" if data.get("fit") else ""
+    return f"{in_a_sentence(found['plan'])} mm at the tip, RMS over the workspace or --test-poses{fit}{limit}"
 
 
 def repeats_line(design: Design) -> list[Text]:

@@ -172,6 +172,8 @@ def none_below(error: float, bound: Data | None) -> str:
 def expected_by_plan(data: Data, error: Data) -> str:
     """What a plan by criterion I promises in mm, and what its bound is worth."""
     promised = f"an error of {in_a_sentence(error['plan'])} mm at the tip, RMS over the workspace"
+    if fit := data.get("fit"):
+        promised += f", if fitted by armcal identify --{fit}"
     if error["bound"] is None or data["efficiency"] is None:
         return f"{promised}."
     least = f"; {none_below(error['bound'], data.get('bound'))}"
@@ -226,19 +228,25 @@ def validation_actions(better: bool, refit: str, model: str, rows: str, *, beyon
     return [*far, zeros, anew]
 
 
-def plan_actions(arm: str = "arm.toml", plan: str = "plan.csv") -> list[Action]:
-    """From a plan to a calibration."""
+def identify_command(arm: str, rows: str, fit: str = "", out: str = "calibrated.toml") -> str:
+    """The command that fits measurements;  fit : of `Plan`, without which it does not keep what the plan promises"""
+    return f"armcal identify {arm} {rows}{f' --{fit}' if fit else ''} --out {out}"
+
+
+def plan_actions(arm: str = "arm.toml", plan: str = "plan.csv", fit: str = "") -> list[Action]:
+    """From a plan to a calibration;  fit : of the plan"""
+    why = ", as the plan is meant: what it promises is of this fit" if fit else ""
     return [
         Action(f"Measure the postures of {plan}, and write the positions beside the angles (armcal help formats)."),
         Action("See whether the data are what they should be:", f"armcal check {arm} data.csv"),
-        Action("Identify the arm:", f"armcal identify {arm} data.csv --out calibrated.toml"),
+        Action(f"Identify the arm{why}:", identify_command(arm, "data.csv", fit)),
     ]
 
 
-def data_actions(arm: str = "arm.toml", rows: str = "data.csv") -> list[Action]:
-    """From measurements to a calibration."""
+def data_actions(arm: str = "arm.toml", rows: str = "data.csv", fit: str = "") -> list[Action]:
+    """From measurements to a calibration;  fit : of the plan that they are of"""
     return [
-        Action("Identify the arm:", f"armcal identify {arm} {rows} --out calibrated.toml"),
+        Action("Identify the arm:", identify_command(arm, rows, fit)),
         Action("Look for what the model lacks:", f"armcal diagnose {arm} {rows} --report gap.html"),
     ]
 
