@@ -80,6 +80,7 @@ class Measurements(ByValue):
     commanded : (m, n) what was asked for where `postures` are as read; None: not given
     reference : temperature [deg C] that those of the rows count from; None: their mean
     orientations : (m, 3, 3) measured axes of the tool in space, by columns; None: not measured
+    fit : how the plan asks to be fitted, as options of `armcal identify`, such as `library-prior`; empty: it does not
     past : (m, n, 12) what each joint remembers of the rows before; None: it follows from the order
 
     Raises `InputError` for no rows, other shapes (nothing is broadcast), and values that no measurement can have.
@@ -102,6 +103,7 @@ class Measurements(ByValue):
     commanded: Array | None = None
     gaps: Array | None = None
     reference: float | None = None
+    fit: str = ""
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:

@@ -33,6 +33,7 @@ class ApproximateDesign:
     bound : no design of the space is better; None where the solver's status is not `converged`
     efficiency_lower_bound : fraction 0..1 of an optimum that the weights reach at least, recomputed from them alone
     status : how the solver ended;  solver_status : as the solver names it;  candidates : how many, None: continuous
+    dual : (p, p) the gradient that the certificate rests on, None: the criterion's own, see `SparseDesign`
     """
 
     plan: Plan
@@ -47,6 +48,7 @@ class ApproximateDesign:
     solver: str
     candidates: int | None
     seconds: float
+    dual: Array | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `relax` (identification/files/README.md, "JSON keys"); angles in degrees.
@@ -156,11 +158,12 @@ def certified_design(
         proven.value,
         float(D().value(found.information)),
         proven.gap,
-        Bound(proven.bound, source, rigorous, cut) if cut or status is Status.converged else None,
+        Bound(proven.bound, source, rigorous, cut, candidates) if cut or status is Status.converged else None,
         proven.efficiency,
         status,
         solver_status,
         solver,
         candidates,
         seconds,
+        found.dual,
     )

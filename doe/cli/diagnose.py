@@ -64,7 +64,7 @@ def command(
     from identification.servo import with_servo_errors
 
     loaded = load_arm(arm)
-    check_no_arm_file(data, prior.prior)
+    check_no_arm_file(data, bool(prior.prior))
     measurements, held_out = parts(data, holdout, loaded, common.seed)
     loaded = with_servo_errors(loaded, measurements)
     with common.progress() as progress:

@@ -23,7 +23,7 @@ SUM_TOLERANCE = 1e-6
 
 
 def load_plan(path: PathLike, joints: JointTypes = None) -> Plan:
-    """The plan of a CSV file `run,q1_deg,...,qn_deg[,weight]`, rows in the order of measurement.
+    """The plan of a CSV file `run,q1_deg,...,qn_deg[,weight]`, rows in the order of measurement, `# fit: ...` above.
 
     joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
 
@@ -31,7 +31,7 @@ def load_plan(path: PathLike, joints: JointTypes = None) -> Plan:
     once about columns that are not used.
     """
     table = read_table(path)
-    plan = Plan(read_postures(table, joints), _weights(table))
+    plan = Plan(read_postures(table, joints), _weights(table), fit=table.fit)
     warn_unknown(table, ["run", *joint_columns(table, joints), "weight", *condition_columns(plan.links)])
     return plan
 
@@ -51,7 +51,7 @@ def plan_text(plan: Plan, joint_types: JointTypes = None) -> str:
     columns = {"run": np.arange(1, len(plan) + 1), **posture_columns(plan.postures, joint_types)}
     if plan.weights is not None:
         columns["weight"] = plan.weights
-    return csv_text(columns)
+    return csv_text(columns, plan.fit)
 
 
 def _weights(table: Table) -> Array | None:

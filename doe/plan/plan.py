@@ -21,11 +21,13 @@ class Plan(ByValue):
     postures : (m, n) joint angles [rad], of prismatic joints positions [mm]
     weights : (m,) shares of the measurements, summing to one, None: an exact plan, every row is one measurement
     joint_types : (n) `revolute` or `prismatic`, empty: all revolute
+    fit : how its measurements are to be fitted, as options of `armcal identify`; empty: by the model of the arm file
     """
 
     postures: Array
     weights: Array | None = None
     joint_types: tuple[str, ...] = ()
+    fit: str = ""
 
     def __post_init__(self) -> None:
         if set(self.joint_types) == {REVOLUTE}:

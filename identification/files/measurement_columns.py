@@ -63,6 +63,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
         "marker": table.texts("marker") if chain is not None and "marker" in table else None,
         "orientations": read_orientations(table) if poses else None,
         "commanded": _commanded(table, types, n),
+        "fit": table.fit,
         "provenance": MappingProxyType({"file": table.file_name, "sha256": table.sha256}),
     }
     _warn_unused(table, types, axes, chain)
@@ -176,10 +177,10 @@ def posture_columns(postures: Array, types: JointTypes = None) -> dict[str, NDAr
     return found
 
 
-def csv_text(columns: dict[str, NDArray[np.generic]]) -> str:
+def csv_text(columns: dict[str, NDArray[np.generic]], fit: str = "") -> str:
     """CSV of columns of one length; whole floats that only count (`order`, directions) lose their `.0`.
 
-    NaN is an empty cell.
+    NaN is an empty cell;  fit : `Table.fit`, for the comment above the header
     """
     series = []
     for name, values in columns.items():
@@ -191,7 +192,7 @@ def csv_text(columns: dict[str, NDArray[np.generic]]) -> str:
             series.append(pl.Series(name, values).fill_nan(None).cast(pl.Int64))
         else:
             series.append(pl.Series(name, values.astype(np.int64) if small else np.ascontiguousarray(values)))
-    return pl.DataFrame(series).fill_nan(None).write_csv()
+    return (f"# fit: {fit}\n" if fit else "") + pl.DataFrame(series).fill_nan(None).write_csv()
 
 
 def warn_unknown(table: Table, known: Iterable[str], hint: str = "") -> None:
