@@ -33,7 +33,7 @@ def predicted(seed: int, base: bool, points: dict[str, np.ndarray], dimension: i
     return Predicted(own, axes if dimension == 3 else None, measured, REACH, names)
 
 
-CASES = (
+CASES: tuple[tuple[bool, dict[str, np.ndarray], SetUp], ...] = (
     (False, {}, SetUp()),
     (True, {}, SetUp(base=True)),
     (False, {"A": OTHER, "B": OTHER}, SetUp(points=("A", "B"))),
