@@ -25,7 +25,7 @@ from identification.information import spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.sessions import placing, with_sessions
-from identification.validate.refit import placed_values, refit_model, refit_parameters
+from identification.validate.refit import fresh_points, placed_values, refit_model, refit_parameters
 from identification.validate.row_groups import data_hashes, extrapolation, identified, row_groups, seen_in_words
 
 # of the drawing, by `refit`: said wherever its error is, so that figures of commands can be compared
@@ -207,6 +207,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     said += [f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"] if angles else []
     left = (distances(each) for each in (residuals, nominal))
     said += [seen] if (seen := seen_in_words(arm, measurements.postures, *left)) else []
+    said += [] if arm.chain is None or refit == "none" else fresh_points(arm.chain, measurements)
     return replace(found, notes=(*said, *_notes(arm, measurements, free)))
 
 

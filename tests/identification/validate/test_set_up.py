@@ -9,12 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm
+from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.sessions import pooled_sessions, with_sessions
 from identification.status import Status
-from identification.validate import drawing_residuals
+from identification.validate import drawing_residuals, validate
 from identification.validate.set_up import with_mounting_doubted
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
@@ -90,3 +91,26 @@ def test_three_sessions_converge(moved: dict[tuple[int, str], np.ndarray]) -> No
         assert "A in session day 2" in said[0]
         assert "B in session day 3" in said[0]
         assert "B in session day 2" not in said[0]
+
+
+def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
+    """Of two reflectors, calibrated on one day and another day measured by others, or by one that has no name."""
+    data = cell(2, {(1, "A"): 30.0 * MOVED, (1, "B"): -20.0 * MOVED}, seed=5)
+    first, second = (replace(data.rows(rows), session=None, session_names=()) for rows in data.session_rows)
+    found = fit(first)
+    arm = replace(found.model.arm, calibration=found.calibration())
+    assert second.marker is not None
+    renamed = replace(second, marker=np.char.add("new ", second.marker), marker_names=())
+    only_a = second.rows(np.flatnonzero(second.marker == "A"))
+    unnamed = replace(only_a, marker=None, marker_names=())
+    for rows, said in (
+        (renamed, "the calibration has no reflector new A, new B: found in these rows"),
+        (unnamed, "no column marker: the rows are taken as of one reflector, which is found in them"),
+    ):
+        validated = validate(arm, rows)
+        # as in the data of the fit, and what its 30 parameters from 180 equations add
+        assert validated.model.rms < 1.5 * found.rms_after
+        assert any(note.startswith(said) for note in validated.notes)
+        with pytest.raises(InputError, match=r"measurements.marker: .*allowed: A, B; or --refit base"):
+            validate(arm, rows, "none")
+    assert not any("reflector" in note for note in validate(arm, second).notes)
