@@ -42,7 +42,10 @@ def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
     ]
     headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
     shown += [facts(lines), table(headings, rows, "Joints", left=("unit",))]
-    return [*shown, *(Text(f"note: {note}") for note in found.notes), *_next(found, f"{arm} {data_file}")]
+    shown += [Text(f"note: {note}") for note in found.notes]
+    if found.sag is not None and found.sag.recommended:
+        shown += ["", *(Text(line) for line in found.sag.lines), ""]
+    return [*shown, *_next(found, f"{arm} {data_file}")]
 
 
 def _enough(found: Inspection) -> list[tuple[str, str]]:

@@ -18,8 +18,8 @@ ALONE = 1e-9  # of 1: what is left of a posture that alone determines something
 
 
 @single_thread()
-def left_out_rms(found: Identification, measurements: Measurements) -> float | None:
-    """Root mean square distance [mm] of each posture's positions from where a fit to all other postures puts them.
+def left_out_residuals(found: Identification, measurements: Measurements) -> Array | None:
+    """(m, d) each posture's positions less where a fit to all other postures puts them [mm].
 
     With the leverages H_g of the rows of a posture the residuals without them are (I - H_g)^-1 r_g: exact for a model
     that is linear in its parameters, and to first order for any other (R. D. Cook, S. Weisberg, "Residuals and
@@ -48,7 +48,13 @@ def left_out_rms(found: Identification, measurements: Measurements) -> float | N
         if np.linalg.eigvalsh(left)[0] < ALONE:
             return None
         without[group] = np.linalg.solve(left, residuals[group].ravel()).reshape(-1, d)
-    return rms_distance((without / weights[:, None])[:, POINT])
+    return np.asarray(without / weights[:, None])
+
+
+def left_out_rms(found: Identification, measurements: Measurements) -> float | None:
+    """Root mean square distance [mm] of `left_out_residuals`; None as there."""
+    residuals = left_out_residuals(found, measurements)
+    return None if residuals is None else rms_distance(residuals[:, POINT])
 
 
 def _orthonormal(rows: Array) -> Array:

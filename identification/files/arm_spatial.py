@@ -96,6 +96,13 @@ def urdf_of(tables: Mapping[str, Any], folder: PathLike) -> tuple[Urdf, str, str
     )
 
 
+def urdf_masses(path: PathLike) -> tuple[float, ...] | None:
+    """[kg] of the links, from the URDF file that an arm file names; None without one, or where it gives no mass."""
+    named = urdf_of(read_toml(path), Path(path).parent)
+    masses = () if named is None else named[0].masses(*named[1:])
+    return masses if any(masses) else None
+
+
 def corrected_urdf(path: PathLike, chain: SpatialChain) -> str:
     """The URDF file that an arm file names, with the origins of a corrected chain; a bare one where it names none."""
     tables = read_toml(path)

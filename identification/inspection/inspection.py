@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,6 +29,7 @@ from identification.inspection.data_checks import data_warnings, gap_notes, wron
 from identification.inspection.enough import Sufficiency, sufficiency
 from identification.inspection.reading import Readings
 from identification.inspection.readings import as_written, joints_of_unseen_sign, out_of_step, read_differently
+from identification.inspection.sag import Sag, sag
 from identification.inspection.set_up import constant_length, other_base, turned_frame
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
@@ -88,7 +90,7 @@ class Inspection:
     units : sentences about units, swapped markers and rows that are far off;  frame : about a base elsewhere, or
         distances off by a constant;  turned : about a frame at another angle
     step : about positions beside another posture
-    unseen : joints (from 1) whose sign and zero do not show
+    unseen : joints (from 1) whose sign and zero do not show;  sag : what gravity explains, None: not known
     rest : about copied rows and postures outside the limits;  gaps : about rows that are missing between others
     """
 
@@ -114,6 +116,7 @@ class Inspection:
     unseen: tuple[int, ...]
     rest: tuple[str, ...]
     gaps: tuple[str, ...]
+    sag: Sag | None = None
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -172,6 +175,8 @@ class Inspection:
         if not self.repeated:
             said.append("no posture is repeated: the arm's repeatability is not known from these data")
         said += self.gaps
+        if self.sag is not None and self.sag.recommended:
+            said.append(self.sag.sentence)
         missing = {"temperature": "a column temperature_C", "gravity": "[gravity] in the arm file"}
         there = {*self.given, *(["gravity"] if self.arm.gravity is not None else [])}
         lacking = [how for what, how in missing.items() if what not in there]
@@ -201,6 +206,7 @@ class Inspection:
             "rms_commanded_mm": self.commanded,
             **({} if self.enough is None else self.enough.to_json()),
             "not_identifiable": () if fit is None else fit.not_identifiable,
+            "gravity": None if self.sag is None else self.sag.to_json(),
             "ok": not self.problems,
             "problems": self.problems,
             "notes": self.notes,
@@ -240,8 +246,10 @@ def _list(missing: dict[str, str], there: set[str]) -> str:
     return " and ".join(what for what in missing if what not in there)
 
 
-def inspect(arm: Arm, measurements: Measurements) -> Inspection:
+def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None = None) -> Inspection:
     """Look at measurements of an arm: nothing is changed, nothing is believed.
+
+    masses : (n,) of the links [kg], of an arm whose file leaves gravity out, None: not known
 
     Raises `InputError` for another number of joints or coordinates than the arm has.
     """
@@ -280,6 +288,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         step=tuple(out_of_step(arm, measurements)),
         rest=(*copied_rows(measurements), *([] if other_units else outside_limits(arm, measurements))),
         gaps=tuple(gap_notes(measurements)),
+        sag=None if fit is None or fit.status is Status.implausible else sag(arm, measurements, fit, masses),
     )
 
 

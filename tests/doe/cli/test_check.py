@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 
 from tests.doe.cli.conftest import Folder
+from tests.small_arm import MASSES, OTHERS, as_csv, measured, random_postures, small_arm, urdf
 
 DATA = Path(__file__).parents[2] / "data/ur10"
 KEYS = {"rows", "postures", "joints", "rms_drawing_mm", "rms_fitted_mm", "better_reading", "problems", "notes"}
@@ -77,3 +78,24 @@ def test_heights_that_upright_axes_leave_open_are_not_called_determined(folder: 
     said = " ".join(folder.armcal("check", "upright.toml", "tips.csv").out.split())
     assert "determines base (x, y, rx, ry, rz); tool[1] (x, y); zero of joints 2 and 3;" in said
     assert re.search(r"only weakly base\.z \(std \d{3,} mm\); tool\[1\]\.z \(std \d{3,} mm\) accuracy", said)
+
+
+def test_an_arm_that_sags_is_told_what_to_add(folder: Folder) -> None:
+    """The lines printed, appended to the arm file, are what `diagnose` needs; with masses in the URDF file those."""
+    rng = np.random.default_rng(11)
+    data = measured(small_arm(rng, *OTHERS), random_postures(60, rng), rng)
+    folder.write("arm.urdf", urdf())
+    folder.write("data.csv", as_csv(data))
+    head = 'name = "small"\nkind = "spatial"\nurdf = "arm.urdf"\nbase_link = "base_link"\ntip_link = "tip"\n'
+    folder.write("arm.toml", head)
+    done = folder.armcal("check", "arm.toml", "data.csv")
+    found = folder.armcal("check", "arm.toml", "data.csv", "--json").data["gravity"]
+    assert found["recommended"] is True
+    assert (found["masses_from"], found["masses_kg"]) == ("urdf", MASSES.tolist())
+    assert found["rms_after_mm"] < 0.6 * found["rms_before_mm"]
+    assert "\n" + "\n".join(found["lines"]) + "\n" in re.sub(r" +\n", "\n", done.out)
+    assert "z of the base is taken to point up" in " ".join(done.out.split())
+    folder.write("arm.toml", head + "\n".join(found["lines"]) + "\n")
+    again = folder.armcal("check", "arm.toml", "data.csv", "--json").data
+    assert again["gravity"] is None
+    assert not any("gravity" in note for note in again["notes"])
