@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array, readonly
 from identification.compensate.inverse_kinematics import TOLERANCE
 from identification.data_frames import frame_of_columns
+from identification.kinematics.counting import in_columns
 from identification.kinematics.parameters import REVOLUTE
 from identification.validate.row_groups import extrapolated
 
@@ -165,9 +166,10 @@ class Compensation:
 
     @property
     def commands_in_file_units(self) -> Array:
-        """(k, n) [deg], of prismatic joints [mm]."""
+        """(k, n) [deg], of prismatic joints [mm], as the controller counts."""
+        commands = in_columns(self.commands, self.joint_types)
         turning = np.array(self.joint_types or (REVOLUTE,) * self.commands.shape[1]) == REVOLUTE
-        return np.where(turning, np.degrees(self.commands), self.commands)
+        return np.where(turning, np.degrees(commands), commands)
 
     def to_frame(self, kind: str = "polars") -> Any:
         """A row for each target: `q1`.. [deg, mm], `x_mm`.., `error_mm`, `reachable`, `message`; polars or pandas."""
