@@ -31,6 +31,7 @@ from doe.problem.problem import DesignProblem
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import identifiability
+from identification.kinematics.parameters import PRISMATIC
 from identification.kinematics.turns import TURN, turned_into
 from identification.status import Status
 
@@ -258,7 +259,7 @@ def _number(value: float | None) -> float | None:
 
 def postures_json(plan: Plan) -> dict[str, Any]:
     """`postures_deg`, or `postures` with `joint_units` where a joint is prismatic."""
-    if not plan.joint_types:
+    if PRISMATIC not in plan.joint_types:
         return {"postures_deg": plan.displayed.tolist()}
     return {"postures": plan.displayed.tolist(), "joint_units": list(plan.units)}
 

@@ -18,6 +18,7 @@ from doe.plan.plan import Plan
 from doe.problem.prior import PriorInformation
 from doe.problem.problem import DesignProblem
 from identification.arrays import Array
+from identification.kinematics.parameters import PRISMATIC
 from identification.status import Status
 
 ROUNDED = 1e-8  # gap below zero that says more of rounding than of the weights; a bound to 1e-6 is still one
@@ -55,7 +56,7 @@ class ApproximateDesign:
 
         Where a joint is prismatic, `posture` and `joint_units` stand for `posture_deg`.
         """
-        key = "posture" if self.plan.joint_types else "posture_deg"
+        key = "posture" if PRISMATIC in self.plan.joint_types else "posture_deg"
         return {
             "candidates": self.candidates,
             "criterion": self.criterion,
@@ -68,7 +69,7 @@ class ApproximateDesign:
                 {key: posture, "weight": weight}
                 for posture, weight in zip(self.plan.displayed.tolist(), self.plan.shares.tolist(), strict=True)
             ],
-            **({"joint_units": list(self.plan.units)} if self.plan.joint_types else {}),
+            **({"joint_units": list(self.plan.units)} if PRISMATIC in self.plan.joint_types else {}),
             "solver": self.solver,
             "status": self.status.name,
             "solver_status": self.solver_status,

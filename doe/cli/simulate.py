@@ -50,7 +50,7 @@ def command(common: CommonOptions, arm: Path, plan: Path, truth: Path, out: Path
         raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")
     for sentence in without_values(true_arm):
         warnings.warn(f"{truth}: {sentence}", UserWarning, stacklevel=2)
-    conditions = load_plan_conditions(plan, loaded.links)
+    conditions = load_plan_conditions(plan, loaded.joint_types)
     try:
         data = simulate(true_arm, given.postures, np.random.default_rng(common.seed), sigma=sigma, **conditions)
     except InputError as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from doe.plan.plan import Plan
@@ -36,9 +38,9 @@ def load_plan(path: PathLike, joints: JointTypes = None) -> Plan:
     return plan
 
 
-def load_plan_conditions(path: PathLike, links: int) -> dict[str, Array | None]:
+def load_plan_conditions(path: PathLike, joints: int | Sequence[str]) -> dict[str, Array | None]:
     """What else a plan may say of its rows: `payload` (m,) [kg], `temperature` (m,) [deg C], `directions` (m, n)."""
-    return read_conditions(read_table(path), links)
+    return read_conditions(read_table(path), joints)
 
 
 def condition_columns(links: int) -> list[str]:

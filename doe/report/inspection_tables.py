@@ -15,6 +15,11 @@ def inspection_tables(found: Inspection, arm: str, data_file: str) -> list[Any]:
     """Problems first, then the facts, the range of each joint, what the data cannot say, and the next command."""
     data = found.to_json()
     shown: list[Any] = [Text(_head(found), style="bold"), *(Text(f"  - {sentence}") for sentence in found.problems)]
+    if (counting := found.readings.counting) is not None and set(found.readings.sentences) & set(found.problems):
+        shown.append(
+            Text("If the controller counts that way, the arm file may say so, and data and commands stay its:")
+        )
+        shown += [Text(f"    {line}") for line in counting.toml.splitlines()]
     lines = [
         ("rows", f"{found.rows} rows, {found.postures} postures"),
         ("columns besides", ", ".join(found.given) or "none"),

@@ -14,12 +14,14 @@ from identification.estimation.uncertainty import LEVEL
 from identification.information import RANK_TOLERANCE
 from identification.inspection.data_checks import DRAWN
 from identification.inspection.readings import read_differently
+from identification.kinematics.counting import in_columns
 from identification.kinematics.parameters import FILE_UNITS, JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE
 from identification.kinematics.planar_linear import PlanarClosedForm
 from identification.kinematics.spatial import ROTATION_ERROR, TRANSLATION_ERROR
 from identification.kinematics.turns import turned_into
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
+from identification.workspace import ColumnLimits
 
 # reasons: identification/README.md, "Doubtful fits"
 FLIPPED = 0.5  # of a link's nominal length: no drawing and no machining is that wrong
@@ -93,7 +95,10 @@ def far_zeros(model: Model, parameters: Array) -> list[str]:
     """Joints whose zero is another one than the drawing's; that of a planar arm's first is the frame's rotation."""
     values = {p.joint: x for p, x in zip(model.parameters, parameters, strict=True) if p.kind == JOINT_OFFSET}
     turning = [joint for joint, kind in enumerate(model.arm.joint_types, start=1) if joint > 1 and kind == REVOLUTE]
-    offsets = {j: (values.get(j, 0.0) + np.pi) % (2.0 * np.pi) - np.pi for j in turning}
+    counting = model.arm.counting
+    shares = np.eye(model.arm.links) if counting is None else counting.matrix
+    added = shares @ [values.get(j, 0.0) for j in range(1, model.arm.links + 1)]  # as the controller counts
+    offsets = {j: (added[j - 1] + np.pi) % (2.0 * np.pi) - np.pi for j in turning}
     far = [f"{np.degrees(x):.1f} deg at joint {j}" for j, x in offsets.items() if abs(x) > FAR_ZERO]
     return [f"zeros differ from the drawing's: {', '.join(far)}"] if far else []
 
@@ -185,8 +190,13 @@ def limited(arm: Arm) -> NDArray[np.bool_]:
 
 
 def beyond_limits(arm: Arm, postures: Array) -> NDArray[np.bool_]:
-    """(m, n) True where a joint lies outside its limits; limits left out do not count."""
-    return limited(arm) & ((postures < arm.lower - OVERSHOOT) | (postures > arm.upper + OVERSHOOT))
+    """(m, n) True where a joint lies outside its limits, one that is counted together with others outside those of the
+    controller; limits left out do not count."""
+    beyond = limited(arm) & ((postures < arm.lower - OVERSHOOT) | (postures > arm.upper + OVERSHOOT))
+    for tied in (each for each in arm.constraints if isinstance(each, ColumnLimits)):
+        column = postures @ np.array(tied.coefficients)
+        beyond[:, tied.joint - 1] = (column < tied.lower - OVERSHOOT) | (column > tied.upper + OVERSHOOT)
+    return beyond
 
 
 def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
@@ -198,7 +208,7 @@ def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
     row = int(np.argmax(outside.any(axis=1)))
     joint = int(np.argmax(outside[row]))
     _, factor, unit = FILE_UNITS[JOINT_UNITS[arm.joint_types[joint]]]
-    low, high, place = (v[joint] * factor for v in (arm.lower, arm.upper, q[row]))
+    low, high, place = (v[joint] * factor for v in (*arm.column_limits, in_columns(q[row], arm.joint_types)))
     count = int(outside.any(axis=1).sum())
     first = f"row {row + 1}: joint {joint + 1} at {place:.5g} {unit[1:]}, allowed {low:g} to {high:g}"
     return [f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}{_turns(arm, q)}"]

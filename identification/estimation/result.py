@@ -223,7 +223,7 @@ class Identification:
     def geometry(self) -> CorrectedGeometry | None:
         """A spatial arm's geometry as identified: base, measured points, joints; None in the plane."""
         chain = getattr(self.model, "arm", None) and self.model.arm.chain
-        return None if chain is None else CorrectedGeometry(chain, self._everything)
+        return None if chain is None else CorrectedGeometry(chain, self._everything, self.model.arm.counting)
 
     def calibrated_arm(self) -> Arm:
         """The arm with this calibration in it."""

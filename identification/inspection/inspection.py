@@ -31,12 +31,14 @@ from identification.inspection.reading import Readings
 from identification.inspection.readings import as_written, joints_of_unseen_sign, out_of_step, read_differently
 from identification.inspection.sag import Sag, sag
 from identification.inspection.set_up import constant_length, other_base, turned_frame
+from identification.kinematics.counting import in_columns
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.sessions import with_sessions
 from identification.status import Status
 from identification.validate import drawing_residuals
+from identification.workspace import ColumnLimits
 
 STILL = np.radians(5.0)  # [rad] of a joint's range, below which its own errors are hardly seen
 ROUGH = 0.02  # of the reach: more than a drawing is off by
@@ -47,8 +49,9 @@ HARDLY_LESS = 0.8  # of what the drawing leaves: a fit that explains nothing
 
 @dataclass(frozen=True)
 class JointRange:
-    """The positions of one joint [rad or mm]; `outside`: rows beyond its limits;  `limited`: False where it may
-    turn all the way round, and readings of several turns do not matter."""
+    """The positions of one joint [rad or mm], as the controller counts; `outside`: rows beyond its limits;  `limited`:
+    False where it may turn all the way round, and readings of several turns do not matter, or nothing says its limits
+    (NaN)."""
 
     joint: int
     kind: str
@@ -71,7 +74,8 @@ class JointRange:
     def to_json(self) -> dict[str, Any]:
         """An entry of `joints` (identification/files/README.md, "JSON keys")."""
         names = ("low", "high", "limit_low", "limit_high")
-        shown = {name: self.in_file_units(getattr(self, name)) for name in names}
+        values = {name: self.in_file_units(getattr(self, name)) for name in names}
+        shown = {name: None if np.isnan(value) else value for name, value in values.items()}
         return {"joint": self.joint, "unit": self.unit, **shown, "rows_outside": self.outside}
 
 
@@ -324,7 +328,10 @@ def _drawing(arm: Arm, measurements: Measurements, readings: Readings) -> float:
 
 def _ranges(arm: Arm, postures: Array) -> tuple[JointRange, ...]:
     beyond = beyond_limits(arm, postures).sum(axis=0)
-    columns = zip(arm.joint_types, postures.T, arm.lower, arm.upper, beyond, limited(arm), strict=True)
+    tied = {each.joint for each in arm.constraints if isinstance(each, ColumnLimits)}
+    shown, (lower, upper) = in_columns(postures, arm.joint_types), arm.column_limits
+    has_limits = np.isfinite(lower) & (limited(arm) | [j in tied for j in range(1, arm.links + 1)])
+    columns = zip(arm.joint_types, shown.T, lower, upper, beyond, has_limits, strict=True)
     return tuple(
         JointRange(j, kind, float(q.min()), float(q.max()), float(low), float(high), int(outside), bool(has))
         for j, (kind, q, low, high, outside, has) in enumerate(columns, start=1)
