@@ -209,13 +209,13 @@ def _places_judged(row: Mapping[str, Any]) -> dict[str, Any]:
     judged: dict[str, Any] = {"no effect": row["verdict"] == "none", f"named at {SURE:g}": sure}
     if row["place"] is not None:
         right = set(row["place"].split(" or "))
-        said = [places_of(key) for key in named] + ([{row["where"]}] if unknown and row["where"] else [])
+        said = [places_of_effect(key) for key in named] + ([{row["where"]}] if unknown and row["where"] else [])
         judged["located"] = unknown and row["where"] in right
         judged["wrong place"] = any(not places & right for places in said)
     return judged
 
 
-def places_of(key: str) -> set[str]:
+def places_of_effect(key: str) -> set[str]:
     """Where an effect of the library is: its joint, the time or the temperature that it follows, the workspace."""
     name, _, joint = key.partition(":")
     followed = {place for place, names in FOLLOWING.items() if name in names}
