@@ -19,8 +19,10 @@ from pathlib import Path
 import numpy as np
 import polars
 import pytest
+from click.testing import CliRunner
 from scipy.stats import binom
 
+from doe.cli.study import command
 from doe.jobs.row_table import frame_of
 from doe.report.blind import blind_tables, confusion_matrix
 from doe.studies.blind import cells
@@ -138,6 +140,18 @@ def test_further_postures_settle_ambiguous_sets() -> None:
     check(found, (blind.AMBIGUOUS, "next_2 right"))
     check(found, (blind.AMBIGUOUS, "next_8 right"))
     assert found.value(blind.AMBIGUOUS, "next_8 predicted") > found.value(blind.AMBIGUOUS, "next_2 predicted")
+
+
+def test_named_cells_by_the_command_line(tmp_path: Path) -> None:
+    """Two of the cells that the full study leaves out, a set each."""
+    cells = ("none, quantized", "outside, warm_offset")
+    words = [word for cell in cells for word in ("--cell", cell)]
+    options = ["blind", *words, "--replications", "1", "--workers", "1", "--out", str(tmp_path / "few")]
+    done = CliRunner().invoke(command, options)
+    assert done.exit_code == 0, done.output
+    found = polars.read_parquet(tmp_path / "few" / "cells.parquet")
+    assert set(cells) <= set(found["cell"])
+    assert {"error / geometry", "inside tip intervals"} <= set(found.filter(cell=cells[1])["measure"])
 
 
 def test_the_study_in_space_of_few_sets(tmp_path: Path) -> None:
