@@ -33,6 +33,7 @@ LAYERS = {
     "identification.newton_ascent": 1,
     "identification.effects": 2,
     "identification.conditions": 2,
+    "identification.row_digests": 1,
     "identification.measurements": 2,
     "identification.measurement_values": 2,
     "identification.files.schema": 2,

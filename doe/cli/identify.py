@@ -222,7 +222,7 @@ class Wanted:
             found = estimate(model, data, method=self.method, sigma=self.sigma)
             return with_repeats_doubted(found, data), None, self.said(model)
         check_with_prior(self.minimal, self.method)
-        prior = replace(Prior({}) if library is None else library.prior, earlier=self.earlier(model))
+        prior = replace(Prior({}) if library is None else library.prior, earlier=self.earlier(model, data))
         found, said = estimate_with_prior(model, data, prior, sigma=self.sigma), self.said(model, prior)
         if prior.earlier is not None:
             said["prior_from"]["contradicted"] = [one.to_json() for one in found.contradictions]
@@ -252,7 +252,7 @@ class Wanted:
         added = [] if library is None else list(library.prior.deviations)
         return only(arm, [*self.words, *added], data) if self.words else Model(arm)
 
-    def earlier(self, model: Model) -> Earlier | None:
+    def earlier(self, model: Model, data: Measurements) -> Earlier | None:
         """The prior of the model's parameters from the calibration that --prior-from names."""
         from identification.files.arm import load_arm
         from identification.validate.reuse import earlier
@@ -261,7 +261,7 @@ class Wanted:
             return None
         before = load_arm(self.prior_from)
         try:
-            return earlier(before, model)
+            return earlier(before, model, data)
         except InputError as error:
             raise InputError(f"{self.prior_from}: {error}") from None
 
