@@ -25,7 +25,7 @@ from identification.gap.confirmation.holdout import (
     gap_of,
     held_out,
     held_out_conditions,
-    refitted_in_words,
+    other_set_up,
 )
 from identification.gap.explanation import Explanation, Fits, explained_fits
 from identification.gap.fits.fit import Fit
@@ -198,7 +198,7 @@ def diagnosis_of(
         misfit=over_sigma,
         confirmation=confirmation,
         cross_validation=cross_validation(fits.base, fits.after, measurements, kept, generator, named),
-        warnings=(*fit_doubts(arm, measurements, fits.after, after), *refitted_in_words(there)),
+        warnings=(*fit_doubts(arm, measurements, fits.after, after), *other_set_up(there)),
         notes=(
             *result.notes,
             *notes(arm, measurements, found, holdout, gap, over_sigma),
