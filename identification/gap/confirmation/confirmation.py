@@ -106,6 +106,7 @@ class Confirmation:
     shrinks, as_predicted : conclusions; None where the rows are too few
     named : False if no effect was named, so that no gap has to shrink
     file : that the rows come from, where only its order numbers tell that they are another session; else None
+    largest_before, largest_after : distances [mm] of the row that is farthest off
     """
 
     transfer: str
@@ -121,6 +122,8 @@ class Confirmation:
     as_predicted: bool | None
     named: bool = True
     file: str | None = None
+    largest_before: float = np.nan
+    largest_after: float = np.nan
 
     @property
     def where(self) -> str:
@@ -168,7 +171,8 @@ class Confirmation:
             "as_predicted",
             "confirmed",
         )
-        return {name: getattr(self, name) for name in names} | lengths
+        largest = {"max_before_mm": self.largest_before, "max_after_mm": self.largest_after}
+        return {name: getattr(self, name) for name in names} | lengths | largest
 
 
 class HeldOut(NamedTuple):
@@ -217,6 +221,8 @@ def confirm(
         shrinks(gained, rows, level) if named else None,
         False if exceeds else (True if excess.detects(rows.predicted.value) else None),
         named,
+        largest_before=float(np.sqrt(rows.before.max())),
+        largest_after=float(np.sqrt(rows.after.max())),
     )
 
 
