@@ -80,6 +80,7 @@ LAYERS = {
     "identification.inspection.parallel_axes": 2,
     "identification.inspection.set_up": 6,
     "identification.inspection.enough": 7,
+    "identification.inspection.sag": 7,
     "identification.inspection.inspection": 7,
     "doe.criteria": 11,
     "doe.jobs": 11,

@@ -62,6 +62,7 @@ def command(
     from identification.gap.curves.curve import curves_text
     from identification.gap.diagnose import diagnose
     from identification.servo import with_servo_errors
+    from identification.validate.judgement import judged
 
     loaded = load_arm(arm)
     check_no_arm_file(data, bool(prior.prior))
@@ -70,6 +71,7 @@ def command(
     with common.progress() as progress:
         more = (common.seed, draws, progress)
         found = diagnose(loaded, measurements, held_out, *more, prior=prior.held, missing=prior.names)
+        found = judged(found, loaded, measurements, held_out)
     refuted = [f"not confirmed: {found.confirmation}"] if found.confirmed is False else []
     warn_beside_json([*found.warnings, *refuted])
     if curves is not None and loaded.counting is not None:
