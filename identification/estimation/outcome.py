@@ -79,6 +79,8 @@ def identification(
     before, after = as_it_was(problem), problem.residuals(parameters)[0]
     doubtful = doubts(model, parameters, found.identifiable, before, after, data)
     outlier = outlier_rows(problem, parameters, after)
+    used = np.flatnonzero(problem.weights > 0.0)
+    first = used[np.unique(data.repeat_numbers[used], return_index=True)[1]]
     status = Status.not_identifiable if found.combinations else solution.status[0]
     return Identification(
         model=model,
@@ -98,6 +100,8 @@ def identification(
         provenance=MappingProxyType(data.origin | joint_range(data.postures, model.joint_types)),
         uncertainty=spread.uncertainty,
         scatter=spread.scatter,
+        postures=data.postures[first],
+        determined=float(len(used) * after.shape[1] - spread.freedom),
         doubts=(*doubtful.sentences, *far_rows(after, outlier)),
         outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),
     )
