@@ -111,6 +111,7 @@ def test_postures_like_those_measured_fill_no_box_of_angles(rows: int) -> None:
     assert np.mean(box) > 2.0 * np.mean(off)
 
 
+@pytest.mark.filterwarnings("ignore:.*columns are not used")  # orientations
 @pytest.mark.parametrize("series", ["A", "C"])
 def test_a_real_robot_is_off_by_what_is_said(series: str) -> None:
     """40 rows of a sample of the UR10's sessions, eight times, against the fit of the others: what is said is right to
