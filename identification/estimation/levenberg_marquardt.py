@@ -215,6 +215,10 @@ def _revived(problem: LeastSquares, points: Points, lengths: Array) -> Points:
         along = np.where(bend == 0.0, 0.0, np.where(sign * bend > 0.0, above, -below))
         slope = sign * gradient
         np.add.at(slope, own, sign * along * bend)
+        # that parameter, too, where it has no effect of its own: at a ratio far from 1 both would return to zero
+        each = np.arange(len(own)), column
+        aside = (above if sign > 0.0 else -below)[:, 0]
+        along[each] = np.where(bend[each] == 0.0, aside, along[each])
         moves.append(along)
         slopes.append(np.where(room > 0.0, slope / problem.scales, 0.0))
     best = np.argmax(np.concatenate(slopes, axis=1), axis=1)
