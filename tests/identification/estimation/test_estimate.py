@@ -24,7 +24,7 @@ UR10 = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "measurem
 DOCUMENTED_KEYS = {"parameters", "corrected_values", "not_identifiable", "sigma_mm", "chi2", "dof", "p_value"}
 DOCUMENTED_KEYS |= {"status", "warnings", "outlier_rows", "scatter_mm", "intervals", "clusters"}
 DOCUMENTED_KEYS |= {"rms_before_mm", "rms_after_mm", "max_before_mm", "max_after_mm", "method", "expected_tip_mm"}
-DOCUMENTED_KEYS |= {"expected_tip_measured_mm"}
+DOCUMENTED_KEYS |= {"expected_tip_measured_mm", "unexplained_rows"}
 
 
 def dft_plan(m: int) -> np.ndarray:
