@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, verb
+from doe.cli.common import Answer, CommonOptions, verb, with_collisions
 from doe.cli.options import FILE, Output, Seconds, grouped, output_options, plan_drawing
 from doe.cli.problems import CriterionOptions, PostureOptions, criterion_options, design_problem, posture_options
 from identification.errors import InputError
@@ -73,6 +73,7 @@ def command(
     from doe.plan.order import check_order
     from doe.problem.robust import with_choices
     from doe.report.design_tables import design_tables, missing_lines
+    from doe.report.verdict import identify_command
     from identification.files.arm import load_arm
 
     check_used(click.get_current_context())
@@ -93,8 +94,9 @@ def command(
         {output.picture: lambda: plan_drawing(loaded, design.plan.postures)},
     )
     first = "--out plan.csv writes this plan; " if output.out is None else ""
-    extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA")
-    return Answer(design.to_json() | data, [*design_tables(design), *extra])
+    then = f"; then {identify_command(str(arm), 'DATA', problem.fit)}" if problem.fit else ""
+    extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
+    return with_collisions(Answer(design.to_json() | data, [*design_tables(design), *extra]), loaded)
 
 
 def _searched(

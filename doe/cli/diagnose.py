@@ -62,16 +62,21 @@ def command(
     from identification.gap.curves.curve import curves_text
     from identification.gap.diagnose import diagnose
     from identification.servo import with_servo_errors
+    from identification.validate.judgement import judged
 
     loaded = load_arm(arm)
-    check_no_arm_file(data, prior.prior)
+    check_no_arm_file(data, bool(prior.prior))
     measurements, held_out = parts(data, holdout, loaded, common.seed)
     loaded = with_servo_errors(loaded, measurements)
     with common.progress() as progress:
         more = (common.seed, draws, progress)
         found = diagnose(loaded, measurements, held_out, *more, prior=prior.held, missing=prior.names)
+        found = judged(found, loaded, measurements, held_out)
     refuted = [f"not confirmed: {found.confirmation}"] if found.confirmed is False else []
     warn_beside_json([*found.warnings, *refuted])
+    if curves is not None and loaded.counting is not None:
+        said = "angles and corrections are those of the model's joints, from the link before, not of [joints]"
+        warnings.warn(f"{curves}: {said}; armcal compensate writes commands as the controller counts", stacklevel=2)
     answer = Answer(found.to_json(), diagnosis_tables(found))
     try:
         named = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]

@@ -62,6 +62,8 @@ def command(
     first = ("armcal design", "armcal check")  # of touches there is no plan
     step = next(line for word in first for line in files[STEPS].splitlines() if line.startswith(word))
     made_up = ["replace what is marked EXAMPLE in " + str(out / ARM)] if "EXAMPLE" in files[ARM] else []
+    upright = "gravity: the masses of the URDF file, on a base that stands upright; if it does not, change [gravity]"
+    made_up += [upright] if "\n[gravity]" in files[ARM] else []
     steps = [f"{out / STEPS} says what to do, step by step", *made_up, f"in {out}: {step.partition('  #')[0].rstrip()}"]
     return Answer({"directory": out, "files": written, "next": steps}, [f"written: {', '.join(written)}", *steps])
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 import click
 
-from doe.cli.common import Answer, CommonOptions, verb
+from doe.cli.common import Answer, CommonOptions, verb, with_collisions
 from doe.cli.options import FILE, Output, Seconds, grouped, output_options
 from doe.cli.problems import CriterionOptions, PostureOptions, criterion_options, design_problem
 from identification.errors import InputError
@@ -97,7 +97,8 @@ def command(
             compared = cross_check(checked, found, runs, seed=common.seed, seconds=end - perf_counter())
             data["cross_check"] = compared.rows()
             shown.append(cross_check_table(compared))
-    return Answer(data, [*shown, *output.write(plan_text(found.plan, loaded.joint_types), "plan with weights")])
+    written = plan_text(replace(found.plan, fit=problem.fit), loaded.joint_types)
+    return with_collisions(Answer(data, [*shown, *output.write(written, "plan with weights")]), loaded)
 
 
 def check_prior_runs(chosen: RelaxationOptions, criterion: CriterionOptions, *, held: bool) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from doe.bounds.bound import postures_in_words
+from doe.design import optimality_in_words
 from doe.report.gap_tables import is_described
 from doe.report.identification_tables import tip_in_words
 from doe.report.page import Action
@@ -49,7 +51,19 @@ def diagnosis_verdict(data: Data) -> list[str]:
     """What is missing in one short sentence, then with its details, and what it does to the error."""
     partly = "Not confirmed as predicted: rows that no fit has seen gain less."
     refuted = [partly if helps(data) else "Not confirmed on rows that no fit has seen."]
-    return [*(refuted if data["confirmed"] is False else []), missing(data), *details(data), gap_in_words(data)]
+    compared = [] if (offered := data.get("offered")) is None or offered["better"] else [hardly_better(offered)]
+    first = [*(refuted if data["confirmed"] is False else []), *compared]
+    return [*first, missing(data), *details(data), gap_in_words(data)]
+
+
+def hardly_better(offered: Data) -> str:
+    """That a model predicts what it has not seen no better than the geometry alone, or only within chance."""
+    sure = "no better" if offered["rms_mm"] >= offered["rms_geometry_mm"] else "no better beyond chance"
+    own, geometry = (
+        f"{in_a_sentence(offered[f'rms{of}_mm'])} mm RMS (largest {in_a_sentence(offered[f'max{of}_mm'])})"
+        for of in ("", "_geometry")
+    )
+    return f"This model predicts {sure} than the geometry alone: {own} against {geometry} in rows that no fit has seen."
 
 
 def missing(data: Data) -> str:
@@ -135,6 +149,10 @@ def diagnosis_actions(
         apart = " ".join(["armcal discriminate", arm, *rows, "--runs 6 --out next.csv"])
         again = Action("Add the new rows to the data, and diagnose again:", called)
         return [Action("Measure the postures that tell the explanations apart:", apart), again]
+    if (offered := data.get("offered")) is not None and not offered["better"]:
+        fit = f"armcal identify {arm} {rows[0]}" if len(rows) == 1 else called
+        use = Action("Use the calibration of the geometry, which predicts as well:", f"{fit} --out calibrated.toml")
+        return [use, correct("calibrated.toml"), confirm]
     keep = [] if written else [Action("Keep the extended model:", f"{called} --out extended.toml")]
     part = "the error curves, within the angles measured," if is_described(data) else "the named part"
     meanwhile = f"; {part} may be used meanwhile" if data["effects"] else ""
@@ -151,7 +169,8 @@ def correct(arm: str) -> Action:
 # -- the other commands ------------------------------------------------------------------------------------------------
 def design_verdict(data: Data) -> str:
     """How good a plan is, by `armcal design` or `score`."""
-    optimal = ", certified optimal" if data["certified_optimal"] else ""
+    sure = optimality_in_words(data.get("optimality"), data.get("bound")) if data["certified_optimal"] else ""
+    optimal = f", {sure}" if sure else ""
     if error := data.get("expected_error_mm"):
         runs = f"{data['runs']} runs (criterion {data['criterion']}{optimal})"
         return f"The plan of {runs} lets expect {expected_by_plan(data, error)}"
@@ -159,12 +178,21 @@ def design_verdict(data: Data) -> str:
     return f"The plan of {data['runs']} runs{known or ' has no known bound'} ({data['criterion']}{optimal})."
 
 
+def none_below(error: float, bound: Data | None) -> str:
+    """`no plan from all postures is below 0.08 mm (a numerical bound)`;  bound : as in JSON, None: not in the file"""
+    known = bound or {"source": "continuous"}
+    kind = " (a numerical bound)" if not known.get("rigorous", False) else ""
+    return f"no plan from {postures_in_words(known)} is below {in_a_sentence(error)} mm{kind}"
+
+
 def expected_by_plan(data: Data, error: Data) -> str:
     """What a plan by criterion I promises in mm, and what its bound is worth."""
     promised = f"an error of {in_a_sentence(error['plan'])} mm at the tip, RMS over the workspace"
+    if fit := data.get("fit"):
+        promised += f", if fitted by armcal identify --{fit}"
     if error["bound"] is None or data["efficiency"] is None:
         return f"{promised}."
-    least = f"; none is below {in_a_sentence(error['bound'])} mm"
+    least = f"; {none_below(error['bound'], data.get('bound'))}"
     return f"{promised}{least}. Efficiency {data['efficiency']:.4f}. {judged_by_mm(data['efficiency'])}"
 
 
@@ -216,31 +244,40 @@ def validation_actions(better: bool, refit: str, model: str, rows: str, *, beyon
     return [*far, zeros, anew]
 
 
-def plan_actions(arm: str = "arm.toml", plan: str = "plan.csv") -> list[Action]:
-    """From a plan to a calibration."""
+def identify_command(arm: str, rows: str, fit: str = "", out: str = "calibrated.toml") -> str:
+    """The command that fits measurements;  fit : of `Plan`, without which it does not keep what the plan promises"""
+    return f"armcal identify {arm} {rows}{f' --{fit}' if fit else ''} --out {out}"
+
+
+def plan_actions(arm: str = "arm.toml", plan: str = "plan.csv", fit: str = "") -> list[Action]:
+    """From a plan to a calibration;  fit : of the plan"""
+    why = ", as the plan is meant: what it promises is of this fit" if fit else ""
     return [
         Action(f"Measure the postures of {plan}, and write the positions beside the angles (armcal help formats)."),
         Action("See whether the data are what they should be:", f"armcal check {arm} data.csv"),
-        Action("Identify the arm:", f"armcal identify {arm} data.csv --out calibrated.toml"),
+        Action(f"Identify the arm{why}:", identify_command(arm, "data.csv", fit)),
     ]
 
 
-def data_actions(arm: str = "arm.toml", rows: str = "data.csv") -> list[Action]:
-    """From measurements to a calibration."""
+def data_actions(arm: str = "arm.toml", rows: str = "data.csv", fit: str = "") -> list[Action]:
+    """From measurements to a calibration;  fit : of the plan that they are of"""
     return [
-        Action("Identify the arm:", f"armcal identify {arm} {rows} --out calibrated.toml"),
+        Action("Identify the arm:", identify_command(arm, rows, fit)),
         Action("Look for what the model lacks:", f"armcal diagnose {arm} {rows} --report gap.html"),
     ]
 
 
 def identification_actions(
-    arm: str, rows: str, written: Path | None, *, diagnosed: bool, allowed_for: bool = False
+    arm: str, rows: str, written: Path | None, *, diagnosed: bool, allowed_for: bool = False, better: bool = True
 ) -> list[Action]:
     """What follows from an identification.
 
     written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for;  allowed_for : the
-    library's effects are in the model, held by a prior
+    library's effects are in the model, held by a prior;  better : than the geometry alone
     """
+    if not better:
+        why = "Leave --library-prior away, since the geometry alone predicts as well:"
+        return [Action(why, f"armcal identify {arm} {rows} --out calibrated.toml"), correct("calibrated.toml")]
     names = {"arm": arm, "rows": rows, "calibrated": str(written or "calibrated.toml")}
     keep = [] if written else [Action("Keep the calibration: add --out calibrated.toml to this command.")]
     look, *use = calibrated_actions(**names)

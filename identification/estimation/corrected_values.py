@@ -19,7 +19,7 @@ from identification.estimation.intervals import freedom_of, quantile_95
 from identification.kinematics.corrected_geometry import CorrectedGeometry
 from identification.kinematics.frames import pose, pose_table
 from identification.kinematics.instrument import RADIUS
-from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE, Parameter
+from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter
 from identification.kinematics.spatial import SpatialChain
 from identification.model import Model
 
@@ -112,7 +112,7 @@ def corrected_values(
     model, found = Model(arm), found or arm.calibration or Calibration({})
     values = {**model.fixed, **found.values}
     names = {*found.parameter_names, *unknown}
-    geometry = _planar(arm, values) if arm.chain is None else _spatial(arm.chain, values, names)
+    geometry = _planar(arm, values) if arm.chain is None else _spatial(arm, arm.chain, values, names)
     spread = freedom_of(found) if freedom is None else np.array([*freedom], dtype=float)
     prior = model.prior if {*model.prior} <= {*found.parameter_names} else {}
     before = np.diag([prior.get(name, 0.0) for name in found.parameter_names]) if known is None else known
@@ -168,16 +168,19 @@ def _planar(arm: Arm, values: Values) -> Iterator[_Quantity]:
         value = length + values.get(name, 0.0)
         yield _Quantity(f"length of link {j}", name, length, value, {name: 1.0}, "mm", LINK)
     stands = any(spec.name == "base_offset" for spec in arm.effects)
-    for j in range(1, arm.links + 1):
-        zero = _zero(j, REVOLUTE, values)
-        yield zero._replace(convention=TURNED) if stands and j == 1 else zero
+    for zero in _zeros(arm, values):
+        yield zero._replace(convention=TURNED) if stands and zero.name == "zero of joint 1" else zero
 
 
-def _zero(j: int, kind: str, values: Values) -> _Quantity:
-    """What joint j, counted from 1, adds to what is read."""
-    p, said = Parameter(f"{JOINT_OFFSET}:{j}", JOINT_UNITS[kind]), ZERO.format(j=j)
-    value = values.get(p.name, 0.0) * p.to_file
-    return _Quantity(f"zero of joint {j}", p.name, 0.0, value, {p.name: p.to_file}, p.file_unit, said)
+def _zeros(arm: Arm, values: Values) -> Iterator[_Quantity]:
+    """What each joint adds to what is read, as the controller counts: of coupled joints what both add."""
+    shares = np.eye(arm.links) if arm.counting is None else arm.counting.matrix
+    for j, kind in enumerate(arm.joint_types, start=1):
+        p = Parameter(f"{JOINT_OFFSET}:{j}", JOINT_UNITS[kind])
+        slopes = {f"{JOINT_OFFSET}:{i}": x * p.to_file for i, x in enumerate(shares[j - 1].tolist(), start=1) if x}
+        value = sum(x * values.get(name, 0.0) for name, x in slopes.items())
+        alone = p.name if len(slopes) == 1 else None
+        yield _Quantity(f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, ZERO.format(j=j))
 
 
 def _effects(model: Model, values: Values) -> Iterator[_Quantity]:
@@ -191,9 +194,9 @@ def _effects(model: Model, values: Values) -> Iterator[_Quantity]:
 
 
 # -- in space ----------------------------------------------------------------------------------------------------------
-def _spatial(chain: SpatialChain, values: Values, names: Collection[str]) -> Iterator[_Quantity]:
+def _spatial(arm: Arm, chain: SpatialChain, values: Values, names: Collection[str]) -> Iterator[_Quantity]:
     """Zeros of the joints, their frames, base and measured points; derivatives by the parameters `names`."""
-    yield from (_zero(j, kind, values) for j, kind in enumerate(chain.joint_types, start=1))
+    yield from _zeros(arm, values)
     drawn, there = _tables(chain, {}), _tables(chain, values)
     steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in names and p.kind != JOINT_OFFSET}
     ends = {

@@ -12,6 +12,7 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.errors import InputError
 from identification.estimation.checks import check_measurements
+from identification.estimation.outlying import together
 from identification.gap.candidate import Candidate
 from identification.gap.candidates import trial_list
 from identification.gap.confirmation.confirmation import HeldOut
@@ -24,6 +25,7 @@ from identification.gap.confirmation.holdout import (
     gap_of,
     held_out,
     held_out_conditions,
+    other_set_up,
 )
 from identification.gap.explanation import Explanation, Fits, explained_fits
 from identification.gap.fits.fit import Fit
@@ -32,8 +34,17 @@ from identification.gap.hypotheses.detectability import Detectability, assess, r
 from identification.gap.hypotheses.hypotheses import hypotheses
 from identification.gap.library.library_prior import given_by, library_prior
 from identification.gap.noise.misfit import misfit
+from identification.gap.noise.noise import unexplained_rows
 from identification.gap.noise.repeats import noise_floor, repeat_finding
-from identification.gap.notes import alias_list, curve_notes, hidden_orders, notes, order_notes, prior_note
+from identification.gap.notes import (
+    alias_list,
+    curve_notes,
+    hidden_orders,
+    notes,
+    order_notes,
+    prior_note,
+    unexplained_note,
+)
 from identification.gap.outside.excluded_waves import excluded_waves
 from identification.gap.probability.agreement import overruled
 from identification.gap.probability.choice_validation import ChoiceValidation, disagreement, validate_choice
@@ -174,6 +185,8 @@ def diagnosis_of(
     estimated = len(fits.after.residual) - fits.after.freedom  # effective number of parameters
     result = named_effects(explained, measurements, residuals, gap, estimated)
     over_sigma = misfit(residuals.after, estimated, measurements, arm.sigma, kept)
+    rows = Rows.of(measurements)
+    unexplained = together(unexplained_rows(fits.after, rows), rows.postures, rows.posture_numbers) & kept
     confirmation = None
     if holdout is not None and there is not None:
         confirmation = confirmation_of(measurements, holdout, there, named)
@@ -185,8 +198,14 @@ def diagnosis_of(
         misfit=over_sigma,
         confirmation=confirmation,
         cross_validation=cross_validation(fits.base, fits.after, measurements, kept, generator, named),
-        warnings=fit_doubts(arm, measurements, fits.after, after),
-        notes=(*result.notes, *notes(arm, measurements, found, holdout, gap, over_sigma), *prior_note(explained.prior)),
+        warnings=(*fit_doubts(arm, measurements, fits.after, after), *other_set_up(there)),
+        notes=(
+            *result.notes,
+            *notes(arm, measurements, found, holdout, gap, over_sigma),
+            *unexplained_note(residuals.after, unexplained),
+            *prior_note(explained.prior),
+        ),
+        unexplained_rows=tuple((np.flatnonzero(unexplained) + 1).tolist()),
     )
 
 

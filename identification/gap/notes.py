@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arm import Arm
+from identification.arrays import Array, rows_in_words
 from identification.gap.candidate import Candidate
 from identification.gap.confirmation.holdout import Gap
 from identification.gap.curves.curve import Curve
@@ -17,7 +19,7 @@ from identification.gap.noise.misfit import Misfit
 from identification.gap.selection.search import HypothesisSearch
 from identification.gap.workflow import Findings
 from identification.inspection.data_checks import gap_notes
-from identification.measurements import Measurements
+from identification.measurements import Measurements, distances
 from identification.status import Status
 
 
@@ -81,6 +83,14 @@ def curve_notes(curves: tuple[Curve, ...]) -> list[str]:
     return [f"the error curves hold for the angles measured ({said}); {beyond}"]
 
 
+def unexplained_note(residual: Array, unexplained: NDArray[np.bool_]) -> list[str]:
+    """A sentence about rows (m,) that nothing explains and that come together;  residual : (m, d) [mm]"""
+    if not unexplained.any():
+        return []
+    far = f"up to {distances(residual)[unexplained].max():.3g} mm off"
+    return [f"{rows_in_words(unexplained)} are not explained ({far}); they stay in, as whole postures or neighbors"]
+
+
 def prior_note(prior: LibraryPrior | None) -> list[str]:
     """A sentence about the further effects in the model of the fit, if it has a prior."""
     return [] if prior is None else [f"after: fitted {prior.sentence}"]
@@ -122,6 +132,9 @@ def notes(
     if gap.held_out_after is not None and gap.predicted is not None and gap.held_out_after > 3.0 * gap.predicted:
         times = gap.held_out_after / gap.predicted
         said.append(f"the held-out residuals are {times:.2g} times larger than predicted: other postures or set-up?")
+    if once := [h.key for h in found.unknown.chosen if h.effect.once]:
+        which = f"{', '.join(once)}: of this session only; the extended model has what is left of it at the end, as"
+        said.append(f"{which} validate and compensate take it")
     if holdout is not None and any("drift" in h.key for h in found.unknown.chosen):
         said.append("a drift of one session does not carry over to another; confirm it on held-out rows of this one")
     return said

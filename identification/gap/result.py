@@ -15,6 +15,7 @@ from identification.gap import notebook, summary
 from identification.gap.candidate import Candidate
 from identification.gap.confirmation.confirmation import Confirmation
 from identification.gap.confirmation.holdout import Gap
+from identification.gap.confirmation.offered import Offered
 from identification.gap.curves.curve import Curve
 from identification.gap.hypotheses.detectability import Detectability, Size
 from identification.gap.library.library_prior import LibraryPrior
@@ -57,6 +58,7 @@ class Diagnosis:
     verdict : `none`, `named`, `ambiguous` or `unknown`;  where, shape : place and best shape of an unknown effect
     candidates, named : ambiguity set, and best set of effects;  aliases : triples (effect, effect like it, likeness)
     scatter : significant properties of the noise;  outlier_rows : numbers of the rows left out, from 1
+    unexplained_rows : of rows that the best set does not explain either, but that come together and stay in
     gap : RMS distances before and after;  sigma : noise of one coordinate estimated from the residuals [mm]
     trials : test of every effect against the base model;  detectability : smallest detectable sizes in these data
     misfit : test against the given sigma, None without one;  confirmation : on held-out rows, None without
@@ -66,6 +68,7 @@ class Diagnosis:
     shapes : named waves whose order the range of their joint does not determine
     replication : each named effect in each of several sessions;  curves : error curves of joints in the best set
     warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
+    offered : the extended model beside the geometry alone, None where it was not judged (`validate.judgement.judged`)
     prior : of further effects beside the named ones, None without;  data : `file` and `sha256` of the rows, if known
     """
 
@@ -96,6 +99,8 @@ class Diagnosis:
     curves: tuple[Curve, ...] = ()
     prior: LibraryPrior | None = None
     data: Mapping[str, Any] = field(default_factory=dict)
+    unexplained_rows: tuple[int, ...] = ()
+    offered: Offered | None = None
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -179,6 +184,8 @@ class Diagnosis:
         said: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
         if self.confirmed is not None:
             said["confirmed"] = self.confirmed
+        if self.offered is not None:
+            said["better_than_geometry"] = self.offered.better
         said |= {name: value for name, value in self.gap.to_json().items() if value is not None}
         said["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
         said["probability"] = self.probability
@@ -208,9 +215,11 @@ class Diagnosis:
             "curves": [curve.to_json() for curve in self.curves],
             "scatter": [{"finding": f.name, "p": f.p, "size": f.size} for f in self.scatter],
             "outlier_rows": list(self.outlier_rows),
+            "unexplained_rows": list(self.unexplained_rows),
             "excluded": {name: vars(size) for name, size in self.excluded.items()},
             "gap": self.gap.to_json(),
             "confirmed": self.confirmed,
+            "offered": None if self.offered is None else self.offered.to_json(),
             "confirmation": None if self.confirmation is None else self.confirmation.to_json(),
             "cross_validation": [test.to_json() for test in self.cross_validation],
             "misfit": None if self.misfit is None else self.misfit.to_json(),

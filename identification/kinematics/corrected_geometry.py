@@ -12,6 +12,7 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.kinematics.corrected import composed_axes, composed_base, composed_tools, corrected
+from identification.kinematics.counting import Counting
 from identification.kinematics.frames import point_table, pose, pose_table, roll_pitch_yaw, rotation_about, tool_tables
 from identification.kinematics.parameters import JOINT_OFFSET, REVOLUTE
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
@@ -32,11 +33,12 @@ class CommonNormal(NamedTuple):
 class CorrectedGeometry:
     """A chain with the errors that were found.
 
-    chain : as nominal;  values : parameter name -> value [mm, rad]
+    chain : as nominal;  values : parameter name -> value [mm, rad];  counting : of the controller, None: as the chain's
     """
 
     chain: SpatialChain
     values: Mapping[str, float]
+    counting: Counting | None = None
 
     @cached_property
     def real(self) -> SpatialChain:
@@ -121,9 +123,11 @@ class CorrectedGeometry:
         }
 
     def _offset(self, j: int) -> dict[str, Any]:
-        """What the joint adds to a command, and what a controller has to add to its own."""
-        turning = self.chain.joints[j - 1].type == REVOLUTE
-        value = float(np.degrees(self._offset_of(j))) if turning else self._offset_of(j)
+        """What the joint adds to a command, and what a controller has to add to its own, as it counts."""
+        turning, n = self.chain.joints[j - 1].type == REVOLUTE, len(self.chain)
+        shares = np.eye(n) if self.counting is None else self.counting.matrix
+        value = float(shares[j - 1] @ [self._offset_of(i) for i in range(1, n + 1)])
+        value = float(np.degrees(value)) if turning else value
         return {"joint": j, "unit": "deg" if turning else "mm", "value": value, "command": 0.0 - value}
 
     def _offset_of(self, j: int) -> float:

@@ -28,7 +28,6 @@ from identification.model import Model
 # reasons: identification/README.md, "Constants"
 FOLDS = 5  # of the cross-validation
 STRETCHES = 10  # of time
-SAME = 1e-3  # [rad] angles that differ by less are one posture
 NEGLIGIBLE = 1e-10  # of a column's square
 HYPERPARAMETERS = 2  # that the data choose for each curve: size and length
 Members = tuple[Hypothesis, ...]
@@ -94,7 +93,7 @@ class System:
     @cached_property
     def _grams(self) -> Array:
         """(FOLDS, n, n) products over the rows of each fold of postures."""
-        return self._products(folds(self.rows.postures)).at(self.rows.correlation)
+        return self._products(folds(self.rows.posture_numbers)).at(self.rows.correlation)
 
     @cached_property
     def _in_time(self) -> LaggedProducts:
@@ -216,11 +215,9 @@ class System:
         return replace(self, rows=rows, found=found, known=known)
 
 
-def folds(postures: Array) -> NDArray[np.int64]:
-    """(m,) fold of each row; postures equal within `SAME` rad are in the same fold."""
-    _, group = np.unique(np.round(postures / SAME), axis=0, return_inverse=True)
-    order = np.random.default_rng(0).permutation(int(group.max()) + 1)
-    return order[group.ravel()] % FOLDS
+def folds(postures: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(m,) fold of each row; postures : (m,) number of each row's posture, from 0, whose rows are in the same fold."""
+    return np.random.default_rng(0).permutation(int(postures.max()) + 1)[postures] % FOLDS
 
 
 def choose_curves(system: System, margin: float) -> CurveChoice:

@@ -58,13 +58,27 @@ class Columns:
     @cached_property
     def products(self) -> dict[int, Array]:
         """Size -> (h, size, size) Gram matrices of the h hypotheses of that size."""
-        found = {}
-        for size in np.unique(self.sizes).tolist():
+        return {size: self._products(self.places(size)[1]) for size in np.unique(self.sizes).tolist()}
+
+    def _products(self, index: NDArray[np.int64]) -> Array:
+        """(h, size, size) Gram matrices of hypotheses with these columns (h, size)."""
+        found = np.zeros((len(index), index.shape[1], index.shape[1]))
+        for part in self.chunks():
+            block = self.matrix[part][:, index.ravel()].reshape(-1, *index.shape).transpose(1, 2, 0)
+            found += block @ block.transpose(0, 2, 1)
+        return found
+
+    def changed(self, places: NDArray[np.int64], columns: Array) -> Columns:
+        """The same with other columns (N, c) at these places (c,), all those of some hypotheses."""
+        matrix = self.matrix.copy()
+        matrix[:, places] = columns
+        found = Columns(matrix, self.sizes)
+        products = {size: known.copy() for size, known in self.products.items()}
+        for size, known in products.items():
             index = self.places(size)[1]
-            found[size] = np.zeros((len(index), size, size))
-            for part in self.chunks():
-                block = self.matrix[part][:, index.ravel()].reshape(-1, *index.shape).transpose(1, 2, 0)
-                found[size] += block @ block.transpose(0, 2, 1)
+            if (other := np.isin(index[:, 0], places)).any():
+                known[other] = found._products(index[other])
+        found.__dict__["products"] = products  # of the others they are known
         return found
 
     def chunks(self, multiple: int = 1) -> Iterator[slice]:

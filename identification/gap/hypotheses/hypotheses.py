@@ -6,7 +6,7 @@ time of a step) are scanned: each value is a hypothesis, and together they have 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
@@ -19,6 +19,7 @@ from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, Scope, Setting, build, build_all, of_dimension
 from identification.effects.places import state_size
+from identification.gap.fits.fit import Fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.columns import Bundle, bundles
 from identification.gap.hypotheses.f_tests import CHUNK, Columns, Dictionary, dictionary
@@ -185,6 +186,24 @@ class HypothesisSet:
         return frozenset(h.effect.through for h in self.members if not self.acts(h))
 
     @cached_property
+    def changing(self) -> NDArray[np.int64]:
+        """(k,) indices of the members whose columns depend on such effects in the fitted model."""
+        return np.array([k for k, h in enumerate(self.members) if h.effect.needs & self._not_shown], dtype=np.int64)
+
+    def changed_columns(self, rows: Rows, found: Fit) -> Array:
+        """(N, r) whitened columns of the members `changing`, side by side, at a fit to these rows."""
+        levers, state = found.model.place_levers(rows.postures, found.values, rows.conditions)
+        columns: dict[int, Array] = {}
+        for bundle in self._changing_bundles:
+            columns |= bundle.columns(levers, bundle.slopes(rows.postures, rows.conditions, state))
+        return rows.whiten(np.concatenate(self._listed(self.changing.tolist(), columns), axis=2))
+
+    @cached_property
+    def _changing_bundles(self) -> tuple[Bundle, ...]:
+        some = ((int(k), self.members[k]) for k in self.changing)
+        return bundles(self.arm, [(number, h.effect) for number, h in some if not h.tied])
+
+    @cached_property
     def _bundles(self) -> tuple[Bundle, ...]:
         return bundles(self.arm, [(number, h.effect) for number, h in enumerate(self.members) if not h.tied])
 
@@ -220,8 +239,13 @@ class HypothesisSet:
         for bundle, given in zip(self._bundles, known, strict=True):
             given = bundle.slopes(rows.postures, rows.conditions, state) if given is None else given
             found |= bundle.columns(levers, given)
-        free = {h.label: found[k] for k, h in enumerate(self.members) if not h.tied}
-        return [free[h.free.label].sum(axis=2, keepdims=True) if h.tied else free[h.label] for h in self.members]
+        return self._listed(range(len(self.members)), found)
+
+    def _listed(self, numbers: Iterable[int], columns: Mapping[int, Array]) -> list[Array]:
+        """Columns (m, d, size) of these members, from those of the members that are not tied, by their numbers."""
+        free = {self.members[k].label: found for k, found in columns.items()}
+        some = (self.members[k] for k in numbers)
+        return [free[h.free.label].sum(axis=2, keepdims=True) if h.tied else free[h.label] for h in some]
 
 
 def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> HypothesisSet:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
-from identification.estimation.outlying import outlying
+from identification.estimation.outlying import outlying, together
 from identification.estimation.shown import p_value_in_words
 from identification.gap.fits.fit import Fit
 from identification.gap.fits.whitening import Rows
@@ -56,10 +56,16 @@ class Finding:
 
 
 def outliers(found: Fit, everything: Rows) -> NDArray[np.bool_]:
-    """(m,) True for outliers by the rule of `outlying`.
+    """(m,) True for outliers by the rules of `outlying` and `together`.
 
     found : a fit to these rows or to some of them;  everything : all rows
     """
+    unexplained = unexplained_rows(found, everything)
+    return unexplained & ~together(unexplained, everything.postures, everything.posture_numbers)
+
+
+def unexplained_rows(found: Fit, everything: Rows) -> NDArray[np.bool_]:
+    """(m,) True for rows that a fit does not explain, outliers or not; arguments as of `outliers`."""
     plain = replace(everything, correlation=0.0)  # a posture is judged on its own
     predicted, jacobian = found.model.linearize(everything.postures, found.values, everything.conditions)
     residual = plain.whiten(everything.positions - predicted).reshape(predicted.shape)

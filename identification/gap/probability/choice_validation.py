@@ -56,10 +56,11 @@ class _Fold(NamedTuple):
 def validate_choice(
     found: Findings, measurements: Measurements, generator: np.random.Generator
 ) -> ChoiceValidation | None:
-    """Cross-validate the choice; None where nothing was chosen, with fewer than `2 FOLDS` or over `MOST_ROWS` rows."""
+    """Cross-validate the choice; None where nothing was chosen, with fewer than `2 FOLDS` postures or over `MOST_ROWS`
+    rows."""
     chosen = found.unknown.chosen
     rows = Rows.of(measurements).pick(~found.outlier)
-    if not chosen or not 2 * FOLDS <= len(rows) <= MOST_ROWS:
+    if not chosen or len(rows) > MOST_ROWS or len(np.unique(rows.posture_numbers)) < 2 * FOLDS:
         return None
     search = HypothesisSearch(found.search.hypotheses, rows)
     folds = list(_folds(search, len(chosen), generator))
@@ -73,8 +74,8 @@ def validate_choice(
 
 
 def _folds(search: HypothesisSearch, size: int, generator: np.random.Generator) -> Iterator[_Fold]:
-    m = len(search.rows)
-    parts = generator.permutation(np.arange(m) % FOLDS)
+    postures = search.rows.posture_numbers
+    parts = generator.permutation(np.arange(postures.max() + 1) % FOLDS)[postures]
     base = search.fit(())
     jacobian = base.jacobian
     for part in range(FOLDS):

@@ -27,9 +27,8 @@ def certainty(search: HypothesisSearch, found: Fit) -> Uncertainty:
     sigma = None if search.noise_estimated else rows.sigma or search.hypotheses.arm.sigma
     unit, m, d = sigma or 1.0, len(rows), rows.dimension
     jacobian, residual = found.jacobian / unit, found.residual / unit
-    fitted = FittedRows(
-        jacobian.reshape(m, d, -1), residual.reshape(m, d), found.rank, rows.sequence, rows.posture_numbers
-    )
+    tall, numbers = jacobian.reshape(m, d, -1), (rows.posture_numbers, rows.repeat_numbers)
+    fitted = FittedRows(tall, residual.reshape(m, d), found.rank, rows.sequence, *numbers)
     decomposed = spectrum(jacobian, found.model.scales)
     return uncertainty(fitted, decomposed, known=sigma is not None, doubtful=search.noise_estimated)
 

@@ -121,6 +121,7 @@ class HypothesisSearch:
     surveys: dict[frozenset[str], Any] = field(default_factory=dict)  # of `unmodelled_survey`, for whoever asks again
     _crosses: dict[str, Array] = field(default_factory=dict)
     _products: dict[frozenset[str], Array] = field(default_factory=dict)
+    _changes: dict[frozenset[str], Array] = field(default_factory=dict)
 
     @property
     def linear(self) -> bool:
@@ -187,27 +188,38 @@ class HypothesisSearch:
     def state(self, chosen: Choice) -> State:
         """Residual of a set of effects, and the hypotheses that can be added to it.
 
-        All columns are those at the base fit if the search is `linear`, else those at the fit of the set; so are they
-        where some would be zero at the base fit (`Effect.through`).
+        All columns are those at the fit of the set; if the search is `linear`, those at the base fit, but for members
+        that some effect of the set changes, or that show through it only (`HypothesisSet.changing`).
         """
         found = self.fit(chosen)
-        if self.linear and not self.hypotheses.shows_more(chosen):
-            return self.linear_state(chosen, found.residual, self.moments(chosen))
+        if self.linear:
+            return self.linear_state(chosen, found.residual, self.moments(chosen), self._changed(chosen))
         matrix = self.hypotheses.matrix
         columns = matrix(self.rows, found.by_name, self.slopes, found.model) if chosen else self.base_columns
         return self._state(chosen, found.residual, found.basis, columns)
 
     def state_without(self, chosen: Choice, member: Hypothesis) -> State:
-        """`state` of a set less one member; in a `linear` search without a fit of its own."""
+        """`state` of a set less one member; in a `linear` search without a fit of its own, unless the member changes
+        columns of others."""
         rest = tuple(h for h in chosen if h is not member)
         known = frozenset(h.label for h in rest) in self.fits
-        if not self.linear or known or self.hypotheses.shows_more(chosen):
+        if not self.linear or known or self.hypotheses.shows_more((member,)):
             return self.state(rest)
         found = self.fit(chosen)
         effect = next(e for e in found.model.effects if e.label == member.label)
         values = np.array([found.by_name[p.name] for p in effect.parameters])
         put_back = self.base_columns.matrix[:, self._places(member)] @ values
-        return self.linear_state(rest, found.residual + put_back, self.moments(chosen) + values @ self._cross(member))
+        moments = self.moments(chosen) + values @ self._cross(member)
+        return self.linear_state(rest, found.residual + put_back, moments, self._changed(chosen))
+
+    def _changed(self, chosen: Choice) -> Array | None:
+        """`HypothesisSet.changed_columns` at the fit of a set, None where they are those at the base fit."""
+        if not self.hypotheses.shows_more(chosen):
+            return None
+        key = frozenset(h.label for h in chosen)
+        if key not in self._changes:
+            self._changes[key] = self.hypotheses.changed_columns(self.rows, self.fit(chosen))
+        return self._changes[key]
 
     @cached_property
     def repeated(self) -> int:
@@ -257,22 +269,28 @@ class HypothesisSearch:
             self._products[key] = self.base_columns.matrix.T @ self.fit(chosen).residual
         return self._products[key]
 
-    def linear_state(self, chosen: Choice, residual: Array, moments: Array) -> State:
+    def linear_state(self, chosen: Choice, residual: Array, moments: Array, changed: Array | None = None) -> State:
         """`state` with the columns at the base fit.
 
         residual : (N,) of the set, not yet projected off its columns;  moments : (C,) products of all columns with it
+        changed : (N, r) columns in place of those of the members `HypothesisSet.changing`, None: those at the base fit
         """
-        (known, within), matrix = self._base_space, self.base_columns.matrix
+        (known, within), columns = self._base_space, self.base_columns
         places = np.concatenate([np.zeros(0, dtype=np.int64), *(self._places(h) for h in chosen)])
-        cross = np.concatenate([np.zeros((0, matrix.shape[1])), *(self._cross(h) for h in chosen)])
+        cross = np.concatenate([np.zeros((0, columns.matrix.shape[1])), *(self._cross(h) for h in chosen)])
+        if changed is not None:
+            at = np.concatenate([self._places(self.hypotheses.members[k]) for k in self.hypotheses.changing])
+            columns, within, moments = columns.changed(at, changed), within.copy(), moments.copy()
+            within[:, at], moments[at] = known.T @ changed, changed.T @ residual
+            other, own = np.isin(places, at), columns.matrix[:, places]
+            cross[:, at], cross[other] = own.T @ changed, own[:, other].T @ columns.matrix
+        matrix = columns.matrix
         own = within[:, places]
         turn = _turn(cross[:, places], own, lambda: matrix[:, places] - known @ own)
         basis = np.hstack([known, matrix[:, places] @ turn - known @ (own @ turn)])
         inside = np.concatenate([within, turn.T @ (cross - own.T @ within)])
         explained = basis.T @ residual
-        return self._state(
-            chosen, residual - basis @ explained, basis, self.base_columns, inside, moments - explained @ inside
-        )
+        return self._state(chosen, residual - basis @ explained, basis, columns, inside, moments - explained @ inside)
 
     def _state(
         self,

@@ -22,6 +22,7 @@ from identification.files.arm import arm_from_tables
 from identification.files.csv import read_table
 from identification.files.urdf import read_urdf
 from tests.doe.cli.conftest import Folder
+from tests.small_arm import MASSES, urdf
 
 URDF = Path(__file__).parents[2] / "data/spatial/six_axis.urdf"
 GRIPPER = """<robot name="two fingers"><link name="base"/>
@@ -191,3 +192,18 @@ def test_bad_input_is_one_line_and_nothing_is_written(folder: Folder, words: tup
     assert sentence in done.err
     assert len(done.err.strip().splitlines()) == 1
     assert sorted(folder.path.iterdir()) == before
+
+
+@pytest.mark.parametrize("masses", [True, False])
+def test_gravity_is_on_where_the_urdf_file_has_masses(folder: Folder, masses: bool) -> None:
+    folder.write("robot.urdf", urdf(masses=masses))
+    done = folder.armcal("init", "--urdf", "robot.urdf", "--out", "cell")
+    arm = load_arm(folder.path / "cell/arm.toml")
+    assert ("stands upright" in done.out) is masses
+    assert ("taken to stand upright" in (folder.path / "cell/arm.toml").read_text()) is masses
+    if masses:
+        assert arm.gravity is not None
+        assert arm.gravity.link_masses.tolist() == MASSES.tolist()
+        assert arm.gravity.acceleration.tolist() == [0.0, 0.0, -9.81]
+    else:
+        assert arm.gravity is None
