@@ -91,7 +91,7 @@ def test_weights_are_replicated_rows(effects: tuple[EffectSpec, ...]) -> None:
         np.testing.assert_allclose(other.parameters, repeated.parameters, rtol=0, atol=1e-9)
         np.testing.assert_allclose(np.diag(other.covariance), np.diag(repeated.covariance), rtol=1e-6)
     # the scatter within repeats is none, so chi2 agrees; degrees of freedom count rows that were measured
-    assert weighted.chi2 == pytest.approx(repeated.chi2, rel=1e-10)
+    assert weighted.chi2 == pytest.approx(repeated.chi2, rel=1e-8)  # the digits that set the copies apart
     assert weighted.dof == 2 * np.count_nonzero(counts) - len(model.names)
 
 
