@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 
 TINY = 1e-15  # leverages below it are rounding
-LARGE = 200  # groups and combinations from which on what two groups share through the fit does not count (0.6 %)
+LARGE = 200  # groups, and combinations: of more, what two groups share through the fit is left out of the freedom
 ALONE = 1e-8  # a group whose leverage is nearer to one than this determines a combination by itself
 
 

@@ -18,7 +18,6 @@ from identification.model import Model
 from tests.doe.six_axis import CHAIN
 from tests.identification.estimation.cases import LENGTHS, SIGMA, arm, data, plan, truth
 
-
 UR10 = Path(__file__).parents[2] / "data" / "ur10"
 
 
@@ -126,7 +125,6 @@ def test_a_real_robot_is_off_by_what_is_said(series: str) -> None:
         left = [fit.model.position(rest.postures, fit.parameters, rest.conditions)[:, :3] for fit in (found, best)]
         said.append(found.expected_tip_measured**2)
         off.append(np.mean(np.sum((left[0] - left[1]) ** 2, axis=1)))
-    print(np.sqrt(np.mean(said)), np.sqrt(np.mean(off)), found.expected_tip)
     assert np.sqrt(np.mean(said) / np.mean(off)) == pytest.approx(1.0, abs=1.0 / 3.0)
 
 

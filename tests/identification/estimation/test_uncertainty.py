@@ -281,5 +281,4 @@ def test_intervals_hold_where_postures_have_several_rows(
         low, high = found.intervals[kept].T
         held.append((low <= truth) & (high >= truth))
     shares = np.mean(held, axis=1)
-    print(kind, size, sigma, np.mean(shares), np.mean(held, axis=0).min())  # noqa: T201
     assert 0.93 - (error := 3.5 * np.std(shares) / np.sqrt(sets)) < np.mean(shares) < 0.97 + error
