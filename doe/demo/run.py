@@ -31,6 +31,7 @@ from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.progress import Progress, silent
 from identification.validate import drawing_residuals
+from identification.validate.judgement import judged
 
 FRESH, TARGETS = 200, 50  # postures
 
@@ -162,7 +163,7 @@ class Run:
         self.step("identification")
         base = estimate(Model(arm), data)
         self.step("diagnosis")
-        diagnosis = diagnose(arm, data, holdout=fresh, seed=self.seed)
+        diagnosis = judged(diagnose(arm, data, holdout=fresh, seed=self.seed), arm, data, fresh)
         self.step("identification again")
         extended = estimate(Model(arm.with_effects(*arm.effects, *diagnosis.named.specs)), data)  # from the drawing
         self.arm_files(base, diagnosis, extended)

@@ -90,13 +90,15 @@ def hardly_determined(found: Identification) -> list[str]:
     noise = max(found.scatter or 0.0, found.sigma or 0.0) * float(np.sqrt(found.model.arm.dimension))
     far = f"{found.rms_before:{'.3g' if found.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""
-    if inside > max(SHARE * before, noise):
-        some = found.postures[:: max(len(found.postures) // POSES, 1)]
-        if cause := base_and_tool(found, lambda c: expected_tip(found.model, found.parameters, c, some)):
+    few, far_off = inside > max(SHARE * before, noise), anywhere > max(before, noise)
+    if few or far_off:
+        everywhere = working_postures(found.model.arm.lower, found.model.arm.upper)
+        if cause := base_and_tool(found, lambda c: expected_tip(found.model, found.parameters, c, everywhere)):
             return cause
+    if few:
         said = f"at other postures like those measured the tip may be {inside:.3g} mm (RMS) from where it is computed"
         return [f"{FEW}: {said}{was}. Measure more postures{size_left_open(found.model.arm)}"]
-    if anywhere > max(before, noise):
+    if far_off:
         said = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
         return [f"away from the postures measured {said}. Keep near these postures, or measure others"]
     return []

@@ -37,6 +37,7 @@ FITS = 0.02  # relative: so near is a measured factor that of a unit
 OTHER_SIZE = 2.0  # times as large or as small as the drawing, which no drawing is wrong by
 STEPS = 2.0 ** np.arange(-3, 4)  # times what the spreads say, to which a point far from the tip adds
 HUGE = 20000.0  # [mm] farther than any arm reaches
+MOVED = 1e-3  # share of the reach: drawn tips that lie nearer to one another tell no unit
 DRAWN = 0.02  # of the reach: what may well be the drawing's errors
 CLEARLY = 3.0  # times better: another unit is suspected
 CERTAINLY = 10.0  # times better, and no worse than a drawing: there is no doubt
@@ -116,6 +117,8 @@ def _units(measurements: Measurements, arm: Arm) -> _Units:
     largest = float(np.abs(measurements.postures[:, turning]).max(initial=0.0))
     angle = ANGLES["small"] if 0.0 < largest < SMALL_ANGLE else ANGLES["large"] if largest > LARGE_ANGLE else {}
     drawn = {t: _spread(_drawn_tips(arm, measurements.postures * np.where(turning, t, 1.0))) for t in (1.0, *angle)}
+    if max(drawn.values()) < MOVED * arm.reach:  # one posture: what its repeats scatter by has no ratio to the drawing
+        return _Units(huge)
     spread = 0.0  # contacts read nothing that has a unit
     if arm.chain is None or not arm.chain.instrument.contact:
         spread = _spread(measurements.positions[:, POINT])

@@ -256,11 +256,10 @@ class HypothesisSearch:
 
     def _cross(self, member: Hypothesis) -> Array:
         """(size, C) products of the columns of a hypothesis with all columns."""
-        label = member.effect.label
-        if label not in self._crosses:
+        if member.label not in self._crosses:  # a family and its members tied together have other columns
             matrix = self.base_columns.matrix
-            self._crosses[label] = matrix[:, self._places(member)].T @ matrix
-        return self._crosses[label]
+            self._crosses[member.label] = matrix[:, self._places(member)].T @ matrix
+        return self._crosses[member.label]
 
     def moments(self, chosen: Choice) -> Array:
         """(C,) products of all columns with the residual of the fit of a set."""

@@ -366,7 +366,7 @@ def test_committed_arm_of_the_ur10() -> None:
 def test_examples_of_the_page_load(tmp_path: Path) -> None:
     page = Path(__file__).parents[3] / "identification/files/README.md"
     section = page.read_text().split("### Spatial arms")[1].split("\n## ")[0]
-    by_urdf, by_table, by_lengths = re.findall(r"^```toml\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
+    by_urdf, by_table, by_lengths, joints = re.findall(r"^```toml\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
     shutil.copy(URDF, tmp_path / "robot.urdf")
     arm = load_arm(saved(tmp_path, by_urdf))
     assert arm.chain is not None
@@ -374,6 +374,7 @@ def test_examples_of_the_page_load(tmp_path: Path) -> None:
     chain = load_arm(saved(tmp_path, by_table)).chain
     assert chain is not None
     assert (len(chain), chain.known) == (2, {BASE})
+    assert load_arm(saved(tmp_path, f"links_mm = [4, 3, 2, 1]\n{joints}")).counting is not None
     bar = load_arm(saved(tmp_path, f"{by_urdf}\n{by_lengths}")).chain
     assert bar is not None
     assert bar.coordinates == 1

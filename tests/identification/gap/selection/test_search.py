@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from unittest.mock import patch
 
 import numpy as np
@@ -54,6 +55,19 @@ def test_a_member_left_out_without_a_fit_of_its_own(monkeypatch: pytest.MonkeyPa
     assert short.squares == pytest.approx(own.squares, rel=1e-4)
     assert short.strongest.label == own.strongest.label == chosen[0].label
     np.testing.assert_allclose(short.change, own.change, atol=0.1)
+
+
+def test_a_family_and_its_members_tied_together_have_products_of_their_own() -> None:
+    """In either order: a pair of effects was looked for with those of the one in the place of the other's."""
+    heavy = replace(ARM, gravity=Gravity(np.array([0.0, -9.81]), np.array([3.0, 2.0, 1.0]), np.full(3, 0.5)))
+    library = hypotheses(heavy, frozenset())
+    q = np.random.default_rng(3).uniform(-2.5, 2.5, (40, 3))
+    search = HypothesisSearch(library, Rows.of(Measurements(q, Model(heavy).position(q))))
+    several = [h for h in library.members if h.key == "joint_compliance"]
+    assert sorted(h.size for h in several) == [1, 3]
+    for member in several:
+        own = search.base_columns.matrix[:, search._places(member)]
+        np.testing.assert_allclose(search._cross(member), own.T @ search.base_columns.matrix)
 
 
 def test_the_same_effect_in_other_words_is_exactly_as_good() -> None:
