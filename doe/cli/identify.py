@@ -103,7 +103,8 @@ def command(
     fitted = rows_fitted(measurements, said)
     if words:
         found = with_place_doubted(found, with_sessions(loaded, fitted), words, fitted)
-    found = with_mounting_doubted(found, fitted, lambda rows: wanted.fit(loaded, rows)[0])
+    before, found = found, with_mounting_doubted(found, fitted, lambda rows: wanted.fit(loaded, rows)[0])
+    mounted_anew = found is not before
     offered = None
     if library is not None and not words and old is None:
         offered = prior_judged(lambda: estimate(Model(with_sessions(loaded, fitted)), fitted), found, fitted)
@@ -119,7 +120,8 @@ def command(
             warn_beside_json([hardly_better(answered.data["offered"])])
     answered = with_commands(answered, following_errors(measurements, loaded.joint_types))
     better = offered is None or offered.better
-    return with_next(answered, (arm, data), output.out, loaded, allowed_for=library is not None, better=better)
+    told = {"allowed_for": library is not None, "better": better, "mounted_anew": mounted_anew}
+    return with_next(answered, (arm, data), output.out, loaded, **told)
 
 
 def as_asked(
@@ -171,15 +173,13 @@ def rows_fitted(measurements: Measurements, said: dict[str, Any]) -> Measurement
     return measurements if len(kept) == len(measurements) else measurements.rows(kept)
 
 
-def with_next(
-    answered: Answer, files: Sequence[Path], out: Path | None, arm: Arm, *, allowed_for: bool, better: bool
-) -> Answer:
-    """The answer with the next steps, if there is a calibration; files and more : see `identification_actions`."""
+def with_next(answered: Answer, files: Sequence[Path], out: Path | None, arm: Arm, **told: bool) -> Answer:
+    """The answer with the next steps, if there is a calibration; files, told : see `identification_actions`."""
     from doe.report.verdict import identification_actions, next_steps
     from identification.validate.row_groups import diagnosed
 
     if answered.exit_code == 0:
-        told = {"diagnosed": diagnosed(arm), "allowed_for": allowed_for, "better": better}
+        told["diagnosed"] = diagnosed(arm)
         answered.shown += next_steps(identification_actions(str(files[0]), str(files[1]), out, **told))
     return answered
 

@@ -268,13 +268,24 @@ def data_actions(arm: str = "arm.toml", rows: str = "data.csv", fit: str = "") -
 
 
 def identification_actions(
-    arm: str, rows: str, written: Path | None, *, diagnosed: bool, allowed_for: bool = False, better: bool = True
+    arm: str,
+    rows: str,
+    written: Path | None,
+    *,
+    diagnosed: bool,
+    allowed_for: bool = False,
+    better: bool = True,
+    mounted_anew: bool = False,
 ) -> list[Action]:
     """What follows from an identification.
 
     written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for;  allowed_for : the
     library's effects are in the model, held by a prior;  better : than the geometry alone
+    mounted_anew : reflectors are elsewhere in some session, which the fit takes for the same
     """
+    if mounted_anew:
+        why = "Give these reflectors another name in those sessions, in the column marker, and fit again:"
+        return [Action(why, f"armcal identify {arm} {rows} --out {written or 'calibrated.toml'}")]
     names = {"arm": arm, "rows": rows, "calibrated": str(written or "calibrated.toml")}
     keep = [] if written else [Action("Keep the calibration: add --out calibrated.toml to this command.")]
     look, *use = calibrated_actions(**names)

@@ -22,7 +22,7 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.kinematics.planar import joint_points
 from identification.measurements import POINT, Measurements, distances
 from identification.model import Model
-from identification.model.placed import placed_model, tip_frames
+from identification.model.placed import one_unnamed, placed_model, tip_frames
 
 PLACED = 6  # numbers of a center, or a plane with three turns, and a measured point
 STANDS = 6  # numbers of where an arm stands, of each session
@@ -52,11 +52,17 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     """
     if measurements.links != arm.links:
         raise InputError(f"measurements: found {measurements.links} joints, allowed: {arm.links}, as the arm has")
-    bare = replace(arm, effects=(), calibration=None)
+    bare = _bare(arm, measurements)
     said = wrong_units(measurements, bare)
     if said or arm.chain is None or _few(measurements, bare):
         return said
     return [*_orientations(measurements, bare), *_far_rows(measurements, bare)]
+
+
+def _bare(arm: Arm, measurements: Measurements) -> Arm:
+    """The arm as it is drawn; where it has several measured points and the rows name none, with one."""
+    chain = None if arm.chain is None else one_unnamed(arm.chain, measurements)
+    return replace(arm, chain=chain, effects=(), calibration=None)
 
 
 def _few(measurements: Measurements, arm: Arm) -> bool:
@@ -109,7 +115,7 @@ class _Units(NamedTuple):
 
 
 def _units(measurements: Measurements, arm: Arm) -> _Units:
-    arm = replace(arm, effects=(), calibration=None)
+    arm = _bare(arm, measurements)
     huge = [_huge(arm)] if arm.reach > HUGE else []
     if _few(measurements, arm):
         return _Units(huge)

@@ -183,7 +183,8 @@ class Inspection:
         if self.sag is not None and self.sag.recommended:
             said.append(self.sag.sentence)
         missing = {"temperature": "a column temperature_C", "gravity": "[gravity] in the arm file"}
-        there = {*self.given, *(["gravity"] if self.arm.gravity is not None else [])}
+        advised = self.sag is not None and self.sag.recommended
+        there = {*self.given, *(["gravity"] if self.arm.gravity is not None or advised else [])}
         lacking = [how for what, how in missing.items() if what not in there]
         return (
             *said,

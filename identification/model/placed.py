@@ -23,6 +23,7 @@ from identification.measurements import Measurements
 from identification.model.arm_model import Model
 from identification.vectorize import vectorize
 
+UNNAMED = "1"  # measured point, as an arm file has it that names none
 ENOUGH = 500  # rows: a start is good to far less than the errors of the geometry that it leaves out
 
 
@@ -149,6 +150,13 @@ def with_markers(chain: SpatialChain, measurements: Measurements) -> SpatialChai
         if name not in tools:
             raise InputError(f"measurements.marker: unknown name {name!r}, {nearest(name, tools)}")
     return replace(chain, tools={name: tools[name] for name in dict.fromkeys((*names, *tools))})
+
+
+def one_unnamed(chain: SpatialChain, measurements: Measurements) -> SpatialChain:
+    """The chain with one measured point, where it has several and the data name none: one, to be found."""
+    if measurements.marker_names or len(chain.tools) == 1:
+        return chain
+    return replace(chain, tools={UNNAMED: np.zeros(3)}, tool_axes={})
 
 
 def placed_chain(

@@ -22,11 +22,9 @@ from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet, of_
 from identification.kinematics.spatial import BASE, TOOL, SpatialChain
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
-from identification.model.placed import placed_model, with_markers
+from identification.model.placed import one_unnamed, placed_model, with_markers
 from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import start_at_bases, with_base_offset
-
-UNNAMED = "1"  # as an arm file has it that names none
 
 
 def as_calibrated(arm: Arm) -> Arm:
@@ -58,13 +56,6 @@ def refit_parameters(arm: Arm, measurements: Measurements) -> ParameterSet:
     return with_markers(one_unnamed(arm.chain, measurements), measurements).every_parameter
 
 
-def one_unnamed(chain: SpatialChain, measurements: Measurements) -> SpatialChain:
-    """The chain with one measured point, where it has several and the data name none: one, to be found."""
-    if measurements.marker_names or len(chain.tools) == 1:
-        return chain
-    return replace(chain, tools={UNNAMED: np.zeros(3)}, tool_axes={})
-
-
 def check_names(chain: SpatialChain, measurements: Measurements) -> None:
     """Raise `InputError` for measured points that a chain does not have, where they are not to be found anew."""
     if len(chain.tools) == 1 == len(measurements.marker_names):
@@ -78,14 +69,17 @@ def check_names(chain: SpatialChain, measurements: Measurements) -> None:
 
 
 def fresh_points(chain: SpatialChain, measurements: Measurements) -> list[str]:
-    """What is said of measured points that the calibration does not have: they are found in these measurements."""
+    """What is said of measured points that the calibration does not have: they are fitted to these measurements."""
     names = measurements.marker_names
     if not names and len(chain.tools) > 1:
         several = "where they are of several, name them in the column marker"
-        return [f"no column marker: the rows are taken as of one reflector, which is found in them; {several}"]
+        return [
+            f"no column marker: the rows are taken as of one reflector, whose position was fitted to them; {several}"
+        ]
     if len(chain.tools) == 1 == len(names) or not (fresh := [name for name in names if name not in chain.tools]):
         return []
-    return [f"the calibration has no reflector {', '.join(fresh)}: found in these rows"]
+    its = "its position was" if len(fresh) == 1 else "their positions were"
+    return [f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"]
 
 
 def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:

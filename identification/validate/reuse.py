@@ -212,18 +212,19 @@ def _check_other_rows(origin: Mapping[str, Any], measurements: Measurements) -> 
     them and for measurements that have most of its own."""
     known = {sha for one in (origin, *origin.get(HELD_FROM, {}).values()) for sha in data_hashes(one)}
     if not known.isdisjoint(data_hashes(measurements.provenance)):
-        found = "the calibration comes from these measurements, which would count twice"
-        raise InputError(f"prior: {found}, allowed: measurements that it does not know")
+        found = "the calibration was fitted to these very measurements, which would count twice"
+        raise InputError(f"prior: {found}, allowed: new measurements")
     if not isinstance(text := origin.get(ROW_DIGESTS), str):
         why = "the calibration does not say which rows it comes from, as of an earlier version"
         warnings.warn(f"prior: {why}; measurements that are among them would count twice", UserWarning, stacklevel=3)
         return
     both = rows_shared(text, measurements.postures, measurements.positions)
-    rows = f"about {100.0 * both.measurements:.0f} % of these rows are among those that the calibration comes from"
+    share, of_its = (100.0 * part for part in both)
+    rows = (
+        f"about {share:.0f} % of these rows ({of_its:.0f} % of its own) are among those the calibration was fitted to"
+    )
     if max(both) >= MOSTLY:
-        its_share = f"{100.0 * both.calibration:.0f} % of all" if both.calibration < 1.0 else "all"
-        found = f"{rows}, {its_share} of its own, which would count twice"
-        raise InputError(f"prior: found that {found}, allowed: measurements that it does not know")
+        raise InputError(f"prior: {rows}, which would count twice, allowed: new measurements")
     if both.measurements > 0.0:
         warnings.warn(f"prior: {rows}, and count twice", UserWarning, stacklevel=3)
 

@@ -128,3 +128,6 @@ def test_a_reflector_mounted_anew_is_named(folder: Folder) -> None:
         "reflectors are mounted elsewhere" in said and "A in session day 2" in said for said in done.data["warnings"]
     )
     assert done.data["rms_after_mm"] < done.data["rms_drawing_mm"]
+    shown = folder.armcal("identify", "six.toml", "both.csv").out
+    assert "Give these reflectors another name in those sessions" in shown
+    assert "armcal compensate" not in shown

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
+from identification.inspection.data_checks import certainly_wrong_units
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.sessions import pooled_sessions, with_sessions
@@ -104,8 +105,8 @@ def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
     only_a = second.rows(np.flatnonzero(second.marker == "A"))
     unnamed = replace(only_a, marker=None, marker_names=())
     for rows, said in (
-        (renamed, "the calibration has no reflector new A, new B: found in these rows"),
-        (unnamed, "no column marker: the rows are taken as of one reflector, which is found in them"),
+        (renamed, "the calibration has no reflector new A, new B: their positions were fitted to these rows"),
+        (unnamed, "no column marker: the rows are taken as of one reflector, whose position was fitted to them"),
     ):
         validated = validate(arm, rows)
         # as in the data of the fit, and what its 30 parameters from 180 equations add
@@ -114,3 +115,6 @@ def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
         with pytest.raises(InputError, match=r"measurements.marker: .*allowed: A, B; or --refit base"):
             validate(arm, rows, "none")
     assert not any("reflector" in note for note in validate(arm, second).notes)
+    said = certainly_wrong_units(replace(unnamed, positions=10.0 * unnamed.positions), arm)
+    assert said is not None  # a file is looked at before it is validated
+    assert "times those of the arm file" in said
