@@ -221,7 +221,7 @@ def _check_other_rows(origin: Mapping[str, Any], measurements: Measurements) -> 
     both = rows_shared(text, measurements.postures, measurements.positions)
     share, of_its = (100.0 * part for part in both)
     rows = (
-        f"about {share:.0f} % of these rows ({of_its:.0f} % of its own) are among those the calibration was fitted to"
+        f"about {share:.0f} % of these rows ({of_its:.0f} % of the calibration's own) are among those it was fitted to"
     )
     if max(both) >= MOSTLY:
         raise InputError(f"prior: {rows}, which would count twice, allowed: new measurements")
