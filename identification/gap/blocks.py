@@ -1,0 +1,274 @@
+"""The dictionary: every block that may be missing, linearized at a fitted model, with its columns scaled to unit size.
+
+A block is an effect of the library at a joint with its scanned settings (a family with one similar parameter a joint is one
+block); an error curve of a joint, a Gaussian process; a smooth function of time, or of the workspace; or the shift of a single
+row. Blocks that are no effect of the library say where something is missing, not what.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.arrays import Array
+from identification.error_curve import ErrorCurve, local_splines
+from identification.gap.evidence import Products
+from identification.gap.fits.fit import Fit
+from identification.gap.fits.whitening import Rows
+from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, untested_joints
+
+# reasons: identification/README.md, "Constants"
+ALIKE = 0.3  # relative scatter of one family's parameters over the joints
+VISIBLE = 1e-6  # share of a block's square that the base model must leave
+OUTSIDE = 0.1  # prior weight of everything outside the library at one place, beside an effect
+LENGTHS = (0.15, 0.5, 1.5)  # correlation lengths of error curves [rad]
+MOST_NODES = 60  # effort: of one curve
+TIMES = 12  # half periods in a session of the fastest smooth function of time
+WARPS = {2: 4, 3: 3}  # half periods along the axes of the workspace, in sum
+CHUNK = 2**20  # numbers worked on at once: eight megabytes
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Cosine transform of a cubic spline basis of one joint (from 0) between the smallest and largest angle [rad].
+
+    count : K, number of nodes and of cosines;  length : correlation length of the prior [rad], a Matern process of smoothness
+    3/2 (C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning", 2006, section 4.2)
+    """
+
+    joint: int
+    start: float
+    stop: float
+    count: int
+    length: float
+
+    @classmethod
+    def of(cls, angles: Array, joint: int, length: float) -> Basis:
+        """Basis for measured angles (m,), not all equal, with two nodes in a correlation length."""
+        low, high = float(angles.min()), float(angles.max())
+        return cls(joint, low, high, min(max(8, int(np.ceil(2.0 * (high - low) / length)) + 1), MOST_NODES), length)
+
+    @property
+    def _cosines(self) -> Array:
+        """(K, K) coefficients of the splines of each cosine, times the standard deviation of its own coefficient."""
+        k = np.arange(self.count)
+        table = np.cos(np.pi / self.count * np.outer(k + 0.5, k)) * np.sqrt(2.0 / self.count)
+        table[:, 0] /= np.sqrt(2.0)
+        t = 2.0 - 2.0 * np.cos(np.pi * k / self.count)
+        spacing = (self.stop - self.start) / (self.count - 1)
+        return np.asarray(table / (t + 3.0 * (spacing / self.length) ** 2))
+
+    def at(self, angles: Array) -> Array:
+        """(m, K) values at angles (m,) [rad]."""
+        place, parts = local_splines(angles, self.start, self.stop, self.count)
+        splines = np.zeros((len(place), self.count + 6))
+        np.put_along_axis(splines, place + 3, parts, axis=1)
+        return np.asarray(splines[:, 3:-3] @ self._cosines)
+
+    def curve(self, coefficients: Array) -> ErrorCurve:
+        """The function with these coefficients (K,)."""
+        splines = np.pad(self._cosines @ coefficients, 1)
+        return ErrorCurve(self.start, self.stop, (splines[:-2] + 4.0 * splines[1:-1] + splines[2:]) / 6.0)
+
+
+@dataclass(frozen=True)
+class Block:
+    """One thing that may be missing.
+
+    key : `name:joint` of an effect, without settings; else its place;  label : unique
+    place : `joint:j`, `time`, `workspace`, `row:i` (from 0)
+    member : of an effect its hypothesis;  basis : of an error curve
+    """
+
+    key: str
+    label: str
+    place: str
+    weight: float
+    member: Hypothesis | None = None
+    basis: Basis | None = None
+
+    @property
+    def named(self) -> bool:
+        """Whether it is an effect of the library."""
+        return self.member is not None
+
+    @property
+    def row(self) -> bool:
+        """Whether it is the shift of a single row."""
+        return self.place.startswith("row:")
+
+
+@dataclass(frozen=True, eq=False)
+class Linearized:
+    """All blocks at a fitted model.
+
+    blocks : B of them;  products : of their columns, projected off the base;  roots : of each block the (p, w) matrix from
+    the coefficients of its columns in `products` to its own parameters [API units]
+    response : (g, P) by which the base's parameters give way to each of these coefficients;  base : (g,) their values without
+    normal : (g, g) inverse of J^T J
+    """
+
+    blocks: tuple[Block, ...]
+    products: Products
+    roots: tuple[Array, ...]
+    response: Array
+    base: Array
+    normal: Array
+
+    @property
+    def apart(self) -> frozenset[tuple[int, int]]:
+        """Pairs of blocks of which one contains the other: a family, and the same effect at one joint."""
+        families = {b.member.effect.name: k for k, b in enumerate(self.blocks) if b.member is not None and family(b.member)}
+        return frozenset(
+            (families[b.member.effect.name], k)
+            for k, b in enumerate(self.blocks)
+            if b.member is not None and b.member.effect.name in families and families[b.member.effect.name] != k
+        )
+
+
+def family(member: Hypothesis) -> bool:
+    """Whether an effect has one similar parameter for each joint."""
+    return not member.scanned and member.one_sign and len(member.effect.parameters) > 1
+
+
+def outside_blocks(library: HypothesisSet, rows: Rows, at: Fit) -> Iterator[tuple[Block, Array]]:
+    """Blocks outside the library, each with its (m, d, w) columns."""
+    m, d = len(rows), rows.dimension
+    n = rows.postures.shape[1]
+    where = (rows.postures, at.values, rows.conditions)
+    position, levers = at.model.position(*where), at.model.joint_levers(*where)
+    unseen = untested_joints(at.model, rows)
+    taken = {spec.joint for spec in at.model.arm.effects if spec.curve is not None}
+    for j in range(n):
+        q = rows.postures[:, j]
+        if np.ptp(q) == 0.0 or j + 1 in unseen:
+            continue
+        place, lever = f"joint:{j + 1}", levers[:, :, j, None]
+        weight = OUTSIDE / np.sqrt(n)
+        if j + 1 not in taken:
+            for length in LENGTHS:
+                basis = Basis.of(q, j, length)
+                block = Block(place, f"curve:{j + 1}[{length:g}]", place, weight / len(LENGTHS), basis=basis)
+                yield block, lever * basis.at(q)[:, None, :]
+        others = [rows.postures[:, k] for k in range(n) if k != j and np.ptp(rows.postures[:, k]) > 0.0]
+        if others:
+            shared = [f for other in others for f in (np.cos(other), np.sin(other), q * other)]
+            yield Block(place, f"shared:{j + 1}", place, 0.3 * weight), lever * np.column_stack(shared)[:, None, :]
+        if rows.conditions.directions is not None:
+            way = rows.conditions.directions[:, j]
+            history = np.column_stack([way * np.cos(q), way * np.sin(q)])
+            yield Block(place, f"history:{j + 1}", place, 0.3 * weight), lever * history[:, None, :]
+    time = rows.conditions.time
+    if time is not None and np.ptp(time) > 0.0:
+        turn = np.stack([-position[:, 1], position[:, 0]], axis=1) if d == 2 else None
+        moves = np.broadcast_to(np.eye(d), (m, d, d))
+        if d == 2:
+            scale = np.sqrt(np.mean(np.sum(position**2, axis=1)))
+            moves = np.concatenate([moves, turn[:, :, None] / scale], axis=2)
+        waves = np.stack([np.cos(np.pi * k * (time + 0.5)) / k for k in range(1, TIMES + 1)], axis=1)
+        columns = (moves[:, :, :, None] * waves[:, None, None, :]).reshape(m, d, -1)
+        yield Block("time", "time", "time", OUTSIDE), columns
+    if d > 1:
+        low, span = position.min(axis=0), np.maximum(np.ptp(position, axis=0), 1e-9)
+        orders = [k for k in product(range(WARPS.get(d, 3) + 1), repeat=d) if 1 <= sum(k) <= WARPS.get(d, 3)]
+        unit = np.pi * (position - low) / span
+        waves = np.stack([np.prod(np.cos(np.array(k) * unit), axis=1) / (1.0 + np.sum(np.square(k))) for k in orders], axis=1)
+        columns = (np.eye(d)[None, :, :, None] * waves[:, None, None, :]).reshape(m, d, -1)
+        yield Block("workspace", "workspace", "workspace", OUTSIDE), columns
+
+
+def linearized(
+    library: HypothesisSet, at: Fit, rows: Rows, base_names: Sequence[str], wrong: Sequence[int] = (), outside: bool = True
+) -> Linearized:
+    """All blocks at a fitted model `at`, which may have effects of the library in it, for rows with any noise model.
+
+    base_names : parameters of the base model;  wrong : rows that may be outlying
+    """
+    model = at.model
+    position, jacobian = model.linearize(rows.postures, at.values, rows.conditions)
+    names = list(model.names)
+    base = [names.index(name) for name in base_names]
+    added = [k for k in range(len(names)) if k not in set(base)]
+    # the data as the base model sees them: what the fit has beyond it is given back
+    y = rows.positions - position + jacobian[:, :, added] @ at.values[added]
+    members = [h for h in library.members if not h.tied]
+    found = library.columns(rows, at.by_name, None, model)
+    listed: list[tuple[Block, Array, Hypothesis | None]] = []
+    for h, columns in zip(library.members, found, strict=True):
+        if not h.tied:
+            listed.append((Block(h.key, h.label, place_of(h), h.weight, member=h), columns, h))
+    if outside:
+        listed += [(block, columns, None) for block, columns in outside_blocks(library, rows, at)]
+    for k in wrong:
+        shift = np.zeros((len(rows), rows.dimension, rows.dimension))
+        shift[k] = np.eye(rows.dimension)
+        listed.append((Block(f"row:{k}", f"row:{k}", f"row:{k}", 0.0), shift, None))
+    widths = np.array([c.shape[2] for _, c, _ in listed], dtype=np.int64)
+    white = rows.whiten(np.concatenate([c for _, c, _ in listed], axis=2))
+    own, target = rows.whiten(jacobian[:, :, base]), rows.whiten(y)
+    scales = model.scales[base]
+    u, s, vt = np.linalg.svd(own / scales, full_matrices=False)
+    kept = s > 1e-9 * s.max(initial=0.0)
+    u, s, vt = u[:, kept], s[kept], vt[kept]
+    inside = u.T @ white
+    before = np.einsum("np,np->p", white, white)
+    white = white - u @ inside
+    target_left = target - u @ (u.T @ target)
+    back = (vt.T / s) / scales[:, None]  # (g, r): from u^T y to the parameters
+    starts = np.concatenate([[0], np.cumsum(widths)])
+    roots, kept_blocks, transformed, turned = [], [], [], []
+    for (block, _, h), first, last in zip(listed, starts[:-1], starts[1:], strict=True):
+        x = white[:, first:last]
+        gram = x.T @ x
+        whole = float(before[first:last].sum())
+        if not np.trace(gram) > VISIBLE * whole:
+            continue
+        if h is None:
+            root = np.eye(last - first) if not block.row else np.eye(last - first)
+            root = root / np.sqrt(np.trace(gram))
+        elif family(h):
+            units = 1.0 / np.sqrt(np.maximum(before[first:last], 1e-300))
+            alike = (1.0 + ALIKE**2 * np.eye(last - first)) * np.outer(units, units)
+            alike /= np.sum(gram * alike)
+            values, vectors = np.linalg.eigh(alike / np.outer(units, units))
+            root = units[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        else:
+            lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+            values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
+            seen = values > 1e-6 * values.max()
+            root = (vectors[:, seen] / np.sqrt(values[seen])) / lengths[:, None] / np.sqrt(seen.sum())
+        if last - first == 1:
+            root = np.abs(root)
+        kept_blocks.append(block)
+        roots.append(root)
+        transformed.append(x @ root)
+        turned.append(inside[:, first:last] @ root)
+    z = np.concatenate(transformed, axis=1)
+    products = Products(
+        z.T @ z,
+        z.T @ target_left,
+        float(target_left @ target_left),
+        len(target) - int(kept.sum()),
+        np.concatenate([[0], np.cumsum([r.shape[1] for r in roots])]),
+        np.array([b.member is not None and b.member.one_sided for b in kept_blocks], dtype=bool),
+    )
+    return Linearized(
+        tuple(kept_blocks),
+        products,
+        tuple(roots),
+        -back @ np.concatenate(turned, axis=1),
+        at.values[base] + back @ (u.T @ target),
+        back @ back.T,
+    )
+
+
+PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}
+
+
+def place_of(h: Hypothesis) -> str:
+    """Place at which an effect acts."""
+    return f"joint:{h.spec.joint}" if h.spec.joint is not None else PLACES.get(h.effect.name, h.effect.name)
