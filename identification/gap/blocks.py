@@ -23,6 +23,7 @@ from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet, 
 
 # reasons: identification/README.md, "Constants"
 ALIKE = 0.3  # relative scatter of one family's parameters over the joints
+RANK = 1e-6  # of the largest eigenvalue of unit columns: combinations that the data do not determine
 VISIBLE = 1e-6  # share of a block's square that the base model must leave
 OUTSIDE = 0.1  # prior weight of everything outside the library at one place, beside an effect
 LENGTHS = (0.15, 0.5, 1.5)  # correlation lengths of error curves [rad]
@@ -109,7 +110,7 @@ class Linearized:
     blocks : B of them;  products : of their columns, projected off the base;  roots : of each block the (p, w) matrix from
     the coefficients of its columns in `products` to its own parameters [API units]
     response : (g, P) by which the base's parameters give way to each of these coefficients;  base : (g,) their values without
-    normal : (g, g) inverse of J^T J
+    normal : (g, g) inverse of J^T J;  columns : of each block (m, d, p), not whitened
     """
 
     blocks: tuple[Block, ...]
@@ -118,6 +119,11 @@ class Linearized:
     response: Array
     base: Array
     normal: Array
+    columns: tuple[Array, ...]
+
+    def columns_of(self, blocks: Sequence[int]) -> Array:
+        """(m, d, p) columns of these blocks' own parameters, not whitened."""
+        return np.concatenate([self.columns[b] for b in blocks], axis=2)
 
     @property
     def apart(self) -> frozenset[tuple[int, int]]:
@@ -195,20 +201,19 @@ def linearized(
     added = [k for k in range(len(names)) if k not in set(base)]
     # the data as the base model sees them: what the fit has beyond it is given back
     y = rows.positions - position + jacobian[:, :, added] @ at.values[added]
-    members = [h for h in library.members if not h.tied]
     found = library.columns(rows, at.by_name, None, model)
-    listed: list[tuple[Block, Array, Hypothesis | None]] = []
+    listed: list[tuple[Block, Array]] = []
     for h, columns in zip(library.members, found, strict=True):
         if not h.tied:
-            listed.append((Block(h.key, h.label, place_of(h), h.weight, member=h), columns, h))
+            listed.append((Block(h.key, h.label, place_of(h), h.weight, member=h), columns))
     if outside:
-        listed += [(block, columns, None) for block, columns in outside_blocks(library, rows, at)]
+        listed += outside_blocks(library, rows, at)
     for k in wrong:
         shift = np.zeros((len(rows), rows.dimension, rows.dimension))
         shift[k] = np.eye(rows.dimension)
-        listed.append((Block(f"row:{k}", f"row:{k}", f"row:{k}", 0.0), shift, None))
-    widths = np.array([c.shape[2] for _, c, _ in listed], dtype=np.int64)
-    white = rows.whiten(np.concatenate([c for _, c, _ in listed], axis=2))
+        listed.append((Block(f"row:{k}", f"row:{k}", f"row:{k}", 0.0), shift))
+    widths = np.array([c.shape[2] for _, c in listed], dtype=np.int64)
+    white = rows.whiten(np.concatenate([c for _, c in listed], axis=2))
     own, target = rows.whiten(jacobian[:, :, base]), rows.whiten(y)
     scales = model.scales[base]
     u, s, vt = np.linalg.svd(own / scales, full_matrices=False)
@@ -220,50 +225,65 @@ def linearized(
     target_left = target - u @ (u.T @ target)
     back = (vt.T / s) / scales[:, None]  # (g, r): from u^T y to the parameters
     starts = np.concatenate([[0], np.cumsum(widths)])
-    roots, kept_blocks, transformed, turned = [], [], [], []
-    for (block, _, h), first, last in zip(listed, starts[:-1], starts[1:], strict=True):
-        x = white[:, first:last]
-        gram = x.T @ x
-        whole = float(before[first:last].sum())
-        if not np.trace(gram) > VISIBLE * whole:
-            continue
-        if h is None:
-            root = np.eye(last - first) if not block.row else np.eye(last - first)
-            root = root / np.sqrt(np.trace(gram))
-        elif family(h):
-            units = 1.0 / np.sqrt(np.maximum(before[first:last], 1e-300))
-            alike = (1.0 + ALIKE**2 * np.eye(last - first)) * np.outer(units, units)
-            alike /= np.sum(gram * alike)
-            values, vectors = np.linalg.eigh(alike / np.outer(units, units))
-            root = units[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-        else:
-            lengths = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-            values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
-            seen = values > 1e-6 * values.max()
-            root = (vectors[:, seen] / np.sqrt(values[seen])) / lengths[:, None] / np.sqrt(seen.sum())
-        if last - first == 1:
-            root = np.abs(root)
-        kept_blocks.append(block)
-        roots.append(root)
-        transformed.append(x @ root)
-        turned.append(inside[:, first:last] @ root)
-    z = np.concatenate(transformed, axis=1)
+    roots = _roots(white, before, starts, [block for block, _ in listed])
+    shown = [k for k, root in enumerate(roots) if root.shape[1]]
+    z = np.concatenate([white[:, starts[k] : starts[k + 1]] @ roots[k] for k in shown], axis=1)
+    turned = np.concatenate([inside[:, starts[k] : starts[k + 1]] @ roots[k] for k in shown], axis=1)
+    blocks = tuple(listed[k][0] for k in shown)
     products = Products(
         z.T @ z,
         z.T @ target_left,
         float(target_left @ target_left),
         len(target) - int(kept.sum()),
-        np.concatenate([[0], np.cumsum([r.shape[1] for r in roots])]),
-        np.array([b.member is not None and b.member.one_sided for b in kept_blocks], dtype=bool),
+        np.concatenate([[0], np.cumsum([roots[k].shape[1] for k in shown])]),
+        np.array([b.member is not None and b.member.one_sided for b in blocks], dtype=bool),
     )
     return Linearized(
-        tuple(kept_blocks),
+        blocks,
         products,
-        tuple(roots),
-        -back @ np.concatenate(turned, axis=1),
+        tuple(roots[k] for k in shown),
+        -back @ turned,
         at.values[base] + back @ (u.T @ target),
         back @ back.T,
+        tuple(listed[k][1] for k in shown),
     )
+
+
+def _roots(white: Array, before: Array, starts: Array, blocks: Sequence[Block]) -> list[Array]:
+    """Of each block the (p, w) matrix that makes columns of unit size of its own p; w = 0 for a block that cannot be seen.
+
+    white : (N, P) whitened columns, projected off the base model;  before : (P,) their squares before projection
+
+    An effect's prior covariance is the inverse of its information, a family's one common value with a relative scatter of
+    `ALIKE`; what is outside the library has its own columns scaled alone.
+    """
+    roots: list[Array] = [np.zeros((0, 0))] * len(blocks)
+    widths = np.diff(starts)
+    plain = np.array([b.member is not None and not family(b.member) for b in blocks], dtype=bool)
+    for width in np.unique(widths[plain]).tolist():
+        own = np.flatnonzero(plain & (widths == width))
+        index = starts[own][:, None] + np.arange(width)
+        x = white[:, index]  # (N, b, w)
+        gram = np.einsum("nbi,nbj->bij", x, x, optimize=True) if width > 1 else np.einsum("nbi,nbi->b", x, x)[:, None, None]
+        lengths = np.sqrt(np.maximum(np.einsum("bii->bi", gram), 1e-300))
+        values, vectors = np.linalg.eigh(gram / (lengths[:, :, None] * lengths[:, None, :]))
+        clear = np.einsum("bii->b", gram) > VISIBLE * before[index].sum(axis=1)
+        for k, value, vector, length, shows in zip(own.tolist(), values, vectors, lengths, clear.tolist(), strict=True):
+            seen = value > RANK * value[-1]
+            root = vector[:, seen] / np.sqrt(value[seen] * seen.sum()) / length[:, None]
+            roots[k] = (np.abs(root) if width == 1 else root) if shows else np.zeros((width, 0))
+    for k in np.flatnonzero(~plain).tolist():
+        x, units = white[:, starts[k] : starts[k + 1]], 1.0 / np.sqrt(np.maximum(before[starts[k] : starts[k + 1]], 1e-300))
+        gram, member = x.T @ x, blocks[k].member
+        if not np.trace(gram) > VISIBLE * before[starts[k] : starts[k + 1]].sum():
+            roots[k] = np.zeros((len(gram), 0))
+        elif member is None:
+            roots[k] = np.eye(len(gram)) / np.sqrt(np.trace(gram))
+        else:
+            alike = 1.0 + ALIKE**2 * np.eye(len(gram))
+            alike /= np.sum(gram * np.outer(units, units) * alike)
+            roots[k] = units[:, None] * np.linalg.cholesky(alike)
+    return roots
 
 
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}

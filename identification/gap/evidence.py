@@ -112,15 +112,22 @@ class Products:
         """Log likelihood ratio of a set with sizes against nothing missing, signs left out."""
         return -0.5 * given.volume - 0.5 * self.freedom * float(np.log(given.left / max(self.squares, 1e-300)))
 
-    def added(self, given: Given, some: Sequence[int] | None = None) -> Added:
-        """Each block, or some of them, added to a set."""
+    def of(self, blocks: Sequence[int]) -> Products:
+        """Those of a few blocks alone."""
+        own, widths = self.columns(blocks), self.widths[list(blocks)]
+        starts = np.concatenate([[0], np.cumsum(widths)])
+        kept = self.gram[np.ix_(own, own)], self.right[own], self.squares, self.freedom
+        return Products(*kept, starts, self.signs[list(blocks)])
+
+    def added(self, given: Given, some: int | None = None) -> Added:
+        """Each block, or the one of this number, added to a set."""
         numbers, ratios = [], []
         for blocks, index, own in self._alike:
             if some is not None:
-                kept = np.isin(blocks, some)
-                if not kept.any():
+                at = int(np.searchsorted(blocks, some))
+                if at == len(blocks) or blocks[at] != some:
                     continue
-                blocks, index, own = blocks[kept], index[kept], own[kept]
+                blocks, index, own = blocks[at : at + 1], index[at : at + 1], own[at : at + 1]
             width = index.shape[1]
             rows = given.rows[:, index]  # (k, b, w)
             scores = self.right[index] - np.tensordot(given.scores, rows, (0, 0))
@@ -149,23 +156,24 @@ class Products:
 
         sizes : to start from
         """
-        at = list(sizes)
+        at, own = list(sizes), self.of(blocks)
+        every = list(range(len(at)))
         profiles = np.zeros((len(at), len(SIZES)))
         for _ in range(SWEEPS):
             before = list(at)
-            for k, block in enumerate(blocks):
-                others = self.given([*blocks[:k], *blocks[k + 1 :]], SIZES[[*at[:k], *at[k + 1 :]]])
-                profiles[k] = self.added(others, [block]).ratios[0]
+            for k in every:
+                others = own.given([*every[:k], *every[k + 1 :]], SIZES[[*at[:k], *at[k + 1 :]]])
+                profiles[k] = own.added(others, k).ratios[0]
                 if profiles[k].max() > profiles[k, at[k]] + ROUNDING:
                     at[k] = int(np.argmax(profiles[k]))
             if at == before:
                 break
-        there = self.given(blocks, SIZES[at])
+        there = own.given(every, SIZES[at])
         best = np.array([profile[one] for profile, one in zip(profiles, at, strict=True)])
         around = np.sum(logsumexp(profiles, axis=1) - best - np.log(len(SIZES))) if at else 0.0
-        return tuple(at), self.ratio(there) + float(around) + self._signed(blocks, there, at)
+        return tuple(at), own.ratio(there) + float(around) + self._signed(blocks, at)
 
-    def _signed(self, blocks: Sequence[int], there: Given, at: Sequence[int]) -> float:
+    def _signed(self, blocks: Sequence[int], at: Sequence[int]) -> float:
         """Log of the factor by which signs that physics allows make the set likelier."""
         if not self.signs[list(blocks)].any():
             return 0.0

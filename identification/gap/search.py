@@ -11,8 +11,10 @@ expanded have little probability left.
 
 from __future__ import annotations
 
+from bisect import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import lgamma
 
 import numpy as np
@@ -20,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, zeta
 
 from identification.arrays import Array
-from identification.gap.evidence import SIZES, Products
+from identification.gap.evidence import ROUNDING, SIZES, Products
 
 # reasons: identification/README.md, "Constants"
 SOME = 4.0  # prior odds of something missing to nothing
@@ -29,7 +31,7 @@ WRONG = 0.002  # prior odds of a row to be outlying
 WEIGHED = 5.0  # log odds below the best within which a neighbor is weighed exactly
 EXPANDED = 3.0  # and within which a set is expanded
 MOST = 40  # effort: sets that are expanded
-NEGLIGIBLE = 20.0  # log odds below the best: not kept
+NEGLIGIBLE = 12.0  # log odds below the best: not kept
 
 Set = tuple[int, ...]
 
@@ -48,125 +50,119 @@ class Search:
     """The sets of blocks of one linearized problem.
 
     weights : (B,) prior weights;  rows : (B,) True for shifts of single rows
-    apart : pairs of blocks of which one contains the other
+    apart : pairs of blocks of which one contains the other;  prior odds against `Search.log_prior`
     """
 
     products: Products
     weights: Array
     rows: NDArray[np.bool_]
     apart: frozenset[tuple[int, int]] = frozenset()
-    total: float = 0.0
     weighed: dict[Set, Weighed] = field(default_factory=dict)
-    near: dict[Set, Weighed] = field(default_factory=dict)
-    _added: dict[Set, None] = field(default_factory=dict)
+    _longer: dict[Set, tuple[Array, NDArray[np.int64]]] = field(default_factory=dict)
+    _expanded: set[Set] = field(default_factory=set)
 
-    def __post_init__(self) -> None:
-        self.total = self.total or float(np.sum(self.weights[~self.rows]))
+    @cached_property
+    def _log_weights(self) -> Array:
+        total = np.sum(self.weights[~self.rows])
         with np.errstate(divide="ignore"):
-            self._log_weights = np.where(self.rows, np.log(WRONG), np.log(self.weights / self.total))
+            return np.where(self.rows, np.log(WRONG), np.log(self.weights / total))
 
     def log_prior(self, blocks: Sequence[int]) -> float:
         """Log prior odds of a set against nothing missing."""
-        chosen = np.asarray(blocks, dtype=np.int64)
-        count = int(np.sum(~self.rows[chosen])) if len(chosen) else 0
-        return self._of_count(count) + float(np.sum(self._log_weights[chosen]))
+        return log_odds_of_count(self._count(blocks)) + float(np.sum(self._log_weights[list(blocks)]))
 
-    @staticmethod
-    def _of_count(count: int) -> float:
-        """log p(K) / p(0), times the K! orders in which the same blocks can be drawn."""
-        if not count:
-            return 0.0
-        return float(np.log(SOME / zeta(TAIL)) - TAIL * np.log(count)) + lgamma(count + 1)
+    def _count(self, blocks: Sequence[int]) -> int:
+        return sum(not self.rows[b] for b in blocks)
 
     def posterior(self, starts: Sequence[Set] = ()) -> list[Weighed]:
-        """All sets that matter, likeliest first."""
+        """All sets that matter, likeliest first;  starts : sets that may be good"""
         self._weigh((), ())
         for start in starts:
             self._weigh(start, (2,) * len(start))
         self._climb()
         for _ in range(MOST):
-            best = max(one.log_odds for one in self.weighed.values())
-            open_ = [o for o in self.weighed.values() if o.blocks not in self._expanded and o.log_odds > best - EXPANDED]
+            least = self._best - EXPANDED
+            open_ = [o for o in self.weighed.values() if o.log_odds > least and o.blocks not in self._expanded]
             if not open_:
                 break
-            self._expand(max(open_, key=lambda o: (round(o.log_odds, 6), tuple(-b for b in o.blocks))))
-        best = max(one.log_odds for one in self.weighed.values())
-        every = {**self.near, **self.weighed}
-        kept = [one for one in every.values() if one.log_odds > best - NEGLIGIBLE]
-        return sorted(kept, key=lambda o: (-round(o.log_odds, 9), o.blocks))
+            self._expand(min(open_, key=_likeliest_first))
+        least, every = self._best - NEGLIGIBLE, dict(self.weighed)
+        for blocks, (odds, sizes) in self._longer.items():
+            for b in np.flatnonzero(odds > least).tolist():
+                new = self._with(self.weighed[blocks], b, odds, sizes)
+                if new.blocks not in self.weighed:
+                    known = every.get(new.blocks)
+                    every[new.blocks] = new if known is None or known.log_odds < new.log_odds else known
+        return sorted((one for one in every.values() if one.log_odds > least), key=_likeliest_first)
+
+    @property
+    def _best(self) -> float:
+        return max(one.log_odds for one in self.weighed.values())
 
     def _weigh(self, blocks: Set, sizes: tuple[int, ...]) -> Weighed:
         if blocks not in self.weighed:
             at, ratio = self.products.likeliest(blocks, sizes)
             self.weighed[blocks] = Weighed(blocks, at, ratio + self.log_prior(blocks))
-            self.near.pop(blocks, None)
         return self.weighed[blocks]
-
-    @property
-    def _expanded(self) -> set[Set]:
-        return self.__dict__.setdefault("_done", set())
 
     def _climb(self) -> None:
         """Add or drop the best block as long as the set gets likelier."""
-        current = max(self.weighed.values(), key=lambda o: o.log_odds)
+        current = min(self.weighed.values(), key=_likeliest_first)
         while True:
-            options = self._longer(current)[:3]
-            options += [self._without(current, k) for k in range(len(current.blocks))] if len(current.blocks) > 1 else []
-            best = max((self._weigh(o.blocks, o.sizes) for o in options), key=lambda o: o.log_odds, default=current)
-            if best.log_odds <= current.log_odds + 1e-9:
+            options = self._neighbors(current, 3) + self._shorter(current)
+            best = min((self._weigh(o.blocks, o.sizes) for o in options), key=_likeliest_first, default=current)
+            if best.log_odds <= current.log_odds + ROUNDING:
                 return
             current = best
 
     def _expand(self, one: Weighed) -> None:
+        """Weigh the likely sets with one block more, less, or another."""
         self._expanded.add(one.blocks)
-        neighbors = self._longer(one)
-        for k in range(len(one.blocks)):
-            fewer = self._weigh(*self._pair(self._without(one, k)))
-            neighbors += self._longer(fewer)
-        best = max(o.log_odds for o in self.weighed.values())
-        for other in neighbors:
-            if other.log_odds > best - WEIGHED and other.blocks not in self.weighed:
-                best = max(best, self._weigh(other.blocks, other.sizes).log_odds)
+        for start in (one, *(self._weigh(o.blocks, o.sizes) for o in self._shorter(one))):
+            for other in self._neighbors(start):
+                self._weigh(other.blocks, other.sizes)
 
     @staticmethod
-    def _pair(one: Weighed) -> tuple[Set, tuple[int, ...]]:
-        return one.blocks, one.sizes
+    def _shorter(one: Weighed) -> list[Weighed]:
+        parts = [(one.blocks[:k] + one.blocks[k + 1 :], one.sizes[:k] + one.sizes[k + 1 :]) for k in range(len(one.blocks))]
+        return [Weighed(*part, 0.0) for part in parts]
+
+    def _neighbors(self, one: Weighed, least: int = 0) -> list[Weighed]:
+        """The set with each further block, of those that matter, and the likeliest `least` of them in any case."""
+        odds, sizes = self._with_each(one)
+        likely = np.flatnonzero(odds > self._best - WEIGHED)
+        if len(likely) < least:
+            likely = np.argsort(-odds, kind="stable")[:least]
+        return [self._with(one, b, odds, sizes) for b in likely.tolist() if np.isfinite(odds[b])]
 
     @staticmethod
-    def _without(one: Weighed, k: int) -> Weighed:
-        return Weighed(one.blocks[:k] + one.blocks[k + 1 :], one.sizes[:k] + one.sizes[k + 1 :], -np.inf)
+    def _with(one: Weighed, b: int, odds: Array, sizes: NDArray[np.int64]) -> Weighed:
+        at = bisect(one.blocks, b)
+        blocks = (*one.blocks[:at], b, *one.blocks[at:])
+        return Weighed(blocks, (*one.sizes[:at], int(sizes[b]), *one.sizes[at:]), float(odds[b]))
 
-    def _longer(self, one: Weighed) -> list[Weighed]:
-        """The set with each further block, likeliest first; kept in `near`."""
-        if one.blocks in self._added:
-            return []
-        self._added[one.blocks] = None
-        if one.blocks and not np.isfinite(one.log_odds):
-            one = self._weigh(one.blocks, one.sizes)
-        given = self.products.given(one.blocks, SIZES[list(one.sizes)])
-        added = self.products.added(given)
-        count = int(np.sum(~self.rows[list(one.blocks)])) if one.blocks else 0
-        step = np.where(self.rows, 0.0, self._of_count(count + 1) - self._of_count(count)) + self._log_weights
-        odds = one.log_odds + added.averaged + step
-        odds[list(one.blocks)] = -np.inf
-        for a, b in self.apart:
-            if a in one.blocks:
-                odds[b] = -np.inf
-            elif b in one.blocks:
-                odds[a] = -np.inf
-        best = max((o.log_odds for o in self.weighed.values()), default=0.0)
-        found = []
-        for b in np.argsort(-odds, kind="stable"):
-            if odds[b] < max(best - NEGLIGIBLE, -1e9) and len(found) >= 3 or not np.isfinite(odds[b]):
-                break
-            place = int(np.searchsorted(one.blocks, b))
-            blocks = (*one.blocks[:place], int(b), *one.blocks[place:])
-            size = int(np.argmax(added.ratios[b]))
-            new = Weighed(blocks, (*one.sizes[:place], size, *one.sizes[place:]), float(odds[b]))
-            found.append(new)
-            if blocks not in self.weighed and (blocks not in self.near or self.near[blocks].log_odds < new.log_odds):
-                self.near[blocks] = new
-        return found
+    def _with_each(self, one: Weighed) -> tuple[Array, NDArray[np.int64]]:
+        """(B,) log posterior odds of the set with each further block, and the number of the block's likeliest size."""
+        if one.blocks not in self._longer:
+            added = self.products.added(self.products.given(one.blocks, SIZES[list(one.sizes)]))
+            count = self._count(one.blocks)
+            step = np.where(self.rows, 0.0, log_odds_of_count(count + 1) - log_odds_of_count(count))
+            odds = one.log_odds + added.averaged + step + self._log_weights
+            odds[list(one.blocks)] = -np.inf
+            for a, b in self.apart:
+                if a in one.blocks or b in one.blocks:
+                    odds[[a, b]] = -np.inf
+            self._longer[one.blocks] = odds, np.argmax(added.ratios, axis=1)
+        return self._longer[one.blocks]
+
+
+def log_odds_of_count(count: int) -> float:
+    """log p(K) / p(0), times the K! orders in which the same blocks can be drawn."""
+    return float(np.log(SOME / zeta(TAIL)) - TAIL * np.log(count)) + lgamma(count + 1) if count else 0.0
+
+
+def _likeliest_first(one: Weighed) -> tuple[float, Set]:
+    return -round(one.log_odds, 9), one.blocks
 
 
 def shares(sets: Sequence[Weighed]) -> Array:
