@@ -136,6 +136,14 @@ class Linearized:
         )
 
 
+    def needy_and_givers(self, library: HypothesisSet) -> tuple[frozenset[int], frozenset[int]]:
+        """Blocks that show only through others in the set (`Effect.through`), and these others."""
+        needy = {k for k, b in enumerate(self.blocks) if b.member is not None and not library.acts(b.member)}
+        kinds = {self.blocks[k].member.effect.through for k in needy}  # type: ignore[union-attr]
+        gives = (k for k, b in enumerate(self.blocks) if b.member is not None and b.member.effect.needs & kinds and k not in needy)
+        return frozenset(needy), frozenset(gives)
+
+
 def family(member: Hypothesis) -> bool:
     """Whether an effect has one similar parameter for each joint."""
     return not member.scanned and member.one_sign and len(member.effect.parameters) > 1
@@ -273,16 +281,15 @@ def _roots(white: Array, before: Array, starts: Array, blocks: Sequence[Block]) 
             root = vector[:, seen] / np.sqrt(value[seen] * seen.sum()) / length[:, None]
             roots[k] = (np.abs(root) if width == 1 else root) if shows else np.zeros((width, 0))
     for k in np.flatnonzero(~plain).tolist():
-        x, units = white[:, starts[k] : starts[k + 1]], 1.0 / np.sqrt(np.maximum(before[starts[k] : starts[k + 1]], 1e-300))
-        gram, member = x.T @ x, blocks[k].member
+        x, member = white[:, starts[k] : starts[k + 1]], blocks[k].member
+        gram = x.T @ x
         if not np.trace(gram) > VISIBLE * before[starts[k] : starts[k + 1]].sum():
             roots[k] = np.zeros((len(gram), 0))
         elif member is None:
             roots[k] = np.eye(len(gram)) / np.sqrt(np.trace(gram))
         else:
             alike = 1.0 + ALIKE**2 * np.eye(len(gram))
-            alike /= np.sum(gram * np.outer(units, units) * alike)
-            roots[k] = units[:, None] * np.linalg.cholesky(alike)
+            roots[k] = np.linalg.cholesky(alike / np.sum(gram * alike))
     return roots
 
 

@@ -28,7 +28,6 @@ from identification.arrays import Array, eigen_of_pairs
 
 # reasons: identification/README.md, "Constants"
 SIZES: Array = 3.0 * np.exp2(np.arange(14))  # of a block's contribution, in standard deviations of the noise
-SWEEPS = 20  # effort: over the blocks of a set, for their likeliest sizes
 ROUNDING = 1e-9  # of a log likelihood
 LEAST = 1e-14  # of y^T y: what rounding leaves of a sum of squares
 
@@ -38,13 +37,12 @@ Index = NDArray[np.int64]
 class Given(NamedTuple):
     """What a set of blocks with sizes leaves: (k, P) rows W with W^T W the explained part of G, and (k,) their scores.
 
-    left : R;  volume : log |I + D G_A D|
+    left : R
     """
 
     rows: Array
     scores: Array
     left: float
-    volume: float
 
 
 class Added(NamedTuple):
@@ -57,6 +55,17 @@ class Added(NamedTuple):
     def averaged(self) -> Array:
         """(B,) averaged over sizes."""
         return np.asarray(logsumexp(self.ratios, axis=1) - np.log(self.ratios.shape[1]))
+
+
+class Likeliest(NamedTuple):
+    """A set of M blocks at its likeliest sizes, given by their numbers in `SIZES`.
+
+    ratio : log likelihood ratio against nothing missing, averaged over sizes;  fewer : (M,) its change without each block
+    """
+
+    sizes: tuple[int, ...]
+    ratio: float
+    fewer: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +106,7 @@ class Products:
         """What a set of blocks with these sizes leaves."""
         own = self.columns(blocks)
         if not len(own):
-            return Given(np.zeros((0, len(self.right))), np.zeros(0), self.squares, 0.0)
+            return Given(np.zeros((0, len(self.right))), np.zeros(0), self.squares)
         scales = np.repeat(np.asarray(sizes, dtype=float), self.widths[list(blocks)])
         inner = scales[:, None] * self.gram[np.ix_(own, own)] * scales
         inner[np.diag_indices_from(inner)] += 1.0
@@ -106,11 +115,7 @@ class Products:
         solved = solve_triangular(lower, stacked, lower=True, check_finite=False)
         scores = solved[:, -1]
         left = max(self.squares - float(scores @ scores), LEAST * self.squares, 1e-300)
-        return Given(solved[:, :-1], scores, left, 2.0 * float(np.sum(np.log(np.diag(lower)))))
-
-    def ratio(self, given: Given) -> float:
-        """Log likelihood ratio of a set with sizes against nothing missing, signs left out."""
-        return -0.5 * given.volume - 0.5 * self.freedom * float(np.log(given.left / max(self.squares, 1e-300)))
+        return Given(solved[:, :-1], scores, left)
 
     def of(self, blocks: Sequence[int]) -> Products:
         """Those of a few blocks alone."""
@@ -119,15 +124,10 @@ class Products:
         kept = self.gram[np.ix_(own, own)], self.right[own], self.squares, self.freedom
         return Products(*kept, starts, self.signs[list(blocks)])
 
-    def added(self, given: Given, some: int | None = None) -> Added:
-        """Each block, or the one of this number, added to a set."""
+    def added(self, given: Given) -> Added:
+        """Each block added to a set."""
         numbers, ratios = [], []
         for blocks, index, own in self._alike:
-            if some is not None:
-                at = int(np.searchsorted(blocks, some))
-                if at == len(blocks) or blocks[at] != some:
-                    continue
-                blocks, index, own = blocks[at : at + 1], index[at : at + 1], own[at : at + 1]
             width = index.shape[1]
             rows = given.rows[:, index]  # (k, b, w)
             scores = self.right[index] - np.tensordot(given.scores, rows, (0, 0))
@@ -151,27 +151,41 @@ class Products:
         blocks, order = np.concatenate(numbers), np.argsort(np.concatenate(numbers))
         return Added(blocks[order], np.concatenate(ratios)[order])
 
-    def likeliest(self, blocks: Sequence[int], sizes: Sequence[int]) -> tuple[tuple[int, ...], float]:
-        """Likeliest sizes of the blocks of a set, as numbers of `SIZES`, and the log likelihood ratio averaged over sizes.
+    def likeliest(self, blocks: Sequence[int], sizes: Sequence[int]) -> Likeliest:
+        """A set of blocks at its likeliest sizes;  sizes : numbers of `SIZES` to start from.
 
-        sizes : to start from
+        With C the posterior covariance of the coefficients for unit sigma, v and m the eigenvalues of a block's part of C and
+        its means along the eigenvectors, another size changes the precision by h = s'^-2 - s^-2, the log determinant by
+        sum log(1 + h v), and R by sum h m^2 / (1 + h v) (Woodbury's identity); without the block h is infinite.
         """
-        at, own = list(sizes), self.of(blocks)
-        every = list(range(len(at)))
-        profiles = np.zeros((len(at), len(SIZES)))
-        for _ in range(SWEEPS):
-            before = list(at)
-            for k in every:
-                others = own.given([*every[:k], *every[k + 1 :]], SIZES[[*at[:k], *at[k + 1 :]]])
-                profiles[k] = own.added(others, k).ratios[0]
-                if profiles[k].max() > profiles[k, at[k]] + ROUNDING:
-                    at[k] = int(np.argmax(profiles[k]))
-            if at == before:
+        own, at = self.of(blocks), np.array(sizes, dtype=np.int64)
+        owner = np.repeat(np.arange(len(at)), own.widths)
+        if not len(at):
+            return Likeliest((), 0.0, np.zeros(0))
+        while True:
+            precision = SIZES[at] ** -2.0
+            covariance = np.linalg.inv(own.gram + np.diag(precision[owner]))
+            mean = covariance @ own.right
+            left = max(own.squares - float(mean @ own.right), LEAST * own.squares, 1e-300)
+            volume = -np.linalg.slogdet(covariance)[1] - np.sum(np.log(precision[owner]))
+            profiles, without = np.empty((len(at), len(SIZES))), np.empty(len(at))
+            for k, (first, last) in enumerate(zip(own.starts[:-1], own.starts[1:], strict=True)):
+                values, vectors = np.linalg.eigh(covariance[first:last, first:last])
+                parts = np.square(vectors.T @ mean[first:last])
+                change = SIZES[:, None] ** -2.0 - precision[k]
+                spread = np.maximum(1.0 + change * values, 1e-300)
+                volumes = volume + np.sum(np.log(spread * precision[k] * np.square(SIZES)[:, None]), axis=1)
+                rest = np.maximum(left + np.sum(change / spread * parts, axis=1), LEAST * own.squares + 1e-300)
+                profiles[k] = -0.5 * volumes - 0.5 * own.freedom * np.log(rest / own.squares)
+                values = np.maximum(values, 1e-300)
+                bare = volume + np.sum(np.log(values * precision[k])), left + np.sum(parts / values)
+                without[k] = -0.5 * bare[0] - 0.5 * own.freedom * np.log(bare[1] / own.squares)
+            best, now = np.unravel_index(np.argmax(profiles), profiles.shape), profiles[0, at[0]]
+            if not profiles[best] > now + ROUNDING:
                 break
-        there = own.given(every, SIZES[at])
-        best = np.array([profile[one] for profile, one in zip(profiles, at, strict=True)])
-        around = np.sum(logsumexp(profiles, axis=1) - best - np.log(len(SIZES))) if at else 0.0
-        return tuple(at), own.ratio(there) + float(around) + self._signed(blocks, at)
+            at[best[0]] = best[1]
+        around = float(np.sum(logsumexp(profiles, axis=1) - now - np.log(len(SIZES))))
+        return Likeliest(tuple(at.tolist()), float(now) + around + self._signed(blocks, at.tolist()), without - now - around)
 
     def _signed(self, blocks: Sequence[int], at: Sequence[int]) -> float:
         """Log of the factor by which signs that physics allows make the set likelier."""

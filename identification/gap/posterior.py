@@ -97,7 +97,7 @@ def _around(library: HypothesisSet, rows: Rows, at: Fit, chosen: tuple[str, ...]
     wrong = _striking(rows, at)
     base = library.base.names
     white = linearized(library, at, rows, base, wrong)
-    search = _searched(white, chosen)
+    search = _searched(library, white, chosen)
     models: list[tuple[Noise, Linearized, list[Weighed], float]] = []
     every = list(noises(rows, at))
     there = _likelihoods(library, every, at, white, search[0], wrong)
@@ -107,7 +107,7 @@ def _around(library: HypothesisSet, rows: Rows, at: Fit, chosen: tuple[str, ...]
     order = [int(k) for k in np.argsort(-score, kind="stable") if k and score[k] > score.max() - UNLIKELY]
     for k in order[: NOISES - 1]:
         other = linearized(library, at, every[k].rows, base, wrong)
-        models.append((every[k], other, _searched(other, chosen), float(first[k]) + every[k].prior))
+        models.append((every[k], other, _searched(library, other, chosen), float(first[k]) + every[k].prior))
     listed = [
         (number, one, offset + one.log_odds, problem)
         for number, (_, problem, sets, offset) in enumerate(models)
@@ -123,12 +123,13 @@ def _around(library: HypothesisSet, rows: Rows, at: Fit, chosen: tuple[str, ...]
     return Posterior(tuple(explanations), tuple(m[0] for m in models), tuple(m[1] for m in models), library, rows, at)
 
 
-def _searched(problem: Linearized, chosen: tuple[str, ...] | None) -> list[Weighed]:
+def _searched(library: HypothesisSet, problem: Linearized, chosen: tuple[str, ...] | None) -> list[Weighed]:
     numbers = {b.label: k for k, b in enumerate(problem.blocks)}
     start = tuple(sorted(numbers[label] for label in chosen or () if label in numbers))
     weights = np.array([b.weight for b in problem.blocks])
     rows = np.array([b.row for b in problem.blocks], dtype=bool)
-    return Search(problem.products, weights, rows, problem.apart).posterior([start] if start else [])
+    more = problem.apart, *problem.needy_and_givers(library)
+    return Search(problem.products, weights, rows, *more).posterior([start] if start else [])
 
 
 def _striking(rows: Rows, at: Fit) -> list[int]:

@@ -28,9 +28,10 @@ from identification.gap.evidence import ROUNDING, SIZES, Products
 SOME = 4.0  # prior odds of something missing to nothing
 TAIL = 3.0  # p(K) ~ K^-TAIL
 WRONG = 0.002  # prior odds of a row to be outlying
-WEIGHED = 5.0  # log odds below the best within which a neighbor is weighed exactly
+WEIGHED = 3.0  # log odds below the best within which a neighbor is weighed exactly
 EXPANDED = 3.0  # and within which a set is expanded
-MOST = 40  # effort: sets that are expanded
+MOST, EXCHANGED = 30, 8  # effort: sets that are expanded, and those of them with exchanges
+PAIRS = 10  # effort: blocks that are tried in pairs
 NEGLIGIBLE = 12.0  # log odds below the best: not kept
 
 Set = tuple[int, ...]
@@ -50,14 +51,18 @@ class Search:
     """The sets of blocks of one linearized problem.
 
     weights : (B,) prior weights;  rows : (B,) True for shifts of single rows
-    apart : pairs of blocks of which one contains the other;  prior odds against `Search.log_prior`
+    apart : pairs of blocks of which one contains the other
+    needy : blocks that show only through one of the `givers`, beside which alone they may be
     """
 
     products: Products
     weights: Array
     rows: NDArray[np.bool_]
     apart: frozenset[tuple[int, int]] = frozenset()
+    needy: frozenset[int] = frozenset()
+    givers: frozenset[int] = frozenset()
     weighed: dict[Set, Weighed] = field(default_factory=dict)
+    _fewer: dict[Set, Array] = field(default_factory=dict)
     _longer: dict[Set, tuple[Array, NDArray[np.int64]]] = field(default_factory=dict)
     _expanded: set[Set] = field(default_factory=set)
 
@@ -76,16 +81,20 @@ class Search:
 
     def posterior(self, starts: Sequence[Set] = ()) -> list[Weighed]:
         """All sets that matter, likeliest first;  starts : sets that may be good"""
-        self._weigh((), ())
+        nothing = self._weigh((), ())
         for start in starts:
             self._weigh(start, (2,) * len(start))
         self._climb()
-        for _ in range(MOST):
+        for single in self._neighbors(nothing, PAIRS)[:PAIRS]:  # two that hide each other are seen together
+            for pair in self._neighbors(self._weigh(single.blocks, single.sizes), 1)[:1]:
+                self._weigh(pair.blocks, pair.sizes)
+        self._climb()
+        for number in range(MOST):
             least = self._best - EXPANDED
             open_ = [o for o in self.weighed.values() if o.log_odds > least and o.blocks not in self._expanded]
             if not open_:
                 break
-            self._expand(min(open_, key=_likeliest_first))
+            self._expand(min(open_, key=_likeliest_first), number < EXCHANGED)
         least, every = self._best - NEGLIGIBLE, dict(self.weighed)
         for blocks, (odds, sizes) in self._longer.items():
             for b in np.flatnonzero(odds > least).tolist():
@@ -93,6 +102,10 @@ class Search:
                 if new.blocks not in self.weighed:
                     known = every.get(new.blocks)
                     every[new.blocks] = new if known is None or known.log_odds < new.log_odds else known
+        for blocks in self._fewer:
+            for new in self._shorter(self.weighed[blocks]):
+                if new.blocks not in every and new.log_odds > least:
+                    every[new.blocks] = new
         return sorted((one for one in every.values() if one.log_odds > least), key=_likeliest_first)
 
     @property
@@ -101,7 +114,7 @@ class Search:
 
     def _weigh(self, blocks: Set, sizes: tuple[int, ...]) -> Weighed:
         if blocks not in self.weighed:
-            at, ratio = self.products.likeliest(blocks, sizes)
+            at, ratio, self._fewer[blocks] = self.products.likeliest(blocks, sizes)
             self.weighed[blocks] = Weighed(blocks, at, ratio + self.log_prior(blocks))
         return self.weighed[blocks]
 
@@ -109,30 +122,38 @@ class Search:
         """Add or drop the best block as long as the set gets likelier."""
         current = min(self.weighed.values(), key=_likeliest_first)
         while True:
-            options = self._neighbors(current, 3) + self._shorter(current)
+            options = [*self._neighbors(current, 1)[:2], *sorted(self._shorter(current), key=_likeliest_first)[:1]]
             best = min((self._weigh(o.blocks, o.sizes) for o in options), key=_likeliest_first, default=current)
             if best.log_odds <= current.log_odds + ROUNDING:
                 return
             current = best
 
-    def _expand(self, one: Weighed) -> None:
-        """Weigh the likely sets with one block more, less, or another."""
+    def _expand(self, one: Weighed, exchange: bool) -> None:
+        """Weigh the likely sets with one block more or less, or another."""
         self._expanded.add(one.blocks)
-        for start in (one, *(self._weigh(o.blocks, o.sizes) for o in self._shorter(one))):
-            for other in self._neighbors(start):
+        fewer = self._shorter(one)
+        for other in [*self._neighbors(one), *(o for o in fewer if o.log_odds > self._best - WEIGHED)]:
+            self._weigh(other.blocks, other.sizes)
+        for start in fewer if exchange else []:
+            for other in self._neighbors(self._weigh(start.blocks, start.sizes)):
                 self._weigh(other.blocks, other.sizes)
 
-    @staticmethod
-    def _shorter(one: Weighed) -> list[Weighed]:
-        parts = [(one.blocks[:k] + one.blocks[k + 1 :], one.sizes[:k] + one.sizes[k + 1 :]) for k in range(len(one.blocks))]
-        return [Weighed(*part, 0.0) for part in parts]
+    def _shorter(self, one: Weighed) -> list[Weighed]:
+        """The set without each of its blocks, where that may be."""
+        found = []
+        for k, change in enumerate(self._fewer[one.blocks].tolist()):
+            blocks, sizes = one.blocks[:k] + one.blocks[k + 1 :], one.sizes[:k] + one.sizes[k + 1 :]
+            if self.givers.isdisjoint(blocks) and not self.needy.isdisjoint(blocks):
+                continue
+            prior = self.log_prior(blocks) - self.log_prior(one.blocks)
+            found.append(Weighed(blocks, sizes, one.log_odds + change + prior))
+        return found
 
     def _neighbors(self, one: Weighed, least: int = 0) -> list[Weighed]:
-        """The set with each further block, of those that matter, and the likeliest `least` of them in any case."""
+        """The set with each further block, likeliest first, of those that matter, and the likeliest `least` in any case."""
         odds, sizes = self._with_each(one)
-        likely = np.flatnonzero(odds > self._best - WEIGHED)
-        if len(likely) < least:
-            likely = np.argsort(-odds, kind="stable")[:least]
+        count = max(least, int(np.sum(odds > self._best - WEIGHED)))
+        likely = np.argsort(-odds, kind="stable")[:count]
         return [self._with(one, b, odds, sizes) for b in likely.tolist() if np.isfinite(odds[b])]
 
     @staticmethod
@@ -152,6 +173,8 @@ class Search:
             for a, b in self.apart:
                 if a in one.blocks or b in one.blocks:
                     odds[[a, b]] = -np.inf
+            if self.givers.isdisjoint(one.blocks):
+                odds[list(self.needy)] = -np.inf
             self._longer[one.blocks] = odds, np.argmax(added.ratios, axis=1)
         return self._longer[one.blocks]
 
