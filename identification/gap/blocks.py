@@ -70,10 +70,9 @@ class Basis:
         np.put_along_axis(splines, place + 3, parts, axis=1)
         return np.asarray(splines[:, 3:-3] @ self._cosines)
 
-    def curve(self, coefficients: Array) -> ErrorCurve:
-        """The function with these coefficients (K,)."""
-        splines = np.pad(self._cosines @ coefficients, 1)
-        return ErrorCurve(self.start, self.stop, (splines[:-2] + 4.0 * splines[1:-1] + splines[2:]) / 6.0)
+    def table(self, values: Array) -> ErrorCurve:
+        """The function with these values (K,) at the nodes."""
+        return ErrorCurve(self.start, self.stop, values)
 
 
 @dataclass(frozen=True)
@@ -128,7 +127,7 @@ class Linearized:
     @property
     def apart(self) -> frozenset[tuple[int, int]]:
         """Pairs of blocks of which one contains the other: a family, and the same effect at one joint."""
-        families = {b.member.effect.name: k for k, b in enumerate(self.blocks) if b.member is not None and family(b.member)}
+        families = {b.member.effect.name: k for k, b in enumerate(self.blocks) if b.member is not None and b.member.family}
         return frozenset(
             (families[b.member.effect.name], k)
             for k, b in enumerate(self.blocks)
@@ -144,12 +143,7 @@ class Linearized:
         return frozenset(needy), frozenset(gives)
 
 
-def family(member: Hypothesis) -> bool:
-    """Whether an effect has one similar parameter for each joint."""
-    return not member.scanned and member.one_sign and len(member.effect.parameters) > 1
-
-
-def outside_blocks(library: HypothesisSet, rows: Rows, at: Fit) -> Iterator[tuple[Block, Array]]:
+def outside_blocks(rows: Rows, at: Fit) -> Iterator[tuple[Block, Array]]:
     """Blocks outside the library, each with its (m, d, w) columns."""
     m, d = len(rows), rows.dimension
     n = rows.postures.shape[1]
@@ -196,11 +190,13 @@ def outside_blocks(library: HypothesisSet, rows: Rows, at: Fit) -> Iterator[tupl
 
 
 def linearized(
-    library: HypothesisSet, at: Fit, rows: Rows, base_names: Sequence[str], wrong: Sequence[int] = (), outside: bool = True
+    library: HypothesisSet, at: Fit, rows: Rows, base_names: Sequence[str], wrong: Sequence[int] = (),
+    outside: frozenset[str] | None = None,
 ) -> Linearized:
     """All blocks at a fitted model `at`, which may have effects of the library in it, for rows with any noise model.
 
     base_names : parameters of the base model;  wrong : rows that may be outlying
+    outside : labels of blocks outside the library, None: all
     """
     model = at.model
     position, jacobian = model.linearize(rows.postures, at.values, rows.conditions)
@@ -212,10 +208,8 @@ def linearized(
     found = library.columns(rows, at.by_name, None, model)
     listed: list[tuple[Block, Array]] = []
     for h, columns in zip(library.members, found, strict=True):
-        if not h.tied:
-            listed.append((Block(h.key, h.label, place_of(h), h.weight, member=h), columns))
-    if outside:
-        listed += outside_blocks(library, rows, at)
+        listed.append((Block(h.key, h.label, place_of(h), h.weight, member=h), columns))
+    listed += [one for one in outside_blocks(rows, at) if outside is None or one[0].label in outside]
     for k in wrong:
         shift = np.zeros((len(rows), rows.dimension, rows.dimension))
         shift[k] = np.eye(rows.dimension)
@@ -267,7 +261,7 @@ def _roots(white: Array, before: Array, starts: Array, blocks: Sequence[Block]) 
     """
     roots: list[Array] = [np.zeros((0, 0))] * len(blocks)
     widths = np.diff(starts)
-    plain = np.array([b.member is not None and not family(b.member) for b in blocks], dtype=bool)
+    plain = np.array([b.member is not None and not b.member.family for b in blocks], dtype=bool)
     for width in np.unique(widths[plain]).tolist():
         own = np.flatnonzero(plain & (widths == width))
         index = starts[own][:, None] + np.arange(width)

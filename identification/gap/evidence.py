@@ -196,6 +196,16 @@ class Products:
         deviations = mean[signed] / np.sqrt(np.maximum(np.diag(covariance)[signed], 1e-300))
         return float(np.sum(np.log(2.0) + log_ndtr(deviations)))
 
+    def ratio(self, blocks: Sequence[int], sizes: Array) -> float:
+        """Log likelihood ratio of a set with sizes against nothing missing, signs left out."""
+        own = self.columns(blocks)
+        scales = np.repeat(np.asarray(sizes, dtype=float), self.widths[list(blocks)])
+        inner = scales[:, None] * self.gram[np.ix_(own, own)] * scales
+        inner[np.diag_indices_from(inner)] += 1.0
+        scores = scales * self.right[own]
+        left = max(self.squares - float(scores @ np.linalg.solve(inner, scores)), LEAST * self.squares, 1e-300)
+        return float(-0.5 * np.linalg.slogdet(inner)[1] - 0.5 * self.freedom * np.log(left / max(self.squares, 1e-300)))
+
     def estimates(self, blocks: Sequence[int], sizes: Array) -> tuple[Array, Array]:
         """(k,) posterior mean and (k, k) covariance of the coefficients of a set's columns."""
         own = self.columns(blocks)

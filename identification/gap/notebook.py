@@ -77,15 +77,9 @@ def _estimates(candidate: Candidate, several: bool) -> str:
 
 
 def _folded(found: Diagnosis) -> list[str]:
-    """Rounds of the search, sizes that are excluded where nothing is named, and notes."""
-    rounds = [
-        [str(k), *str(one).removesuffix(" mm left").rsplit(": ", 1)] for k, one in enumerate(found.rounds, start=1)
-    ]
+    """Sizes that are excluded where nothing is named, and notes."""
     sizes = [] if found.effects else [[name, str(size)] for name, size in found.excluded.items()]
     return [
-        html_folded(f"{len(rounds)} rounds", html_table(("round", "added and removed", "left [mm]"), rounds))
-        if len(rounds) > 1
-        else "",
         html_folded(
             "Sizes that are excluded", html_table(("effect", "smallest size that would have been found"), sizes)
         )

@@ -6,16 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from identification.arm import Arm
 from identification.gap.candidate import Candidate
 from identification.gap.confirmation.holdout import Gap
 from identification.gap.curves.curve import Curve
-from identification.gap.hypotheses.detectability import EXACT, NEAR, Detectability, likenesses
-from identification.gap.hypotheses.hypotheses import Hypothesis
-from identification.gap.library.library_prior import LibraryPrior
+from identification.gap.fits.fit import Fit
+from identification.gap.hypotheses.detectability import NEAR, Detectability
 from identification.gap.noise.misfit import Misfit
-from identification.gap.selection.search import HypothesisSearch
-from identification.gap.workflow import Findings
+from identification.gap.posterior import MOST_ROWS, Posterior
 from identification.inspection.data_checks import gap_notes
 from identification.measurements import Measurements
 from identification.status import Status
@@ -37,38 +34,6 @@ def alias_list(before: Detectability, candidates: tuple[Candidate, ...]) -> tupl
     return (*pairs, *((name, like, 1.0) for name, like in before.aliases.items()))
 
 
-def hidden_orders(search: HypothesisSearch, named: Mapping[str, Hypothesis]) -> tuple[tuple[str, str, float], ...]:
-    """Gear ripples not distinguishable at these postures from a named effect of the same joint.
-
-    Returns triples (effect, ripple, likeness). On a grid of angles a ripple of 15 periods per turn can have the same
-    column as an eccentric encoder; the diagnosis then names the more probable one.
-    """
-    listed = []
-    for name, member in named.items():
-        members, against = search.rivals(tuple(h for h in named.values() if h is not member))
-        mine = next((i for i, h in enumerate(members) if h.label == member.label), None)
-        if mine is None or member.spec.joint is None:
-            continue
-        for i, other in enumerate(members):
-            if i != mine and other.scanned and other.spec.joint == member.spec.joint:
-                likeness = likenesses(against, [mine, i])[0, 1]
-                if likeness >= NEAR:
-                    listed.append((name, other.label, float(likeness)))
-    return tuple(sorted(listed, key=lambda row: -round(row[2], 4)))
-
-
-def order_notes(hidden: tuple[tuple[str, str, float], ...]) -> list[str]:
-    """One sentence for each named effect with such ripples, from the triples of `hidden_orders`."""
-    said = []
-    for key in dict.fromkeys(key for key, _, _ in hidden):
-        likes = [(other, likeness) for own, other, likeness in hidden if own == key]
-        word = "cannot be distinguished from" if likes[0][1] >= EXACT else "is hard to distinguish from"
-        more = f" and {len(likes) - 3} more" if len(likes) > 3 else ""
-        listed = ", ".join(other for other, _ in likes[:3])
-        said.append(f"at these postures {key} {word} {listed}{more}; to decide, measure at other joint angles")
-    return said
-
-
 def curve_notes(curves: tuple[Curve, ...]) -> list[str]:
     """A sentence with the ranges of joint angles in which the error curves hold."""
     if not curves:
@@ -81,11 +46,6 @@ def curve_notes(curves: tuple[Curve, ...]) -> list[str]:
     return [f"the error curves hold for the angles measured ({said}); {beyond}"]
 
 
-def prior_note(prior: LibraryPrior | None) -> list[str]:
-    """A sentence about the further effects in the model of the fit, if it has a prior."""
-    return [] if prior is None else [f"after: fitted {prior.sentence}"]
-
-
 def inseparable(joint: int) -> str:
     """The parameters that cannot be separated if a joint (from 0) does not move, in words."""
     if joint == 0:
@@ -94,21 +54,21 @@ def inseparable(joint: int) -> str:
 
 
 def notes(
-    arm: Arm,
+    found: Posterior,
     measurements: Measurements,
-    found: Findings,
+    best: Fit,
     holdout: Measurements | None,
     gap: Gap,
     misfit: Misfit | None,
 ) -> list[str]:
     """Sentences to read before the verdict is trusted."""
-    said = untested(found.search.hypotheses.skipped)
-    if found.whole is not None:
-        searched = f"{len(found.search.rows)} of the {len(measurements)} rows, taken at random"
+    arm = found.library.arm
+    said = untested(found.library.skipped)
+    if len(measurements) > MOST_ROWS:
+        searched = f"{MOST_ROWS} of the {len(measurements)} rows, taken at random"
         said.append(f"effects were looked for in {searched}; what was found is fitted to all")
-    fit = found.fits.fit(found.unknown.chosen)
-    if fit.status is not Status.converged:
-        said.append(f"the fit of the named model did not converge: {fit.status.value}")
+    if best.status is not Status.converged:
+        said.append(f"the fit of the best model did not converge: {best.status.value}")
     if measurements.directions is None:
         said += ["directions of approach were derived from the order of measurement", *gap_notes(measurements)]
     said += [
@@ -122,6 +82,6 @@ def notes(
     if gap.held_out_after is not None and gap.predicted is not None and gap.held_out_after > 3.0 * gap.predicted:
         times = gap.held_out_after / gap.predicted
         said.append(f"the held-out residuals are {times:.2g} times larger than predicted: other postures or set-up?")
-    if holdout is not None and any("drift" in h.key for h in found.unknown.chosen):
+    if holdout is not None and any("drift" in h.key for h in found.best.effects):
         said.append("a drift of one session does not carry over to another; confirm it on held-out rows of this one")
     return said

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from identification.arrays import Array
 from identification.gap.blocks import Block, Linearized, linearized
-from identification.gap.evidence import SIZES
 from identification.gap.fits.fit import Fit, fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import Hypothesis, HypothesisSet
@@ -21,6 +17,8 @@ from identification.gap.search import Search, Weighed, shares
 from identification.progress import Tell, say_nothing
 
 # reasons: identification/README.md, "Constants"
+MOST_ROWS = 1250  # that are searched for any effect
+SEEN = 1e-5  # probability in the sample, of what is weighed with all rows
 PASSES = 4  # effort: linearizations
 NOISES = 3  # effort: noise models that are searched
 UNLIKELY = 5.0  # log odds below the best, of a noise model that is not searched
@@ -42,14 +40,17 @@ class Explanation:
 
     @property
     def effects(self) -> tuple[Hypothesis, ...]:
+        """Its effects of the library."""
         return tuple(b.member for b in self.blocks if b.member is not None)
 
     @property
     def outside(self) -> tuple[Block, ...]:
+        """Its blocks outside the library."""
         return tuple(b for b in self.blocks if not b.named and not b.row)
 
     @property
     def wrong(self) -> tuple[int, ...]:
+        """Rows (from 0) that it takes for outlying."""
         return tuple(int(b.place.partition(":")[2]) for b in self.blocks if b.row)
 
 
@@ -66,16 +67,43 @@ class Posterior:
 
     @property
     def best(self) -> Explanation:
+        """The likeliest."""
         return self.explanations[0]
 
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Labels of all blocks in the order of the dictionary."""
+        return tuple(block.label for block in self.problems[0].blocks)
 
-def posterior(library: HypothesisSet, rows: Rows, tell: Tell = say_nothing) -> Posterior:
-    """The posterior of these rows."""
+
+def posterior(
+    library: HypothesisSet, rows: Rows, generator: np.random.Generator | None = None, tell: Tell = say_nothing
+) -> Posterior:
+    """The posterior of these rows.
+
+    Of more than `MOST_ROWS` rows a random sample is searched (random, as every fourth row of a grid may have the same angle);
+    the blocks that are not unlikely there are then weighed with all rows.
+    """
+    if len(rows) <= MOST_ROWS:
+        return _settled(library, rows, None, (), tell)
+    some = np.sort((generator or np.random.default_rng(0)).permutation(len(rows))[:MOST_ROWS])
+    found = _settled(library, rows.pick(some), None, (), tell)
+    tell("all rows")
+    labels = {b.label for e in found.explanations if e.probability >= SEEN for b in e.blocks if not b.row}
+    narrow = replace(library, members=tuple(h for h in library.members if h.label in labels))
+    chosen = tuple(b.label for b in found.best.blocks if not b.row)
+    return _settled(narrow, rows, frozenset(labels), chosen, tell)
+
+
+def _settled(
+    library: HypothesisSet, rows: Rows, outside: frozenset[str] | None, chosen: tuple[str, ...], tell: Tell
+) -> Posterior:
+    """The posterior, linearized again at its best set until that stays;  outside : blocks outside the library, None: all"""
     at = fit(library.base, rows)
-    found, chosen = None, None
+    found = None
     for number in range(PASSES):
         tell(f"pass {number + 1}")
-        found = _around(library, rows, at, chosen)
+        found = _around(library, rows, at, chosen, outside)
         best = tuple(b.label for b in found.best.blocks)
         if best == chosen:
             break
@@ -93,10 +121,13 @@ def refit(found: Posterior, one: Explanation) -> Fit:
     return fit(found.library.model(one.effects), rows, found.at.by_name)
 
 
-def _around(library: HypothesisSet, rows: Rows, at: Fit, chosen: tuple[str, ...] | None) -> Posterior:
+def _around(
+    library: HypothesisSet, rows: Rows, at: Fit, chosen: tuple[str, ...], outside: frozenset[str] | None
+) -> Posterior:
+    """The posterior, linearized at a fit;  chosen : labels of a set that may be good""" 
     wrong = _striking(rows, at)
     base = library.base.names
-    white = linearized(library, at, rows, base, wrong)
+    white = linearized(library, at, rows, base, wrong, outside)
     search = _searched(library, white, chosen)
     models: list[tuple[Noise, Linearized, list[Weighed], float]] = []
     every = list(noises(rows, at))
@@ -106,7 +137,7 @@ def _around(library: HypothesisSet, rows: Rows, at: Fit, chosen: tuple[str, ...]
     score = np.maximum(first, best + search[0].log_odds) + np.array([n.prior for n in every])
     order = [int(k) for k in np.argsort(-score, kind="stable") if k and score[k] > score.max() - UNLIKELY]
     for k in order[: NOISES - 1]:
-        other = linearized(library, at, every[k].rows, base, wrong)
+        other = linearized(library, at, every[k].rows, base, wrong, outside)
         models.append((every[k], other, _searched(library, other, chosen), float(first[k]) + every[k].prior))
     listed = [
         (number, one, offset + one.log_odds, problem)
@@ -123,9 +154,9 @@ def _around(library: HypothesisSet, rows: Rows, at: Fit, chosen: tuple[str, ...]
     return Posterior(tuple(explanations), tuple(m[0] for m in models), tuple(m[1] for m in models), library, rows, at)
 
 
-def _searched(library: HypothesisSet, problem: Linearized, chosen: tuple[str, ...] | None) -> list[Weighed]:
+def _searched(library: HypothesisSet, problem: Linearized, chosen: tuple[str, ...]) -> list[Weighed]:
     numbers = {b.label: k for k, b in enumerate(problem.blocks)}
-    start = tuple(sorted(numbers[label] for label in chosen or () if label in numbers))
+    start = tuple(sorted(numbers[label] for label in chosen if label in numbers))
     weights = np.array([b.weight for b in problem.blocks])
     rows = np.array([b.row for b in problem.blocks], dtype=bool)
     more = problem.apart, *problem.needy_and_givers(library)
