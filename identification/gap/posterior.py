@@ -189,6 +189,7 @@ def _likelihoods(
     if not members:
         return first - first[0], first - first[0]
     columns = white.columns_of(best.blocks)
-    wide = np.concatenate([plain, columns / np.sqrt(np.mean(np.square(columns), axis=(0, 1)))], axis=2)
+    sizes = np.sqrt(np.mean(np.square(columns), axis=(0, 1)))
+    wide = np.concatenate([plain, columns / np.where(sizes > 0.0, sizes, 1.0)], axis=2)
     with_best = np.array([log_likelihood(n.rows, left, wide) for n in every])
     return first - first[0], with_best - with_best[0]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from identification.estimation.shown import p_value_in_words
 from identification.gap.order_range import order_clauses
 from identification.gap.sessions.replication import replication_clauses
 
@@ -114,7 +113,8 @@ def rests_on(found: Diagnosis) -> list[str]:
 
 def candidate_lines(candidate: Candidate) -> list[str]:
     """Test statistics and estimates of a candidate, one line each."""
-    figures = f"F = {candidate.f:.1f}, {p_value_in_words(candidate.p_adjusted)}, Delta BIC = {candidate.delta_bic:.1f}"
+    likely = "" if candidate.probability is None else f"probability {candidate.probability:.2f}, "
+    figures = f"{likely}F = {candidate.f:.1f}, -2 log odds = {candidate.delta_bic:.1f}"
     stated = {label: found for label, found in candidate.estimates.items() if found}  # a curve has no parameters
     estimates = [f"  {label}: {', '.join(map(str, found))}" for label, found in stated.items()]
     sure = [f"  95 % intervals: {candidate.reliance}"] if stated else []
