@@ -57,8 +57,13 @@ where study.toml has, for instance (names of files are beside it):
 @verb(EXAMPLE, "Run a simulation study, or one that comes with armcal.")
 @click.argument("study", metavar="STUDY.toml|NAME")
 @click.option("--replications", type=click.IntRange(min=1), help="Simulated data sets per cell, instead of the file's.")
+@click.option(
+    "--cell", "cells", multiple=True, metavar="NAME", help="Of blind or blind-spatial: only this; repeatable."
+)
 @job_options(workers=None, out="Folder; left out: STUDY.results")
-def command(common: CommonOptions, study: str, replications: int | None, job: JobOptions) -> Answer:
+def command(
+    common: CommonOptions, study: str, replications: int | None, cells: tuple[str, ...], job: JobOptions
+) -> Answer:
     """Simulate, identify and count: what plans, models and noise do to the accuracy.
 
     STUDY is a file, or the name of a study that comes with armcal: paper (every table, figure and number of the paper,
@@ -69,12 +74,14 @@ def command(common: CommonOptions, study: str, replications: int | None, job: Jo
     """
     if study not in BUILT_IN and not study.endswith(".toml"):
         raise InputError(f"study: unknown name {study!r}, {nearest(study, BUILT_IN)}, or a file NAME.toml")
+    if cells and study not in ("blind", "blind-spatial"):
+        raise InputError(f"--cell: {cells[0]!r} of the study {study}, allowed: of blind and blind-spatial")
     folder = job.out or Path(study).with_suffix(".results")
     where = job.where()
     with interruptible(folder), common.progress() as progress:
         options = {"seed": common.seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
-            return BUILT_IN[study](replications, folder, where, options)
+            return BUILT_IN[study](replications, folder, where, options, **({"cells": cells} if cells else {}))
         return _from_file(Path(study), replications, folder, where, options)
 
 
@@ -112,14 +119,21 @@ def _paper(replications: int | None, folder: Path, workers: Workers, options: Op
     return _tables_answer(found, folder, paper_tables(found))
 
 
-def _blind(replications: int | None, folder: Path, workers: Workers, options: Options, space: bool = False) -> Answer:
-    """Diagnoses of data with hidden effects, of planar arms or of arms in space."""
+def _blind(
+    replications: int | None,
+    folder: Path,
+    workers: Workers,
+    options: Options,
+    cells: tuple[str, ...] = (),
+    space: bool = False,
+) -> Answer:
+    """Diagnoses of data with hidden effects, of planar arms or of arms in space; of all cells or of those named."""
     from doe.report.blind import blind_tables, write_pictures
     from doe.studies.blind.spatial_cells import CELLS
     from doe.studies.blind.study import blind_study
 
-    cells = [name for name, spec in CELLS.items() if spec.reported] if space else None
-    found = blind_study(cells, replications, folder, workers, **options)
+    reported = [name for name, spec in CELLS.items() if spec.reported] if space else None
+    found = blind_study(cells or reported, replications, folder, workers, **options)
     write_pictures(folder, found)
     return _tables_answer(found, folder, blind_tables(found))
 

@@ -16,7 +16,7 @@ from rich.text import Text
 from doe.report.pictures import save
 from doe.report.terminal import table
 from doe.studies.blind.reliability import ALL
-from doe.studies.blind.score import BlindStudy
+from doe.studies.blind.score import KEEPS, BlindStudy
 from identification.arrays import Array
 
 COLUMNS = {
@@ -68,18 +68,32 @@ def with_error(row: dict[str, Any]) -> str:
 
 
 def many_tables(cells: pl.DataFrame) -> list[Table]:
-    """Robots with many effects at once: means over their data sets, with standard errors."""
-    shown = []
-    for part in cells.partition_by("cell", maintain_order=True):
-        rows = {row["measure"]: row for row in part.iter_rows(named=True)}
-        if MANY[0] in rows:
-            figures = (with_error(rows[name]) if name in rows else "" for name in MANY)
-            shown.append([part["cell"][0], str(rows[MANY[0]]["count"]), *figures])
-    headings = ("hidden", "sets", *MANY)
-    return [table(headings, shown, "Many effects at once", left=("hidden",))] if shown else []
+    """Robots with many effects at once, and with one outside the library: means over their data sets (of the ratio to
+    the error of the geometry alone the median), with standard errors."""
+    tables = []
+    for title, measures in MANY.items():
+        shown = []
+        for part in cells.partition_by("cell", maintain_order=True):
+            rows = {row["measure"]: row for row in part.iter_rows(named=True)}
+            if measures[0] in rows:
+                figures = (with_error(rows[name]) if name in rows else "" for name in measures)
+                shown.append([part["cell"][0], str(rows[measures[0]]["count"]), *figures])
+        if shown:
+            tables.append(table(("hidden", "sets", *measures), shown, title, left=("hidden",)))
+    return tables
 
 
-MANY = ("error / true", "effects named", "false names", "intervals, all", "false unknown")
+MANY = {
+    "Many effects at once": ("error / true", "effects named", "false names", "intervals, all", "false unknown"),
+    "Outside the library": ("no effect", "named at 0.9", "located", "wrong place"),
+    "The model that is written": (
+        "inside tip intervals",
+        "error / geometry",
+        "promised / reached",
+        KEEPS,
+        "contradiction",
+    ),
+}
 
 
 def further_tables(cells: pl.DataFrame) -> list[Table]:

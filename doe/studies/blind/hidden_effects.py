@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
-from doe.studies.blind.rare_effects import RARE_JOINT, RARE_WHOLE, SHAPE, drawn_values
-from doe.studies.blind.simulator import Drawn, RowConditions, TrueArm, position
+from doe.studies.blind.rare_effects import (
+    PHYSICS_JOINT,
+    PHYSICS_WHOLE,
+    RARE_JOINT,
+    RARE_WHOLE,
+    SHAPE,
+    drawn_physics,
+    drawn_values,
+    physics_places,
+    wound_up,
+)
+from doe.studies.blind.simulator import Drawn, RowConditions, TrueArm, position, torques
 
 LIBRARY_JOINT = (
     "joint_compliance",
@@ -30,7 +42,12 @@ LIBRARY_WHOLE = (
 )
 OUTSIDE = ("free_ripple", "bump", "cubic", "cable_pull", "step_drift")
 SINCE_INSIDE = {"free_ripple": "transmission_ripple", "step_drift": "base_step"}  # drawn as ever, named by now
-GRAVITY = ("joint_compliance", "link_bending", "gravity_backlash")
+PHYSICS = PHYSICS_JOINT + PHYSICS_WHOLE
+OFFSETS = ("base_offset", "base_drift")
+GRAVITY = ("joint_compliance", "link_bending", "gravity_backlash", "bearing_compliance")
+COUNTS = {"small": (14, 22), "several": (6, 9)}  # of many effects at once, the least and the most
+EXPLAINED = 0.5  # of the square of an effect outside the library, at most, by any one effect of it
+DRAWS = 20  # until that is so
 
 
 def directions_of(name: str, n: int, rng: np.random.Generator) -> dict:
@@ -93,7 +110,9 @@ def off(columns: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def values_of(truth: TrueArm, name: str, j: int | None, rng: np.random.Generator) -> dict:
-    """A random direction in the parameter space of an effect of the library or of a rare one."""
+    """A random direction in the parameter space of an effect of the library, of a rare one or of one outside."""
+    if name in PHYSICS:
+        return drawn_physics(name, j, truth.n, float(truth.lengths.sum()), rng)
     if name in RARE_JOINT + RARE_WHOLE:
         span = 0.0 if j is None else float(truth.upper[j - 1] - truth.lower[j - 1])
         return drawn_values(name, span, rng)
@@ -148,23 +167,51 @@ def random_effect(
             return found
 
 
+def log_uniform(sizes: tuple[float, float], rng: np.random.Generator) -> float:
+    """A size lambda between two, even on a logarithmic scale."""
+    low, high = np.log(sizes)
+    return float(np.exp(rng.uniform(low, high)))
+
+
 def many_effects(
     truth: TrueArm, run: RowConditions, kind: str, sizes: tuple[float, float], rng: np.random.Generator
 ) -> list[Drawn]:
-    """What a real robot has at once, each effect of its own size lambda between two (even on a logarithmic scale).
+    """What a real robot has at once, each effect of its own size lambda between two.
 
     kind : `robot`: compliance of all joints, an offset of the base, every encoder eccentric, backlash in one joint and
-        a ripple in one; `harmonics`: first and second harmonic of every encoder
+        a ripple in one; `harmonics`: first and second harmonic of every encoder; one of `COUNTS`: so many effects of
+        the library at random, of gravity one, `small`: one or more in every joint
     """
     listed: list[tuple[str, int | None]] = [("encoder_eccentricity", j + 1) for j in range(truth.n)]
-    if kind == "harmonics":
+    most = len(LIBRARY_JOINT) * truth.n
+    if kind in COUNTS:
+        listed = at_random(LIBRARY_JOINT, LIBRARY_WHOLE, truth.n, kind == "small", rng)
+        most = int(rng.integers(COUNTS[kind][0], COUNTS[kind][1] + 1))
+    elif kind == "harmonics":
         listed += [("encoder_second_harmonic", j + 1) for j in range(truth.n)]
     else:
         listed += [("joint_compliance*", None), ("base_offset", None)]
         listed += [(name, int(rng.integers(1, truth.n + 1))) for name in ("backlash", "transmission_ripple")]
-    low, high = np.log(sizes)
-    drawn = (sized(truth, run, name, j, float(np.exp(rng.uniform(low, high))), rng) for name, j in listed)
-    return [effect for effect in drawn if effect is not None]
+    drawn = (sized(truth, run, name, j, log_uniform(sizes, rng), rng) for name, j in listed)
+    return list(islice((effect for effect in drawn if effect is not None), most))
+
+
+def at_random(
+    of_joint: Sequence[str], of_arm: Sequence[str], joints: int, everywhere: bool, rng: np.random.Generator
+) -> list[tuple[str, int | None]]:
+    """All effects of these names in a random order, of gravity only the first.
+
+    everywhere : one of each joint comes before the others
+    """
+    places = [(name, j) for name in of_joint for j in range(2 if name == "joint_coupling" else 1, joints + 1)]
+    every = [*places, *((name, None) for name in of_arm)]
+    listed = [every[k] for k in rng.permutation(len(every))]
+    of_gravity = [place for place in listed if place[0].rstrip("*") in GRAVITY]
+    listed = [place for place in listed if place not in of_gravity[1:]]
+    if everywhere:
+        first = {j: (name, j) for name, j in reversed(listed) if j is not None}
+        listed = [*first.values(), *(place for place in listed if place not in first.values())]
+    return listed
 
 
 def library_columns(truth: TrueArm, run: RowConditions) -> np.ndarray:
@@ -198,6 +245,47 @@ def outside_effect(
             return found
 
 
+def physics_effect(truth: TrueArm, run: RowConditions, name: str, lam: float, rng: np.random.Generator) -> Drawn:
+    """One of `PHYSICS`, of size lam: the first of some draws of which no effect of the library explains more than
+    `EXPLAINED`, or else that of which it explains least."""
+    drawn: list[tuple[float, Drawn]] = []
+    base, blocks = base_jacobian(truth, run), library_blocks(truth, run)
+    ends = np.cumsum([block.shape[1] for block in blocks])[:-1]
+    blocks = [np.linalg.qr(block)[0] for block in np.split(off(base, np.hstack(blocks)), ends, axis=1)]
+    while not drawn or (drawn[-1][0] > EXPLAINED and len(drawn) < DRAWS):
+        j = None if name in PHYSICS_WHOLE else int(rng.integers(1, truth.n + (name != "two_joint_cable")))
+        effect = sized(truth, run, name, j, lam, rng)
+        if effect is not None:
+            left = off(base, column(truth, run, effect))
+            drawn.append((max(float(np.sum((left @ block) ** 2)) for block in blocks) / float(left @ left), effect))
+    return min(drawn, key=lambda one: one[0])[1]
+
+
+def library_blocks(truth: TrueArm, run: RowConditions) -> list[np.ndarray]:
+    """(2m, c) columns of each effect of the library by itself, of those with settings at several of them."""
+    tau = torques(truth, run)
+    turned = np.exp(1j * np.cumsum(run.q + truth.joint_offsets, axis=1)) * truth.lengths
+    lever = 1j * np.cumsum(turned[:, ::-1], axis=1)[:, ::-1]  # of each joint: how its angle moves the tip
+    steps = [1.0 * (run.t > at) for at in np.linspace(-0.4, 0.4, 17)]
+    moves: list[list[np.ndarray]] = [[lever[:, j] * tau[:, j] for j in range(truth.n)]]
+    for j, q in enumerate(run.q.T):
+        own = [[np.cos(k * q), np.sin(k * q)] for k in range(1, 65)]
+        own += [[q], [run.s[:, j]], [np.sign(tau[:, j])], [tau[:, j]], *([run.q[:, j - 1]] for _ in range(j > 0))]
+        own += [[step] for step in steps]
+        own += [[wound_up(q, width)] for width in (truth.upper[j] - truth.lower[j]) * np.array([0.05, 0.1, 0.2, 0.4])]
+        moves += [[lever[:, j] * shape for shape in shapes] for shapes in own]
+        moves += [[turned[:, j] * step] for step in steps]
+    moves += [[step + 0j, 1j * step] for step in steps]
+    whole: list[tuple[str, list[dict]]] = [(name, [{"x": 1.0, "y": 0.0}, {"x": 0.0, "y": 1.0}]) for name in OFFSETS]
+    whole += [("axes_skew", [{"a": 1.0, "b": 0.0}, {"a": 0.0, "b": 1.0}])]
+    whole += [("link_bending", [{"f": 1.0}]), ("thermal_growth", [{"a": 1.0}]), ("base_rotation_drift", [{"w": 1.0}])]
+    whole += [("thermal_transient", [{"a": 1.0, "tau": tau}]) for tau in (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)]
+    whole += [("payload_error", [{"d": 1.0}]), ("gravity_tilt", [{"angle": 1.0}])] if truth.known else []
+    stacked = [[np.column_stack([move.real, move.imag]).ravel() for move in block] for block in moves]
+    stacked += [[column(truth, run, (name, None, values)) for values in probes] for name, probes in whole]
+    return [np.stack(block, axis=1) for block in stacked]
+
+
 def by_library_name(effect: Drawn) -> Drawn:
     """The effect by the name that the library has for it."""
     return SINCE_INSIDE.get(effect[0], effect[0]), effect[1], effect[2]
@@ -211,7 +299,10 @@ def family(effect: tuple[str, int | None, dict]) -> str:
     return "gravity" if effect[0] in GRAVITY else effect[0]
 
 
-def place_of(effect: tuple[str, int | None, dict]) -> str:
+def place_of(effect: tuple[str, int | None, dict]) -> str | None:
+    """Where an effect outside the library may be said to be, alternatives between ` or `; None: nowhere is right."""
+    if effect[0] in PHYSICS:
+        return physics_places(*effect)
     return {"step_drift": "time", "barrel": "workspace"}.get(effect[0], f"joint:{effect[1]}")
 
 

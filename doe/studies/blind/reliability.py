@@ -23,7 +23,7 @@ def probability_judged(row: Mapping[str, Any]) -> dict[str, Any]:
     if row.get("probability") is None:
         return {}
     hidden = sorted(row["hidden"] or ())
-    truth = "unknown" if row["place"] is not None else " + ".join(hidden) or "none"
+    truth = "unknown" if row.get("outside") is not None else " + ".join(hidden) or "none"
     verdict = row["verdict"]
     said = verdict if verdict in ("none", "unknown") else " + ".join(sorted(row["named"]))
     judged: dict[str, Any] = {"said": row["probability"], "right": said == truth}

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
 
 from doe.studies.blind.cells import DataSet
-from identification.arm import Arm, Calibration
+from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
+from identification.estimation.intervals import freedom_of, quantile_95
 from identification.gap.fits.fit import fit
 from identification.gap.fits.whitening import Rows
 from identification.gap.hypotheses.hypotheses import hypotheses
@@ -24,8 +26,13 @@ RATIOS = (1e-6, 1e6)  # of the kernel's parts to the mean square residual
 
 def true_arm(data: DataSet) -> Arm:
     """The arm with the true model, fitted to the rows that are not outliers."""
+    return fitted_arm(data, data.specs)
+
+
+def fitted_arm(data: DataSet, specs: Sequence[EffectSpec] = ()) -> Arm:
+    """The arm with these effects added, none: its geometry only, fitted to the rows that are not outliers."""
     arm = practical(data.arm, data.measurements)
-    model = Model(arm.with_effects(*arm.effects, *data.specs))
+    model = Model(arm.with_effects(*arm.effects, *specs))
     kept = np.ones(len(data.measurements), dtype=bool)
     kept[[row - 1 for row in data.wrong_rows]] = False
     found = fit(model, Rows.of(data.measurements).pick(kept))
@@ -41,6 +48,20 @@ def true_gap(data: DataSet) -> float:
 def error(arm: Arm, data: DataSet) -> float | None:
     """RMS distance [mm] of a calibrated arm from the hold-out without its noise; None where that is not known."""
     return None if data.exact is None else rms_distance(data.exact - _computed(arm, data))
+
+
+def share_inside_tip(arm: Arm, data: DataSet) -> float | None:
+    """Share of the hold-out's coordinates without noise that are inside the 95 % intervals which the covariance of the
+    arm's calibration gives there; None where they are not known."""
+    found = arm.calibration
+    if data.exact is None or data.holdout is None or found is None or found.covariance is None:
+        return None
+    model = Model(arm)
+    place = [model.names.index(name) for name in found.parameter_names]
+    computed, jacobian = model.linearize(data.holdout.postures, model.values, data.holdout.conditions)
+    columns = jacobian[..., place] * quantile_95(freedom_of(found))
+    half = np.sqrt(np.einsum("mdp,pq,mdq->md", columns, found.covariance, columns, optimize=True))
+    return float(np.mean(np.abs(data.exact - computed) <= half))
 
 
 def _computed(arm: Arm, data: DataSet) -> Array:

@@ -23,8 +23,13 @@ from doe.studies.blind.reliability import (
 from identification.effects import library
 
 NOTHING = "nothing"
+OUTSIDE = "outside the library"
+SURE = 0.9  # probability with which no name should be said where the library has none
+ALL_OUTSIDE = "all outside the library"  # stands for a cell where a figure is of all of them together
+KEEPS = "confirmed with 3 x the reachable error"
+MEDIANS = ("error / geometry",)  # measures with single large values: the median of the sets
 RIVALS = {"true": "gap_true_mm", "library": "gap_library_mm", "process": "gap_process_mm"}
-OF_ALL = ("intervals, base", "intervals, effects")  # measures of all cells together
+OF_ALL = ("intervals, base", "intervals, effects", "contradiction")  # measures of all cells together
 FURTHER = ("next_2", "next_8", "next_16", "loaded_2", "loaded_8", "loaded_16", "random_2", "random_8", "random_16")
 
 
@@ -125,6 +130,24 @@ def _bars() -> Iterator[Bar]:
         for measure, value in (("error / true", 1.5), ("false names", 0.8), ("false unknown", 0.1)):
             yield Bar(cell, measure, value, at_most=True)
         yield from (Bar(cell, "effects named", 0.8), Bar(cell, "intervals, all", 0.92))
+    for m in (50, 100, 300):
+        yield Bar(f"many small effects, m={m}", "error / true", 1.6, at_most=True)
+        yield Bar(f"many small effects, m={m}", "inside tip intervals", 0.88)
+        yield Bar(f"six to nine effects, m={m}", "error / true", 1.1, at_most=True)
+        yield Bar(f"six to nine effects, m={m}", "false names", 0.4, at_most=True)
+        yield Bar(f"six to nine effects, m={m}", "effects named", 0.9)
+        yield Bar(f"six to nine effects, m={m}", "inside tip intervals", 0.94)
+    most = {"no effect": 0.03, "wrong place": 0.15, "error / geometry": 0.55, KEEPS: 0.1}
+    yield from (Bar(ALL_OUTSIDE, measure, value, at_most=True) for measure, value in most.items())
+    yield Bar(ALL_OUTSIDE, "inside tip intervals", 0.85)
+    for kind, value in (("quantized", 0.04), ("reach, m=100", 0.04), ("outliers, m=100", 0.04)):
+        yield Bar(f"none, {kind}", "alarm", value, at_most=True)
+    yield from (Bar(f"none, {kind}", "alarm", 0.07, at_most=True) for kind in ("Student t3", "serial, m=100"))
+    yield Bar("none, random walk", "wrong place", 0.1, at_most=True)
+    yield Bar("three reads, none", "false names", 0.05, at_most=True)
+    for cell in ("three reads, none", "three reads, six to nine effects"):
+        yield from (Bar(cell, "promised / reached", 0.85), Bar(cell, "promised / reached", 1.15, at_most=True))
+    yield Bar(ALL, "contradiction", 0.0, at_most=True)
     for measure in ("calibration error", "said less right, 0.7 to 0.95"):
         yield Bar(ALL, measure, 0.03, at_most=True)
     for measure in ("intervals, base", "intervals, effects"):
@@ -148,6 +171,8 @@ def scored_table(truth: pl.DataFrame, found: pl.DataFrame) -> BlindStudy:
         for cell in dict.fromkeys(s["cell"] for s in sets)
         for row in _measures([s for s in sets if s["cell"] == cell])
     ]
+    beyond = [s for s in sets if s["hidden_class"] == OUTSIDE and "error / geometry" in s]
+    cells += [*_measures(beyond, ALL_OUTSIDE)] if len({s["cell"] for s in beyond}) > 1 else []
     cells += [*calibration(sets), *(row for row in _measures(sets, ALL) if row["measure"] in OF_ALL)]
     pairs = Counter((s["hidden_class"], s["named_class"]) for s in sets)
     confusion = [{"hidden": a, "named": b, "count": n} for (a, b), n in pairs.most_common()]
@@ -163,21 +188,22 @@ def scored_table(truth: pl.DataFrame, found: pl.DataFrame) -> BlindStudy:
 
 def scored_set(row: Mapping[str, Any], families: Mapping[str, str]) -> dict[str, Any]:
     """One data set: what was hidden, what was named, and in which respects that is right (None: not asked)."""
-    known, outside = row["verdict"] != "unknown", row["place"] is not None
+    known, outside = row["verdict"] != "unknown", row.get("outside") is not None
     hidden, named = sorted(row["hidden"] or ()), sorted(row["named"] or ())
     judgement = {
         "cell": row["cell"],
         "set": row["set"],
-        "hidden": " + ".join(hidden) or (f"outside the library, {row['place']}" if outside else NOTHING),
+        "hidden": " + ".join(hidden)
+        or (f"outside the library, {row['place'] or row['outside']}" if outside else NOTHING),
         "named": " + ".join(named + ([] if known else [f"unknown, {row['where']}"])) or NOTHING,
-        "hidden_class": _classes(hidden, families, "outside the library" if outside else None),
+        "hidden_class": _classes(hidden, families, OUTSIDE if outside else None),
         "named_class": _classes(named, families, None if known else "unknown"),
         "alarm": row["verdict"] != "none",
     }
     if hidden:
         judgement |= _names_judged(row, judgement)
     if outside:
-        judgement["located"] = not known and row["where"] == row["place"]
+        judgement |= _places_judged(row)
     if row["wrong_rows"]:
         judgement["outliers listed"] = set(row["wrong_rows"]) <= set(row["outlier_rows"] or ())
     judgement |= probability_judged(row) | intervals_judged(row, judgement.get("exact", False)) | _many_judged(row)
@@ -196,18 +222,81 @@ def _names_judged(row: Mapping[str, Any], judgement: Mapping[str, Any]) -> dict[
     }
 
 
-def _many_judged(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Where many effects were hidden: each of them, what else was named, all intervals, and errors without noise."""
-    if row.get("error_true_mm") is None:
-        return {}
-    hidden, named = set(row["hidden"]), set(row["named"] or ())
-    return {
-        "error / true": row["error_named_mm"] / row["error_true_mm"],
-        "effects named": len(hidden & named) / len(hidden),
-        "false names": float(len(named - hidden)),
-        "false unknown": row["verdict"] == "unknown",
-        "intervals, all": share_inside(row),
+def _places_judged(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Where something outside the library was hidden: where it is said to be, unless no place is right."""
+    named, unknown = row["named"] or (), row["verdict"] == "unknown"
+    sure = row["verdict"] in ("named", "ambiguous") and (row.get("probability") or 0.0) >= SURE
+    judged: dict[str, Any] = {"no effect": row["verdict"] == "none", f"named at {SURE:g}": sure}
+    if row["place"] is not None:
+        right = set(row["place"].split(" or "))
+        said = [places_of_effect(key) for key in named] + ([{row["where"]}] if unknown and row["where"] else [])
+        judged["located"] = unknown and row["where"] in right
+        judged["wrong place"] = any(not places & right for places in said)
+    return judged
+
+
+def places_of_effect(key: str) -> set[str]:
+    """Where an effect of the library is: its joint, the time or the temperature that it follows, the workspace."""
+    name, _, joint = key.partition(":")
+    followed = {place for place, names in FOLLOWING.items() if name in names}
+    return followed | ({f"joint:{joint}"} if joint else set()) or {"arm"}
+
+
+FOLLOWING = {
+    "time": ("base_drift", "base_rotation_drift", "base_step", "thermal_transient", "joint_step", "link_step"),
+    "temperature": ("thermal_growth",),
+    "workspace": ("axes_skew", "measurement_scale"),
+}
+
+
+def contradictions(said: Mapping[str, Any]) -> list[str]:
+    """Where verdict, effects and probabilities of a diagnosis (`Diagnosis.to_json`) contradict each other."""
+    chance = dict(said["probabilities"])
+    none, unknown, verdict = chance.pop("none"), chance.pop("unknown"), said["verdict"]
+    others = {" + ".join(one["effects"]): one["probability"] for one in said["other_sets"]}
+    named = " + ".join(said["effects"])
+    own = chance.get(named, 0.0)
+    rivals = [*(p for name, p in chance.items() if name != named), *others.values()]
+    unlisted = unknown - sum(others.values())
+    wrong = {
+        "probabilities without sum 1": abs(none + unknown + sum(chance.values()) - 1.0) > 1e-6,
+        "listed beyond unknown": unlisted < -1e-6,
+        "none at less than a half": verdict == "none" and none < 0.5,
+        "none with effects": verdict == "none" and bool(named),
+        "named nothing": verdict in ("named", "ambiguous") and not named,
+        "named less likely than none": verdict in ("named", "ambiguous") and own < none,
+        "named less likely than unknown": verdict in ("named", "ambiguous") and own < unlisted,
+        "named less likely than others": verdict in ("named", "ambiguous") and own < max(rivals, default=0.0),
+        "named beside its equals": verdict == "named" and len(chance) > 1 and own < 0.5,
+        "ambiguous alone": verdict == "ambiguous" and len(chance) < 2,
+        "unknown less likely than none": verdict == "unknown" and unlisted < none,
+        "unknown less likely than a name": verdict == "unknown" and unlisted < max([own, *rivals]),
     }
+    return [doubt for doubt, there in wrong.items() if there]
+
+
+def _many_judged(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Where the hold-out is known without noise: the written model's error and intervals there, and where many effects
+    were hidden, each of them, what else was named, and all intervals."""
+    judged: dict[str, Any] = {"contradiction": bool(row["contradictions"])} if "contradictions" in row else {}
+    if (error := row.get("error_named_mm")) is None:
+        return judged
+    references = {f"error / {name}": row.get(f"error_{name}_mm") for name in ("true", "geometry", "reachable")}
+    judged |= {name: error / reference for name, reference in references.items() if reference}
+    judged["inside tip intervals"] = row.get("inside_tip")
+    if row.get("gap_promised_mm") and row.get("gap_named_mm"):
+        judged["promised / reached"] = row["gap_promised_mm"] / row["gap_named_mm"]
+    if row.get("confirmed") and row.get("error_reachable_mm"):
+        judged[KEEPS] = error > 3.0 * row["error_reachable_mm"]
+    if row.get("outside") is not None:
+        return judged
+    hidden, named = set(row["hidden"]), set(row["named"] or ())
+    judged |= {"false names": float(len(named - hidden)), "false unknown": row["verdict"] == "unknown"}
+    return (
+        judged
+        | ({"effects named": len(hidden & named) / len(hidden)} if hidden else {})
+        | {"intervals, all": share_inside(row)}
+    )
 
 
 def _gaps_judged(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -242,7 +331,7 @@ def _classes(keys: Sequence[str], families: Mapping[str, str], more: str | None)
 
 
 def _measures(sets: Sequence[Mapping[str, Any]], cell: str | None = None) -> Iterator[dict[str, Any]]:
-    """Mean and standard error of everything that was judged in a cell."""
+    """Mean and standard error of everything that was judged in a cell; of `MEDIANS` the median."""
     texts = ("cell", "set", "hidden", "named", "hidden_class", "named_class")
     for measure in dict.fromkeys(name for row in sets for name in row if name not in texts):
         values = [row[measure] for row in sets if row.get(measure) is not None]
@@ -251,6 +340,10 @@ def _measures(sets: Sequence[Mapping[str, Any]], cell: str | None = None) -> Ite
         mean, n = float(np.mean(values)), len(values)
         if isinstance(values[0], bool):  # never claims to be certain: at least the error of half a set
             error = sqrt(max(mean * (1.0 - mean), 0.25 / n) / n)
+        elif measure in MEDIANS:  # half the width of the interval that holds the median in 0.68 of cases
+            mean = float(np.median(values))
+            ranks = np.clip(0.5 * n + 0.5 * sqrt(n) * np.array([-1.0, 1.0]) - 0.5, 0, n - 1)
+            error = 0.5 * float(np.ptp(np.interp(ranks, np.arange(n), np.sort(values)))) if n > 1 else float("inf")
         else:
             error = float(np.std(values, ddof=1)) / sqrt(n) if n > 1 else float("inf")
         yield {"cell": cell or sets[0]["cell"], "measure": measure, "value": mean, "standard_error": error, "count": n}

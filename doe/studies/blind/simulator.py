@@ -10,10 +10,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from doe.studies.blind.rare_effects import leaning_tip, link_growth, wound_up
+from doe.studies.blind.rare_effects import PHYSICS_JOINT, joint_physics, leaning_tip, link_growth, refracted, wound_up
 from identification.measurements import Measurements
 
 G = 9.81
+MODEL_ERROR = 2.0  # [sigma] of a coordinate, of each posture, with noise `posture`
 Drawn = tuple[str, int | None, dict]  # name, joint, values of an effect
 
 
@@ -124,7 +125,10 @@ def weighed(run: RowConditions, effects: list[Drawn]) -> RowConditions:
     values = {name: v for name, _, v in effects}
     q = run.q.copy()
     q[:, 0] -= values.get("gravity_tilt", {"angle": 0.0})["angle"]
-    return replace(run, q=q, payload=run.payload + values.get("payload_error", {"d": 0.0})["d"])
+    more = values.get("payload_error", {"d": 0.0})["d"]
+    if (swap := values.get("payload_swap")) is not None:  # the arm picks up a tool, and lays it down later
+        more = more + swap["d"] * ((run.t > swap["at"][0]) & (run.t < swap["at"][1]))
+    return replace(run, q=q, payload=run.payload + more)
 
 
 def angle_error(
@@ -162,6 +166,8 @@ def angle_error(
     elif name == "cable_pull":  # a cable along the arm pulls joint j harder the more joint j and its neighbor wind it
         other = run.q[:, j] if j < truth.n else run.q[:, j - 2]
         out[:, j - 1] = v["c"] * q * other
+    elif name in PHYSICS_JOINT:
+        out += joint_physics(run.q, run.s, name, j, v)
     return out
 
 
@@ -182,6 +188,10 @@ def position(truth: TrueArm, run: RowConditions) -> np.ndarray:
     theta = np.cumsum(q, axis=1)
     before = np.cumsum(slope, axis=1) - slope
     p = np.sum((lengths + 1j * deflection) * np.exp(1j * (theta + before)), axis=1)
+    for name, _, v in truth.effects:
+        if name == "gripper_play":  # what the gripper holds slides to the lower end of a slot
+            along = np.exp(1j * (theta[:, -1] + v["beta"]))
+            p = p - v["h"] * along * np.sign(along.imag)
     for name, j, v in truth.effects:
         if name == "axis_tilt" and j is not None:
             q, lengths = run.q + truth.joint_offsets, truth.lengths + truth.length_errors
@@ -196,17 +206,26 @@ def position(truth: TrueArm, run: RowConditions) -> np.ndarray:
             p = p + (v["x"] + 1j * v["y"]) * run.t
         elif name in ("step_drift", "base_step"):
             p = p + (v["x"] + 1j * v["y"]) * (run.t > v["at"])
+        elif name == "warm_offset":
+            p = p + (v["x"] + 1j * v["y"]) * run.warm
     for name, _, v in truth.effects:
         if name == "axes_skew":
             p = p + (v["a"] + 1j * v["b"]) * np.conj(p)
         elif name == "barrel":  # outside the library: the instrument is bent in a corner of the workspace
             reach = truth.lengths.sum()
             p = p + (v["x"] + 1j * v["y"]) * (np.abs(p) / reach) ** 2 * (p.real / reach)
+        elif name == "refraction":
+            p = p + refracted(p, v, truth.lengths.sum())
     return p
 
 
 def noise(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: str = "white") -> np.ndarray:
-    """(m,) complex noise."""
+    """(m,) complex noise, of sigma in each coordinate where it is white.
+
+    kind : beside those by name: `t3`: Student's t with 3 degrees of freedom and this standard deviation; `walk`: white
+        noise and a walk whose RMS about its mean is sigma; `quantized`: white noise, and the display shows steps of
+        sigma; `posture`: white noise, and an error of 2 sigma that following rows of one posture share
+    """
     m = len(run.q)
     e = rng.standard_normal((m, 2)) @ np.array([1, 1j]) * truth.sigma
     p = position(truth, run)
@@ -221,7 +240,23 @@ def noise(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: st
     elif kind == "serial":
         for i in range(1, m):
             e[i] = 0.7 * e[i - 1] + np.sqrt(1 - 0.49) * e[i]
+    elif kind == "t3":
+        e = rng.standard_t(3.0, (m, 2)) @ np.array([1, 1j]) * truth.sigma / np.sqrt(3.0)
+    elif kind == "walk":  # over m rows of unit steps the mean square about the mean is (m^2 - 1) / (6 m)
+        walk = np.cumsum(rng.standard_normal((m, 2)) @ np.array([1, 1j])) * truth.sigma
+        e = e + (walk - walk.mean()) * np.sqrt(6.0 * m / (m**2 - 1.0))
+    elif kind == "quantized":
+        shown = np.round((p + e).view(float) / truth.sigma) * truth.sigma
+        e = shown.view(complex) - p
+    elif kind == "posture":
+        e = e + model_error(run, 2, rng) @ np.array([1, 1j]) * truth.sigma
     return e
+
+
+def model_error(run: RowConditions, d: int, rng: np.random.Generator) -> np.ndarray:
+    """(m, d) errors in units of sigma that following rows of one posture share."""
+    number = np.append(0, np.cumsum(np.any(np.diff(run.q, axis=0) != 0.0, axis=1)))
+    return np.asarray(MODEL_ERROR * rng.standard_normal((len(number), d))[number])
 
 
 def recorded(truth: TrueArm, run: RowConditions, error: np.ndarray) -> Measurements:

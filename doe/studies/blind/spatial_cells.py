@@ -6,14 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doe.studies.blind.cells import MANY_SIZES, WAVES, DataSet
-from doe.studies.blind.hidden_effects import key, place_of, settings_of
-from doe.studies.blind.simulator import Drawn, RowConditions, session
+from doe.studies.blind.cells import MANY_SIZES, PHYSICS_SIZES, SEVERAL_SIZES, SMALL_SIZES, WAVES, DataSet, reachable
+from doe.studies.blind.hidden_effects import key, log_uniform, place_of, settings_of
+from doe.studies.blind.simulator import Drawn, RowConditions, model_error, session
 from doe.studies.blind.spatial_hidden_effects import (
     ALL_JOINTS,
     OF_ARM,
     OF_JOINT,
     OUTSIDE,
+    PHYSICS,
+    column,
     drawn_at_random,
     loaded,
     many_effects,
@@ -21,7 +23,7 @@ from doe.studies.blind.spatial_hidden_effects import (
     several_effects,
     true_values,
 )
-from doe.studies.blind.spatial_simulator import OF_GRAVITY, SpatialTruth, position, shift, turn
+from doe.studies.blind.spatial_simulator import OF_GRAVITY, SpatialTruth, base_jacobian, position, shift, turn
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.arrays import Array
 from identification.kinematics.denavit_hartenberg import DHRow, chain_of
@@ -42,18 +44,25 @@ class SpatialCell:
         `place` of the payload (see `with_offset_payload`, `loaded`)
     effects : how many are hidden, of different families;  outside : an effect that the library does not have
     outliers : three rows are 15 sigma off, in a random direction
-    many : many effects, see `many_effects`, of sizes from 8 to 40, the rows from 60 to 200
+    sizes : lambda of each effect is drawn between these, instead of `lam`
+    many : kind of `many_effects`;  rows : one of them is the number of rows instead of m
+    physics : name of the hidden effect, where it is one of `PHYSICS`
+    reads : of each posture, one after another, with an error of 2 sigma that they share
     """
 
     m: int
     lam: float | None = None
+    sizes: tuple[float, float] | None = None
     reflectors: int = 1
     gravity: str = ""
     order: float = 0.0  # periods per turn of the hidden gear ripple, where the cell is of one
     effects: int = 1
     outside: bool = False
     outliers: bool = False
-    many: bool = False
+    many: str = ""
+    rows: tuple[int, ...] = ()
+    physics: str = ""
+    reads: int = 1
     reported: bool = True  # in the full study; the others can be asked for by name
 
 
@@ -75,7 +84,20 @@ CELLS = {
     "space, three outliers, lambda 8": SpatialCell(60, 8.0, outliers=True),
     "space, outside, lambda 7": SpatialCell(60, 7.0, outside=True),
     "space, outside, lambda 10": SpatialCell(60, 10.0, outside=True),
-    "space, many effects": SpatialCell(MANY_ROWS[0], MANY_SIZES[0], many=True),
+    "space, many effects": SpatialCell(60, sizes=MANY_SIZES, many="robot", rows=MANY_ROWS),
+    **{
+        f"space, many small effects, m={m}": SpatialCell(m, sizes=SMALL_SIZES, many="small", reported=False)
+        for m in (50, 100, 300)
+    },
+    **{
+        f"space, six to nine effects, m={m}": SpatialCell(m, sizes=SEVERAL_SIZES, many="several", reported=False)
+        for m in (50, 100, 300)
+    },
+    **{
+        f"space, outside, {name}": SpatialCell(100, sizes=PHYSICS_SIZES, physics=name, rows=MANY_ROWS, reported=False)
+        for name in PHYSICS
+    },
+    "space, three reads, none": SpatialCell(180, reads=3, reported=False),
 }
 
 
@@ -139,7 +161,9 @@ def with_offset_payload(truth: SpatialTruth, rng: np.random.Generator) -> Spatia
 def measured(truth: SpatialTruth, spec: SpatialCell, run: RowConditions, rng: np.random.Generator) -> Measurements:
     """What the instrument says, reflectors taking turns."""
     marker = markers(spec, run)
-    positions = position(truth, run, marker) + truth.sigma * rng.standard_normal((len(run.q), 3))
+    error = rng.standard_normal((len(run.q), 3))
+    error = error + model_error(run, 3, rng) if spec.reads > 1 else error
+    positions = position(truth, run, marker) + truth.sigma * error
     names = {} if marker is None else {"marker": np.array(["1", "2"])[marker], "marker_names": ("1", "2")}
     order = np.arange(len(run.q), dtype=float)
     return Measurements(run.q, positions, order, temperature=20.0 + run.warm, directions=run.s, **names)
@@ -152,10 +176,12 @@ def markers(spec: SpatialCell, run: RowConditions) -> np.ndarray | None:
 
 def hidden(spec: SpatialCell, truth: SpatialTruth, run: RowConditions, rng: np.random.Generator) -> list[Drawn]:
     """The effects of a data set."""
+    if spec.sizes and spec.many:
+        return many_effects(truth, run, spec.many, spec.sizes, rng)
+    if spec.sizes:
+        return [outside_effect(truth, run, log_uniform(spec.sizes, rng), rng, (spec.physics,))]
     if spec.lam is None:
         return []
-    if spec.many:
-        return many_effects(truth, run, MANY_SIZES, rng)
     if spec.outside:
         return [outside_effect(truth, run, spec.lam, rng)]
     if spec.effects > 1:
@@ -174,25 +200,36 @@ def data_set(cell: str, seed: int, _: Array | None = None) -> DataSet:
     if spec.gravity == "tilt":
         truth = leaning(truth, rng)
     truth = with_offset_payload(truth, rng) if spec.gravity == "place" else truth
-    rows = int(rng.choice(MANY_ROWS)) if spec.many else spec.m
-    run, fresh = (_session(spec, truth, count, rng) for count in (rows, FRESH))
+    rows = int(rng.choice(spec.rows)) if spec.rows else spec.m
+    run, fresh = (_session(one, truth, count, rng) for one, count in ((spec, rows), (replace(spec, reads=1), FRESH)))
     arm = arm_of(spec, truth, rng)
     truth = replace(truth, effects=hidden(spec, truth, run, rng))
-    inside = [effect for effect in truth.effects if effect[0] not in OUTSIDE]
+    outside = [effect for effect in truth.effects if effect[0] in OUTSIDE + PHYSICS]
+    inside = [effect for effect in truth.effects if effect[0] not in OUTSIDE + PHYSICS]
     data = measured(truth, spec, run, rng)
-    holdout = measured(truth, spec, fresh, rng) if spec.lam is not None else None
+    error = data.positions - position(truth, run, markers(spec, run))
+    judged = bool(spec.many or outside or spec.reads > 1)
+    holdout = measured(truth, spec, fresh, rng) if truth.effects or judged else None
     data, wrong = with_outliers(data, truth.sigma, rng) if spec.outliers else (data, ())
+    data = replace(data, repeats=np.arange(len(data)) // spec.reads) if spec.reads > 1 else data
     return DataSet(
         arm,
         data,
         holdout,
         tuple(key(e) for e in inside),
-        place_of(truth.effects[0]) if spec.outside else None,
-        tuple(EffectSpec(e[0], e[1], settings_of(e)) for e in inside),
-        wrong,
-        {} if spec.gravity not in ("", "known") or spec.outside else true_values(truth.effects),
-        exact=position(truth, fresh) if spec.many else None,
+        outside=outside[0][0] if outside else None,
+        place=place_of(outside[0]) if outside else None,
+        specs=tuple(EffectSpec(e[0], e[1], settings_of(e)) for e in inside),
+        wrong_rows=wrong,
+        values={} if spec.gravity not in ("", "known") or outside else true_values(truth.effects),
+        exact=position(truth, fresh) if judged else None,
+        reachable=reachable(fitted_in_space(truth, run), fitted_in_space(truth, fresh), error) if judged else None,
     )
+
+
+def fitted_in_space(truth: SpatialTruth, run: RowConditions) -> Array:
+    """(3m, p) of the geometry and of an amplitude of each hidden effect."""
+    return np.column_stack([base_jacobian(truth, run), *(column(truth, run, None, effect) for effect in truth.effects)])
 
 
 def with_outliers(data: Measurements, sigma: float, rng: np.random.Generator) -> tuple[Measurements, tuple[int, ...]]:
@@ -205,6 +242,7 @@ def with_outliers(data: Measurements, sigma: float, rng: np.random.Generator) ->
 
 
 def _session(spec: SpatialCell, truth: SpatialTruth, count: int, rng: np.random.Generator) -> RowConditions:
-    """Random postures; each is measured at every reflector before the arm goes on."""
-    q = rng.uniform(truth.lower, truth.upper, (count // spec.reflectors, truth.n))
-    return session(truth, np.repeat(q, spec.reflectors, axis=0), rng)  # type: ignore[arg-type]
+    """Random postures; each is measured at every reflector, and as often as it is read, before the arm goes on."""
+    times = spec.reflectors * spec.reads
+    q = rng.uniform(truth.lower, truth.upper, (count // times, truth.n))
+    return session(truth, np.repeat(q, times, axis=0), rng)  # type: ignore[arg-type]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
-from doe.studies.blind.hidden_effects import directions_of, key, off, scaled_amplitudes
+from doe.studies.blind.hidden_effects import COUNTS, at_random, directions_of, key, log_uniform, off, scaled_amplitudes
+from doe.studies.blind.rare_effects import PHYSICS_JOINT, PHYSICS_WHOLE, drawn_physics
 from doe.studies.blind.simulator import Drawn, RowConditions
 from doe.studies.blind.spatial_simulator import OF_GRAVITY, SpatialTruth, base_jacobian, position
 
@@ -19,14 +21,17 @@ OF_JOINT = (
 )
 OF_ARM = (ALL_JOINTS, "thermal_growth", "base_drift", "base_rotation_drift")
 OUTSIDE = ("bump", "cubic", "cable_pull", "axis_wobble")  # not in the library
+PHYSICS = (*PHYSICS_JOINT, "two_warm_ups", "warm_offset")  # not either
 PAIRS = ("encoder_eccentricity", "encoder_second_harmonic", "axis_runout")
 
 
-def directions(name: str, rng: np.random.Generator) -> dict:
+def directions(name: str, rng: np.random.Generator, joint: int | None = None) -> dict:
     """A random direction in an effect's parameter space; scaled afterwards."""
-    if name in ("base_drift", "base_rotation_drift"):
+    if name in ("base_drift", "base_rotation_drift", "warm_offset"):
         direction = rng.normal(0.0, 1.0, 3)
-        return {"v" if name == "base_drift" else "w": direction / np.linalg.norm(direction)}
+        return {"w" if name == "base_rotation_drift" else "v": direction / np.linalg.norm(direction)}
+    if name in PHYSICS:
+        return drawn_physics(name, joint, 6, 1.0, rng)
     return {"c": 1.0} if name in ("bearing_compliance", "axis_wobble") else directions_of(name, 6, rng)
 
 
@@ -66,8 +71,9 @@ def drawn_at_random(
     own = base_jacobian(truth, run, marker) if span is None else span
     while True:
         pick = str(rng.choice(names))
-        joint = None if pick in OF_ARM else int(rng.integers(2 if pick == "joint_coupling" else 1, truth.n + 1))
-        effect = pick.rstrip("*"), joint, directions(pick, rng) | ({"k": order} if order else {})
+        first, last = 2 if pick == "joint_coupling" else 1, truth.n - (pick == "two_joint_cable")
+        joint = None if pick in (*OF_ARM, *PHYSICS_WHOLE) else int(rng.integers(first, last + 1))
+        effect = pick.rstrip("*"), joint, directions(pick, rng, joint) | ({"k": order} if order else {})
         if (found := sized(truth, run, marker, effect, lam, own)) is not None:
             return found
 
@@ -90,24 +96,34 @@ def family(effect: Drawn) -> str:
 
 
 def many_effects(
-    truth: SpatialTruth, run: RowConditions, sizes: tuple[float, float], rng: np.random.Generator
+    truth: SpatialTruth, run: RowConditions, kind: str, sizes: tuple[float, float], rng: np.random.Generator
 ) -> list[Drawn]:
-    """What a real robot has at once, each effect of its own size lambda between two (even on a logarithmic scale):
-    compliance of all joints, every encoder eccentric, backlash in one joint and a ripple in one."""
+    """What a real robot has at once, each effect of its own size lambda between two.
+
+    kind : `robot`: compliance of all joints, every encoder eccentric, backlash in one joint and a ripple in one; one of
+        `COUNTS`, as in the plane
+    """
     listed: list[tuple[str, int | None]] = [("encoder_eccentricity", j + 1) for j in range(truth.n)]
-    listed.append((ALL_JOINTS, None))
-    listed += [(name, int(rng.integers(1, truth.n + 1))) for name in ("backlash", "transmission_ripple")]
-    low, high = np.log(sizes)
-    span, found = base_jacobian(truth, run), []
-    for name, joint in listed:
-        effect, lam = (name.rstrip("*"), joint, directions(name, rng)), float(np.exp(rng.uniform(low, high)))
-        found.append(sized(truth, run, None, effect, lam, span))
-    return [effect for effect in found if effect is not None]
+    most = len(OF_JOINT) * truth.n
+    if kind in COUNTS:
+        listed = at_random(OF_JOINT, OF_ARM, truth.n, kind == "small", rng)
+        most = int(rng.integers(COUNTS[kind][0], COUNTS[kind][1] + 1))
+    else:
+        listed.append((ALL_JOINTS, None))
+        listed += [(name, int(rng.integers(1, truth.n + 1))) for name in ("backlash", "transmission_ripple")]
+    span = base_jacobian(truth, run)
+    drawn = (
+        sized(truth, run, None, (name.rstrip("*"), joint, directions(name, rng)), log_uniform(sizes, rng), span)
+        for name, joint in listed
+    )
+    return list(islice((effect for effect in drawn if effect is not None), most))
 
 
-def outside_effect(truth: SpatialTruth, run: RowConditions, lam: float, rng: np.random.Generator) -> Drawn:
+def outside_effect(
+    truth: SpatialTruth, run: RowConditions, lam: float, rng: np.random.Generator, names: Sequence[str] = OUTSIDE
+) -> Drawn:
     """An effect that the library does not have, of size lambda outside the span of the library."""
-    return drawn_at_random(OUTSIDE, truth, run, None, lam, rng, span=library_span(truth, run))
+    return drawn_at_random(names, truth, run, None, lam, rng, span=library_span(truth, run))
 
 
 def library_span(truth: SpatialTruth, run: RowConditions) -> np.ndarray:

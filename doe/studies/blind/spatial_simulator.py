@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from doe.studies.blind.rare_effects import warm_up
 from doe.studies.blind.simulator import Drawn, G, RowConditions, angle_error
 
 OF_GRAVITY = ("joint_compliance", "gravity_backlash", "bearing_compliance")
@@ -163,6 +164,8 @@ def errors(truth: SpatialTruth, run: RowConditions) -> Errors:
             found.tilts[:, j] += twice.real[:, None] * home[j, :3, 0] + twice.imag[:, None] * home[j, :3, 1]
         elif name == "thermal_growth":
             found.growth += v["a"] * run.warm[:, None] * lengths
+        elif name == "two_warm_ups":
+            found.growth += warm_up(v, run.t)[:, None] * lengths
         elif joint is not None:
             found.angles += angle_error(truth, run, run, name, joint, v)  # type: ignore[arg-type]
     return found
@@ -191,6 +194,7 @@ def _base(truth: SpatialTruth, run: RowConditions) -> np.ndarray:
     """(m, 4, 4) where the arm's base is in each row."""
     values = {name: v for name, _, v in truth.effects}
     drift = np.array(values.get("base_drift", {"v": np.zeros(3)})["v"]) * run.t[:, None]
+    drift = drift + np.array(values.get("warm_offset", {"v": np.zeros(3)})["v"]) * run.warm[:, None]
     rotation = np.array(values.get("base_rotation_drift", {"w": np.zeros(3)})["w"]) * run.t[:, None]
     return shift(drift) @ truth.base @ screw(turn(rotation), np.zeros(3))
 

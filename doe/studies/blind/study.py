@@ -25,8 +25,17 @@ from doe.problem.problem import DesignProblem
 from doe.studies.blind import cells as simulated
 from doe.studies.blind import spatial_cells as spatial
 from doe.studies.blind.cells import DataSet
-from doe.studies.blind.rivals import error, has_processes, library_gap, process_gap, true_arm, true_gap
-from doe.studies.blind.score import BARS, BlindStudy, scored_table
+from doe.studies.blind.rivals import (
+    error,
+    fitted_arm,
+    has_processes,
+    library_gap,
+    process_gap,
+    share_inside_tip,
+    true_arm,
+    true_gap,
+)
+from doe.studies.blind.score import BARS, BlindStudy, contradictions, scored_table
 from identification.arm import Arm
 from identification.errors import InputError, nearest
 from identification.estimation.intervals import quantile_95
@@ -131,15 +140,20 @@ def plan(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
 
 def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[float]] | None = None) -> list[Row]:
     """What is hidden in each set of a batch, and the held-out gap that knowing it would leave."""
-    rows = []
-    for number, data in _data_sets(key, planned):
-        wrong = list(data.wrong_rows)
-        gap = None if data.holdout is None or data.place is not None else true_gap(data)
-        hidden = {"hidden": sorted(data.effects), "place": data.place, "wrong_rows": wrong, "gap_true_mm": gap}
-        hidden["error_true_mm"] = None if data.exact is None else error(true_arm(data), data)
-        values = {"parameters": list(data.values), "values": list(data.values.values())}
-        rows.append({"set": number, "links": data.arm.links, **hidden, **values})
-    return rows
+    return [{"set": number, **hidden_in(data)} for number, data in _data_sets(key, planned)]
+
+
+def hidden_in(data: DataSet) -> Row:
+    """What is hidden in a data set, and how well a model that knows it does, and one of the geometry only."""
+    gap = None if data.holdout is None or data.outside is not None else true_gap(data)
+    known = {"hidden": sorted(data.effects), "outside": data.outside, "place": data.place, "gap_true_mm": gap}
+    errors = {
+        "error_true_mm": None if data.exact is None or data.outside is not None else error(true_arm(data), data),
+        "error_geometry_mm": None if data.exact is None else error(fitted_arm(data), data),
+        "error_reachable_mm": data.reachable,
+    }
+    values = {"parameters": list(data.values), "values": list(data.values.values())}
+    return {"links": data.arm.links, "wrong_rows": list(data.wrong_rows), **known, **errors, **values}
 
 
 def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[float]] | None = None) -> list[Row]:
@@ -147,14 +161,22 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: list[list[f
     rows = []
     for number, data in _data_sets(key, planned):
         found = diagnose(data.arm, data.measurements, data.holdout, seed=number)
-        row = {"set": number, **_said(found), **_intervals(found), "gap_before_mm": found.gap.held_out_before}
-        row |= {"gap_named_mm": found.gap.held_out_after, "error_named_mm": error(found.extended_arm(), data)}
+        row = {"set": number, **said_of(data, found)}
         if key["cell"] in COMPARED:
             row |= {"gap_library_mm": library_gap(data), "gap_process_mm": process_gap(data)}
         if key["cell"] == AMBIGUOUS and found.verdict == "ambiguous":
             row |= _measured_further(data, found, number)
         rows.append(row)
     return rows
+
+
+def said_of(data: DataSet, found: Diagnosis) -> Row:
+    """What a diagnosis of a data set says, by its public results, and how well the model that it writes does."""
+    arm, gap = found.extended_arm(), found.gap
+    gaps = {"gap_before_mm": gap.held_out_before, "gap_named_mm": gap.held_out_after, "gap_promised_mm": gap.predicted}
+    written = {"error_named_mm": error(arm, data), "inside_tip": share_inside_tip(arm, data)}
+    doubts = {"confirmed": found.confirmed, "contradictions": contradictions(found.to_json())}
+    return {**_said(found), **_intervals(found), **gaps, **written, **doubts}
 
 
 def _said(found: Diagnosis) -> Row:

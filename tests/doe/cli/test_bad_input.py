@@ -345,3 +345,9 @@ def test_studies_that_cannot_be_done(folder: Folder, text: str, expected: str) -
     folder.write("study.toml", 'arms = ["arm.toml"]\n' + text)
     refused(folder, ["study", "study.toml", "--workers", "1", "--out", "folder"], expected)
     assert not (folder.path / "folder").exists()
+
+
+def test_cells_of_a_study_that_has_none(folder: Folder) -> None:
+    refused(folder, ["study", "paper", "--cell", "none m=20"], "--cell", "allowed: of blind and blind-spatial")
+    refused(folder, ["study", "blind", "--cell", "none, Student t4"], "did you mean 'none, Student t3'?")
+    assert not list(folder.path.glob("*.results"))

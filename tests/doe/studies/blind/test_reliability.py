@@ -21,8 +21,8 @@ TRUTH = {"hidden": [], "place": None}
         ({"hidden": ["b", "a"]}, {"verdict": "named", "named": ["a"]}, False),
         ({"hidden": ["a"]}, {"verdict": "none"}, False),
         ({"hidden": ["a"]}, {"verdict": "unknown", "named": ["a"]}, False),
-        ({"place": "joint:1"}, {"verdict": "unknown", "named": []}, True),
-        ({"place": "joint:1"}, {"verdict": "named", "named": ["a"]}, False),
+        ({"outside": "bump"}, {"verdict": "unknown", "named": []}, True),
+        ({"outside": "bump"}, {"verdict": "named", "named": ["a"]}, False),
     ],
 )
 def test_what_is_right(hidden: dict, said: dict, right: bool) -> None:
