@@ -28,6 +28,7 @@ from identification.arrays import Array, eigen_of_pairs
 
 # reasons: identification/README.md, "Constants"
 SIZES: Array = 3.0 * np.exp2(np.arange(14))  # of a block's contribution, in standard deviations of the noise
+WIDE = 6  # effort: columns of a block that is not tried in every exchange
 ROUNDING = 1e-9  # of a log likelihood
 LEAST = 1e-14  # of y^T y: what rounding leaves of a sum of squares
 
@@ -124,10 +125,14 @@ class Products:
         kept = self.gram[np.ix_(own, own)], self.right[own], self.squares, self.freedom
         return Products(*kept, starts, self.signs[list(blocks)])
 
-    def added(self, given: Given) -> Added:
-        """Each block added to a set."""
+    def added(self, given: Given, wide: bool = True) -> Added:
+        """Each block added to a set;  wide : False leaves out those of more than `WIDE` columns, which take long"""
         numbers, ratios = [], []
         for blocks, index, own in self._alike:
+            if not wide and index.shape[1] > WIDE:
+                numbers.append(blocks)
+                ratios.append(np.full((len(blocks), len(SIZES)), -np.inf))
+                continue
             width = index.shape[1]
             rows = given.rows[:, index]  # (k, b, w)
             scores = self.right[index] - np.tensordot(given.scores, rows, (0, 0))
@@ -168,18 +173,23 @@ class Products:
             mean = covariance @ own.right
             left = max(own.squares - float(mean @ own.right), LEAST * own.squares, 1e-300)
             volume = -np.linalg.slogdet(covariance)[1] - np.sum(np.log(precision[owner]))
-            profiles, without = np.empty((len(at), len(SIZES))), np.empty(len(at))
-            for k, (first, last) in enumerate(zip(own.starts[:-1], own.starts[1:], strict=True)):
-                values, vectors = np.linalg.eigh(covariance[first:last, first:last])
-                parts = np.square(vectors.T @ mean[first:last])
-                change = SIZES[:, None] ** -2.0 - precision[k]
-                spread = np.maximum(1.0 + change * values, 1e-300)
-                volumes = volume + np.sum(np.log(spread * precision[k] * np.square(SIZES)[:, None]), axis=1)
-                rest = np.maximum(left + np.sum(change / spread * parts, axis=1), LEAST * own.squares + 1e-300)
-                profiles[k] = -0.5 * volumes - 0.5 * own.freedom * np.log(rest / own.squares)
-                values = np.maximum(values, 1e-300)
-                bare = volume + np.sum(np.log(values * precision[k])), left + np.sum(parts / values)
-                without[k] = -0.5 * bare[0] - 0.5 * own.freedom * np.log(bare[1] / own.squares)
+            values, parts = np.zeros((2, len(at), int(own.widths.max())))
+            for blocks_alike, index, _ in own._alike:
+                width = index.shape[1]
+                part = covariance[index[:, :, None], index[:, None, :]]
+                value, vectors = eigen_of_pairs(part) if width == 2 else np.linalg.eigh(part)
+                values[blocks_alike, :width] = np.maximum(value, 1e-300)
+                parts[blocks_alike, :width] = np.square(np.einsum("bwe,bw->be", vectors, mean[index]))
+            change = (SIZES**-2.0 - precision[:, None])[:, :, None]  # (M, S, 1)
+            spread = np.maximum(1.0 + change * values[:, None], 1e-300)
+            scaled = own.widths[:, None] * np.log(precision[:, None] * np.square(SIZES))
+            volumes = volume + np.sum(np.log(spread), axis=2) + scaled
+            rest = np.maximum(left + np.sum(change / spread * parts[:, None], axis=2), LEAST * own.squares + 1e-300)
+            profiles = -0.5 * volumes - 0.5 * own.freedom * np.log(rest / own.squares)
+            there = values > 0.0
+            shrunk = np.sum(np.log(np.where(there, values * precision[:, None], 1.0)), axis=1)
+            bare = left + np.sum(parts / np.where(there, values, 1.0), axis=1)
+            without = -0.5 * (volume + shrunk) - 0.5 * own.freedom * np.log(bare / own.squares)
             best, now = np.unravel_index(np.argmax(profiles), profiles.shape), profiles[0, at[0]]
             if not profiles[best] > now + ROUNDING:
                 break

@@ -30,7 +30,8 @@ TAIL = 3.0  # p(K) ~ K^-TAIL
 WRONG = 0.002  # prior odds of a row to be outlying
 WEIGHED = 3.0  # log odds below the best within which a neighbor is weighed exactly
 EXPANDED = 3.0  # and within which a set is expanded
-MOST, EXCHANGED = 30, 8  # effort: sets that are expanded, and those of them with exchanges
+MOST, EXCHANGED = 20, 4  # effort: sets that are expanded, and those of them with exchanges
+FEW = 3  # effort: blocks of a set up to which exchanges try wide blocks too
 PAIRS = 10  # effort: blocks that are tried in pairs
 NEGLIGIBLE = 12.0  # log odds below the best: not kept
 
@@ -135,7 +136,7 @@ class Search:
         for other in [*self._neighbors(one), *(o for o in fewer if o.log_odds > self._best - WEIGHED)]:
             self._weigh(other.blocks, other.sizes)
         for start in fewer if exchange else []:
-            for other in self._neighbors(self._weigh(start.blocks, start.sizes)):
+            for other in self._neighbors(self._weigh(start.blocks, start.sizes), wide=len(one.blocks) < FEW):
                 self._weigh(other.blocks, other.sizes)
 
     def _shorter(self, one: Weighed) -> list[Weighed]:
@@ -149,9 +150,9 @@ class Search:
             found.append(Weighed(blocks, sizes, one.log_odds + change + prior))
         return found
 
-    def _neighbors(self, one: Weighed, least: int = 0) -> list[Weighed]:
+    def _neighbors(self, one: Weighed, least: int = 0, wide: bool = True) -> list[Weighed]:
         """The set with each further block, likeliest first, of those that matter, and the likeliest `least` in any case."""
-        odds, sizes = self._with_each(one)
+        odds, sizes = self._with_each(one, wide)
         count = max(least, int(np.sum(odds > self._best - WEIGHED)))
         likely = np.argsort(-odds, kind="stable")[:count]
         return [self._with(one, b, odds, sizes) for b in likely.tolist() if np.isfinite(odds[b])]
@@ -162,10 +163,10 @@ class Search:
         blocks = (*one.blocks[:at], b, *one.blocks[at:])
         return Weighed(blocks, (*one.sizes[:at], int(sizes[b]), *one.sizes[at:]), float(odds[b]))
 
-    def _with_each(self, one: Weighed) -> tuple[Array, NDArray[np.int64]]:
+    def _with_each(self, one: Weighed, wide: bool) -> tuple[Array, NDArray[np.int64]]:
         """(B,) log posterior odds of the set with each further block, and the number of the block's likeliest size."""
         if one.blocks not in self._longer:
-            added = self.products.added(self.products.given(one.blocks, SIZES[list(one.sizes)]))
+            added = self.products.added(self.products.given(one.blocks, SIZES[list(one.sizes)]), wide)
             count = self._count(one.blocks)
             step = np.where(self.rows, 0.0, log_odds_of_count(count + 1) - log_odds_of_count(count))
             odds = one.log_odds + added.averaged + step + self._log_weights
